@@ -1,0 +1,118 @@
+"""YAML documents read into pydantic models, with every fault named by file, line and key."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from agent.errors import InputError
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def load_document(path: Path, model: type[Model]) -> Model:
+    """Read a YAML file into `model`.
+
+    Raises:
+        InputError: the file is missing, is not YAML, or breaks the model; every fault is listed as
+            ``file:line: key: what is wrong``.
+    """
+    return validate_document(path, read_yaml(path), model)
+
+
+def read_yaml(path: Path) -> Any:
+    """Parse a YAML 1.2 file; mappings keep the line of each key (ruamel's round-trip types).
+
+    Raises:
+        InputError: missing, unreadable or malformed file.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as text: {error}") from None
+    try:
+        data = YAML(typ="rt").load(text)
+    except MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise InputError(f"{path}:{line}: not valid YAML: {error.problem}") from None
+    except YAMLError as error:
+        raise InputError(f"{path}: not valid YAML: {error}") from None
+    if data is None:
+        raise InputError(f"{path}: the file is empty")
+    return data
+
+
+def validate_document(path: Path, data: Any, model: type[Model]) -> Model:
+    """Validate what `read_yaml` returned.
+
+    Raises:
+        InputError: with one line per fault.
+    """
+    if not isinstance(data, dict):
+        raise InputError(f"{path}:1: a mapping of keys is expected, not {type(data).__name__}")
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        lines = [_describe(path, data, model, fault) for fault in error.errors()]
+        raise InputError("\n".join(lines)) from None
+
+
+def line_of(data: Any, location: tuple[Any, ...]) -> int:
+    """Line (from 1) of the deepest part of `location` that the document has."""
+    line = 1
+    for key in location:
+        try:
+            position = data.lc.data[key]
+        except (AttributeError, KeyError, TypeError, IndexError):
+            break
+        line = position[0] + 1
+        data = data[key]
+    return line
+
+
+def _describe(path: Path, data: Any, model: type[BaseModel], fault: Any) -> str:
+    location = tuple(part for part in fault["loc"] if not (isinstance(part, str) and part.startswith("function-")))
+    message = fault["msg"].removeprefix("Value error, ")
+    if fault["type"] == "extra_forbidden":
+        allowed = _keys_at(model, location[:-1])
+        message = f"unknown key; allowed are {', '.join(allowed)}" if allowed else "unknown key"
+        close = difflib.get_close_matches(str(location[-1]), allowed, 1)
+        if close:
+            message += f" (did you mean {close[0]}?)"
+    elif fault["type"] == "missing":
+        message = "this key is required and missing"
+    else:
+        value = fault.get("input")
+        if isinstance(value, (str, int, float, bool)) and repr(value) not in message:
+            message += f" (got {value!r})"
+    key = ".".join(str(part) for part in location) or "document"
+    return f"{path}:{line_of(data, location)}: {key}: {message}"
+
+
+def _keys_at(model: Any, location: tuple[Any, ...]) -> list[str]:
+    for part in location:
+        if isinstance(part, int):
+            continue
+        fields = getattr(model, "model_fields", {})
+        if part not in fields:
+            return []
+        model = _model_in(fields[part].annotation)
+    return [field.alias or name for name, field in getattr(model, "model_fields", {}).items()]
+
+
+def _model_in(annotation: Any) -> Any:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for argument in getattr(annotation, "__args__", ()):
+        found = _model_in(argument)
+        if found is not None:
+            return found
+    return None

@@ -1,0 +1,51 @@
+"""A motion log in memory, as analysis sees it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Repair:
+    """Something the reader found in a log and dealt with: what, when [s from the first sample], how many samples."""
+
+    kind: str
+    time: float
+    count: int
+
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.count} at {self.time:.3f} s"
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """One motion, sorted by controller time. S samples, n joints, SI on the joint side.
+
+    t (S,) [s] from the first sample; position (S, n); velocity and effort (S, n) or None where the log has none;
+    reference_position, planned_position (S, n) or None: set-points of the controller, and what was planned, on the
+    same stamps (NaN where there is none). `segments` are [start, stop) sample ranges without a gap in them.
+    `stamp` is the first sample's controller time [s].
+    """
+
+    path: Path
+    joint_names: tuple[str, ...]
+    t: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray | None
+    effort: np.ndarray | None
+    reference_position: np.ndarray | None
+    planned_position: np.ndarray | None
+    sample_rate: float
+    stamp: float
+    segments: tuple[tuple[int, int], ...]
+    cycle_starts: tuple[float, ...] = ()
+    metadata: dict[str, str] = field(default_factory=dict)
+    repairs: tuple[Repair, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """File name, as results report it."""
+        return self.path.name

@@ -1,0 +1,280 @@
+"""The robot description: `robot.yaml` beside a URDF."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
+
+from agent.documents import load_document
+from agent.errors import InputError
+
+Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class _JointEntry(_Strict):
+    name: str
+    gear_ratio: float = 1.0
+    nominal_motor_torque: PositiveFloat | None = None
+    max_velocity: PositiveFloat
+    max_acceleration: PositiveFloat
+    max_jerk: PositiveFloat | None = None
+    rotor_inertia: Annotated[float, Field(ge=0)] | None = None
+    max_torque: PositiveFloat | None = None
+    torque_constant: PositiveFloat | None = None
+
+
+class _CartesianEntry(_Strict):
+    linear_speed: PositiveFloat
+    linear_acceleration: PositiveFloat
+    rotational_speed: PositiveFloat
+    rotational_acceleration: PositiveFloat
+
+
+class _CapsuleEntry(_Strict):
+    model_config = ConfigDict(extra="forbid", populate_by_name=True)
+    start: Vector3 = Field(alias="from")
+    end: Vector3 = Field(alias="to")
+    radius: PositiveFloat
+
+
+class _RobotFile(_Strict):
+    name: str
+    urdf: str
+    tip_frame: str
+    gravity: Vector3 = [0.0, 0.0, -9.80665]
+    cartesian_limits: _CartesianEntry | None = None
+    joints: Annotated[list[_JointEntry], Field(min_length=1, max_length=7)]
+    motor_coupling: list[list[float]] | None = None
+    bodies: dict[str, list[_CapsuleEntry]] = {}
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One movable joint. Joint side unless said otherwise; N·m, rad (N, m on a prismatic joint).
+
+    `lower` and `upper` come from the URDF, infinite on a continuous joint.
+    """
+
+    name: str
+    prismatic: bool
+    gear_ratio: float
+    nominal_motor_torque: float | None
+    max_velocity: float
+    max_acceleration: float
+    max_jerk: float | None
+    rotor_inertia: float | None
+    max_torque: float | None
+    torque_constant: float | None
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class CartesianLimits:
+    """Limits at the tool centre point: m/s, m/s², rad/s, rad/s²."""
+
+    linear_speed: float
+    linear_acceleration: float
+    rotational_speed: float
+    rotational_acceleration: float
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """A segment with a radius, in its link's frame [m]."""
+
+    start: tuple[float, float, float]
+    end: tuple[float, float, float]
+    radius: float
+
+
+@dataclass(frozen=True)
+class RobotDescription:
+    """A serial arm with 1 to 7 movable joints; self-contained (the URDF is held as text)."""
+
+    name: str
+    urdf: str
+    tip_frame: str
+    gravity: tuple[float, float, float]
+    cartesian_limits: CartesianLimits | None
+    joints: tuple[Joint, ...]
+    motor_coupling: tuple[tuple[float, ...], ...]
+    bodies: dict[str, tuple[Capsule, ...]] = field(default_factory=dict)
+
+    @property
+    def dof(self) -> int:
+        """Number of joints n."""
+        return len(self.joints)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names in order, base to tip."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def gear_ratios(self) -> np.ndarray:
+        """(n,) motor turns per joint turn, signed."""
+        return np.array([joint.gear_ratio for joint in self.joints])
+
+    @property
+    def coupling(self) -> np.ndarray:
+        """(n, n) matrix C: q̇_motor = diag(gear_ratio) C q̇ and τ = Cᵀ diag(gear_ratio) τ_motor."""
+        return np.array(self.motor_coupling)
+
+    @property
+    def nominal_torque(self) -> np.ndarray:
+        """(n,) |gear ratio| · nominal motor torque [N·m], NaN where the description has none."""
+        return np.array(
+            [
+                np.nan if joint.nominal_motor_torque is None else abs(joint.gear_ratio) * joint.nominal_motor_torque
+                for joint in self.joints
+            ]
+        )
+
+    @property
+    def max_velocity(self) -> np.ndarray:
+        """(n,) rad/s."""
+        return np.array([joint.max_velocity for joint in self.joints])
+
+    @property
+    def max_acceleration(self) -> np.ndarray:
+        """(n,) rad/s²."""
+        return np.array([joint.max_acceleration for joint in self.joints])
+
+    @property
+    def position_limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) lower and (n,) upper [rad]."""
+        return np.array([j.lower for j in self.joints]), np.array([j.upper for j in self.joints])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data that `from_dict` turns back into an equal description."""
+        from dataclasses import asdict
+
+        data = asdict(self)
+        for joint in data["joints"]:
+            joint["lower"] = None if np.isinf(joint["lower"]) else joint["lower"]
+            joint["upper"] = None if np.isinf(joint["upper"]) else joint["upper"]
+        return data
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> RobotDescription:
+        """The inverse of `to_dict`, also after a round trip through JSON."""
+        joints = tuple(
+            Joint(
+                **{
+                    **joint,
+                    "lower": -np.inf if joint["lower"] is None else joint["lower"],
+                    "upper": np.inf if joint["upper"] is None else joint["upper"],
+                }
+            )
+            for joint in data["joints"]
+        )
+        limits = data["cartesian_limits"]
+        return cls(
+            name=data["name"],
+            urdf=data["urdf"],
+            tip_frame=data["tip_frame"],
+            gravity=tuple(data["gravity"]),
+            cartesian_limits=None if limits is None else CartesianLimits(**limits),
+            joints=joints,
+            motor_coupling=tuple(tuple(row) for row in data["motor_coupling"]),
+            bodies={
+                link: tuple(Capsule(tuple(c["start"]), tuple(c["end"]), c["radius"]) for c in capsules)
+                for link, capsules in data["bodies"].items()
+            },
+        )
+
+
+def builtin_robots() -> tuple[str, ...]:
+    """Names of the robots that come with the agent."""
+    folder = files("agent.robot") / "catalogue"
+    return tuple(sorted(entry.name for entry in folder.iterdir() if (entry / "robot.yaml").is_file()))
+
+
+def load_robot(name_or_path: str | Path) -> RobotDescription:
+    """Load a built-in robot by name, or a description file by path.
+
+    Raises:
+        InputError: unknown name, or a file that breaks the format; names file, line and key.
+    """
+    if str(name_or_path) in builtin_robots():
+        return _load_file(Path(str(files("agent.robot") / "catalogue" / str(name_or_path) / "robot.yaml")))
+    path = Path(name_or_path)
+    if path.is_dir():
+        path = path / "robot.yaml"
+    if not path.exists():
+        raise InputError(
+            f"robot {str(name_or_path)!r}: neither a built-in robot ({', '.join(builtin_robots())}) nor a file"
+        )
+    return _load_file(path)
+
+
+def _load_file(path: Path) -> RobotDescription:
+    entry = load_document(path, _RobotFile)
+    urdf_path = path.parent / entry.urdf
+    try:
+        urdf = urdf_path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: urdf: {urdf_path} cannot be read: {error}") from None
+    try:
+        elements = {joint.get("name"): joint for joint in ElementTree.fromstring(urdf).iter("joint")}
+        links = {link.get("name") for link in ElementTree.fromstring(urdf).iter("link")}
+    except ElementTree.ParseError as error:
+        raise InputError(f"{urdf_path}: not valid XML: {error}") from None
+    if entry.tip_frame not in links and entry.tip_frame not in elements:
+        raise InputError(f"{path}: tip_frame: the URDF has no link {entry.tip_frame!r}")
+    for link in entry.bodies:
+        if link not in links:
+            raise InputError(f"{path}: bodies.{link}: the URDF has no such link")
+    return RobotDescription(
+        name=entry.name,
+        urdf=urdf,
+        tip_frame=entry.tip_frame,
+        gravity=(entry.gravity[0], entry.gravity[1], entry.gravity[2]),
+        cartesian_limits=None if entry.cartesian_limits is None else CartesianLimits(**entry.cartesian_limits.__dict__),
+        joints=tuple(_joint(path, joint, elements) for joint in entry.joints),
+        motor_coupling=_coupling(path, entry),
+        bodies={
+            link: tuple(Capsule(tuple(c.start), tuple(c.end), c.radius) for c in capsules)
+            for link, capsules in entry.bodies.items()
+        },
+    )
+
+
+def _joint(path: Path, entry: _JointEntry, elements: dict[str | None, ElementTree.Element]) -> Joint:
+    element = elements.get(entry.name)
+    kind = None if element is None else element.get("type")
+    if element is None or kind not in ("revolute", "continuous", "prismatic"):
+        movable = [str(n) for n, e in elements.items() if e.get("type") in ("revolute", "continuous", "prismatic")]
+        raise InputError(f"{path}: joints: {entry.name!r} is not a movable joint of the URDF ({', '.join(movable)})")
+    if entry.gear_ratio == 0:
+        raise InputError(f"{path}: joints: {entry.name}: gear_ratio is 0; give motor turns per joint turn, signed")
+    limit = element.find("limit")
+    bounded = kind != "continuous" and limit is not None and limit.get("lower") is not None
+    lower = float(limit.get("lower", "-inf")) if bounded and limit is not None else -np.inf
+    upper = float(limit.get("upper", "inf")) if bounded and limit is not None else np.inf
+    if lower >= upper:
+        raise InputError(f"{path}: joints: {entry.name}: the URDF's limits are {lower} to {upper}: an empty range")
+    return Joint(**entry.__dict__, prismatic=kind == "prismatic", lower=lower, upper=upper)
+
+
+def _coupling(path: Path, entry: _RobotFile) -> tuple[tuple[float, ...], ...]:
+    n = len(entry.joints)
+    if entry.motor_coupling is None:
+        return tuple(tuple(float(i == j) for j in range(n)) for i in range(n))
+    matrix = entry.motor_coupling
+    if len(matrix) != n or any(len(row) != n for row in matrix):
+        raise InputError(f"{path}: motor_coupling: {n} rows of {n} numbers are expected")
+    if abs(np.linalg.det(np.array(matrix))) < 1e-9:
+        raise InputError(f"{path}: motor_coupling: the matrix is singular, so motors do not determine the joints")
+    return tuple(tuple(float(value) for value in row) for row in matrix)

@@ -1,0 +1,36 @@
+"""Motors, gears and their coupling: what acts between the motor currents and the joint torques.
+
+With the coupling C of the robot description an axle turns at w = C q̇ (motor speed over gear ratio), and a torque
+f on the axles is a torque Cᵀ f on the joints (virtual work).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.robot.description import RobotDescription
+
+
+def axle_motion(robot: RobotDescription, motion: np.ndarray) -> np.ndarray:
+    """(S, n) of the axles, from (S, n) positions, velocities or accelerations of the joints."""
+    return motion @ robot.coupling.T
+
+
+def joint_torque(robot: RobotDescription, axle_torque: np.ndarray) -> np.ndarray:
+    """(S, n) on the joints [N·m], from (S, n) on the axles."""
+    return axle_torque @ robot.coupling
+
+
+def joint_columns(robot: RobotDescription, axle_columns: np.ndarray) -> np.ndarray:
+    """(S, n, n) block whose column k is an axle function (S, n)[:, k] acting on axle k, seen at the joints."""
+    return robot.coupling.T[None, :, :] * axle_columns[:, None, :]
+
+
+def rotor_regressor(robot: RobotDescription, qdd: np.ndarray) -> np.ndarray:
+    """(S, n, n) columns of the rotor inertias [kg·m², motor side]: τ = Cᵀ diag(g²) J C q̈."""
+    return joint_columns(robot, robot.gear_ratios**2 * axle_motion(robot, qdd))
+
+
+def rotor_mass_matrix(robot: RobotDescription, rotor_inertias: np.ndarray) -> np.ndarray:
+    """(n, n) Cᵀ diag(g² J) C [kg·m²] for rotor inertias (n,) [kg·m², motor side]."""
+    return robot.coupling.T @ np.diag(robot.gear_ratios**2 * rotor_inertias) @ robot.coupling

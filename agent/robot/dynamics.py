@@ -1,0 +1,185 @@
+"""Rigid-body dynamics and forward kinematics. The only module that imports Pinocchio."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from agent.errors import InputError
+from agent.robot.description import RobotDescription
+
+#: Order of a link's ten standard parameters: mass [kg], first moments [kg·m], inertia about the joint frame [kg·m²].
+STANDARD_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+
+
+@dataclass(frozen=True)
+class Tool:
+    """What is mounted on the tip frame: `frame` (4, 4) of the TCP and `centre_of_mass` (3,) [m] in it, mass [kg]."""
+
+    frame: np.ndarray
+    mass: float = 0.0
+    centre_of_mass: np.ndarray | None = None
+
+
+class Dynamics:
+    """A robot's rigid bodies, optionally with a tool. Not thread-safe: it owns one Pinocchio `Data`.
+
+    All methods take arrays with samples first: q, q̇, q̈ are (S, n), joint side [rad, rad/s, rad/s²].
+
+    Raises:
+        InputError: a URDF that Pinocchio refuses, or joints that are not one serial chain in the order given.
+    """
+
+    def __init__(self, robot: RobotDescription, tool: Tool | None = None):
+        self.robot = robot
+        self.tool = tool
+        self._model = _build(robot, tool)
+        self._data = self._model.createData()
+        self._tip = self._model.getFrameId(robot.tip_frame)
+
+    @property
+    def dof(self) -> int:
+        """Number of joints n."""
+        return self.robot.dof
+
+    def inverse_dynamics(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """(S, n) joint torque of the rigid bodies [N·m], without rotors and friction (recursive Newton-Euler)."""
+        torque = np.empty(np.shape(q))
+        for k in range(len(torque)):
+            torque[k] = pin.rnea(self._model, self._data, q[k], qd[k], qdd[k])
+        return torque
+
+    def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """(S, n, 10 n) regressor of the standard inertial parameters: τ = Y π, links base to tip."""
+        columns = np.empty((len(q), self.dof, 10 * self.dof))
+        for k in range(len(columns)):
+            columns[k] = pin.computeJointTorqueRegressor(self._model, self._data, q[k], qd[k], qdd[k])
+        return columns
+
+    def standard_parameters(self) -> np.ndarray:
+        """(10 n,) inertial parameters of URDF and tool, in the regressor's order."""
+        return np.concatenate([self._model.inertias[k + 1].toDynamicParameters() for k in range(self.dof)])
+
+    def with_parameters(self, parameters: np.ndarray) -> Dynamics:
+        """A copy whose links have these (10 n,) standard parameters; they need not be physical.
+
+        A massless link is given 1e-12 kg so that its first moment can be represented.
+        """
+        other = Dynamics(self.robot, self.tool)
+        for k, block in enumerate(np.reshape(parameters, (self.dof, 10))):
+            block = np.where(np.arange(10) == 0, np.where(abs(block[0]) < 1e-12, 1e-12, block[0]), block)
+            other._model.inertias[k + 1] = pin.Inertia.FromDynamicParameters(block)
+        return other
+
+    def with_gravity(self, gravity: np.ndarray) -> Dynamics:
+        """A copy with gravity (3,) [m/s²] in the base frame."""
+        robot = replace(self.robot, gravity=(float(gravity[0]), float(gravity[1]), float(gravity[2])))
+        return Dynamics(robot, self.tool).with_parameters(self.standard_parameters())
+
+    def mass_matrix(self, q: np.ndarray) -> np.ndarray:
+        """(n, n) of the rigid bodies at one q (n,), without rotors."""
+        upper = pin.crba(self._model, self._data, q)
+        return np.triu(upper) + np.triu(upper, 1).T
+
+    def forward_dynamics(
+        self, q: np.ndarray, qd: np.ndarray, torque: np.ndarray, armature: np.ndarray | None = None
+    ) -> np.ndarray:
+        """(n,) q̈ at one state under joint torque (n,); `armature` (n,) adds reflected rotor inertia [kg·m²]."""
+        self._model.armature = np.zeros(self.dof) if armature is None else armature
+        try:
+            return pin.aba(self._model, self._data, q, qd, torque).copy()
+        finally:
+            self._model.armature = np.zeros(self.dof)
+
+    def energy(self, q: np.ndarray, qd: np.ndarray) -> tuple[float, float]:
+        """Kinetic and potential energy [J] of the rigid bodies at one state."""
+        kinetic = pin.computeKineticEnergy(self._model, self._data, q, qd)
+        return float(kinetic), float(pin.computePotentialEnergy(self._model, self._data, q))
+
+    def tcp_pose(self, q: np.ndarray) -> np.ndarray:
+        """(S, 4, 4) pose of the tool centre point (the tip frame without a tool) in the base frame."""
+        poses = self.tip_pose(q)
+        return poses if self.tool is None else poses @ self.tool.frame
+
+    def tip_pose(self, q: np.ndarray) -> np.ndarray:
+        """(S, 4, 4) pose of the tip frame in the base frame."""
+        poses = np.empty((len(q), 4, 4))
+        for k in range(len(poses)):
+            pin.framesForwardKinematics(self._model, self._data, q[k])
+            poses[k] = self._data.oMf[self._tip].homogeneous
+        return poses
+
+    def tcp_jacobian(self, q: np.ndarray) -> np.ndarray:
+        """(S, 6, n) Jacobian of the TCP: linear velocity of its origin, then angular, in the base frame."""
+        offset = np.zeros(3) if self.tool is None else self.tool.frame[:3, 3]
+        jacobians = np.empty((len(q), 6, self.dof))
+        for k in range(len(jacobians)):
+            jacobian = pin.computeFrameJacobian(
+                self._model, self._data, q[k], self._tip, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+            )
+            lever = self._data.oMf[self._tip].rotation @ offset
+            jacobian[:3] -= _skew(lever) @ jacobian[3:]
+            jacobians[k] = jacobian
+        return jacobians
+
+    def link_poses(self, q: np.ndarray, link: str) -> np.ndarray:
+        """(S, 4, 4) pose of a URDF link's frame in the base frame."""
+        frame = self._model.getFrameId(link)
+        poses = np.empty((len(q), 4, 4))
+        for k in range(len(poses)):
+            pin.framesForwardKinematics(self._model, self._data, q[k])
+            poses[k] = self._data.oMf[frame].homogeneous
+        return poses
+
+
+def _build(robot: RobotDescription, tool: Tool | None) -> pin.Model:
+    try:
+        full = pin.buildModelFromXML(_without_meshes(robot.urdf))
+    except Exception as error:  # Pinocchio raises several kinds, all of them the URDF's fault
+        raise InputError(f"robot {robot.name}: the URDF cannot be used: {error}") from None
+    locked = [full.getJointId(name) for name in list(full.names)[1:] if name not in robot.joint_names]
+    model = pin.buildReducedModel(full, locked, pin.neutral(full)) if locked else full
+    names = tuple(list(model.names)[1:])
+    if names != robot.joint_names:
+        raise InputError(
+            f"robot {robot.name}: joints: the chain of the URDF is {', '.join(names)}; "
+            f"list them in that order, not {', '.join(robot.joint_names)}"
+        )
+    if any(model.parents[k + 1] != k for k in range(model.njoints - 1)):
+        raise InputError(f"robot {robot.name}: the joints are not one serial chain")
+    model.gravity.linear = np.array(robot.gravity)
+    model.armature = np.zeros(model.nv)
+    if tool is not None and tool.mass > 0:
+        frame = model.frames[model.getFrameId(robot.tip_frame)]
+        lever = np.zeros(3) if tool.centre_of_mass is None else np.asarray(tool.centre_of_mass, dtype=float)
+        centre = tool.frame[:3, :3] @ lever + tool.frame[:3, 3]
+        inertia = pin.Inertia(tool.mass, centre, np.zeros((3, 3)))
+        model.inertias[frame.parentJoint] += frame.placement.act(inertia)
+    return model
+
+
+def _without_meshes(urdf: str) -> str:
+    """Drop visual and collision geometry, and give continuous joints one coordinate."""
+    tree = ElementTree.fromstring(urdf)
+    for link in tree.iter("link"):
+        for kind in ("visual", "collision"):
+            for geometry in link.findall(kind):
+                link.remove(geometry)
+    for joint in tree.iter("joint"):
+        if joint.get("type") == "continuous":
+            joint.set("type", "revolute")
+        if joint.get("type") in ("revolute", "prismatic"):
+            limit = joint.find("limit")
+            if limit is None:
+                limit = ElementTree.SubElement(joint, "limit")
+            for key, value in (("lower", "-1e9"), ("upper", "1e9"), ("velocity", "1e9"), ("effort", "1e9")):
+                limit.set(key, value)
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
+def _skew(vector: np.ndarray) -> np.ndarray:
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

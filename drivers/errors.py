@@ -1,0 +1,21 @@
+"""What can go wrong on a link. The command line turns each into its exit code."""
+
+
+class DriverError(Exception):
+    """The link failed: nobody there, silent, dropped, or another protocol."""
+
+    exit_code = 4
+
+
+class ProtocolError(DriverError):
+    """The far end does not speak this protocol, or sent a damaged frame."""
+
+
+class RefusedError(DriverError):
+    """The controller understood and refused; the message holds its reason."""
+
+
+class MotionStopped(DriverError):
+    """The arm was stopped while it moved: E-stop, drive fault, protective stop or a changed override."""
+
+    exit_code = 5
