@@ -1,0 +1,274 @@
+"""Commands: parse, call, print, exit code. No mathematics, and nothing heavy imported before it is needed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from agent.errors import AgentError, InputError
+
+app = typer.Typer(
+    name="agent",
+    help="Calibrate the dynamics of an industrial robot where it works, and say why simulation and robot disagree.",
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+#: Commands of the contract that this version does not have yet.
+NOT_YET = ("diagnose", "blind-check", "recalibrate", "schedule", "history", "compare", "apply")
+
+RecipePath = Annotated[Path, typer.Argument(metavar="RECIPE", help="recipe file (YAML)")]
+Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="more messages")]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="warnings and the result only")]
+Yes = Annotated[bool, typer.Option("--yes", help="the cell is clear: move without asking")]
+AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on stdout")]
+RobotOption = Annotated[str, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")]
+Cutoff = Annotated[float | None, typer.Option("--cutoff", metavar="HZ", help="cut-off of the torque filter")]
+RunsFolder = Annotated[Path, typer.Option("--logs", metavar="DIR", help="where runs are kept")]
+Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="MCAP logs")]
+
+
+class Terminated(BaseException):
+    """SIGTERM: unwinds like Ctrl-C, so the arm comes to a controlled stop."""
+
+
+@app.command()
+def init(
+    recipe: Annotated[Path, typer.Argument(metavar="[RECIPE]", help="file to write")] = Path("recipe.yaml"),
+    robot: RobotOption = "comau_ns16",
+    controller: Annotated[str, typer.Option("--controller", metavar="ADDRESS")] = "127.0.0.1:9100",
+) -> None:
+    """Write a commented recipe."""
+    from agent.recipe import template
+    from agent.robot import load_robot
+    from agent.run import write_atomically
+
+    load_robot(robot)
+    if recipe.exists():
+        raise InputError(f"{recipe}: exists already; name another file, or move it away")
+    write_atomically(recipe, template(robot=robot, address=controller))
+    print(recipe)
+
+
+@app.command()
+def check(recipe: RecipePath, as_json: AsJson = False, verbose: Verbose = False, quiet: Quiet = False) -> None:
+    """Validate recipe, reach, limits and cell, and ping the controller. Moves nothing."""
+    from agent.check import check_recipe
+    from agent.console import print_json
+    from agent.recipe import load_recipe
+
+    findings = check_recipe(load_recipe(recipe), _console(verbose, quiet))
+    if as_json:
+        print_json(findings.to_dict())
+    else:
+        print(findings.text())
+    raise typer.Exit(findings.exit_code)
+
+
+@app.command()
+def plan(
+    recipe: RecipePath,
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="folder for the plan")] = None,
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Search for the via-points only: trajectory, margins to every limit, the .pdl. Opens no port."""
+    from agent.console import print_json
+    from agent.planning import plan_recipe
+    from agent.recipe import load_recipe
+
+    loaded = load_recipe(recipe)
+    result = plan_recipe(loaded, out or Path(f"{recipe.stem}_plan"), _console(verbose, quiet))
+    if as_json:
+        print_json(result.to_dict())
+    else:
+        print(result.text())
+
+
+@app.command()
+def calibrate(
+    recipe: RecipePath,
+    resume: Annotated[Path | None, typer.Option("--resume", metavar="RUN", help="go on with a stopped run")] = None,
+    logs: RunsFolder = Path("logs"),
+    yes: Yes = False,
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """The whole job: plan, program, send, record, filter, estimate, validate, report. Prints the run folder."""
+    from agent.calibrate import calibrate as run_job
+    from agent.console import print_json
+    from agent.recipe import load_recipe
+
+    console = _console(verbose, quiet)
+    outcome = run_job(load_recipe(recipe), console, logs=logs, resume=resume, yes=yes)
+    if as_json:
+        print_json(outcome.result)
+    else:
+        print(outcome.summary(), file=sys.stderr)
+        print(outcome.run)
+    raise typer.Exit(0 if outcome.accepted else 3)
+
+
+@app.command()
+def record(
+    recipe: RecipePath,
+    program: Annotated[Path, typer.Option("--program", metavar="P", help="PDL2 program to run")],
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="LOG", help="log to write")] = None,
+    yes: Yes = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Send a program, run it and record the motion."""
+    from agent.recipe import load_recipe
+    from agent.record import record_program_file
+
+    log = out or program.with_suffix(".mcap")
+    recorded = record_program_file(load_recipe(recipe), program, log, _console(verbose, quiet), yes=yes)
+    print(recorded.path)
+
+
+@app.command()
+def estimate(
+    logs: Logs,
+    robot: RobotOption,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL", help="model file to write")],
+    cutoff: Cutoff = None,
+    method: Annotated[str | None, typer.Option("--method", help="estimator; chosen on held-out data if absent")] = None,
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Filter and estimate from logs. Writes the model file."""
+    from agent.console import print_json
+    from agent.identify import estimate_files
+
+    model, text = estimate_files(robot, logs, out, cutoff, method, _console(verbose, quiet))
+    if as_json:
+        print_json(model)
+    else:
+        print(text)
+
+
+@app.command()
+def validate(
+    logs: Logs,
+    model: Annotated[Path, typer.Option("--model", metavar="MODEL", help="model file")],
+    cutoff: Cutoff = None,
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Predict the torque of logs that were not used in the fit."""
+    from agent.console import print_json
+    from agent.identify import validate_files, validation_text
+
+    result = validate_files(model, logs, cutoff, _console(verbose, quiet))
+    if as_json:
+        print_json(result)
+    else:
+        print(validation_text(result))
+
+
+@app.command()
+def trajectories(as_json: AsJson = False) -> None:
+    """Stored loops, by robot, tool, sub-region and checksum."""
+    from agent.console import print_json
+    from agent.excitation import stored_loops
+
+    loops = stored_loops()
+    if as_json:
+        print_json({"schema": "trajectories/1", "trajectories": [loop.to_dict() for loop in loops]})
+        return
+    for loop in loops:
+        print(loop.line())
+    if not loops:
+        print("no stored loops yet: `agent plan` and `agent calibrate` keep what they find", file=sys.stderr)
+
+
+@app.command("import")
+def import_(
+    files: Annotated[list[Path], typer.Argument(metavar="IN... OUT.mcap", help="tables, then the log to write")],
+    robot: RobotOption,
+    mapping: Annotated[Path, typer.Option("--map", metavar="MAP.yaml", help="which column is what")],
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Turn columns of CSV, MAT or Parquet files into a log."""
+    from agent.identify import import_files
+
+    if len(files) < 2:
+        raise InputError("import: name at least one table and the log to write: agent import … IN OUT.mcap")
+    for note in import_files(robot, mapping, files[:-1], files[-1]):
+        _console(verbose, quiet).say(note)
+    print(files[-1])
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []})
+def emulator(context: typer.Context) -> None:
+    """Start the fake controller as a process of its own (`agent emulator --help` for its options)."""
+    os.execv(sys.executable, [sys.executable, "-m", "fake_controller", *context.args])
+
+
+def main() -> None:
+    """Entry point: runs the command and turns every error into one message and its exit code."""
+    arguments = sys.argv[1:]
+    if arguments and arguments[0] in NOT_YET:
+        print(f"agent {arguments[0]}: this command is not there yet in this version", file=sys.stderr)
+        sys.exit(2)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        code = app(standalone_mode=False)
+    except (KeyboardInterrupt, typer.Abort):
+        _fail("interrupted", 130)
+    except Terminated:
+        _fail("terminated", 143)
+    except AgentError as error:
+        _fail(str(error), error.exit_code)
+    except BrokenPipeError:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  the reader went away; nothing more can be said to it
+        sys.exit(0)
+    except Exception as error:
+        _unexpected(error)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _unexpected(error: Exception) -> None:
+    code = getattr(error, "exit_code", None)
+    if isinstance(code, int):  # the errors of click and of the drivers
+        show = getattr(error, "show", None)
+        if show is not None:
+            show()
+            sys.exit(code)
+        _fail(str(error), code)
+    if isinstance(error, OSError) and error.filename is not None:
+        _fail(f"{error.filename}: {error.strerror}", 1)
+    import traceback
+
+    traceback.print_exc()
+    _fail("internal error: this is a fault of the agent; the lines above say where", 1)
+
+
+def _terminate(*_: Any) -> None:
+    raise Terminated
+
+
+def _fail(message: str, code: int) -> None:
+    print(f"agent: {message}", file=sys.stderr)
+    sys.exit(code)
+
+
+def _console(verbose: bool, quiet: bool) -> Any:
+    from agent.console import Console
+
+    return Console(verbosity=1 if verbose else -1 if quiet else 0)

@@ -1,0 +1,198 @@
+"""The run folder: what a run has finished, so that nothing is lost and it can go on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from agent.console import finite
+from agent.errors import AgentError, BusyError, InputError
+
+_STATE = "state.json"
+
+
+class RunFolder:
+    """`logs/<UTC>_<robot>/`: files are written beside and renamed; an existing run is never overwritten.
+
+    `state.json` holds the finished steps with what they found, the status (`running`, `finished`, `rejected`,
+    `stopped`) and, for a stopped run, where and why.
+    """
+
+    def __init__(self, path: Path, state: dict[str, Any]):
+        self.path = path
+        self.state = state
+
+    @classmethod
+    def create(cls, root: Path, robot: str, recipe: Path, now: datetime | None = None) -> RunFolder:
+        """Make a new run folder with a copy of the recipe.
+
+        Raises:
+            AgentError: the folder cannot be written.
+        """
+        stamp = (now or datetime.now(UTC)).strftime("%Y%m%dT%H%M%SZ")
+        try:
+            root.mkdir(parents=True, exist_ok=True)
+            path = _fresh_folder(root, f"{stamp}_{robot}")
+        except OSError as error:
+            message = f"{root}: no run folder can be made there: {error.strerror}; free space or rights?"
+            raise AgentError(message) from None
+        text = recipe.read_text(encoding="utf-8")
+        state = {
+            "schema": "run/1",
+            "robot": robot,
+            "recipe": str(recipe.resolve()),
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+            "status": "running",
+            "steps": {},
+            "inputs_sha256": {"recipe.yaml": sha256_text(text)},
+            "versions": versions(),
+        }
+        run = cls(path, state)
+        run.write_text("recipe.yaml", text)
+        run._save()
+        return run
+
+    @classmethod
+    def open(cls, path: Path, recipe_sha256: str) -> RunFolder:
+        """Open a run to go on with it.
+
+        Raises:
+            InputError: no such run, a damaged state, or the recipe changed since.
+        """
+        try:
+            state = json.loads((path / _STATE).read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise InputError(f"{path}: not a run folder (it has no {_STATE})") from None
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path / _STATE}: cannot be read: {error}") from None
+        if state.get("schema") != "run/1":
+            raise InputError(f"{path / _STATE}: schema {state.get('schema')!r} is not one this version can go on with")
+        if state["inputs_sha256"]["recipe.yaml"] != recipe_sha256:
+            raise InputError(f"{path}: this run was started with another recipe; start a new run without --resume")
+        if state["status"] in ("finished", "rejected"):
+            raise InputError(f"{path}: this run is complete ({state['status']}); there is nothing to resume")
+        run = cls(path, state)
+        run.state.pop("stopped", None)
+        run.state["status"] = "running"
+        run._save()
+        return run
+
+    def finished(self, step: str) -> dict[str, Any] | None:
+        """What a finished step noted, or None if it has not finished."""
+        return self.state["steps"].get(step)
+
+    def finish(self, step: str, **found: Any) -> dict[str, Any]:
+        """Note a step as finished, with what a resumed run needs to know of it."""
+        self.state["steps"][step] = {"finished": datetime.now(UTC).isoformat(timespec="seconds"), **finite(found)}
+        self._save()
+        return self.state["steps"][step]
+
+    def stopped(self, step: str, reason: str) -> None:
+        """Note where and why the run ended before its end."""
+        self.state["status"] = "stopped"
+        self.state["stopped"] = {"step": step, "reason": reason, "at": datetime.now(UTC).isoformat(timespec="seconds")}
+        self._save()
+
+    def complete(self, accepted: bool) -> None:
+        """Note that the run reached its end."""
+        self.state["status"] = "finished" if accepted else "rejected"
+        self._save()
+
+    def file(self, name: str) -> Path:
+        """Path of a file of this run."""
+        return self.path / name
+
+    def write_text(self, name: str, text: str) -> Path:
+        """Write a file whole or not at all."""
+        return write_atomically(self.path / name, text)
+
+    def write_json(self, name: str, data: Any) -> Path:
+        """Write JSON whole or not at all."""
+        return self.write_text(name, json.dumps(finite(data), indent=2) + "\n")
+
+    def _save(self) -> None:
+        self.write_json(_STATE, self.state)
+
+
+def write_atomically(path: Path, text: str) -> Path:
+    """Write beside, flush to the disk and rename.
+
+    Raises:
+        AgentError: disk full, read-only or no rights; the old file is untouched.
+    """
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with open(beside, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise AgentError(f"{path}: cannot be written: {error.strerror}; free space or rights?") from None
+    return path
+
+
+@contextmanager
+def robot_lock(driver: str, address: str) -> Iterator[None]:
+    """Hold the lock of one controller for this machine, whatever folder the agent runs in.
+
+    Raises:
+        BusyError: another run holds it.
+    """
+    from filelock import FileLock, Timeout
+
+    name = hashlib.sha256(f"{driver}|{address}".encode()).hexdigest()[:16]
+    lock = FileLock(Path(tempfile.gettempdir()) / f"calibration-agent-{name}.lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise BusyError(f"{driver} {address}: another run holds this robot; wait for it to end, or stop it") from None
+    except OSError as error:
+        raise AgentError(f"{lock.lock_file}: the robot's lock cannot be made: {error.strerror}") from None
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def sha256_text(text: str) -> str:
+    """SHA-256 (hex) of the UTF-8 text."""
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def sha256_file(path: Path) -> str:
+    """SHA-256 (hex) of a file."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """Versions of the agent and of what its figures depend on."""
+    found = {"python": platform.python_version()}
+    for package in ("calibration-agent", "numpy", "scipy", "pin", "mcap"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def _fresh_folder(root: Path, name: str) -> Path:
+    for suffix in ("", *(f"_{k}" for k in range(2, 1000))):
+        path = root / f"{name}{suffix}"
+        try:
+            path.mkdir()
+        except FileExistsError:
+            continue
+        return path
+    raise AgentError(f"{root / name}: a thousand runs of this second already")
