@@ -30,7 +30,7 @@ test: env lint
 	$(BIN)/python -m pytest -n 2 -m "not verify"
 
 verify: env
-	$(BIN)/python -m tests.verify
+	$(BIN)/python tests/verify.py
 
 format: env
 	$(BIN)/ruff check --fix .

@@ -1,0 +1,136 @@
+"""`make verify`: run the long figures piece by piece and write docs/measured.md.
+
+Each test marked `verify` is a piece. A finished piece is kept in `.verify/` with the commit it ran on, so an
+interrupted run goes on where it stopped; `--fresh` starts over.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+STATE = ROOT / ".verify"
+
+
+def main() -> int:
+    """0 if every piece passed."""
+    STATE.mkdir(exist_ok=True)
+    commit = _commit()
+    if "--fresh" in sys.argv:
+        for old in STATE.glob("*.json*"):
+            old.unlink()
+    nodes = _collect()
+    print(f"{len(nodes)} pieces", flush=True)
+    results = []
+    for node in nodes:
+        results.append(_run(node, commit))
+        print(f"{results[-1]['outcome']:7} {results[-1]['seconds']:7.1f} s  {node}", flush=True)
+        _write(results, commit)
+    return int(any(result["outcome"] == "failed" for result in results))
+
+
+def _collect() -> list[str]:
+    command = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-m", "verify"]
+    listing = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout
+    return [line for line in listing.splitlines() if "::" in line]
+
+
+def _run(node: str, commit: str) -> dict:
+    key = hashlib.sha256(node.encode()).hexdigest()[:16]
+    done = STATE / f"{key}.json"
+    if done.exists():
+        kept = json.loads(done.read_text(encoding="utf-8"))
+        if kept["commit"] == commit:
+            return kept
+    figures = STATE / f"{key}.jsonl"
+    figures.unlink(missing_ok=True)
+    started = time.monotonic()
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", "-m", "verify", "-x", "--no-header", "-rs", node],
+        cwd=ROOT,
+        env={**os.environ, "CALIBRATION_FIGURES": str(figures)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    outcome = (
+        "failed"
+        if run.returncode
+        else "skipped"
+        if " skipped" in run.stdout and " passed" not in run.stdout
+        else "passed"
+    )
+    lines = figures.read_text(encoding="utf-8").splitlines() if figures.exists() else []
+    result = {
+        "node": node,
+        "commit": commit,
+        "outcome": outcome,
+        "seconds": round(time.monotonic() - started, 1),
+        "at": datetime.now(UTC).isoformat(timespec="minutes"),
+        "figures": [json.loads(line) for line in lines],
+        "tail": run.stdout.strip().splitlines()[-15:] if outcome != "passed" else [],
+    }
+    beside = done.with_suffix(".tmp")
+    beside.write_text(json.dumps(result), encoding="utf-8")
+    beside.replace(done)
+    return result
+
+
+def _write(results: list[dict], commit: str) -> None:
+    figures = [(figure, result) for result in results for figure in result["figures"]]
+    short = [row for row in figures if not row[0]["ok"]]
+    failed = [result for result in results if result["outcome"] == "failed"]
+    skipped = [result for result in results if result["outcome"] == "skipped"]
+    lines = [
+        "# Measured",
+        "",
+        f"Written by `make verify` at commit {commit[:12]} on {datetime.now(UTC):%Y-%m-%d}: Python "
+        f"{platform.python_version()}, {platform.system()} {platform.machine()}, {os.cpu_count()} cores.",
+        "",
+        "## Shortfalls",
+        "",
+    ]
+    if not (short or failed or skipped):
+        lines += ["None in what was run.", ""]
+    lines += [_row(*row) for row in short]
+    lines += [f"- failed: `{result['node']}`" for result in failed]
+    lines += [f"- not run: `{result['node']}` ({_reason(result)})" for result in skipped]
+    lines += ["", "## Figures", "", "| what | measured | target |", "| --- | --- | --- |"]
+    lines += [f"| {f['what']} | {_value(f)} | {f['target']}{'' if f['ok'] else ' (missed)'} |" for f, _ in figures]
+    lines += ["", "## Pieces", "", "| piece | outcome | seconds | when (UTC) |", "| --- | --- | --- | --- |"]
+    lines += [f"| `{r['node']}` | {r['outcome']} | {r['seconds']} | {r['at']} |" for r in results]
+    (ROOT / "docs" / "measured.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _row(figure: dict, result: dict) -> str:
+    return f"- {figure['what']}: {_value(figure)}, wanted {figure['target']} (`{result['node']}`)"
+
+
+def _value(figure: dict) -> str:
+    value = figure["value"]
+    return (
+        f"{value:.4g} {figure['unit']}".strip()
+        if isinstance(value, (int, float))
+        else f"{value} {figure['unit']}".strip()
+    )
+
+
+def _reason(result: dict) -> str:
+    return next((line.split(": ", 1)[-1] for line in result["tail"] if line.startswith("SKIPPED")), "skipped")
+
+
+def _commit() -> str:
+    command = ["git", "rev-parse", "HEAD"]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip() or "unknown"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
