@@ -1,0 +1,73 @@
+"""From files to files: import, estimate, validate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from agent.console import Console
+from agent.errors import InputError
+from agent.robot import load_robot
+
+
+def import_files(robot: str, mapping: Path, tables: list[Path], out: Path) -> list[str]:
+    """Turn columns of tables into a log; returns what there is to say about it.
+
+    Raises:
+        InputError: a table, the mapping or the output is not usable.
+    """
+    from agent.recording import import_log
+
+    if out.exists():
+        raise InputError(f"{out}: exists already; name another log, or move it away")
+    return [str(note) for note in import_log(load_robot(robot), mapping, tables, out)]
+
+
+def read_logs(paths: list[Path], robot: Any, console: Console) -> list[Any]:
+    """Read logs, saying what had to be repaired."""
+    from agent.recording import read_log
+
+    logs = []
+    for path in paths:
+        log = read_log(path, robot)
+        for repair in log.repairs:
+            console.warn(f"{log.name}: {repair}")
+        logs.append(log)
+    return logs
+
+
+def estimate_files(
+    robot: str, paths: list[Path], out: Path, cutoff: float | None, method: str | None, console: Console
+) -> tuple[dict[str, Any], str]:
+    """Fit a model to logs and write its file; returns its content and a table for people."""
+    from agent.estimation import EstimationSettings, estimate
+
+    description = load_robot(robot)
+    logs = read_logs(paths, description, console)
+    model = estimate(description, logs, EstimationSettings.create(cutoff=cutoff, method=method))
+    model.save(out)
+    return model.to_dict(), f"{model.text()}\n{out}"
+
+
+def validate_files(model_path: Path, paths: list[Path], cutoff: float | None, console: Console) -> dict[str, Any]:
+    """Prediction of logs by a model, in the contract's schema."""
+    from agent.estimation import IdentifiedModel
+    from agent.validation import validate
+
+    model = IdentifiedModel.load(model_path)
+    return validate(model, read_logs(paths, model.robot, console), cutoff)
+
+
+def validation_text(result: dict[str, Any]) -> str:
+    """A validation as a table for people."""
+    overall = result["overall"]
+    lines = [f"{'joint':12} {'RMSE':>10} {'of nominal':>11} {'relative':>9}"]
+    for k, name in enumerate(result["joints"]):
+        nominal = overall["normalised_rmse"][k]
+        share = "-" if nominal is None else f"{100 * nominal:.2f} %"
+        lines.append(f"{name:12} {overall['rmse'][k]:10.4g} {share:>11} {100 * overall['relative_error'][k]:7.2f} %")
+    logs = ", ".join(log["log"] for log in result["logs"])
+    lines.append(
+        f"all joints: {100 * overall['relative_error_all_joints']:.2f} % at {result['cutoff_hz']:g} Hz ({logs})"
+    )
+    return "\n".join(lines)

@@ -1,0 +1,134 @@
+"""The report of one calibration run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from agent.report.figures import (
+    limit_margins,
+    motion_box_plot,
+    search_history,
+    speed_profile,
+    torque_prediction,
+)
+from agent.report.page import Page, Scene, Section, Table, render
+
+
+@dataclass(frozen=True, eq=False)
+class RunData:
+    """What the report of a run shows.
+
+    result: the content of `result.json`; path (S, 3) of the TCP [m], via_points (K, 3), t (S,) and speed (S,) of one
+    cycle; limit_use {kind: (S, n)} as fractions; best, mean (G,) of the search; parameter_rows: the table of the
+    model, header first; normalised_rmse (motions, n) on moving samples; one unseen motion's time, measured,
+    predicted and half width of the bounds (S, n).
+    """
+
+    result: dict[str, Any]
+    path: np.ndarray
+    via_points: np.ndarray
+    keep_out: dict[str, tuple[np.ndarray, np.ndarray]]
+    t: np.ndarray
+    speed: np.ndarray
+    programmed_speed: float
+    limit_use: dict[str, np.ndarray]
+    best: np.ndarray
+    mean: np.ndarray
+    parameter_rows: Sequence[Sequence[str]]
+    normalised_rmse: np.ndarray
+    prediction: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]
+
+
+def run_report(data: RunData) -> str:
+    """HTML text of the report."""
+    result = data.result
+    accepted = result["accepted"]
+    worst = max(result["validation"]["normalised_rmse"])
+    headline = (
+        f"{'Accepted' if accepted else 'Rejected'}: the worst axis predicts unseen motions in the sub-region to "
+        f"{100 * worst:.2f} % of its nominal torque; the gate is {100 * result['gate']['normalised_rmse']:.1f} %."
+    )
+    sections = (_validation(data), _motion(data), _search(data), _parameters(data), _health(data), _provenance(data))
+    title = f"Calibration of {result['robot']}"
+    return render(Page(title, headline, "good" if accepted else "bad", sections))
+
+
+def _validation(data: RunData) -> Section:
+    validation = data.result["validation"]
+    names = tuple(validation["joints"])
+    rows = [
+        (name, f"{rmse:.3g}", f"{100 * moving:.3f}", f"{100 * everything:.3f}")
+        for name, rmse, moving, everything in zip(
+            names,
+            validation["rmse"],
+            validation["normalised_rmse"],
+            validation["normalised_rmse_all_samples"],
+            strict=True,
+        )
+    ]
+    header = ("axis", "RMSE [N·m]", "of nominal, moving [%]", "of nominal, all samples [%]")
+    text = (
+        f"{validation['motions']} random motions at {validation['speed']:g} m/s that took no part in the fit.",
+        "Normalised: RMSE over the axis's nominal joint torque. Moving samples decide; standstill is shown beside.",
+    )
+    parts = (
+        Table("validation", header, rows),
+        motion_box_plot(data.normalised_rmse, names, data.result["gate"]["normalised_rmse"]),
+        torque_prediction(*data.prediction, names),
+    )
+    return Section("Prediction of unseen motions", text, parts)
+
+
+def _motion(data: RunData) -> Section:
+    scene = Scene(
+        "path",
+        "The loop and its via-points, base frame.",
+        lines={"loop": data.path[:: max(1, len(data.path) // 800)]},
+        points={"via-points": data.via_points},
+        boxes={f"keep-out: {name}": box for name, box in data.keep_out.items()},
+    )
+    names = tuple(data.result["validation"]["joints"])
+    parts = (
+        scene,
+        speed_profile(data.t, data.speed, data.programmed_speed),
+        limit_margins(data.t, data.limit_use, names),
+    )
+    return Section("Motion", (data.result["search"]["motion"],), parts)
+
+
+def _search(data: RunData) -> Section:
+    search = data.result["search"]
+    text = (
+        f"Fitness {search['fitness']:.2f} after {search['evaluations']} candidates, each run through the interpolator.",
+    )
+    return Section("Search", text, (search_history(data.best, data.mean),))
+
+
+def _parameters(data: RunData) -> Section:
+    estimation = data.result["estimation"]
+    text = [
+        f"Condition number of the scaled observation matrix: {estimation['condition_number']:.0f}.",
+        *estimation["notes"],
+    ]
+    header, *rows = data.parameter_rows
+    return Section("Parameters", text, (Table("parameters", header, rows),))
+
+
+def _health(data: RunData) -> Section:
+    rows = [
+        (entry["log"], str(entry["samples"]), str(entry["lost"]), f"{entry['duration']:.1f}")
+        for entry in data.result["recordings"]
+    ]
+    lost = sum(entry["lost"] for entry in data.result["recordings"])
+    text = ("No sample was lost.",) if lost == 0 else (f"{lost} samples were lost and are marked in the logs.",)
+    return Section("Logs", text, (Table("logs", ("log", "samples", "lost", "seconds"), rows),))
+
+
+def _provenance(data: RunData) -> Section:
+    provenance = data.result["provenance"]
+    rows = [(name, value) for name, value in provenance.items()]
+    return Section("Provenance", (), (Table("provenance", ("what", "value"), rows),))
