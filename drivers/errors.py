@@ -19,3 +19,9 @@ class MotionStopped(DriverError):
     """The arm was stopped while it moved: E-stop, drive fault, protective stop or a changed override."""
 
     exit_code = 5
+
+
+class ConfigurationError(DriverError):
+    """The recipe asks for a driver that there is not, or gives an address that none could use."""
+
+    exit_code = 2

@@ -50,7 +50,7 @@ class SampleBlock:
     """K consecutive samples. `sequence` (K,) counts them from 0 at the start of motion, so a gap shows.
 
     time (K,) controller time; position, velocity, torque and the set-points reference_position,
-    reference_velocity are (K, n).
+    reference_velocity are (K, n). `received` is the receive time, seconds of the Unix clock.
     """
 
     sequence: np.ndarray
@@ -62,6 +62,32 @@ class SampleBlock:
     reference_velocity: np.ndarray
     received: float = field(default=0.0)
 
+    def __len__(self) -> int:
+        """K."""
+        return len(self.sequence)
+
+    def part(self, start: int, stop: int | None = None) -> SampleBlock:
+        """Samples `start` to `stop` of this block (views, no copies)."""
+        chosen = slice(start, stop)
+        return SampleBlock(
+            self.sequence[chosen],
+            self.time[chosen],
+            self.position[chosen],
+            self.velocity[chosen],
+            self.torque[chosen],
+            self.reference_position[chosen],
+            self.reference_velocity[chosen],
+            self.received,
+        )
+
+
+@dataclass(frozen=True)
+class Gap:
+    """So many samples, from sequence number `first` on, were lost for good."""
+
+    first: int
+    count: int
+
 
 @runtime_checkable
 class Driver(Protocol):
@@ -69,6 +95,10 @@ class Driver(Protocol):
 
     A command that moves the robot is sent once and never again, whatever happens to its answer.
     """
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """What is missing from the samples of the last motion, once the driver has tried to get it again."""
 
     def connect(self) -> None:
         """Open the link and agree on the protocol's version."""
@@ -86,7 +116,14 @@ class Driver(Protocol):
         """Run the stored program once, if its checksum is this one. Never repeated by the driver."""
 
     def samples(self) -> Iterator[SampleBlock]:
-        """Samples of the motion that `start` began, in order, until the program ends by itself."""
+        """Samples of the motion that `start` began, in order, until the arm rests again.
+
+        Returns where the program ended by itself or was stopped by `stop`. Everything that arrived is yielded first.
+
+        Raises:
+            MotionStopped: the controller stopped the arm.
+            DriverError: the link dropped.
+        """
 
     def stop(self) -> None:
         """Bring the arm to rest on its path. Safe to call at any time, also twice."""

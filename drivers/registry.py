@@ -1,0 +1,62 @@
+"""Drivers by name: the built-in ones, and what others install under the entry point group below.
+
+A driver is loaded when it is asked for. One that cannot be loaded is reported and left out.
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
+
+from drivers.errors import ConfigurationError
+from drivers.protocol import Driver
+
+GROUP = "calibration_agent.drivers"
+
+# Named here too, so that a source tree that was never installed has them.
+_BUILT_IN = {"tcp": "drivers.tcp:TcpDriver"}
+
+_log = logging.getLogger(__name__)
+
+
+def available() -> tuple[str, ...]:
+    """Names of all drivers there are, sorted; none is loaded for that."""
+    return tuple(sorted({*_BUILT_IN, *(point.name for point in entry_points(group=GROUP))}))
+
+
+def create(name: str, address: str, **options: object) -> Driver:
+    """A driver for the controller at `address`; not connected yet.
+
+    Raises:
+        ConfigurationError: no such driver, or one that cannot be loaded (the message lists the others), or an
+            address that this driver cannot use.
+    """
+    factory = _load(name)
+    if factory is None:
+        others = ", ".join(other for other in available() if other != name)
+        raise ConfigurationError(f"there is no driver {name!r}; there are: {others}")
+    driver = factory(address, **options)
+    if not isinstance(driver, Driver):
+        raise ConfigurationError(f"driver {name!r} is no driver: it lacks a method of drivers.protocol.Driver")
+    return driver
+
+
+def _load(name: str) -> Callable[..., Driver] | None:
+    if name in _BUILT_IN:
+        module, _, attribute = _BUILT_IN[name].partition(":")
+        return getattr(importlib.import_module(module), attribute)
+    for point in entry_points(group=GROUP, name=name):
+        factory = _load_plug_in(point)
+        if factory is not None:
+            return factory
+    return None
+
+
+def _load_plug_in(point: EntryPoint) -> Callable[..., Driver] | None:
+    try:
+        return point.load()
+    except Exception as error:  # whatever a stranger's module does when it is imported
+        _log.warning("driver %r (%s) cannot be loaded and is left out: %s", point.name, point.value, error)
+        return None

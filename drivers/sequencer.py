@@ -1,0 +1,81 @@
+"""Puts sample blocks in order by their sequence numbers, whatever the wire did to them."""
+
+from __future__ import annotations
+
+from drivers.errors import ProtocolError
+from drivers.protocol import Gap, SampleBlock
+
+
+class Sequencer:
+    """Takes blocks as they come and gives every sample once, in order, from sequence number 0.
+
+    A block beyond the next expected sample is held back until what is missing arrives or is given up. `duplicates`
+    counts samples that came more than once.
+    """
+
+    def __init__(self) -> None:
+        self.expected = 0
+        self.duplicates = 0
+        self._gaps: list[Gap] = []
+        self._held: dict[int, SampleBlock] = {}
+        self._latest = float("-inf")
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """What was given up."""
+        return tuple(self._gaps)
+
+    @property
+    def held(self) -> int:
+        """Samples that wait for earlier ones."""
+        return sum(len(block) for block in self._held.values())
+
+    def accept(self, block: SampleBlock) -> list[SampleBlock]:
+        """The blocks that are in order now; may be none.
+
+        Raises:
+            ProtocolError: old sequence numbers with new times, so the controller counts from the start again.
+        """
+        first = int(block.sequence[0])
+        if first < self.expected and block.time[0] > self._latest:
+            raise ProtocolError(
+                f"the controller's sample counter went back from {self.expected} to {first}: it was reset in mid-motion"
+            )
+        earlier = self._held.get(first)
+        if earlier is not None and len(earlier) >= len(block):
+            self.duplicates += len(block)
+            return []
+        if earlier is not None:
+            self.duplicates += len(earlier)
+        self._held[first] = block
+        return self._release()
+
+    def missing(self, total: int | None = None) -> tuple[int, int] | None:
+        """(first, count) of the samples in front of what is held back, or before `total`, if any are missing."""
+        end = min(self._held) if self._held else total
+        if end is None or end <= self.expected:
+            return None
+        return self.expected, end - self.expected
+
+    def give_up(self, before: int) -> list[SampleBlock]:
+        """Count what is missing before sequence number `before` as lost; returns what is in order after that."""
+        if before > self.expected:
+            self._gaps.append(Gap(self.expected, before - self.expected))
+            self.expected = before
+        return self._release()
+
+    def _release(self) -> list[SampleBlock]:
+        ready = []
+        while self._held:
+            first = min(self._held)
+            if first > self.expected:
+                break
+            block = self._held.pop(first)
+            known = self.expected - first
+            self.duplicates += min(known, len(block))
+            block = block.part(known) if known else block
+            if len(block):
+                ready.append(block)
+                self.expected += len(block)
+                self._latest = float(block.time[-1])
+        return ready

@@ -1,0 +1,341 @@
+"""Frames and messages of the binary TCP link; docs/wire-tcp.md is the same for people.
+
+A frame is ``magic(4) version(1) type(1) reserved(2) length(4) request(4) payload(length) crc32(4)``, little-endian;
+the CRC-32 (IEEE 802.3, as in zlib) covers everything before it. `request` pairs an answer with its question and is 0
+in what nobody asked for. One class below is one message: its annotations, in order, are its fields.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar, get_type_hints
+
+import numpy as np
+
+from drivers.errors import ProtocolError
+from drivers.wire.fields import F64, U16, U32, U64, Bytes, Bytes16, Cursor, Flag, Floats, Kind, Text, Texts
+
+MAGIC = b"CALK"
+VERSION = 1
+HEADER = struct.Struct("<4sBBHII")
+TRAILER = struct.Struct("<I")
+
+MAX_REQUEST_PAYLOAD = 64 * 1024  # client to controller
+MAX_REPLY_PAYLOAD = 1024 * 1024  # controller to client
+UPLOAD_BLOCK = 32 * 1024
+MAX_BATCH = 1000  # samples in one frame
+MAX_JOINTS = 16
+MAX_SEQUENCE = 2**62
+
+_Message = TypeVar("_Message")
+_CODECS: dict[int, type] = {}
+
+
+def message(number: int) -> Any:
+    """Class decorator: a frozen dataclass whose annotated fields are the message's layout, under this type number."""
+
+    def decorate(cls: type[_Message]) -> type[_Message]:
+        cls = dataclass(frozen=True)(cls)
+        hints = get_type_hints(cls, include_extras=True)
+        cls.TYPE = number  # type: ignore[attr-defined]
+        cls.LAYOUT = tuple((item.name, hints[item.name].__metadata__[0]) for item in fields(cls))  # type: ignore
+        _CODECS[number] = cls
+        return cls
+
+    return decorate
+
+
+class _Fields:
+    """Packs a message field by field."""
+
+    TYPE: int
+    LAYOUT: tuple[tuple[str, Kind], ...]
+
+    def pack(self) -> bytes:
+        return b"".join(kind.pack(getattr(self, name)) for name, kind in self.LAYOUT)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Any:
+        cursor = Cursor(payload)
+        values = {name: kind.unpack(cursor) for name, kind in cls.LAYOUT}
+        cursor.finish()
+        return cls(**values)
+
+
+@message(0x01)
+class Hello(_Fields):
+    """First message of a client: the newest version it speaks and the watchdog it would like."""
+
+    version: U16
+    watchdog_ms: U32
+    client: Text
+
+
+@message(0x81)
+class Welcome(_Fields):
+    """The version and the watchdog that are in force from now on, both ways."""
+
+    version: U16
+    watchdog_ms: U32
+
+
+@message(0x02)
+class Identify(_Fields):
+    """Who are you?"""
+
+
+@message(0x82)
+class IdentityReply(_Fields):
+    """`period` [s] of interpolation and sampling."""
+
+    robot: Text
+    serial: Text
+    controller: Text
+    version: Text
+    joint_names: Texts
+    period: F64
+
+
+@message(0x03)
+class AskStatus(_Fields):
+    """How are you?"""
+
+
+@message(0x83)
+class StatusReply(_Fields):
+    """`drivers.protocol.Status`, field by field."""
+
+    drives_on: Flag
+    mode: Text
+    emergency_stop: Flag
+    alarms: Texts
+    override: F64
+    cell_closed: Flag
+    moving: Flag
+    program: Text
+    checksum: Text
+    position: Floats
+    emulator: Flag
+
+
+@message(0x04)
+class UploadBegin(_Fields):
+    """A program of `size` bytes is coming; `checksum` is the SHA-256 (hex) of its bytes."""
+
+    name: Text
+    size: U32
+    checksum: Text
+
+
+@message(0x05)
+class UploadBlock(_Fields):
+    """The bytes from `offset` on; blocks come in order."""
+
+    offset: U32
+    data: Bytes
+
+
+@message(0x06)
+class UploadEnd(_Fields):
+    """Check, translate and store what came."""
+
+
+@message(0x86)
+class Stored(_Fields):
+    """The SHA-256 (hex) of the text as it is stored now."""
+
+    name: Text
+    checksum: Text
+
+
+@message(0x07)
+class Start(_Fields):
+    """Run the program once. A `motion_id` is good for one start, ever."""
+
+    name: Text
+    checksum: Text
+    motion_id: Bytes16
+
+
+@message(0x87)
+class Started(_Fields):
+    """The motion with this id has begun."""
+
+    motion_id: Bytes16
+
+
+@message(0x08)
+class Stop(_Fields):
+    """Come to rest on the path. Answered by `Done` at once; `End` follows when the arm rests."""
+
+
+@message(0x09)
+class Fetch(_Fields):
+    """Send samples again, out of the ring: at most `count`, the first at or after sequence number `first`."""
+
+    first: U64
+    count: U32
+
+
+@message(0x0A)
+class Heartbeat(_Fields):
+    """I am here. Either way, never answered."""
+
+
+@message(0x80)
+class Done(_Fields):
+    """The request was carried out and there is nothing more to say."""
+
+
+@message(0x91)
+class End(_Fields):
+    """The motion is over and the arm rests; `samples` is how many there were, `reason` an `EndReason`."""
+
+    reason: U16
+    samples: U64
+    message: Text
+
+
+@message(0xFF)
+class Refused(_Fields):
+    """The request was refused: a `Refusal`, a sentence for people, and for program text the place (from 1; 0: none)."""
+
+    code: U16
+    line: U32
+    column: U32
+    message: Text
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """K consecutive samples of n joints, from sequence number `first`.
+
+    time_ns (K,) int64 controller time; position, velocity, torque, reference_position, reference_velocity (K, n).
+    Payload: ``first(8) count(2) joints(1) time_ns(8·K)``, then the five arrays in that order, sample by sample.
+    """
+
+    TYPE = 0x90
+    _HEAD = struct.Struct("<QHB")
+
+    first: int
+    time_ns: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    torque: np.ndarray
+    reference_position: np.ndarray
+    reference_velocity: np.ndarray
+
+    def pack(self) -> bytes:
+        count, joints = self.position.shape
+        columns = (self.position, self.velocity, self.torque, self.reference_position, self.reference_velocity)
+        return b"".join(
+            (
+                self._HEAD.pack(self.first, count, joints),
+                self.time_ns.astype("<i8").tobytes(),
+                *(column.astype("<f8").tobytes() for column in columns),
+            )
+        )
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Samples:
+        if len(payload) < cls._HEAD.size:
+            raise ProtocolError("a sample message is shorter than its head")
+        first, count, joints = cls._HEAD.unpack_from(payload)
+        if not 1 <= count <= MAX_BATCH or not 1 <= joints <= MAX_JOINTS or first > MAX_SEQUENCE:
+            raise ProtocolError(f"a sample message announces {count} samples of {joints} joints from {first}")
+        expected = cls._HEAD.size + count * 8 * (1 + 5 * joints)
+        if len(payload) != expected:
+            raise ProtocolError(f"a sample message of {len(payload)} bytes, where its head announces {expected}")
+        time_ns = np.frombuffer(payload, "<i8", count, cls._HEAD.size)
+        values = np.frombuffer(payload, "<f8", 5 * count * joints, cls._HEAD.size + 8 * count)
+        return cls(first, time_ns, *values.reshape(5, count, joints))
+
+
+_CODECS[Samples.TYPE] = Samples
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame whose checksum is right; its payload is not looked at yet."""
+
+    type: int
+    request: int
+    payload: bytes
+
+
+def encode(message: Any, request: int = 0) -> bytes:
+    """The frame of a message."""
+    payload = message.pack()
+    head = HEADER.pack(MAGIC, VERSION, message.TYPE, 0, len(payload), request)
+    return head + payload + TRAILER.pack(zlib.crc32(payload, zlib.crc32(head)))
+
+
+def decode(frame: Frame) -> Any:
+    """The message in a frame.
+
+    Raises:
+        ProtocolError: unknown type, or a payload that does not fit it.
+    """
+    codec = _CODECS.get(frame.type)
+    if codec is None:
+        raise ProtocolError(f"unknown message type 0x{frame.type:02x}")
+    return codec.unpack(frame.payload)
+
+
+class Decoder:
+    """Turns a byte stream, cut anywhere, into frames. It never holds more than one frame and what was fed last.
+
+    A damaged stream cannot be trusted any further: after its first `ProtocolError` a decoder only repeats it.
+    """
+
+    def __init__(self, max_payload: int) -> None:
+        self._max_payload = max_payload
+        self._buffer = bytearray()
+        self._broken: str = ""
+
+    @property
+    def pending(self) -> int:
+        """Bytes of a frame that is not complete yet."""
+        return len(self._buffer)
+
+    def feed(self, data: bytes) -> Iterator[Frame]:
+        """The frames that are complete now; run through all of them before feeding again.
+
+        Raises:
+            ProtocolError: not this protocol, another version, too long, or a wrong checksum; after the whole frames
+                that came before the damage.
+        """
+        if self._broken:
+            raise ProtocolError(self._broken)
+        self._buffer += data
+        try:
+            while (frame := self._next()) is not None:
+                yield frame
+        except ProtocolError as error:
+            self._broken = str(error)
+            self._buffer.clear()
+            raise
+
+    def _next(self) -> Frame | None:
+        buffer = self._buffer
+        prefix = bytes(buffer[: len(MAGIC)])
+        if not MAGIC.startswith(prefix):
+            raise ProtocolError(f"this is not the calibration link: a frame begins with {prefix!r}")
+        if len(buffer) < HEADER.size:
+            return None
+        _, version, kind, reserved, length, request = HEADER.unpack_from(buffer)
+        if version != VERSION or reserved:
+            raise ProtocolError(f"a frame of version {version}; this end speaks version {VERSION}")
+        if length > self._max_payload:
+            raise ProtocolError(f"a frame announces {length} bytes; at most {self._max_payload} are allowed")
+        end = HEADER.size + length
+        if len(buffer) < end + TRAILER.size:
+            return None
+        body = bytes(buffer[:end])
+        if TRAILER.unpack_from(buffer, end)[0] != zlib.crc32(body):
+            raise ProtocolError(f"a frame of type 0x{kind:02x} is damaged: its checksum is wrong")
+        del buffer[: end + TRAILER.size]
+        return Frame(kind, request, body[HEADER.size :])
