@@ -31,7 +31,7 @@ MAX_JOINTS = 16
 MAX_SEQUENCE = 2**62
 
 _Message = TypeVar("_Message")
-_CODECS: dict[int, type] = {}
+MESSAGES: dict[int, Any] = {}  # by type number
 
 
 def message(number: int) -> Any:
@@ -42,7 +42,7 @@ def message(number: int) -> Any:
         hints = get_type_hints(cls, include_extras=True)
         cls.TYPE = number  # type: ignore[attr-defined]
         cls.LAYOUT = tuple((item.name, hints[item.name].__metadata__[0]) for item in fields(cls))  # type: ignore
-        _CODECS[number] = cls
+        MESSAGES[number] = cls
         return cls
 
     return decorate
@@ -254,7 +254,7 @@ class Samples:
         return cls(first, time_ns, *values.reshape(5, count, joints))
 
 
-_CODECS[Samples.TYPE] = Samples
+MESSAGES[Samples.TYPE] = Samples
 
 
 @dataclass(frozen=True)
@@ -279,7 +279,7 @@ def decode(frame: Frame) -> Any:
     Raises:
         ProtocolError: unknown type, or a payload that does not fit it.
     """
-    codec = _CODECS.get(frame.type)
+    codec = MESSAGES.get(frame.type)
     if codec is None:
         raise ProtocolError(f"unknown message type 0x{frame.type:02x}")
     return codec.unpack(frame.payload)

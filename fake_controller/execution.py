@@ -1,0 +1,239 @@
+"""Runs a program's statements: the controller's own interpolation, the plant in closed loop, settling and stops."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.motion.program import Delay, JointTarget, Move, Statement, Target, Termination
+from agent.motion.trajectory import Trajectory
+from drivers.wire.reasons import EndReason
+
+MAX_CHAIN = 2000  # moves without a stop in between
+MAX_DELAY = 600.0  # s
+_SETTLE_LIMIT = 1.0  # s; then the program goes on all the same
+_SETTLE_SLICE = 10  # samples
+_SHORTEST_STOP = 0.1  # s
+_JOINT_TOLERANCE = {Termination.JNT_FINE: 5e-4, Termination.JNT_COARSE: 2e-3}  # rad
+_SAME_START = 1e-9  # rad; starts nearer than this share a plan
+
+
+@dataclass(frozen=True, eq=False)
+class Slice:
+    """K consecutive samples (K, n): the set-points, and what was measured while they were followed."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+    torque: np.ndarray
+    reference_position: np.ndarray
+    reference_velocity: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+class StopSwitch:
+    """Asks a running motion to stop; the first reason counts."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._reason: EndReason | None = None
+        self.message = ""
+
+    @property
+    def reason(self) -> EndReason | None:
+        """Why to stop; None as long as nobody asked."""
+        return self._reason
+
+    def request(self, reason: EndReason, message: str) -> None:
+        """Ask for a stop."""
+        with self._lock:
+            if self._reason is None:
+                self.message = message
+                self._reason = reason
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """From rest to rest: what is planned together. A `hold` [s] instead of a trajectory is a DELAY."""
+
+    trajectory: Trajectory | None
+    termination: Termination
+    tolerance: float
+    hold: float = 0.0
+
+
+class Planner:
+    """Plans a program chain by chain and remembers the last chains, so that a repeated cycle is planned once.
+
+    Args:
+        interpolator: `agent.motion.interpolator.Interpolator`.
+    """
+
+    def __init__(self, interpolator: object, remembered: int = 8) -> None:
+        self._interpolator = interpolator
+        self._remembered = remembered
+        self._plans: OrderedDict[tuple[object, ...], Trajectory] = OrderedDict()
+
+    def chains(self, statements: Iterable[Statement], start: np.ndarray) -> Iterator[Chain]:
+        """The chains of a program that starts at rest at `start` (n,), each planned when it is asked for.
+
+        Raises:
+            MotionError: a move that cannot be carried out.
+        """
+        moves: list[Move] = []
+        for statement in statements:
+            if isinstance(statement, Delay):
+                if moves:
+                    yield (chain := self._plan(moves, start))
+                    start, moves = chain.trajectory.q[-1], []
+                yield Chain(None, Termination.NOSETTLE, 0.0, min(statement.seconds, MAX_DELAY))
+                continue
+            moves.append(statement)
+            if not statement.fly or len(moves) == MAX_CHAIN:
+                yield (chain := self._plan(moves, start))
+                start, moves = chain.trajectory.q[-1], []
+        if moves:
+            yield self._plan(moves, start)
+
+    def _plan(self, moves: list[Move], start: np.ndarray) -> Chain:
+        key = (tuple(np.round(start / _SAME_START).astype(np.int64)), *(_key(move) for move in moves))
+        trajectory = self._plans.get(key)
+        if trajectory is None:
+            trajectory = self._plans[key] = self._interpolator.plan(tuple(moves), start)
+            if len(self._plans) > self._remembered:
+                self._plans.popitem(last=False)
+        self._plans.move_to_end(key)
+        settings = moves[-1].settings
+        fine = settings.termination is Termination.FINE
+        return Chain(trajectory, settings.termination, settings.tolerance_fine if fine else settings.tolerance_coarse)
+
+
+class Execution:
+    """Drives the plant along chains.
+
+    Args:
+        plant: `fake_controller.plant.Plant`.
+        forward: (S, n) joint positions to (S, 4, 4) TCP poses, for the Cartesian settling tolerances.
+        max_acceleration: (n,) for the stop on the path [rad/s²].
+        period: of the set-points [s].
+        slice_samples: samples computed between two looks at the stop switch.
+    """
+
+    def __init__(
+        self,
+        plant: object,
+        forward: Callable[[np.ndarray], np.ndarray],
+        max_acceleration: np.ndarray,
+        period: float,
+        slice_samples: int,
+    ) -> None:
+        self._plant = plant
+        self._forward = forward
+        self._max_acceleration = max_acceleration
+        self._period = period
+        self._slice_samples = slice_samples
+
+    def run(self, chains: Iterable[Chain], start: np.ndarray, switch: StopSwitch) -> Iterator[Slice]:
+        """Samples from rest at set-point `start` (n,) until the arm rests again; `switch` makes that earlier."""
+        reference = start
+        for chain in chains:
+            if switch.reason is not None:
+                return
+            if chain.trajectory is None:
+                yield from self._hold(reference, round(chain.hold / self._period), switch)
+                continue
+            # The first sample of a trajectory is the rest that the last one ended in.
+            position, velocity = chain.trajectory.q[1:], chain.trajectory.qd[1:]
+            for at in range(0, len(position), self._slice_samples):
+                until = at + self._slice_samples
+                yield self._follow(position[at:until], velocity[at:until])
+                if switch.reason is not None and until < len(position):
+                    path = path_stop(position[until - 1 :], velocity[until - 1 :], self._max_acceleration, self._period)
+                    for k in range(0, len(path[0]), self._slice_samples):
+                        yield self._follow(*(part[k : k + self._slice_samples] for part in path))
+                    yield from self._settle(path[0][-1], Termination.COARSE, chain.tolerance)
+                    return
+            reference = position[-1] if len(position) else chain.trajectory.q[-1]
+            yield from self._settle(reference, chain.termination, chain.tolerance)
+
+    def _follow(self, position: np.ndarray, velocity: np.ndarray) -> Slice:
+        chunks = list(self._plant.run(position, velocity, self._period))
+        measured = (np.concatenate([getattr(c, name) for c in chunks]) for name in ("position", "velocity", "torque"))
+        return Slice(*measured, position, velocity)
+
+    def _rest(self, reference: np.ndarray, count: int) -> Slice:
+        position = np.repeat(reference[None, :], count, axis=0)
+        return self._follow(position, np.zeros_like(position))
+
+    def _hold(self, reference: np.ndarray, count: int, switch: StopSwitch) -> Iterator[Slice]:
+        while count > 0 and switch.reason is None:
+            yield self._rest(reference, min(count, self._slice_samples))
+            count -= self._slice_samples
+
+    def _settle(self, reference: np.ndarray, termination: Termination, tolerance: float) -> Iterator[Slice]:
+        if termination is Termination.NOSETTLE:
+            return
+        goal = self._forward(reference[None, :])[0, :3, 3]
+        for _ in range(round(_SETTLE_LIMIT / self._period / _SETTLE_SLICE)):
+            part = self._rest(reference, _SETTLE_SLICE)
+            yield part
+            if termination in _JOINT_TOLERANCE:
+                off = np.abs(part.position - reference).max()
+                near = off < _JOINT_TOLERANCE[termination]
+            else:
+                off = np.linalg.norm(self._forward(part.position)[:, :3, 3] - goal, axis=1).max()
+                near = off < tolerance
+            if near:
+                return
+
+
+def path_stop(
+    position: np.ndarray, velocity: np.ndarray, max_acceleration: np.ndarray, period: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Set-points that come to rest on the path of a trajectory.
+
+    The path parameter s runs over the trajectory's own time, with ds/dt = ½ (1 + cos(π t / T)) from one to zero: the
+    arm stays on its path and the rate has no step. T is the shortest for which slowing down, at most π/(2T) · q̇,
+    asks no joint for more than its acceleration.
+
+    Args:
+        position, velocity: (S, n) what would follow; the first row is the last set-point given.
+        max_acceleration: (n,).
+
+    Returns:
+        position and velocity, both (K, n), the set-points after that one.
+    """
+    fastest = np.abs(velocity).max(axis=0)
+    duration = max(_SHORTEST_STOP, float(np.max(np.pi / 2 * fastest / max_acceleration)))
+    t = period * np.arange(1, int(np.ceil(duration / period)) + 1)
+    t = np.minimum(t, duration)
+    s = 0.5 * (t + duration / np.pi * np.sin(np.pi * t / duration)) / period
+    rate = 0.5 * (1 + np.cos(np.pi * t / duration))
+    last = len(position) - 1
+    beyond = s >= last
+    index = np.minimum(s.astype(int), max(last - 1, 0))
+    u = np.clip(s - index, 0.0, 1.0)[:, None]
+    # Cubic Hermite between set-points, so that velocity stays the derivative of position.
+    p0, p1 = position[index], position[np.minimum(index + 1, last)]
+    v0, v1 = velocity[index] * period, velocity[np.minimum(index + 1, last)] * period
+    q = p0 + u * (v0 + u * (3 * (p1 - p0) - 2 * v0 - v1 + u * (2 * (p0 - p1) + v0 + v1)))
+    dq = v0 + u * (2 * (3 * (p1 - p0) - 2 * v0 - v1) + u * 3 * (2 * (p0 - p1) + v0 + v1))
+    q[beyond], dq[beyond] = position[-1], 0.0
+    return q, dq / period * rate[:, None]
+
+
+def _key(move: Move) -> tuple[object, ...]:
+    return move.type, move.settings, move.fly, _target_key(move.target), _target_key(move.via)
+
+
+def _target_key(target: Target | None) -> tuple[object, ...]:
+    if target is None:
+        return ()
+    if isinstance(target, JointTarget):
+        return "joint", np.asarray(target.position).tobytes()
+    return "pose", np.asarray(target.pose).tobytes(), target.configuration

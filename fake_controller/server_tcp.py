@@ -1,0 +1,346 @@
+"""The binary TCP server; the wire is in docs/wire-tcp.md."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import selectors
+import socket
+import threading
+import time
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import ProtocolError
+from drivers.wire.reasons import EndReason, Refusal
+from drivers.wire.tcp import (
+    MAX_BATCH,
+    MAX_REQUEST_PAYLOAD,
+    VERSION,
+    AskStatus,
+    Decoder,
+    Done,
+    End,
+    Fetch,
+    Frame,
+    Heartbeat,
+    Hello,
+    Identify,
+    IdentityReply,
+    Refused,
+    Samples,
+    Start,
+    Started,
+    StatusReply,
+    Stop,
+    Stored,
+    UploadBegin,
+    UploadBlock,
+    UploadEnd,
+    Welcome,
+    decode,
+    encode,
+)
+from fake_controller.controller import CONTROLLER, PERIOD, Controller, RefusedRequest
+from fake_controller.controller import VERSION as CONTROLLER_VERSION
+from fake_controller.execution import Slice
+
+MAX_CONNECTIONS = 8
+WATCHDOG_RANGE = (0.05, 5.0)  # s
+IDLE_LIMIT = 5.0  # s of silence after which a client at rest is taken for gone, greeting included
+SEND_LIMIT = 5.0  # s
+_RECEIVE = 64 * 1024
+
+
+class TcpServer:
+    """Listens for clients of one controller. The first to greet holds it; others are told so until it leaves.
+
+    Args:
+        controller: what is served.
+        address, port: where to listen; port 0 takes a free one.
+
+    Raises:
+        OSError: the port is taken, or the address is not this machine's.
+    """
+
+    def __init__(self, controller: Controller, address: str = "127.0.0.1", port: int = 0) -> None:
+        self.controller = controller
+        family = socket.AF_INET6 if ":" in address else socket.AF_INET
+        self._listener = socket.create_server((address, port), family=family, backlog=MAX_CONNECTIONS)
+        host, self.port = self._listener.getsockname()[:2]
+        self.address = f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}"
+        self._lock = threading.Lock()
+        self._sessions: set[Session] = set()
+        self._holder: Session | None = None
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._accept, name="accept", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Bring the arm to rest, tell the clients, and stop listening."""
+        self._closing.set()
+        self.controller.shut_down()
+        with contextlib.suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        with self._lock:
+            sessions = list(self._sessions)
+        for session in sessions:
+            session.close()
+        self._thread.join(5.0)
+
+    def drop_clients(self) -> None:
+        """Cut every connection, as a pulled cable does."""
+        with self._lock:
+            sessions = list(self._sessions)
+        for session in sessions:
+            session.close()
+
+    def hold(self, session: Session) -> bool:
+        """Give the controller to a session unless another has it."""
+        with self._lock:
+            if self._holder not in (None, session):
+                return False
+            self._holder = session
+            return True
+
+    def left(self, session: Session) -> None:
+        """A session is over."""
+        with self._lock:
+            self._sessions.discard(session)
+            if self._holder is session:
+                self._holder = None
+
+    def _accept(self) -> None:
+        while not self._closing.is_set():
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                if self._closing.is_set():
+                    return
+                time.sleep(0.1)  # out of file handles; some come back
+                continue
+            with self._lock:
+                if len(self._sessions) >= MAX_CONNECTIONS:
+                    connection.close()
+                    continue
+                session = Session(self, connection)
+                self._sessions.add(session)
+            session.start()
+
+
+class Session:
+    """One client. Its reader thread carries out requests; another sends heartbeats; motion sends from its own."""
+
+    def __init__(self, server: TcpServer, connection: socket.socket) -> None:
+        self._server = server
+        self._controller = server.controller
+        self._socket = connection
+        self._socket.settimeout(SEND_LIMIT)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._send_lock = threading.Lock()
+        self._closed = threading.Event()
+        self._watchdog = IDLE_LIMIT
+        self._greeted = False
+        self._upload: _Upload | None = None
+        self._driving = False  # this client's motion runs
+
+    def start(self) -> None:
+        """Begin to serve."""
+        threading.Thread(target=self._serve, name="session", daemon=True).start()
+
+    def close(self) -> None:
+        """Cut the connection; the reader thread does the rest."""
+        self._closed.set()
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+
+    def on_samples(self, first: int, time_ns: np.ndarray, samples: Slice) -> None:
+        """Stream what the arm just did; a client that is gone ends the motion."""
+        for begin in range(0, len(samples), MAX_BATCH):
+            self._send_or_close(_samples(first + begin, time_ns, samples, slice(begin, begin + MAX_BATCH)))
+
+    def on_end(self, reason: EndReason, samples: int, message: str) -> None:
+        """Tell that the arm rests."""
+        self._driving = False
+        self._send_or_close(End(reason, samples, message))
+
+    def _serve(self) -> None:
+        try:
+            self._read()
+        except ProtocolError as error:
+            with contextlib.suppress(OSError):
+                self._send(Refused(Refusal.BAD_REQUEST, 0, 0, f"{error}; the connection is closed"))
+        except OSError:
+            pass
+        finally:
+            self.close()
+            if self._driving:
+                self._controller.stop(EndReason.WATCHDOG, "the client is gone")
+            self._server.left(self)
+            self._socket.close()
+
+    def _read(self) -> None:
+        decoder = Decoder(MAX_REQUEST_PAYLOAD)
+        silence = 0.0
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._socket, selectors.EVENT_READ)
+            while not self._closed.is_set():
+                interval = self._watchdog / 4
+                began = time.monotonic()
+                data = b""
+                if selector.select(interval):
+                    data = self._socket.recv(_RECEIVE)
+                    if not data:
+                        return
+                # A stall of this process is not the client's silence: no turn counts for more than it should last.
+                silence += min(time.monotonic() - began, interval)
+                for frame in decoder.feed(data):
+                    silence = 0.0
+                    self._answer(frame)
+                if self._driving and silence >= self._watchdog:
+                    self._controller.stop(
+                        EndReason.WATCHDOG, f"nothing was heard from the client for {self._watchdog * 1000:.0f} ms"
+                    )
+                if silence >= IDLE_LIMIT:
+                    return
+
+    def _answer(self, frame: Frame) -> None:
+        try:
+            message = decode(frame)
+            if isinstance(message, Heartbeat):
+                return
+            self._carry_out(message, frame.request)
+        except ProtocolError as error:
+            self._send(Refused(Refusal.UNKNOWN_MESSAGE, 0, 0, str(error)), frame.request)
+        except RefusedRequest as refused:
+            self._send(Refused(refused.reason, refused.line, refused.column, str(refused)), frame.request)
+
+    def _carry_out(self, message: Any, request: int) -> None:
+        if isinstance(message, Hello):
+            self._greet(message, request)
+            return
+        if not self._greeted:
+            raise RefusedRequest(Refusal.BAD_REQUEST, "the first message must be the greeting")
+        match message:
+            case Identify():
+                self._send(_identity(self._controller), request)
+            case AskStatus():
+                self._send(_status(self._controller), request)
+            case UploadBegin(name, size, checksum):
+                self._controller.check_upload(name, size)
+                self._upload = _Upload(name, size, checksum)
+                self._send(Done(), request)
+            case UploadBlock(offset, data):
+                self._current_upload().add(offset, data)
+                self._send(Done(), request)
+            case UploadEnd():
+                upload, self._upload = self._current_upload(), None
+                checksum = self._controller.store(upload.name, upload.complete())
+                self._send(Stored(upload.name, checksum), request)
+            case Start(name, checksum, motion_id):
+                self._controller.start(name, checksum, motion_id, self)
+                self._driving = True
+                try:
+                    self._send(Started(motion_id), request)
+                finally:
+                    self._controller.go()
+            case Stop():
+                self._controller.stop(EndReason.STOPPED, "stopped on command")
+                self._send(Done(), request)
+            case Fetch(first, count):
+                self._send(_samples(*self._controller.fetch(first, min(count, MAX_BATCH))), request)
+            case _:
+                raise RefusedRequest(Refusal.UNKNOWN_MESSAGE, f"{type(message).__name__} is not a request")
+
+    def _greet(self, hello: Hello, request: int) -> None:
+        if self._greeted:
+            raise RefusedRequest(Refusal.BAD_REQUEST, "the greeting comes once")
+        if hello.version < VERSION:
+            raise RefusedRequest(Refusal.UNSUPPORTED_VERSION, f"version {VERSION} of the link is spoken here")
+        if not self._server.hold(self):
+            raise RefusedRequest(Refusal.BUSY, "another client holds the controller; close it first")
+        low, high = WATCHDOG_RANGE
+        self._watchdog = min(max(hello.watchdog_ms / 1000, low), high)
+        self._greeted = True
+        self._send(Welcome(VERSION, round(self._watchdog * 1000)), request)
+        threading.Thread(target=self._beat, name="heartbeat", daemon=True).start()
+
+    def _beat(self) -> None:
+        while not self._closed.wait(self._watchdog / 4):
+            self._send_or_close(Heartbeat())
+
+    def _current_upload(self) -> _Upload:
+        if self._upload is None:
+            raise RefusedRequest(Refusal.BAD_REQUEST, "no upload has begun")
+        return self._upload
+
+    def _send_or_close(self, message: Any) -> None:
+        try:
+            self._send(message)
+        except OSError:
+            self.close()
+
+    def _send(self, message: Any, request: int = 0) -> None:
+        with self._send_lock:
+            self._socket.sendall(encode(message, request))
+
+
+class _Upload:
+    """A program on its way in."""
+
+    def __init__(self, name: str, size: int, checksum: str) -> None:
+        self.name = name
+        self._size = size
+        self._checksum = checksum.lower()
+        self._data = bytearray()
+
+    def add(self, offset: int, data: bytes) -> None:
+        if offset != len(self._data):
+            raise RefusedRequest(Refusal.BAD_REQUEST, f"a block for byte {offset}, where {len(self._data)} comes next")
+        if offset + len(data) > self._size:
+            raise RefusedRequest(Refusal.TOO_LARGE, f"more than the {self._size} bytes that were announced")
+        self._data += data
+
+    def complete(self) -> bytes:
+        if len(self._data) != self._size:
+            raise RefusedRequest(Refusal.BAD_REQUEST, f"{len(self._data)} of {self._size} bytes came")
+        if hashlib.sha256(self._data).hexdigest() != self._checksum:
+            raise RefusedRequest(Refusal.CHECKSUM, "the bytes that came are not those of the checksum; send them again")
+        return bytes(self._data)
+
+
+def _identity(controller: Controller) -> IdentityReply:
+    robot = controller.robot
+    return IdentityReply(robot.name, controller.serial, CONTROLLER, CONTROLLER_VERSION, robot.joint_names, PERIOD)
+
+
+def _status(controller: Controller) -> StatusReply:
+    state = controller.state
+    name, checksum = controller.stored
+    return StatusReply(
+        drives_on=state.drives_on,
+        mode=state.mode,
+        emergency_stop=state.emergency_stop,
+        alarms=state.alarms,
+        override=state.override,
+        cell_closed=state.cell_closed,
+        moving=controller.moving,
+        program=name,
+        checksum=checksum,
+        position=tuple(controller.position),
+        emulator=True,
+    )
+
+
+def _samples(first: int, time_ns: np.ndarray, samples: Slice, chosen: slice = slice(None)) -> Samples:
+    return Samples(
+        first,
+        time_ns[chosen],
+        samples.position[chosen],
+        samples.velocity[chosen],
+        samples.torque[chosen],
+        samples.reference_position[chosen],
+        samples.reference_velocity[chosen],
+    )
