@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,6 +94,44 @@ class Dynamics:
             return pin.aba(self._model, self._data, q, qd, torque).copy()
         finally:
             self._model.armature = np.zeros(self.dof)
+
+    def acceleration_function(self, axle_inertia: np.ndarray) -> Callable[..., np.ndarray]:
+        """A function (q, q̇, joint torque, added=None) → q̈, all (n,), for stepping many times; it owns its own data.
+
+        `axle_inertia` (n,) [kg·m²] is what turns with the axles besides the links: reflected rotors. `added` (n,) or
+        None is inertia on top of it in one step, which is how an implicit integrator brings in damping. Without
+        motor coupling both are the armature of the articulated-body algorithm, else the mass matrix itself is solved.
+        """
+        model = pin.Model(self._model)
+        data = model.createData()
+        model.armature = np.array(axle_inertia, dtype=float)
+        coupling = self.robot.coupling
+        if not np.any(coupling - np.eye(self.dof)):
+            armature = model.armature  # a view
+
+            def accelerate(
+                q: np.ndarray, qd: np.ndarray, torque: np.ndarray, added: np.ndarray | None = None
+            ) -> np.ndarray:
+                if added is not None:
+                    np.add(axle_inertia, added, out=armature)
+                return pin.aba(model, data, q, qd, torque)
+
+            return accelerate
+        from scipy.linalg.lapack import dposv
+
+        model.armature = np.zeros(self.dof)
+        rotors = coupling.T @ np.diag(axle_inertia) @ coupling
+
+        def accelerate_coupled(
+            q: np.ndarray, qd: np.ndarray, torque: np.ndarray, added: np.ndarray | None = None
+        ) -> np.ndarray:
+            # crba fills the upper triangle only, which is all that dposv reads.
+            matrix = pin.crba(model, data, q) + rotors
+            if added is not None:
+                matrix = matrix + coupling.T @ (added[:, None] * coupling)
+            return dposv(matrix, torque - pin.nonLinearEffects(model, data, q, qd))[1]
+
+        return accelerate_coupled
 
     def energy(self, q: np.ndarray, qd: np.ndarray) -> tuple[float, float]:
         """Kinetic and potential energy [J] of the rigid bodies at one state."""

@@ -1,0 +1,30 @@
+"""What acts in the drives of the simulated robot: friction, gears, and the simulated form of every effect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from agent.errors import InputError
+from fake_controller.actuation.effect import Effect
+
+#: Simulated forms by the name of the effect.
+EFFECTS: dict[str, type[Effect]] = {}
+
+
+def load_effect(data: Mapping[str, Any]) -> Effect:
+    """An effect from {"effect": name, "joints": [names], "parameters": {…}}; the last two may be absent.
+
+    Raises:
+        InputError: unknown effect, key or parameter.
+    """
+    unknown = set(data) - {"effect", "joints", "parameters"}
+    if unknown:
+        raise InputError(f"effect: unknown key {min(unknown)!r}; allowed are effect, joints, parameters")
+    name = data.get("effect")
+    if name not in EFFECTS:
+        raise InputError(f"effect: {name!r} is not simulated; known are {', '.join(sorted(EFFECTS))}")
+    return EFFECTS[name].from_parameters(tuple(data.get("joints", ())), data.get("parameters", {}))
+
+
+__all__ = ["EFFECTS", "Effect", "load_effect"]

@@ -1,0 +1,73 @@
+"""What every simulated effect offers, and how one is read from plain data."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar, Self
+
+from agent.errors import InputError
+from agent.robot import RobotDescription
+from fake_controller.actuation.machine import Machine
+
+
+@dataclasses.dataclass(frozen=True)
+class Effect(ABC):
+    """One effect of the vocabulary with its parameters, which are the further fields of the subclass.
+
+    `joints` are the names it sits on; an effect of the whole arm or base has none.
+    """
+
+    name: ClassVar[str]
+    joints: tuple[str, ...] = ()
+
+    @abstractmethod
+    def install(self, machine: Machine) -> None:
+        """Build the effect into a machine; several may be built into one.
+
+        Raises:
+            InputError: joints that the machine does not have, or that the effect cannot sit on.
+        """
+
+    def indices(self, robot: RobotDescription) -> list[int]:
+        """Where `joints` stand in the arm.
+
+        Raises:
+            InputError: no joint given, or one that the robot does not have.
+        """
+        if not self.joints:
+            raise InputError(f"effect {self.name}: joints: name at least one of {', '.join(robot.joint_names)}")
+        for joint in self.joints:
+            if joint not in robot.joint_names:
+                raise InputError(
+                    f"effect {self.name}: joints: {robot.name} has no {joint!r}; it has {', '.join(robot.joint_names)}"
+                )
+        return [robot.joint_names.index(joint) for joint in self.joints]
+
+    @classmethod
+    def from_parameters(cls, joints: tuple[str, ...], parameters: Mapping[str, Any]) -> Self:
+        """Build from numbers and lists of numbers.
+
+        Raises:
+            InputError: an unknown parameter, or a value that is no number.
+        """
+        allowed = [field.name for field in dataclasses.fields(cls) if field.name != "joints"]
+        for key in parameters:
+            if key not in allowed:
+                close = difflib.get_close_matches(str(key), allowed, 1)
+                hint = f" (did you mean {close[0]}?)" if close else ""
+                raise InputError(
+                    f"effect {cls.name}: parameters: unknown key {key!r}{hint}; allowed are {', '.join(allowed)}"
+                )
+        return cls(joints=joints, **{key: _plain(cls.name, key, value) for key, value in parameters.items()})
+
+
+def _plain(effect: str, key: str, value: Any) -> Any:
+    if isinstance(value, (list, tuple)):
+        return tuple(_plain(effect, key, part) for part in value)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise InputError(f"effect {effect}: parameters: {key}: {value!r} is not a finite number")
+    return float(value)

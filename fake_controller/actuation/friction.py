@@ -1,0 +1,56 @@
+"""Friction of the simulated drives: a bristle state, no sign function.
+
+The LuGre form (Canudas de Wit, Olsson, Åström, Lischinsky, IEEE TAC 1995) without its micro-damping, written for the
+bristles' torque z:
+
+    ż = k (v − |v| z / g(v)),   g(v) = Coulomb + rise / (1 + (v / v_s)²),   friction = z + f v / (1 + |v| / v_k)
+
+with the rational Stribeck curve of Hess and Soom (1990). It sticks, gives way smoothly over a few hundredths of a
+milliradian, and its viscous part bends with speed as a shear-thinning grease does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class FrictionCurve:
+    """Friction of one axle [N·m, rad, s].
+
+    `coulomb` level and the `rise` of the stiction over it, `stribeck_speed` v_s, `viscous` f, `knee` v_k, and
+    `stiffness` k of the bristles [N·m/rad].
+    """
+
+    coulomb: float
+    rise: float
+    stribeck_speed: float
+    viscous: float
+    knee: float
+    stiffness: float
+
+    def steady(self, speed: np.ndarray) -> np.ndarray:
+        """(S,) torque that opposes a constant speed (S,)."""
+        level = self.coulomb + self.rise / (1.0 + (speed / self.stribeck_speed) ** 2)
+        return np.sign(speed) * level + self.viscous * speed / (1.0 + np.abs(speed) / self.knee)
+
+
+class FrictionTerm:
+    """Something that alters the friction of one axle; each method gives back what it was given unless overridden."""
+
+    def level(self, level: float, speed: float, load: float) -> float:
+        """Coulomb level [N·m] at `speed` [rad/s] while the gear transmits `load` [N·m]."""
+        return level
+
+    def viscous(self, torque: float, speed: float) -> float:
+        """Viscous torque [N·m]."""
+        return torque
+
+    def bristles(self, speed: float, dt: float) -> float:
+        """Torque [N·m] of bristles of its own, advanced by `dt`."""
+        return 0.0
+
+    def heat(self, power: float, dt: float) -> None:
+        """What the friction of the axle dissipates [W]."""

@@ -1,0 +1,186 @@
+"""One individual machine: what is true of it, drawn from a seed around the description's nominal values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from agent.robot import RobotDescription
+from agent.robot.dynamics import Dynamics
+from fake_controller.actuation.friction import FrictionCurve, FrictionTerm
+
+#: Coulomb levels of built-in robots, N·m on the axles.
+COULOMB = {"comau_ns16": (68.0, 108.8, 50.4, 7.17, 12.8, 8.08)}
+
+ENCODER_COUNTS = 2**14  # per motor turn
+
+
+class AxleLoad(Protocol):
+    """A torque on an axle that is neither friction nor gear: a spring, a hose, a ripple."""
+
+    def torque(self, position: float, velocity: float, dt: float) -> float:
+        """[N·m] at a position and velocity of the axle; advances its states by `dt`."""
+
+
+class Transmission(Protocol):
+    """A gear that gives way."""
+
+    def torque(self, twist: float, twist_rate: float) -> float:
+        """[N·m] on the load side, for the motor's lead over the axle [rad] and its rate."""
+
+    def twist(self, torque: float) -> float:
+        """Static lead [rad] under a torque."""
+
+
+#: (time [s], q (n,), q̇ (n,), TCP Jacobian (6, n)) → wrench (6,) on the TCP in the base frame.
+Contact = Callable[[float, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+#: Set-points (S, n) and their velocities, at a period [s], to the ones that are really executed.
+PathChange = Callable[[np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass
+class Machine:
+    """The truth about one robot, which effects alter before the plant is built.
+
+    `robot` is the description everybody has; `coupling` (n, n), `gravity` (3,) and `parameters` (10 n,) standard
+    inertial, `rotor_inertias` (n,) [kg·m², motor side] are this machine's own. Per axle: `friction`, `terms` that
+    alter it, `gears` that give way (k → Transmission), `motor_loads` and `loads` before and after the gear.
+    Of measurement: `torque_scale` (n,), `torque_offset` (n,) [N·m, axle side], `encoder_offset` (n,) [rad],
+    `torque_delay` [s]. `nominal` (n,) [N·m] is the axles' nominal torque, `limit` (n,) the largest.
+    """
+
+    robot: RobotDescription
+    parameters: np.ndarray
+    rotor_inertias: np.ndarray
+    gravity: np.ndarray
+    coupling: np.ndarray
+    friction: list[FrictionCurve]
+    nominal: np.ndarray
+    limit: np.ndarray
+    typical_inertia: np.ndarray
+    terms: dict[int, list[FrictionTerm]] = field(default_factory=dict)
+    gears: dict[int, Transmission] = field(default_factory=dict)
+    motor_loads: dict[int, list[AxleLoad]] = field(default_factory=dict)
+    loads: dict[int, list[AxleLoad]] = field(default_factory=dict)
+    contacts: list[Contact] = field(default_factory=list)
+    path_changes: list[PathChange] = field(default_factory=list)
+    torque_scale: np.ndarray = field(init=False)
+    torque_offset: np.ndarray = field(init=False)
+    encoder_offset: np.ndarray = field(init=False)
+    torque_delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        n = self.robot.dof
+        self.torque_scale, self.torque_offset, self.encoder_offset = np.ones(n), np.zeros(n), np.zeros(n)
+
+    @property
+    def reflected_rotors(self) -> np.ndarray:
+        """(n,) rotor inertias on the axles [kg·m²]."""
+        return self.robot.gear_ratios**2 * self.rotor_inertias
+
+    def dynamics(self) -> Dynamics:
+        """Rigid bodies of this machine."""
+        gravity = (float(self.gravity[0]), float(self.gravity[1]), float(self.gravity[2]))
+        coupling = tuple(tuple(float(value) for value in row) for row in self.coupling)
+        return Dynamics(replace(self.robot, gravity=gravity, motor_coupling=coupling)).with_parameters(self.parameters)
+
+
+def draw_machine(robot: RobotDescription, seed: int) -> Machine:
+    """A machine of this type: links, rotors and friction scatter around the description by 10 to 15 %."""
+    nominal_links = Dynamics(robot).standard_parameters()
+    inertia, load = _typical(robot)
+    rng = [np.random.default_rng([seed, part]) for part in range(3)]
+    rotors = np.array(
+        [
+            0.5 * inertia[k] / joint.gear_ratio**2 if joint.rotor_inertia is None else joint.rotor_inertia
+            for k, joint in enumerate(robot.joints)
+        ]
+    ) * rng[0].uniform(0.9, 1.1, robot.dof)
+    reflected = robot.gear_ratios**2 * rotors
+    nominal = np.where(np.isnan(robot.nominal_torque), load + reflected * robot.max_acceleration, robot.nominal_torque)
+    limit = np.array(
+        [4.0 * nominal[k] if joint.max_torque is None else joint.max_torque for k, joint in enumerate(robot.joints)]
+    )
+    links = [_scatter_link(block, rng[1]) for block in nominal_links.reshape(-1, 10)]
+    return Machine(
+        robot=robot,
+        parameters=np.concatenate(links),
+        rotor_inertias=rotors,
+        gravity=np.array(robot.gravity),
+        coupling=robot.coupling,
+        friction=_draw_friction(robot, nominal, reflected + 0.1 * inertia, rng[2]),
+        nominal=nominal,
+        limit=limit,
+        typical_inertia=inertia + reflected,
+    )
+
+
+def _typical(robot: RobotDescription) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) inertia that an axle sees [kg·m²] and (n,) torque it carries [N·m] without rotors, over the workspace."""
+    dynamics = Dynamics(robot)
+    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
+    q = np.random.default_rng(0).uniform(lower, upper, (64, robot.dof))
+    qdd = np.random.default_rng(1).choice([-1.0, 1.0], q.shape) * robot.max_acceleration
+    to_axles = np.linalg.inv(robot.coupling)
+    matrices = np.array([to_axles.T @ dynamics.mass_matrix(row) @ to_axles for row in q])
+    load = np.abs(dynamics.inverse_dynamics(q, np.zeros_like(q), qdd) @ to_axles)
+    inertia = matrices.diagonal(axis1=1, axis2=2).mean(axis=0)
+    # A description whose last link weighs nothing still has a shaft.
+    return np.maximum(inertia, 1e-3 * inertia.max() + 1e-9), np.quantile(load, 0.9, axis=0)
+
+
+def _scatter_link(parameters: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(10,) standard parameters of the body after a random affine change of its mass distribution.
+
+    The pseudo-inertia matrix P (4, 4) of the body x → A x + b with s times the density is s T P Tᵀ, T = [[A, b],
+    [0, 1]] (Wensing, Kim, Slotine, RA-L 2018): positive definite if P was, so what is drawn is a body.
+    """
+    m, mx, my, mz, xx, xy, yy, xz, yz, zz = parameters
+    rotational = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    pseudo = np.zeros((4, 4))
+    pseudo[:3, :3] = 0.5 * np.trace(rotational) * np.eye(3) - rotational
+    pseudo[:3, 3] = pseudo[3, :3] = mx, my, mz
+    pseudo[3, 3] = m
+    size = np.sqrt(max(np.trace(rotational), 0.0) / (2.0 * m)) if m > 0 else 0.0
+    change = np.eye(4)
+    change[:3, :3] += rng.uniform(-0.06, 0.06, (3, 3))
+    change[:3, 3] = 0.08 * size * rng.uniform(-1.0, 1.0, 3)
+    pseudo = rng.uniform(0.87, 1.13) * change @ pseudo @ change.T
+    second = pseudo[:3, :3]
+    inertia = np.trace(second) * np.eye(3) - second
+    return np.array(
+        [
+            pseudo[3, 3],
+            *pseudo[:3, 3],
+            inertia[0, 0],
+            inertia[0, 1],
+            inertia[1, 1],
+            inertia[0, 2],
+            inertia[1, 2],
+            inertia[2, 2],
+        ]
+    )
+
+
+def _draw_friction(
+    robot: RobotDescription, nominal: np.ndarray, inertia: np.ndarray, rng: np.random.Generator
+) -> list[FrictionCurve]:
+    """Levels from the built-in table, else 10 to 20 % of nominal; speeds scale with the axle's largest."""
+    curves = []
+    for k, joint in enumerate(robot.joints):
+        table = COULOMB.get(robot.name)
+        usual = rng.uniform(0.1, 0.2) * nominal[k]
+        coulomb = (usual if table is None else table[k]) * rng.uniform(0.85, 1.15)
+        rise = coulomb * rng.uniform(0.1, 0.2)
+        fastest = joint.max_velocity
+        viscous = rng.uniform(0.3, 0.6) * coulomb / fastest
+        # Bristles give way over a few milliradians of the motor shaft, never so stiffly that the steps cannot follow.
+        presliding = min(rng.uniform(3e-3, 6e-3) / abs(joint.gear_ratio), 1e-4 * fastest)
+        stiffness = min(coulomb / presliding, inertia[k] * 500.0**2)
+        speed = rng.uniform(0.01, 0.02) * min(1.0, fastest / 2.0)
+        curves.append(FrictionCurve(coulomb, rise, speed, viscous, fastest * rng.uniform(3.0, 6.0), stiffness))
+    return curves
