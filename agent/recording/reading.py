@@ -1,0 +1,269 @@
+"""From an MCAP file to a `Log`: which topic, which joints, what is missing, and what had to be repaired."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.errors import InputError
+from agent.recording.log import Log, Repair
+from agent.recording.log_file import PLANNED, REFERENCES, RUN, STATES
+from agent.recording.scan import Messages, Scan, scan
+from agent.recording.stamps import match, put_in_order, spacing_of
+
+if TYPE_CHECKING:
+    from agent.robot import RobotDescription
+
+_NANO = 1_000_000_000
+#: Set-points belong to a sample if their stamps differ by at most this part of the period.
+_SAME_STAMP = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """Samples of one topic in the order of the file: stamp (S,) [ns]; arrays (S, n) or None; `first` stamp of the
+    topic [ns], also of a sample that was left out."""
+
+    first: int
+    stamp: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray | None
+    effort: np.ndarray | None
+    repairs: tuple[Repair, ...]
+
+
+def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
+    """Read a log by docs/logs.md, whoever wrote it.
+
+    Joints come in the order of `robot`, whatever the order and the further joints of the log; without a robot, in the
+    order of the log. What is repaired stands in `Log.repairs`.
+
+    Raises:
+        InputError: not an MCAP file, no joint states in it, joints of the robot missing, or stamps that cannot be used.
+    """
+    path = Path(path)
+    found = scan(path)
+    topic = _topic(found, STATES)
+    if topic is None:
+        raise InputError(f"{path}: {_no_joint_states(found)}")
+    names = _joint_names(path, found.topics[topic], robot)
+    table = _table(found.topics.pop(topic), names)
+    if table is None:
+        raise InputError(f"{path}: {topic}: no message holds a finite position of every joint ({', '.join(names)})")
+    run = found.metadata.get(RUN, {})
+    order = put_in_order(table.stamp, _fingerprint(table), str(path))
+    stamp, rows = order.stamp, order.rows
+    spacing = spacing_of(stamp, _nominal_rate(run))
+    in_order = len(rows) == len(table.stamp) and not np.any(np.diff(rows) != 1)
+    arrays = (table.position, table.velocity, table.effort)
+    position, velocity, effort = (values if values is None or in_order else values[rows] for values in arrays)
+    duration = (int(stamp[-1]) - int(stamp[0])) / _NANO
+    repairs = [*_file_repairs(found, topic, duration), *_run_repairs(run, spacing.repairs)]
+    repairs += [*table.repairs, *order.repairs, *spacing.repairs]
+    references = _set_points(found, REFERENCES, names, stamp, spacing.rate, repairs)
+    planned = _set_points(found, PLANNED, names, stamp, spacing.rate, repairs)
+    return Log(
+        path=path,
+        joint_names=names,
+        t=(stamp - stamp[0]) / _NANO,
+        position=position,
+        velocity=velocity,
+        effort=effort,
+        reference_position=references,
+        planned_position=planned,
+        sample_rate=spacing.rate,
+        stamp=int(stamp[0]) / _NANO,
+        segments=spacing.segments,
+        cycle_starts=_cycle_starts(run, (table.first - int(stamp[0])) / _NANO, duration, repairs),
+        metadata=run,
+        repairs=tuple(repairs),
+    )
+
+
+def _topic(found: Scan, wanted: str) -> str | None:
+    """The topic of that name, or the only one that has it below a namespace."""
+    if found.topics.get(wanted):
+        return wanted
+    others = [topic for topic in found.topics if topic.rstrip("/").endswith(wanted) or f"/{topic}" == wanted]
+    return others[0] if len(others) == 1 else None
+
+
+def _no_joint_states(found: Scan) -> str:
+    if not found.types:
+        return "no messages in it" + ("" if found.closed else "; its writer stopped before it had written any")
+    topics = ", ".join(f"{topic}: {kind}" for topic, kind in sorted(found.types.items()))
+    return f"no readable {STATES} of type sensor_msgs/msg/JointState (cdr) in it; it has {topics}"
+
+
+def _joint_names(path: Path, groups: Sequence[Messages], robot: RobotDescription | None) -> tuple[str, ...]:
+    counts: Counter[tuple[str, ...]] = Counter()
+    for group in groups:
+        counts[group.layout.names] += len(group.stamp)
+    most = counts.most_common(1)[0][0]
+    if robot is None:
+        if len(set(most)) != len(most) or not most:
+            raise InputError(f"{path}: joint names are empty or stand twice in a message: {list(most)}")
+        return most
+    if not any(set(robot.joint_names) <= set(names) for names in counts):
+        closest = max(counts, key=lambda names: len(set(names) & set(robot.joint_names)))
+        missing = [name for name in robot.joint_names if name not in closest]
+        raise InputError(
+            f"{path}: the log is not of robot {robot.name!r}: {', '.join(missing)} missing, its joints are "
+            f"{', '.join(closest) or 'without names'}. Name the robot description that belongs to the log"
+        )
+    return robot.joint_names
+
+
+def _table(groups: list[Messages], names: tuple[str, ...]) -> _Table | None:
+    """Whole, finite samples of the named joints, and what was left out."""
+    first = min(int(group.stamp.min()) for group in groups)
+    left_out: dict[str, list[np.ndarray]] = {}
+    usable: list[Messages] = []
+    for group in groups:
+        if not set(names) <= set(group.layout.names):
+            left_out.setdefault("messages of other joints, left out", []).append(group.stamp)
+        elif not group.layout.whole:
+            left_out.setdefault("samples with arrays of wrong length, dropped", []).append(group.stamp)
+        else:
+            usable.append(group)
+    if not usable:
+        return None
+    stamp = np.concatenate([group.stamp for group in usable])
+    order = np.concatenate([group.order for group in usable])
+    keep = np.ones(len(stamp), bool)
+    repairs: list[Repair] = []
+    arrays: list[np.ndarray | None] = []
+    for field in ("position", "velocity", "effort"):
+        values = _column(usable, field, names)
+        unknown = ~np.all(np.isfinite(values), axis=1)
+        if field != "position" and np.count_nonzero(unknown) > 0.5 * len(stamp):
+            if not unknown.all():
+                repairs.append(
+                    _repair(f"samples with {field} are too few, all {field} left out", stamp[~unknown], first)
+                )
+            elif any(getattr(group, field) is not None for group in usable):
+                repairs.append(_repair(f"samples whose {field} is not a number, all {field} left out", stamp, first))
+            arrays.append(None)
+            continue
+        dropped = unknown & keep
+        if dropped.any():
+            repairs.append(_repair(f"samples without a finite {field}, dropped", stamp[dropped], first))
+        keep &= ~unknown
+        arrays.append(values)
+    if not keep.any():
+        return None
+    if not keep.all() or np.any(np.diff(order) < 0):
+        rows = np.argsort(order, kind="stable")
+        rows = rows[keep[rows]]
+        stamp = stamp[rows]
+        arrays = [None if values is None else values[rows] for values in arrays]
+    repairs += [_repair(kind, np.concatenate(stamps), first) for kind, stamps in left_out.items()]
+    assert arrays[0] is not None  # positions are never left out
+    return _Table(first, stamp, arrays[0], arrays[1], arrays[2], tuple(repairs))
+
+
+def _column(groups: list[Messages], field: str, names: tuple[str, ...]) -> np.ndarray:
+    """(S, n) values of the named joints, NaN where a message has none."""
+    result = np.empty((sum(len(group.stamp) for group in groups), len(names)))
+    start = 0
+    for group in groups:
+        stop = start + len(group.stamp)
+        values = getattr(group, field)
+        if values is None:
+            result[start:stop] = np.nan
+        elif group.layout.names == names:
+            result[start:stop] = values
+        else:
+            result[start:stop] = values[:, [group.layout.names.index(name) for name in names]]
+        start = stop
+    return result
+
+
+def _set_points(
+    found: Scan, wanted: str, names: tuple[str, ...], stamp: np.ndarray, rate: float, repairs: list[Repair]
+) -> np.ndarray | None:
+    """(S, n) set-points on the stamps (S,) [ns] of the samples, NaN where there is none."""
+    topic = _topic(found, wanted)
+    if topic is None:
+        return None
+    groups = found.topics.pop(topic)
+    total = sum(len(group.stamp) for group in groups)
+    table = _table(groups, names)
+    if table is None:
+        repairs.append(Repair(f"{topic}: messages without a position of every joint, left out", 0.0, total))
+        return None
+    try:
+        order = put_in_order(table.stamp, table.position, topic)
+    except InputError:
+        repairs.append(Repair(f"{topic}: messages with unusable stamps, left out", 0.0, total))
+        return None
+    nearest, same = match(stamp, order.stamp, _SAME_STAMP / rate)
+    if not same.any():
+        where = (int(order.stamp[0]) - int(stamp[0])) / _NANO
+        repairs.append(Repair(f"{topic}: messages without a sample at their stamps, left out", where, total))
+        return None
+    values = table.position[order.rows[nearest]]
+    values[~same] = np.nan
+    return values
+
+
+def _fingerprint(table: _Table) -> np.ndarray:
+    return table.position if table.effort is None else np.hstack([table.position, table.effort])
+
+
+def _nominal_rate(run: dict[str, str]) -> float | None:
+    try:
+        rate = float(run["sample_rate_hz"])
+    except (KeyError, ValueError):
+        return None
+    return rate if np.isfinite(rate) and rate > 0 else None
+
+
+def _file_repairs(found: Scan, topic: str, end: float) -> list[Repair]:
+    repairs = []
+    if not found.closed:
+        repairs.append(Repair("the file was not closed by its writer; unreadable bytes at its end", end, found.dropped))
+    if found.damaged:
+        repairs.append(Repair(f"damaged chunks, left out (first: number {found.damaged[0]})", 0.0, len(found.damaged)))
+    if found.unreadable[topic]:
+        repairs.append(Repair("messages that cannot be decoded, left out", 0.0, found.unreadable[topic]))
+    return repairs
+
+
+def _run_repairs(run: dict[str, str], seen: Sequence[Repair]) -> list[Repair]:
+    """What the writer counted and the stamps do not show."""
+    missing = sum(repair.count for repair in seen if "missing samples" in repair.kind)
+    repairs = []
+    for key, kind, known in (
+        ("lost_samples", "lost on the link", missing),
+        ("repeated_samples", "repeated on the link, left out by the writer", 0),
+    ):
+        text = run.get(key, "0")
+        if text.isdecimal() and int(text) > known:
+            repairs.append(Repair(kind, 0.0, int(text)))
+    return repairs
+
+
+def _cycle_starts(run: dict[str, str], shift: float, duration: float, repairs: list[Repair]) -> tuple[float, ...]:
+    """Cycle starts [s] from the first sample kept, which the first sample of the file lies before by -`shift`."""
+    if "cycle_starts_s" not in run:
+        return ()
+    try:
+        starts = [float(start) for start in json.loads(run["cycle_starts_s"])]
+    except (ValueError, TypeError):
+        starts = [np.nan]
+    usable = sorted({start + shift for start in starts if -1e-6 <= start <= duration - shift})
+    if len(usable) < len(starts) or sorted(starts) != starts:
+        kind = "cycle_starts_s is no rising list of seconds within the log, used as far as possible; entries"
+        repairs.append(Repair(kind, 0.0, len(starts)))
+    return tuple(usable)
+
+
+def _repair(kind: str, stamps: np.ndarray, first: int) -> Repair:
+    return Repair(kind, (int(stamps.min()) - first) / _NANO, len(stamps))

@@ -1,0 +1,169 @@
+"""Order, sampling rate and gaps of a log, from its stamps. What is wrong is repaired and named, or refused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from agent.errors import InputError
+from agent.recording.log import Repair
+
+_NANO = 1_000_000_000
+#: A stretch without samples of at most this [s], or of two samples, can be interpolated; a longer one is a gap.
+BRIDGED = 0.010
+#: Intervals that are off by more than this part of the period are counted as jitter.
+_JITTER = 0.2
+#: So many repairs of a kind stand alone; more are summed up.
+_LISTED = 10
+#: Samples, and seconds, by which two stretches in order must overlap to be two recordings in one file.
+_OVERLAP_SAMPLES, _OVERLAP_TIME = 50, 0.5
+#: A stamp that is further than this from the middle of the log [s] belongs to another clock.
+_FAR_OFF = 3600.0
+
+
+@dataclass(frozen=True, eq=False)
+class Order:
+    """Samples in order of time: `rows` (S,) of the input to take, their stamps (S,) [ns], strictly increasing."""
+
+    rows: np.ndarray
+    stamp: np.ndarray
+    repairs: tuple[Repair, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Spacing:
+    """Sampling rate [Hz] and the [start, stop) ranges of samples without a gap."""
+
+    rate: float
+    segments: tuple[tuple[int, int], ...]
+    repairs: tuple[Repair, ...]
+
+
+def put_in_order(stamp: np.ndarray, values: np.ndarray, name: str) -> Order:
+    """Sort samples by their stamps; drop repetitions; spread samples that share a stamp too coarse for their rate.
+
+    Args:
+        stamp: (S,) [ns] in the order of the file.
+        values: (S, n) what tells a repeated sample from another one with the same stamp.
+        name: of the file, for messages.
+
+    Raises:
+        InputError: the stamps stand still, or go back and cover the same time twice.
+    """
+    rows = np.flatnonzero(~_far_off(stamp))
+    first = int(stamp[rows].min())
+    repairs = []
+    if len(rows) < len(stamp):
+        repairs.append(Repair("samples with stamps far off, dropped", 0.0, len(stamp) - len(rows)))
+    back = np.flatnonzero(np.diff(stamp[rows]) < 0)
+    if len(back):
+        where = (int(stamp[rows[back[0] + 1]]) - first) / _NANO
+        repairs.append(Repair("stamps out of order, sorted", where, len(back)))
+        rows = rows[np.argsort(stamp[rows], kind="stable")]
+    ordered = stamp[rows]
+    same_stamp = np.diff(ordered) == 0
+    if len(rows) < 2 or len(rows) - same_stamp.sum() < max(2, 0.01 * len(rows)):
+        raise InputError(
+            f"{name}: the stamps stand still at {ordered[0] / _NANO:.6f} s ({len(stamp)} samples): without "
+            "header.stamp nothing can be differentiated; record again with controller time in it"
+        )
+    equal = same_stamp & np.all(values[rows[:-1]] == values[rows[1:]], axis=1)
+    other = same_stamp & ~equal
+    coarse = other.sum() > max(0.05 * same_stamp.sum(), 0.01 * len(rows))
+    if len(back):
+        _refuse_two_recordings(stamp, np.sort(rows[~np.append(False, equal)]), name)
+    if not coarse:
+        where = (ordered[1:] - first) / _NANO
+        repairs += _summed("repeated samples, dropped", where, equal)
+        repairs += _summed("another sample with the same stamp, dropped", where, other)
+        keep = ~np.append(False, same_stamp)
+        rows, ordered = rows[keep], ordered[keep]
+    else:
+        repairs += _summed("samples share a stamp, spread evenly", (ordered[1:] - first) / _NANO, same_stamp)
+        ordered = _spread(ordered)
+    return Order(rows, ordered, tuple(repairs))
+
+
+def spacing_of(stamp: np.ndarray, nominal_rate: float | None = None) -> Spacing:
+    """Rate, gaps and jitter of strictly increasing stamps (S,) [ns]; `nominal_rate` [Hz] is what the log says.
+
+    The rate is that of intervals which hold no missing sample. A nominal rate that agrees with it is taken instead,
+    for it has no rounding of stamps in it.
+    """
+    interval = np.diff(stamp) / _NANO
+    # three quarters of the intervals hold no missing sample, or the sampling is irregular and the mean is all there is
+    usual = float(np.quantile(interval, 0.75))
+    hole = interval > 1.6 * usual
+    period = float(np.mean(interval[~hole]))
+    rate, repairs = 1.0 / period, []
+    if nominal_rate is not None:
+        if abs(rate / nominal_rate - 1.0) < 1e-3:
+            rate = nominal_rate
+        else:
+            repairs.append(
+                Repair(f"stamps say {rate:.6g} Hz, the log says {nominal_rate:.6g} Hz; samples", 0.0, len(stamp))
+            )
+    time = (stamp - stamp[0]) / _NANO
+    missing = np.maximum(np.rint(interval / period) - 1, 1).astype(int)
+    gap = hole & (interval > max(BRIDGED * (1 + 1e-9), 3.5 * period, 2.5 * usual))
+    repairs += _listed("gap, missing samples", time[:-1][gap], missing[gap])
+    repairs += _listed("missing samples, short enough to interpolate", time[:-1][hole & ~gap], missing[hole & ~gap])
+    repairs += _summed("uneven intervals, kept", time[:-1], ~hole & (np.abs(interval - period) > _JITTER * period))
+    cuts = np.flatnonzero(gap) + 1
+    edges = [0, *cuts.tolist(), len(stamp)]
+    return Spacing(rate, tuple(pairwise(edges)), tuple(repairs))
+
+
+def match(stamp: np.ndarray, others: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """For each of the stamps (S,) [ns] the nearest of the sorted `others`: index (S,), and (S,) whether it is within
+    `tolerance` [s]."""
+    right = (
+        np.clip(np.searchsorted(others, stamp), 1, len(others) - 1) if len(others) > 1 else np.zeros(len(stamp), int)
+    )
+    left = np.maximum(right - 1, 0)
+    nearest = np.where(np.abs(others[left] - stamp) <= np.abs(others[right] - stamp), left, right)
+    return nearest, np.abs(others[nearest] - stamp) <= tolerance * _NANO
+
+
+def _far_off(stamp: np.ndarray) -> np.ndarray:
+    """(S,) which of the stamps are hours away from nearly all others: a clock that was not set yet, a flipped bit."""
+    middle = np.median(stamp)
+    sampled = np.median(np.abs(np.diff(stamp))) * len(stamp) if len(stamp) > 1 else 0.0
+    far = np.abs(stamp - middle) > _FAR_OFF * _NANO + 10 * sampled
+    return far if np.count_nonzero(far) <= 0.01 * len(stamp) else np.zeros(len(stamp), bool)
+
+
+def _refuse_two_recordings(stamp: np.ndarray, rows: np.ndarray, name: str) -> None:
+    """A clock that was set back, or two recordings in one file, cannot be sorted out; late samples can."""
+    in_file = stamp[rows]
+    edges = [0, *(np.flatnonzero(np.diff(in_file) < 0) + 1).tolist(), len(in_file)]
+    stretches = [(int(in_file[a]), int(in_file[b - 1]), a, b) for a, b in pairwise(edges) if b - a >= _OVERLAP_SAMPLES]
+    stretches.sort()
+    for (start, end, a, b), (start_2, end_2, place, _) in pairwise(stretches):
+        overlap = (min(end, end_2) - start_2) / _NANO
+        covered = np.searchsorted(in_file[a:b], [start_2, min(end, end_2)])
+        if overlap > _OVERLAP_TIME and covered[1] - covered[0] >= _OVERLAP_SAMPLES:
+            raise InputError(
+                f"{name}: the controller's clock was set back, or two recordings are in one file: {overlap:.3f} s from "
+                f"{(start_2 - start) / _NANO:.3f} s on are there twice, with other values (sample {place} on); split it"
+            )
+
+
+def _spread(stamp: np.ndarray) -> np.ndarray:
+    """Sorted stamps (S,) of which several are equal, spread evenly up to the next one."""
+    distinct, start, count = np.unique(stamp, return_index=True, return_counts=True)
+    ends = np.append(distinct[1:], distinct[-1] + (distinct[-1] - distinct[-2]) * count[-1] // count[-2])
+    place = np.arange(len(stamp)) - np.repeat(start, count)
+    return np.repeat(distinct, count) + place * np.repeat(ends - distinct, count) // np.repeat(count, count)
+
+
+def _summed(kind: str, times: np.ndarray, which: np.ndarray) -> list[Repair]:
+    return [Repair(kind, float(times[which][0]), int(which.sum()))] if which.any() else []
+
+
+def _listed(kind: str, times: np.ndarray, counts: np.ndarray) -> list[Repair]:
+    if len(times) <= _LISTED:
+        return [Repair(kind, float(time), int(count)) for time, count in zip(times, counts, strict=True)]
+    return [Repair(f"{kind}, in {len(times)} places, the first", float(times[0]), int(counts.sum()))]

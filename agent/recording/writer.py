@@ -1,0 +1,160 @@
+"""Recording beside the link: the disk may be slow, the link never waits for it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from agent.recording.log_file import FLUSH_INTERVAL, LogFile, Samples
+
+#: What may wait in memory for a slow disk [bytes]: half an hour of six joints at 500 Hz.
+BACKLOG_LIMIT = 256 * 2**20
+
+
+class LogWriter:
+    """Writes one log in a thread of its own. Every method but `close` returns at once, whatever the disk does.
+
+    What was written reaches the operating system within half a second, of data and of waiting, so a killed process
+    loses at most that. If the disk falls behind by more than `backlog_limit`, whole blocks are left out and counted in
+    `dropped` (they are in `lost` too, by their sequence numbers).
+
+    Use it as a context manager: leaving it closes the log, also after an error, which keeps what was recorded.
+
+    Args:
+        path: file to write; it must not exist.
+        joint_names: as in the robot description.
+        robot, motion: of the record `run`.
+        sample_rate: nominal [Hz].
+        clock: receive time [s], for blocks that come without one.
+        backlog_limit: [bytes].
+
+    Raises:
+        InputError: the file exists.
+        RecordingError: disk full, read-only or no rights; from `write` and `close`. What came before stays readable.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        joint_names: Sequence[str],
+        *,
+        robot: str,
+        motion: str,
+        sample_rate: float | None = None,
+        clock: Callable[[], float] = time.time,
+        backlog_limit: int = BACKLOG_LIMIT,
+    ):
+        self.path = Path(path)
+        self.dropped = 0
+        self._file = LogFile(self.path, joint_names, robot, motion, sample_rate, clock)
+        self._limit = backlog_limit
+        self._jobs: deque[tuple[int, Callable[[], None]]] = deque()
+        self._backlog = 0
+        self._failure: Exception | None = None
+        self._closing = False
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._work, name=f"log {self.path.name}", daemon=True)
+        self._thread.start()
+
+    @property
+    def lost(self) -> int:
+        """Samples that are not in the log, by sequence number; complete once the log is closed."""
+        return self._file.lost
+
+    @property
+    def repeated(self) -> int:
+        """Samples that came again and were left out; complete once the log is closed."""
+        return self._file.repeated
+
+    @property
+    def backlog(self) -> int:
+        """Bytes that were handed over and have not gone through the writer yet."""
+        return self._backlog
+
+    def write(self, block: Samples) -> None:
+        """Add measured samples with their set-points. The arrays must not change afterwards."""
+        if self._failure is not None:
+            raise self._failure
+        arrays = (block.position, block.velocity, block.torque, block.reference_position, block.reference_velocity)
+        size = sum(values.nbytes for values in arrays if values is not None) + block.time.nbytes
+        if not self._put(size, lambda: self._file.write(block)):
+            self.dropped += len(block.time)
+
+    def write_planned(self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray | None = None) -> None:
+        """Add what was planned for controller times (K,) [s]: position and velocity (K, n)."""
+        if not self._put(2 * position.nbytes, lambda: self._file.write_planned(time, position, velocity)):
+            self.dropped += len(time)
+
+    def cycle_start(self, time: float) -> None:
+        """Note a controller time [s] at which the motion begins anew."""
+        self._put(0, lambda: self._file.cycle_start(time))
+
+    def event(self, text: str) -> None:
+        """Note what happened on the link or to the robot."""
+        self._put(len(text), lambda: self._file.event(text))
+
+    def close(self) -> None:
+        """Write all that waits, and the index. Safe to call twice."""
+        if self._closing:
+            return
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+        self._thread.join()
+        if self._failure is not None:
+            raise self._failure
+
+    def __enter__(self) -> LogWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        try:
+            self.close()
+        except Exception as failure:
+            if error is None:
+                raise
+            if failure is not error:
+                error.add_note(str(failure))
+
+    def _put(self, size: int, job: Callable[[], None]) -> bool:
+        with self._changed:
+            if self._failure is not None or self._backlog + size > self._limit:
+                return False
+            self._jobs.append((size, job))
+            self._backlog += size
+            self._changed.notify()
+        return True
+
+    def _work(self) -> None:
+        try:
+            self._write_jobs()
+            self._file.finish()
+        except Exception as failure:  # raised again in the thread that writes
+            with self._changed:
+                self._failure = failure
+                self._jobs.clear()
+                self._backlog = 0
+        finally:
+            self._file.close()
+
+    def _write_jobs(self) -> None:
+        due = time.monotonic() + FLUSH_INTERVAL
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._jobs or self._closing, max(0.0, due - time.monotonic()))
+                size, job = self._jobs.popleft() if self._jobs else (0, None)
+                if job is None and self._closing:
+                    return
+            if job is not None:
+                job()
+            if time.monotonic() >= due:
+                self._file.flush()
+                due = time.monotonic() + FLUSH_INTERVAL
+            with self._changed:
+                self._backlog -= size
