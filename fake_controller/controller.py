@@ -127,8 +127,8 @@ class Controller:
         self._switch: StopSwitch | None = None
         self._thread: threading.Thread | None = None
         self._reference = home(robot)
-        self._position = self._reference
         plant.rest(self._reference)
+        self._position = plant.position
 
     @property
     def moving(self) -> bool:

@@ -147,22 +147,24 @@ class Execution:
             if chain.trajectory is None:
                 yield from self._hold(reference, round(chain.hold / self._period), switch)
                 continue
+            path = self._plant.executed_path(chain.trajectory.q, chain.trajectory.qd, self._period)
             # The first sample of a trajectory is the rest that the last one ended in.
-            position, velocity = chain.trajectory.q[1:], chain.trajectory.qd[1:]
+            position, velocity = (part[1:] for part in path)
             for at in range(0, len(position), self._slice_samples):
                 until = at + self._slice_samples
                 yield self._follow(position[at:until], velocity[at:until])
                 if switch.reason is not None and until < len(position):
-                    path = path_stop(position[until - 1 :], velocity[until - 1 :], self._max_acceleration, self._period)
-                    for k in range(0, len(path[0]), self._slice_samples):
-                        yield self._follow(*(part[k : k + self._slice_samples] for part in path))
-                    yield from self._settle(path[0][-1], Termination.COARSE, chain.tolerance)
+                    left = position[until - 1 :], velocity[until - 1 :]
+                    stop = path_stop(*left, self._max_acceleration, self._period)
+                    for k in range(0, len(stop[0]), self._slice_samples):
+                        yield self._follow(*(part[k : k + self._slice_samples] for part in stop))
+                    yield from self._settle(stop[0][-1], Termination.COARSE, chain.tolerance)
                     return
             reference = position[-1] if len(position) else chain.trajectory.q[-1]
             yield from self._settle(reference, chain.termination, chain.tolerance)
 
     def _follow(self, position: np.ndarray, velocity: np.ndarray) -> Slice:
-        chunks = list(self._plant.run(position, velocity, self._period))
+        chunks = list(self._plant.run(position, velocity))
         measured = (np.concatenate([getattr(c, name) for c in chunks]) for name in ("position", "velocity", "torque"))
         return Slice(*measured, position, velocity)
 
