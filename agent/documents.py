@@ -45,6 +45,8 @@ def read_yaml(path: Path) -> Any:
         raise InputError(f"{path}:{line}: not valid YAML: {error.problem}") from None
     except YAMLError as error:
         raise InputError(f"{path}: not valid YAML: {error}") from None
+    except Exception as error:  # ruamel raises plain Python errors for dates, tags and depths that it cannot build
+        raise InputError(f"{path}: not valid YAML: {type(error).__name__}: {error}") from None
     if data is None:
         raise InputError(f"{path}: the file is empty")
     return data
@@ -89,6 +91,8 @@ def _describe(path: Path, data: Any, model: type[BaseModel], fault: Any) -> str:
             message += f" (did you mean {close[0]}?)"
     elif fault["type"] == "missing":
         message = "this key is required and missing"
+    elif fault["type"] in ("model_type", "model_attributes_type"):
+        message = f"a mapping is expected; its keys are {', '.join(_keys_at(model, location))}"
     else:
         value = fault.get("input")
         if isinstance(value, (str, int, float, bool)) and repr(value) not in message:
@@ -101,7 +105,7 @@ def _keys_at(model: Any, location: tuple[Any, ...]) -> list[str]:
     for part in location:
         if isinstance(part, int):
             continue
-        fields = getattr(model, "model_fields", {})
+        fields = {field.alias or name: field for name, field in getattr(model, "model_fields", {}).items()}
         if part not in fields:
             return []
         model = _model_in(fields[part].annotation)

@@ -1,0 +1,47 @@
+"""Recipes: one validated object per file, SI inside. Millimetres and degrees end here."""
+
+from agent.recipe.recipe import (
+    Cell,
+    Controller,
+    Estimate,
+    Filter,
+    Gate,
+    KeepOut,
+    MotionPlan,
+    Recalibrate,
+    Recipe,
+    Record,
+    Search,
+    Validation,
+    ViaBox,
+    ViaLike,
+    ViaPoint,
+    ViaPointList,
+    ViaTube,
+    load_recipe,
+    recipe_schema,
+)
+from agent.recipe.template import template
+
+__all__ = [
+    "Cell",
+    "Controller",
+    "Estimate",
+    "Filter",
+    "Gate",
+    "KeepOut",
+    "MotionPlan",
+    "Recalibrate",
+    "Recipe",
+    "Record",
+    "Search",
+    "Validation",
+    "ViaBox",
+    "ViaLike",
+    "ViaPoint",
+    "ViaPointList",
+    "ViaTube",
+    "load_recipe",
+    "recipe_schema",
+    "template",
+]

@@ -1,0 +1,339 @@
+"""The recipe as the stages see it: frozen, SI, with the robot it names."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agent.documents import line_of, read_yaml, validate_document
+from agent.errors import InputError
+from agent.motion.program import MotionSettings
+from agent.recipe.schema import RecipeDocument, ToolSection, ViaPointsSection
+from agent.robot import RobotDescription, builtin_robots, load_robot
+
+if TYPE_CHECKING:
+    from agent.robot.dynamics import Tool
+
+Vector = tuple[float, ...]
+
+#: Entry points that add interpolators; `fly` is built in.
+INTERPOLATORS = "calibration_agent.interpolators"
+
+
+@dataclass(frozen=True)
+class Controller:
+    """Name of the driver, and the address in its own notation."""
+
+    driver: str
+    address: str
+
+
+@dataclass(frozen=True)
+class KeepOut:
+    """A box that the arm must not enter: opposite corners (3,) in the base frame [m]."""
+
+    name: str
+    minimum: Vector
+    maximum: Vector
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What stands around the robot."""
+
+    keep_out: tuple[KeepOut, ...]
+
+
+@dataclass(frozen=True)
+class ViaBox:
+    """K via-points in one box: centre (3,), edge lengths size (3,) [m], Euler ZYZ orientation (3,), cone [rad]."""
+
+    count: int
+    centre: Vector
+    size: Vector
+    orientation: Vector
+    cone: float
+
+
+@dataclass(frozen=True)
+class ViaPoint:
+    """One via-point's region: pose (6,) plus or minus range (6,); x, y, z [m], Euler ZYZ a, e, r [rad]."""
+
+    pose: Vector
+    range: Vector
+
+
+@dataclass(frozen=True)
+class ViaPointList:
+    """A region for each via-point."""
+
+    points: tuple[ViaPoint, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of via-points K."""
+        return len(self.points)
+
+
+@dataclass(frozen=True)
+class ViaLike:
+    """K via-points where an existing program or log goes, plus or minus `around` [m]."""
+
+    count: int
+    path: Path
+    around: float
+
+
+@dataclass(frozen=True)
+class ViaTube:
+    """K via-points within `radius` [m] of a path of poses, each (6,), and within `cone` [rad] of its orientation."""
+
+    count: int
+    path: tuple[Vector, ...]
+    radius: float
+    cone: float
+
+
+ViaPoints = ViaBox | ViaPointList | ViaLike | ViaTube
+
+
+@dataclass(frozen=True)
+class MotionPlan:
+    """The loop's FLY settings at the recipe's speed, and its sub-region."""
+
+    settings: MotionSettings
+    via_points: ViaPoints
+
+    @property
+    def speed(self) -> float:
+        """Speed of the tool centre point [m/s]."""
+        return self.settings.linear_speed
+
+    def settings_at(self, speed: float) -> MotionSettings:
+        """The same settings at another speed [m/s]."""
+        return replace(self.settings, linear_speed=speed)
+
+
+@dataclass(frozen=True)
+class Search:
+    """The search for the via-points."""
+
+    population: int
+    generations: int
+    seed: int
+    method: str
+    interpolator: str
+
+
+@dataclass(frozen=True)
+class Record:
+    """Sampling rate [Hz] and number of cycles of the loop."""
+
+    rate: float
+    cycles: int
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Order of the Butterworth filter, and its cut-off [Hz]."""
+
+    order: int
+    cutoff: float
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Filter, and name of the estimator."""
+
+    filter: Filter
+    method: str
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Number of random motions, their speed [m/s] and seed."""
+
+    motions: int
+    speed: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Largest RMSE of any axis that is accepted, as a fraction of its nominal torque."""
+
+    normalised_rmse: float
+
+
+@dataclass(frozen=True)
+class Recalibrate:
+    """Interval [s], and `friction` or `all`."""
+
+    every: float
+    parameters: str
+
+
+@dataclass(frozen=True, eq=False)
+class Recipe:
+    """One recipe file. `text` is what it said, `sha256` (hex) of that text, `path` where it was."""
+
+    path: Path
+    text: str
+    sha256: str
+    robot: RobotDescription
+    tool: Tool | None
+    controller: Controller
+    cell: Cell
+    motion: MotionPlan
+    search: Search
+    record: Record
+    estimate: Estimate
+    validate: Validation
+    gate: Gate
+    recalibrate: Recalibrate
+
+
+def load_recipe(path: Path | str) -> Recipe:
+    """Read a recipe file and the robot it names.
+
+    Paths inside it are relative to the file.
+
+    Raises:
+        InputError: with every fault as ``file:line: key: what is wrong, what is allowed``, one a line.
+    """
+    path = Path(path)
+    data = read_yaml(path)
+    faults = []
+    document = robot = None
+    try:
+        document = validate_document(path, data, RecipeDocument)
+    except InputError as error:
+        faults.append(str(error))
+    name = data.get("robot") if isinstance(data, dict) else None
+    if isinstance(name, str) and name:
+        try:
+            robot = load_robot(name if name in builtin_robots() else path.parent / name)
+        except InputError as error:
+            faults.append(f"{path}:{line_of(data, ('robot',))}: robot: {error}")
+        except (OSError, ValueError) as error:  # a name that is no path: too long, or with a null byte
+            faults.append(f"{path}:{line_of(data, ('robot',))}: robot: no such file can be: {error}"[:300])
+    if document is not None and robot is not None:
+        faults += [
+            f"{path}:{line_of(data, key)}: {'.'.join(key)}: {message}"
+            for key, message in _contradictions(path, document, robot)
+        ]
+    if faults or document is None or robot is None:
+        raise InputError("\n".join(faults))
+    return _recipe(path, document, robot)
+
+
+def recipe_schema() -> dict[str, Any]:
+    """JSON schema of a recipe, for editors."""
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **RecipeDocument.model_json_schema(by_alias=True),
+        "title": "Calibration recipe",
+    }
+
+
+def _contradictions(
+    path: Path, document: RecipeDocument, robot: RobotDescription
+) -> Iterator[tuple[tuple[str, ...], str]]:
+    """What is wrong between values that are each right by themselves."""
+    from drivers.registry import available
+
+    limits = robot.cartesian_limits
+    speeds = {("motion", "speed"): document.motion.speed, ("validate", "speed"): document.validate_.speed}
+    for key, speed in speeds.items():
+        if limits is not None and speed > limits.linear_speed:
+            yield key, f"{speed:g} m/s is above the linear speed limit of {robot.name}, {limits.linear_speed:g} m/s"
+    rate, cutoff = document.record.rate, document.estimate.filter.cutoff
+    if cutoff >= rate / 2:
+        message = f"{cutoff:g} Hz is not below half of record.rate, {rate / 2:g} Hz: no such filter exists"
+        yield ("estimate", "filter", "cutoff"), message
+    if document.controller.driver not in available():
+        message = f"there is no driver {document.controller.driver!r}; allowed are {', '.join(available())}"
+        yield ("controller", "driver"), message
+    interpolators = sorted({"fly", *(point.name for point in entry_points(group=INTERPOLATORS))})
+    if document.search.interpolator not in interpolators:
+        message = f"there is no interpolator {document.search.interpolator!r}; allowed are {', '.join(interpolators)}"
+        yield ("search", "interpolator"), message
+    like = document.motion.via_points.like
+    if like is not None and not os.path.isfile(path.parent / like):
+        yield ("motion", "via_points", "like"), f"{path.parent / like}: no such file; a program (.pdl) or a log (.mcap)"
+
+
+def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Recipe:
+    text = path.read_text(encoding="utf-8")
+    fly = document.motion.fly
+    settings = MotionSettings(
+        fly_type=fly.type,
+        fly_trajectory=fly.trajectory,
+        fly_distance=fly.distance,
+        fly_percent=100.0 * fly.percent,
+        stress_percent=100.0 * fly.stress,
+        linear_speed=document.motion.speed,
+    )
+    return Recipe(
+        path=path,
+        text=text,
+        sha256=hashlib.sha256(text.encode("utf-8")).hexdigest(),
+        robot=robot,
+        tool=_tool(document.tool),
+        controller=Controller(document.controller.driver, document.controller.address),
+        cell=Cell(tuple(KeepOut(entry.name, entry.box.min, entry.box.max) for entry in document.cell.keep_out)),
+        motion=MotionPlan(settings, _via_points(path, document.motion.via_points)),
+        search=Search(**document.search.__dict__),
+        record=Record(**document.record.__dict__),
+        estimate=Estimate(Filter(**document.estimate.filter.__dict__), document.estimate.method),
+        validate=Validation(**document.validate_.__dict__),
+        gate=Gate(**document.gate.__dict__),
+        recalibrate=Recalibrate(**document.recalibrate.__dict__),
+    )
+
+
+def _via_points(path: Path, section: ViaPointsSection) -> ViaPoints:
+    if section.points is not None:
+        return ViaPointList(tuple(ViaPoint(point.pose, point.range) for point in section.points))
+    count = section.count or 0  # the section requires it beside each of the others
+    if section.box is not None:
+        return ViaBox(count, **section.box.__dict__)
+    if section.tube is not None:
+        return ViaTube(count, tuple(section.tube.path), section.tube.radius, section.tube.cone)
+    return ViaLike(count, path.parent / str(section.like), section.around or 0.0)
+
+
+def _tool(section: ToolSection | None) -> Tool | None:
+    if section is None:
+        return None
+    from agent.robot.dynamics import Tool
+
+    frame = _frame(section.frame)
+    # The recipe's centre of mass is in the flange's frame, as on a controller's panel; `Tool` has it in the TCP's.
+    flange = np.zeros(3) if section.centre_of_mass is None else np.array(section.centre_of_mass)
+    return Tool(frame=frame, mass=section.mass, centre_of_mass=frame[:3, :3].T @ (flange - frame[:3, 3]))
+
+
+def _frame(pose: Vector) -> np.ndarray:
+    x, y, z, a, e, r = pose
+    frame = np.eye(4)
+    frame[:3, :3] = _rotation_z(a) @ _rotation_y(e) @ _rotation_z(r)
+    frame[:3, 3] = x, y, z
+    return frame
+
+
+def _rotation_z(angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _rotation_y(angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])

@@ -1,0 +1,275 @@
+"""The recipe as it is written: one pydantic model a section. Units end here; the values are SI afterwards."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema, model_validator
+from pydantic_core import InitErrorDetails
+
+from agent.errors import InputError
+from agent.motion.program import FlyTrajectory, FlyType
+from agent.units import Dimension, parse_quantity
+
+#: Estimators that `estimate.method` may name.
+ESTIMATION_METHODS = ("ordinary", "weighted", "reweighted", "huber", "instrumental", "essential", "consistent")
+#: Searches that `search.method` may name.
+SEARCH_METHODS = ("genetic", "random")
+
+
+def _quantity(dimension: Dimension) -> Any:
+    def parse(value: Any) -> float:
+        try:
+            return parse_quantity(value, dimension)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+
+    described = {"anyOf": [{"type": "number"}, {"type": "string"}], "description": dimension.description}
+    # Field bounds are checked on the SI value: the validator before them has parsed it.
+    return Annotated[float, BeforeValidator(parse), WithJsonSchema(described)]
+
+
+Length = _quantity(Dimension.LENGTH)
+Angle = _quantity(Dimension.ANGLE)
+Mass = _quantity(Dimension.MASS)
+Time = _quantity(Dimension.TIME)
+Frequency = _quantity(Dimension.FREQUENCY)
+Speed = _quantity(Dimension.SPEED)
+Ratio = _quantity(Dimension.RATIO)
+
+_FULL_TURN = 6.283185307179586
+
+
+def _listed(names: str, count: int) -> BeforeValidator:
+    def check(value: Any) -> Any:
+        if not isinstance(value, (list, tuple)) or len(value) != count:
+            got = f"{len(value)} values" if isinstance(value, (list, tuple)) else type(value).__name__
+            raise ValueError(f"a list of {count} values [{names}] is expected, not {got}")
+        return value
+
+    return BeforeValidator(check)
+
+
+Position = Annotated[tuple[Length, Length, Length], _listed("x, y, z", 3)]
+Orientation = Annotated[tuple[Angle, Angle, Angle], _listed("a, e, r", 3)]
+Pose = Annotated[tuple[Length, Length, Length, Angle, Angle, Angle], _listed("x, y, z, a, e, r", 6)]
+
+_Extent = Annotated[Length, Field(ge=0)]
+_Turn = Annotated[Angle, Field(ge=0, le=_FULL_TURN)]
+Extent = Annotated[tuple[_Extent, _Extent, _Extent], _listed("dx, dy, dz", 3)]
+Range = Annotated[tuple[_Extent, _Extent, _Extent, _Turn, _Turn, _Turn], _listed("dx, dy, dz, da, de, dr", 6)]
+Name = Annotated[str, Field(min_length=1, max_length=200, strict=True)]
+Count = Annotated[int, Field(strict=True)]
+Seed = Annotated[Count, Field(ge=0, lt=2**32)]
+
+
+class Section(BaseModel):
+    """A part of the recipe: an unknown key is an error."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+
+
+class ToolSection(Section):
+    """What is mounted on the flange; all in the flange's frame."""
+
+    frame: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    mass: Annotated[Mass, Field(ge=0)] = 0.0
+    centre_of_mass: Position | None = None
+
+
+class ControllerSection(Section):
+    """Where the controller is, and by which link."""
+
+    driver: Name = "tcp"
+    address: Name
+
+
+class BoxBounds(Section):
+    """Opposite corners, in the base frame."""
+
+    min: Position
+    max: Position
+
+    @model_validator(mode="after")
+    def _ordered(self) -> BoxBounds:
+        for axis, low, high in zip("xyz", self.min, self.max, strict=True):
+            if low >= high:
+                raise ValueError(f"min must be below max on every axis; on {axis} it is {low:g} m to {high:g} m")
+        return self
+
+
+class KeepOutEntry(Section):
+    """A box that no part of the arm may enter."""
+
+    name: Name
+    box: BoxBounds
+
+
+class CellSection(Section):
+    """What stands around the robot."""
+
+    keep_out: Annotated[list[KeepOutEntry], Field(max_length=200)] = []
+
+
+class FlySection(Section):
+    """The system variables of the FLY statement."""
+
+    type: FlyType = FlyType.FLY_CART
+    trajectory: FlyTrajectory = FlyTrajectory.FLY_TOL
+    distance: Annotated[Length, Field(ge=0, le=1)] = 0.02
+    percent: Annotated[Ratio, Field(ge=0.01, le=1)] = 1.0
+    stress: Annotated[Ratio, Field(ge=0.01, le=1)] = 0.5
+
+
+class BoxSection(Section):
+    """A box in the base frame; the tool stays within `cone` of `orientation` (Euler ZYZ)."""
+
+    centre: Position
+    size: Extent
+    orientation: Orientation
+    cone: Annotated[Angle, Field(ge=0, le=_FULL_TURN / 2)] = 0.0
+
+
+class PointEntry(Section):
+    """One via-point's own region: pose plus or minus range."""
+
+    pose: Pose
+    range: Range
+
+
+class TubeSection(Section):
+    """All within `radius` of a taught path (poses joined by straight lines) and `cone` of its orientation."""
+
+    path: Annotated[list[Pose], Field(min_length=2, max_length=1000)]
+    radius: Annotated[Length, Field(gt=0)]
+    cone: Annotated[Angle, Field(ge=0, le=_FULL_TURN / 2)] = 0.0
+
+
+class ViaPointsSection(Section):
+    """The sub-region: exactly one of `box`, `points`, `like` and `tube`."""
+
+    count: Annotated[Count, Field(ge=2, le=50)] | None = None
+    box: BoxSection | None = None
+    points: Annotated[list[PointEntry], Field(min_length=2, max_length=50)] | None = None
+    like: Name | None = None
+    around: Annotated[Length, Field(gt=0)] | None = None
+    tube: TubeSection | None = None
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _alternatives(cls, data: Any, handler: Any) -> ViaPointsSection:
+        # Wrapped, not after: a wrong value elsewhere in the section must not hide that the alternatives clash.
+        faults = _clashes(data) if isinstance(data, dict) else []
+        try:
+            section = handler(data)
+        except ValidationError as error:
+            if not faults:
+                raise
+            raise ValidationError.from_exception_data(cls.__name__, [*_details(error), *faults]) from None
+        if faults:
+            raise ValidationError.from_exception_data(cls.__name__, faults)
+        return section
+
+
+class MotionSection(Section):
+    """How the arm moves, and where."""
+
+    speed: Annotated[Speed, Field(gt=0)] = 1.0
+    fly: FlySection = FlySection()
+    via_points: ViaPointsSection
+
+
+class SearchSection(Section):
+    """The search for the via-points."""
+
+    population: Annotated[Count, Field(ge=4, le=100_000)] = 50
+    generations: Annotated[Count, Field(ge=1, le=100_000)] = 40
+    seed: Seed = 1
+    method: Literal[SEARCH_METHODS] = "genetic"  # type: ignore[valid-type]
+    interpolator: Name = "fly"
+
+
+class RecordSection(Section):
+    """What is recorded."""
+
+    rate: Annotated[Frequency, Field(ge=1, le=100_000)] = 500.0
+    cycles: Annotated[Count, Field(ge=1, le=100_000)] = 100
+
+
+class FilterSection(Section):
+    """The Butterworth filter, run forwards and backwards."""
+
+    order: Annotated[Count, Field(ge=1, le=16)] = 8
+    cutoff: Annotated[Frequency, Field(gt=0)] = 30.0
+
+
+class EstimateSection(Section):
+    """How parameters are estimated."""
+
+    filter: FilterSection = FilterSection()
+    method: Literal[ESTIMATION_METHODS] = "weighted"  # type: ignore[valid-type]
+
+
+class ValidateSection(Section):
+    """The random motions that judge the model."""
+
+    motions: Annotated[Count, Field(ge=1, le=10_000)] = 30
+    speed: Annotated[Speed, Field(gt=0)] = 0.1
+    seed: Seed = 2
+
+
+class GateSection(Section):
+    """What is accepted."""
+
+    normalised_rmse: Annotated[Ratio, Field(gt=0)] = 0.03
+
+
+class RecalibrateSection(Section):
+    """How often, and what, is estimated again."""
+
+    every: Annotated[Time, Field(gt=0)] = 604_800.0
+    parameters: Literal["friction", "all"] = "friction"
+
+
+class RecipeDocument(Section):
+    """A whole recipe file."""
+
+    robot: Name
+    tool: ToolSection | None = None
+    controller: ControllerSection
+    cell: CellSection = CellSection()
+    motion: MotionSection
+    search: SearchSection = SearchSection()
+    record: RecordSection = RecordSection()
+    estimate: EstimateSection = EstimateSection()
+    validate_: ValidateSection = Field(default=ValidateSection(), alias="validate")
+    gate: GateSection = GateSection()
+    recalibrate: RecalibrateSection = RecalibrateSection()
+
+
+def _clashes(data: dict[Any, Any]) -> list[InitErrorDetails]:
+    chosen = [key for key in ("box", "points", "like", "tube") if data.get(key) is not None]
+    if len(chosen) != 1:
+        got = " and ".join(chosen) if chosen else "none"
+        return [_fault((), f"exactly one of box, points, like (with around) and tube is expected, not {got}", data)]
+    faults = []
+    counted = data.get("count") is not None
+    if chosen == ["points"] and counted:
+        faults.append(_fault(("count",), "points are counted by themselves; leave count out", data["count"]))
+    if chosen != ["points"] and not counted:
+        faults.append(_fault(("count",), f"how many via-points is required beside {chosen[0]}", data))
+    if (chosen == ["like"]) != (data.get("around") is not None):
+        message = "how far around it is required beside like" if chosen == ["like"] else "it belongs to like alone"
+        faults.append(_fault(("around",), message, data))
+    return faults
+
+
+def _fault(location: tuple[str, ...], message: str, value: Any) -> InitErrorDetails:
+    return InitErrorDetails(type="value_error", loc=location, input=value, ctx={"error": ValueError(message)})
+
+
+def _details(error: ValidationError) -> list[InitErrorDetails]:
+    return [
+        InitErrorDetails(type=fault["type"], loc=fault["loc"], input=fault["input"], ctx=fault.get("ctx", {}))
+        for fault in error.errors()
+    ]

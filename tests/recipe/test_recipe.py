@@ -1,0 +1,283 @@
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import math
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from agent.errors import InputError
+from agent.motion.program import FlyTrajectory, FlyType
+from agent.recipe import ViaBox, ViaLike, ViaPointList, ViaTube, load_recipe, recipe_schema, template
+from agent.recipe.schema import RecipeDocument
+
+ROOT = Path(__file__).parents[2]
+MINIMAL = """\
+robot: comau_ns16
+controller: {driver: tcp, address: 127.0.0.1:9100}
+motion:
+  via_points: {count: 6, box: {centre: [1.0 m, 0 m, 0.8 m], size: [0.1, 0.1, 0.1], orientation: [0, 180 deg, 0]}}
+"""
+FULL = """\
+robot: comau_ns16
+tool: {frame: [0 mm, 0 mm, 120 mm, 0 deg, 90 deg, 0 deg], mass: 2.1 kg, centre_of_mass: [0 mm, 0 mm, 60 mm]}
+controller: {driver: tcp, address: 127.0.0.1:9100}
+cell: {keep_out: [{name: table, box: {min: [0.4 m, -1 m, 0 m], max: [1.6 m, 1 m, 0.3 m]}}]}
+motion:
+  speed: 500 mm/s
+  fly: {type: FLY_NORM, trajectory: FLY_FROM, distance: 30 mm, percent: 80 %, stress: 40 %}
+  via_points:
+    count: 6
+    box:
+      {centre: [1.0 m, 0 m, 0.8 m], size: [500 mm, 600 mm, 400 mm], orientation: [0 deg, 180 deg, 0 deg], cone: 30 deg}
+search: {population: 20, generations: 10, seed: 7, method: random, interpolator: fly}
+record: {rate: 250 Hz, cycles: 12}
+estimate: {filter: {order: 4, cutoff: 20 Hz}, method: ordinary}
+validate: {motions: 5, speed: 0.2 m/s, seed: 3}
+gate: {normalised_rmse: 0.05}
+recalibrate: {every: 12 h, parameters: all}
+"""
+
+
+@pytest.fixture(scope="session")
+def recipe_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One path to write over: hypothesis wants no function-scoped fixture."""
+    return tmp_path_factory.mktemp("recipe") / "recipe.yaml"
+
+
+def load_text(path: Path, text: str) -> Any:
+    path.write_text(text, encoding="utf-8")
+    return load_recipe(path)
+
+
+def faults_of(path: Path, text: str) -> list[str]:
+    with pytest.raises(InputError) as error:
+        load_text(path, text)
+    return str(error.value).splitlines()
+
+
+def test_every_value_arrives_in_si(recipe_file: Path) -> None:
+    recipe = load_text(recipe_file, FULL)
+    assert recipe.path == recipe_file
+    assert recipe.sha256 == hashlib.sha256(FULL.encode()).hexdigest()
+    assert recipe.robot.name == "comau_ns16"
+    assert (recipe.controller.driver, recipe.controller.address) == ("tcp", "127.0.0.1:9100")
+    assert (recipe.cell.keep_out[0].name, recipe.cell.keep_out[0].minimum) == ("table", (0.4, -1.0, 0.0))
+    assert recipe.motion.speed == 0.5
+    motion = recipe.motion.settings
+    assert (motion.fly_type, motion.fly_trajectory) == (FlyType.FLY_NORM, FlyTrajectory.FLY_FROM)
+    assert (motion.fly_distance, motion.fly_percent, motion.stress_percent) == (0.03, 80.0, 40.0)
+    assert recipe.motion.settings_at(0.1).linear_speed == 0.1
+    box = recipe.motion.via_points
+    assert isinstance(box, ViaBox)
+    assert (box.count, box.centre, box.size) == (6, (1.0, 0.0, 0.8), (0.5, 0.6, 0.4))
+    assert box.orientation == (0.0, math.pi, 0.0)
+    assert box.cone == pytest.approx(math.pi / 6)
+    assert (recipe.search.population, recipe.search.generations, recipe.search.seed) == (20, 10, 7)
+    assert (recipe.search.method, recipe.search.interpolator) == ("random", "fly")
+    assert (recipe.record.rate, recipe.record.cycles) == (250.0, 12)
+    assert (recipe.estimate.filter.order, recipe.estimate.filter.cutoff) == (4, 20.0)
+    assert recipe.estimate.method == "ordinary"
+    assert (recipe.validate.motions, recipe.validate.speed, recipe.validate.seed) == (5, 0.2, 3)
+    assert recipe.gate.normalised_rmse == 0.05
+    assert (recipe.recalibrate.every, recipe.recalibrate.parameters) == (43_200.0, "all")
+
+
+def test_the_tool_weighs_where_the_recipe_says(recipe_file: Path) -> None:
+    tool = load_text(recipe_file, FULL).tool
+    flange = tool.frame @ np.append(tool.centre_of_mass, 1.0)
+    np.testing.assert_allclose(flange[:3], [0.0, 0.0, 0.06], atol=1e-15)
+    np.testing.assert_allclose(tool.frame[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-15)
+    assert tool.mass == 2.1
+
+
+def test_what_is_left_out_has_the_contracts_values(recipe_file: Path) -> None:
+    recipe = load_text(recipe_file, MINIMAL)
+    assert recipe.tool is None
+    assert recipe.cell.keep_out == ()
+    assert (recipe.motion.speed, recipe.motion.settings.fly_distance) == (1.0, 0.02)
+    assert (recipe.search.population, recipe.search.generations, recipe.search.method) == (50, 40, "genetic")
+    assert (recipe.record.rate, recipe.record.cycles, recipe.estimate.method) == (500.0, 100, "weighted")
+    assert (recipe.validate.motions, recipe.gate.normalised_rmse) == (30, 0.03)
+
+
+POINTS = "points: [{pose: [1 m, 0, 0.8 m, 0, 180 deg, 0], range: [1 cm, 2 cm, 3 cm, 0, 10 deg, 0]}, \
+{pose: [1, 0, 0.9, 0, 180 deg, 0], range: [0, 0, 0, 0, 0, 0]}]"
+TUBE = "count: 4, tube: {path: [[1 m, 0, 0.8 m, 0, 180 deg, 0], [1 m, 0.2, 0.8 m, 0, 180 deg, 0]], radius: 50 mm}"
+
+
+def with_via_points(text: str) -> str:
+    return re.sub(r"via_points: .*", lambda _: f"via_points: {{{text}}}", MINIMAL)
+
+
+def test_the_alternatives_of_via_points(recipe_file: Path) -> None:
+    points = load_text(recipe_file, with_via_points(POINTS)).motion.via_points
+    assert isinstance(points, ViaPointList)
+    assert points.count == 2
+    assert points.points[0].range == pytest.approx((0.01, 0.02, 0.03, 0.0, math.radians(10), 0.0))
+    tube = load_text(recipe_file, with_via_points(TUBE)).motion.via_points
+    assert isinstance(tube, ViaTube)
+    assert (tube.count, tube.radius, tube.path[1][1]) == (4, 0.05, 0.2)
+    (recipe_file.parent / "task.pdl").write_text("PROGRAM task\n")
+    like = load_text(recipe_file, with_via_points("count: 5, like: task.pdl, around: 50 mm")).motion.via_points
+    assert like == ViaLike(5, recipe_file.parent / "task.pdl", 0.05)
+
+
+@pytest.mark.parametrize(
+    ("via_points", "key", "message"),
+    [
+        ("count: 6", "via_points", "exactly one of"),
+        (f"{POINTS}, {TUBE.removeprefix('count: 4, ')}", "via_points", "exactly one of"),
+        (f"count: 6, {POINTS}", "via_points.count", "leave count out"),
+        (TUBE.removeprefix("count: 4, "), "via_points.count", "required"),
+        (f"{TUBE}, around: 5 mm", "via_points.around", "like alone"),
+        ("count: 6, like: task.pdl", "via_points.around", "required"),
+        ("count: 6, like: absent.pdl, around: 1 cm", "via_points.like", "no such file"),
+        ("count: 6, like: absent.pdl, around: 0 mm", "via_points.around", "greater than 0"),
+        (TUBE.replace("count: 4", "count: 1"), "via_points.count", "greater than or equal to 2"),
+    ],
+)
+def test_a_clash_of_alternatives_is_named(recipe_file: Path, via_points: str, key: str, message: str) -> None:
+    fault = faults_of(recipe_file, with_via_points(via_points))[0]
+    assert f"recipe.yaml:4: motion.{key}: " in fault
+    assert message in fault
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "key", "message"),
+    [
+        ("search: {population", "search: {populaton", 12, "search.populaton", "did you mean population?"),
+        ("speed: 500 mm/s", "speed: 500 mm", 6, "motion.speed", "m/s, cm/s, mm/s"),
+        ("speed: 500 mm/s", "speed: 2 m/s", 6, "motion.speed", "1.5 m/s"),
+        ("speed: 500 mm/s", "speed: -1 m/s", 6, "motion.speed", "greater than 0"),
+        ("speed: 500 mm/s", "speed: .nan", 6, "motion.speed", "finite"),
+        ("speed: 500 mm/s", "speed: true", 6, "motion.speed", "not true or false"),
+        ("speed: 500 mm/s", "speed:", 6, "motion.speed", "not nothing"),
+        ("distance: 30 mm", "distance: 30 deg", 7, "motion.fly.distance", "a unit of an angle"),
+        ("type: FLY_NORM", "type: FLY", 7, "motion.fly.type", "'FLY_NORM' or 'FLY_CART'"),
+        ("percent: 80 %", "percent: 80", 7, "motion.fly.percent", "less than or equal to 1"),
+        ("0 deg, 180 deg, 0 deg", "0 deg, 180 deg", 11, "motion.via_points.box.orientation", "3 values"),
+        ("500 mm, 600 mm", "500 mm, -600 mm", 11, "motion.via_points.box.size.1", "greater than or equal to 0"),
+        ("mass: 2.1 kg", "mass: -2.1 kg", 2, "tool.mass", "greater than or equal to 0"),
+        ("mass: 2.1 kg", "mass: 2.1 N", 2, "tool.mass", "kg, g"),
+        ("max: [1.6 m", "max: [0.3 m", 4, "cell.keep_out.0.box", "on x it is 0.4 m to 0.3 m"),
+        ("driver: tcp", "driver: rs232", 3, "controller.driver", "tcp"),
+        ("population: 20", "population: 2.5", 12, "search.population", "integer"),
+        ("population: 20", "population: true", 12, "search.population", "integer"),
+        ("seed: 7", "seed: -7", 12, "search.seed", "greater than or equal to 0"),
+        ("method: random", "method: ransom", 12, "search.method", "'genetic' or 'random'"),
+        ("interpolator: fly", "interpolator: crawl", 12, "search.interpolator", "allowed are fly"),
+        ("cutoff: 20 Hz", "cutoff: 125 Hz", 14, "estimate.filter.cutoff", "half of record.rate"),
+        ("method: ordinary", "method: extraordinary", 14, "estimate.method", "'weighted'"),
+        ("every: 12 h", "every: 12 Hz", 17, "recalibrate.every", "min, h, d"),
+        ("speed: 0.2 m/s, ", "speed: 0.2 m/s, speed: 0.3 m/s, ", 15, "", "duplicate key"),
+        ("robot: comau_ns16", "robot: comau_ns61", 1, "robot", "comau_ns16"),
+        ("gate: {normalised_rmse: 0.05}", "gate: 0.05", 16, "gate", "normalised_rmse"),
+    ],
+)
+def test_a_fault_names_file_line_key_and_what_is_allowed(
+    recipe_file: Path, old: str, new: str, line: int, key: str, message: str
+) -> None:
+    assert old in FULL
+    faults = faults_of(recipe_file, FULL.replace(old, new))
+    assert len(faults) == 1
+    assert faults[0].startswith(f"{recipe_file}:{line}: {key}")
+    assert message in faults[0]
+
+
+def test_all_faults_are_told_at_once(recipe_file: Path) -> None:
+    text = FULL.replace("comau_ns16", "nobody").replace("speed: 500 mm/s", "speed: fast").replace("seed: 3", "sed: 3")
+    text = text.replace("count: 6", "count: 6\n    like: task.pdl\n    around: 3 kg")
+    keys = [fault.split(": ")[1] for fault in faults_of(recipe_file, text)]
+    wanted = {"robot", "motion.speed", "validate.sed", "motion.via_points", "motion.via_points.around"}
+    assert wanted == set(keys)
+
+
+def test_files_that_are_no_recipe(tmp_path: Path) -> None:
+    for name, content in {"empty": b"", "list": b"[1, 2]", "latin": b"robot: \xe9\xff", "deep": b"[" * 1000}.items():
+        path = tmp_path / name
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=name):
+            load_recipe(path)
+    for path in (tmp_path / "absent.yaml", tmp_path):
+        with pytest.raises(InputError, match=re.escape(str(path))):
+            load_recipe(path)
+
+
+def test_a_robot_file_is_found_from_the_recipes_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(ROOT / "agent/robot/catalogue/comau_ns16", tmp_path / "cell/arm")
+    monkeypatch.chdir(tmp_path)
+    recipe = load_text(tmp_path / "cell/recipe.yaml", MINIMAL.replace("comau_ns16", "arm/robot.yaml"))
+    assert recipe.robot.dof == 6
+
+
+@pytest.mark.parametrize("name", ["ns16_quickstart.yaml", "ns16.yaml"])
+def test_the_recipes_that_come_along_load(name: str) -> None:
+    recipe = load_recipe(ROOT / "recipes" / name)
+    assert (recipe.search.population, recipe.search.generations) == (50, 40)
+    assert recipe.record.cycles == (100 if name == "ns16.yaml" else 10)
+
+
+def test_the_template_round_trips(recipe_file: Path) -> None:
+    text = template(address="10.0.0.7:9100", centre=("0.9 m", "0.1 m", "0.7 m"), cone="20 deg", count=5, cycles=3)
+    recipe = load_text(recipe_file, text)
+    assert recipe.controller.address == "10.0.0.7:9100"
+    assert recipe.motion.via_points.centre == (0.9, 0.1, 0.7)
+    assert (recipe.motion.via_points.count, recipe.record.cycles) == (5, 3)
+    assert recipe.motion.via_points.cone == pytest.approx(math.radians(20))
+
+
+@pytest.mark.parametrize("marker", ["tool:", "cell:"])
+def test_the_templates_commented_sections_are_valid(recipe_file: Path, marker: str) -> None:
+    lines = template().splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith(f"# {marker}"))
+    stop = next(k for k in range(start, len(lines)) if not lines[k].startswith("#"))
+    lines[start:stop] = [line.removeprefix("# ") for line in lines[start:stop]]
+    recipe = load_text(recipe_file, "\n".join(lines))
+    assert (recipe.tool is not None) == (marker == "tool:")
+    assert len(recipe.cell.keep_out) == (marker == "cell:")
+
+
+@given(address=st.text(st.characters(codec="utf-8", exclude_categories=("C",)), min_size=1, max_size=30))
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_address_survives_the_template(recipe_file: Path, address: str) -> None:
+    assert load_text(recipe_file, template(address=address)).controller.address == address
+
+
+def test_the_schema_knows_every_key() -> None:
+    schema = recipe_schema()
+    assert set(schema["properties"]) == {field.alias or name for name, field in RecipeDocument.model_fields.items()}
+    assert schema["required"] == ["robot", "controller", "motion"]
+    assert schema["additionalProperties"] is False
+    assert "20 mm" in schema["$defs"]["FlySection"]["properties"]["distance"]["description"]
+
+
+TOKENS = [
+    *("", " ", "\n", ":", "- ", "{", "}", "[", "]", ",", "'", '"', "#", "&a ", "*a", "!!int ", "<<: ", "? ", "|", "%"),
+    *("null", "true", ".nan", "-.inf", "1e-3", "0x1F", "1_0", "2020-99-99", "9" * 5000, "mm", "deg", "m/s", "\t"),
+    *("\x00", "é", "\u2028", '"\\ud800"', '"\\UFFFFFFFF"', "robot", "points", "count: 6\n"),
+]
+
+
+@st.composite
+def mutated_recipes(draw: st.DrawFn) -> str:
+    text = draw(st.sampled_from([FULL, MINIMAL, with_via_points(POINTS), with_via_points(TUBE)]))
+    for _ in range(draw(st.integers(1, 4))):
+        start = draw(st.integers(0, len(text)))
+        length = draw(st.sampled_from([0, 0, 1, 1, 2, 5, 20, 200]))
+        text = text[:start] + draw(st.sampled_from(TOKENS)) + text[start + length :]
+    return text
+
+
+@given(mutated_recipes())
+@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
+def test_a_mutated_recipe_loads_or_is_an_input_error(recipe_file: Path, text: str) -> None:
+    with contextlib.suppress(InputError):
+        assert math.isfinite(load_text(recipe_file, text).motion.speed)
