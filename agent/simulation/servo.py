@@ -70,8 +70,7 @@ class CascadedServo:
         """(n,) motor torque, on the axles; all arguments (n,). `feedforward` [N·m] is everything fed forward."""
         integral = self._integral
         torque = []
-        k = 0
-        for kp, kv, ki, kff, _, limit in self._axles:
+        for k, (kp, kv, ki, kff, _, limit) in enumerate(self._axles):
             error = kff * reference_velocity[k] + kp * (reference[k] - position[k]) - velocity[k]
             command = kv * error + integral[k] + feedforward[k]
             if command > limit:
@@ -81,5 +80,4 @@ class CascadedServo:
             else:
                 integral[k] += ki * error * dt
             torque.append(command)
-            k += 1
         return torque

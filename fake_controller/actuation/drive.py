@@ -1,4 +1,4 @@
-"""The drives of a machine in motion: friction, gears, and what else acts on the axles (`agent.simulation.Actuation`)."""
+"""The drives of a machine in motion: friction, gears, and what else acts on axles (`agent.simulation.Actuation`)."""
 
 from __future__ import annotations
 
@@ -57,8 +57,7 @@ class Drive:
                     torque[k] += source.torque(shaft[k], speeds[k], dt)
         bristles, terms = self._bristles, self._terms
         load = []
-        k = 0
-        for coulomb, rise, per_speed, viscous, per_knee, stiffness in self._curves:
+        for k, (coulomb, rise, per_speed, viscous, per_knee, stiffness) in enumerate(self._curves):
             speed = speeds[k]
             ratio = speed * per_speed
             level = coulomb + rise / (1.0 + ratio * ratio)
@@ -69,7 +68,6 @@ class Drive:
             stretch = stiffness * speed * dt
             bristles[k] = bristle = (bristles[k] + stretch) / (1.0 + abs(stretch) / level)
             load.append(torque[k] - bristle - drag)
-            k += 1
         for k, gear in self._gears:
             angle, speed, _ = self._motor[k]
             transmitted = gear.torque(angle - position[k], speeds[k] - velocity[k])

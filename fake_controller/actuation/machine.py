@@ -94,14 +94,14 @@ def draw_machine(robot: RobotDescription, seed: int) -> Machine:
     nominal_links = Dynamics(robot).standard_parameters()
     inertia, load = _typical(robot)
     rng = [np.random.default_rng([seed, part]) for part in range(3)]
-    rotors = np.array(
-        [
-            0.5 * inertia[k] / joint.gear_ratio**2 if joint.rotor_inertia is None else joint.rotor_inertia
-            for k, joint in enumerate(robot.joints)
-        ]
-    ) * rng[0].uniform(0.9, 1.1, robot.dof)
+    # Without a prior: as a rule three tenths of the nominal torque turn a drive's rotor at full acceleration.
+    nominal = np.where(np.isnan(robot.nominal_torque), load + inertia * robot.max_acceleration, robot.nominal_torque)
+    usual = 0.3 * nominal / robot.max_acceleration / robot.gear_ratios**2
+    prior = np.array(
+        [u if j.rotor_inertia is None else j.rotor_inertia for u, j in zip(usual, robot.joints, strict=True)]
+    )
+    rotors = prior * rng[0].uniform(0.9, 1.1, robot.dof)
     reflected = robot.gear_ratios**2 * rotors
-    nominal = np.where(np.isnan(robot.nominal_torque), load + reflected * robot.max_acceleration, robot.nominal_torque)
     limit = np.array(
         [4.0 * nominal[k] if joint.max_torque is None else joint.max_torque for k, joint in enumerate(robot.joints)]
     )
@@ -180,7 +180,7 @@ def _draw_friction(
         viscous = rng.uniform(0.3, 0.6) * coulomb / fastest
         # Bristles give way over a few milliradians of the motor shaft, never so stiffly that the steps cannot follow.
         presliding = min(rng.uniform(3e-3, 6e-3) / abs(joint.gear_ratio), 1e-4 * fastest)
-        stiffness = min(coulomb / presliding, inertia[k] * 500.0**2)
+        stiffness = min(coulomb / presliding, inertia[k] * 700.0**2)
         speed = rng.uniform(0.01, 0.02) * min(1.0, fastest / 2.0)
         curves.append(FrictionCurve(coulomb, rise, speed, viscous, fastest * rng.uniform(3.0, 6.0), stiffness))
     return curves
