@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import exp
 
 from fake_controller.actuation.machine import Machine
 
@@ -60,7 +61,8 @@ class Drive:
         for k, (coulomb, rise, per_speed, viscous, per_knee, stiffness) in enumerate(self._curves):
             speed = speeds[k]
             ratio = speed * per_speed
-            level = coulomb + rise / (1.0 + ratio * ratio)
+            ratio *= ratio
+            level = coulomb + rise * exp(-ratio) if ratio < 20.0 else coulomb
             drag = viscous * speed / (1.0 + abs(speed) * per_knee)
             if terms[k]:
                 level, drag = self._alter(k, level, drag, speed, torque[k], dt)

@@ -3,9 +3,9 @@
 The LuGre form (Canudas de Wit, Olsson, Åström, Lischinsky, IEEE TAC 1995) without its micro-damping, written for the
 bristles' torque z:
 
-    ż = k (v − |v| z / g(v)),   g(v) = Coulomb + rise / (1 + (v / v_s)²),   friction = z + f v / (1 + |v| / v_k)
+    ż = k (v − |v| z / g(v)),   g(v) = Coulomb + rise · exp(−(v / v_s)²),   friction = z + f v / (1 + |v| / v_k)
 
-with the rational Stribeck curve of Hess and Soom (1990). It sticks, gives way smoothly over a few hundredths of a
+It sticks, gives way smoothly over a few hundredths of a
 milliradian, and its viscous part bends with speed as a shear-thinning grease does.
 """
 
@@ -33,7 +33,7 @@ class FrictionCurve:
 
     def steady(self, speed: np.ndarray) -> np.ndarray:
         """(S,) torque that opposes a constant speed (S,)."""
-        level = self.coulomb + self.rise / (1.0 + (speed / self.stribeck_speed) ** 2)
+        level = self.coulomb + self.rise * np.exp(-((speed / self.stribeck_speed) ** 2))
         return np.sign(speed) * level + self.viscous * speed / (1.0 + np.abs(speed) / self.knee)
 
 

@@ -175,12 +175,12 @@ def _draw_friction(
         table = COULOMB.get(robot.name)
         usual = rng.uniform(0.1, 0.2) * nominal[k]
         coulomb = (usual if table is None else table[k]) * rng.uniform(0.85, 1.15)
-        rise = coulomb * rng.uniform(0.1, 0.2)
+        rise = coulomb * rng.uniform(0.08, 0.16)
         fastest = joint.max_velocity
         viscous = rng.uniform(0.3, 0.6) * coulomb / fastest
         # Bristles give way over a few milliradians of the motor shaft, never so stiffly that the steps cannot follow.
         presliding = min(rng.uniform(3e-3, 6e-3) / abs(joint.gear_ratio), 1e-4 * fastest)
         stiffness = min(coulomb / presliding, inertia[k] * 700.0**2)
-        speed = rng.uniform(0.01, 0.02) * min(1.0, fastest / 2.0)
+        speed = rng.uniform(0.008, 0.014) * min(1.0, fastest / 2.0)
         curves.append(FrictionCurve(coulomb, rise, speed, viscous, fastest * rng.uniform(3.0, 6.0), stiffness))
     return curves
