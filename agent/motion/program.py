@@ -69,6 +69,7 @@ class MotionSettings:
 
     `fly_distance` [m], `fly_percent` and `stress_percent` 1..100, speeds [m/s, rad/s], tolerances [m],
     overrides as fractions of one, `tool` and `uframe` and `base` (4, 4) as nested tuples or None for identity.
+    The care flags ask for a refusal where the configuration, the turns or a singularity would be passed over.
     """
 
     fly_type: FlyType = FlyType.FLY_NORM
@@ -90,6 +91,9 @@ class MotionSettings:
     base: tuple[tuple[float, ...], ...] | None = None
     tool: tuple[tuple[float, ...], ...] | None = None
     uframe: tuple[tuple[float, ...], ...] | None = None
+    configuration_care: bool = False
+    turn_care: bool = False
+    singularity_care: bool = False
 
     def changed(self, **values: object) -> MotionSettings:
         """A copy with some variables changed."""

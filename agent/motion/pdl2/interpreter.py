@@ -1,0 +1,184 @@
+"""Running a program: its moves and delays, one after the other, as the controller would meet them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.motion.pdl2 import tree
+from agent.motion.pdl2.checker import Scope
+from agent.motion.pdl2.errors import Pdl2Error, Place
+from agent.motion.pdl2.evaluation import Memory, Value, evaluate, subscript
+from agent.motion.pdl2.frames import pos_to_pose
+from agent.motion.pdl2.variables import SYSTEM_VARIABLES, motion_settings, read
+from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType, Statement, Target
+
+if TYPE_CHECKING:
+    from agent.robot.description import RobotDescription
+
+#: Statements and loop turns after which a run is refused, where the caller does not say otherwise.
+MAX_STEPS = 1_000_000
+MAX_DELAY = 3_600_000
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A program that was read and checked. `cycle` says that it has BEGIN CYCLE and so never ends by itself."""
+
+    name: str
+    path: str
+    cycle: bool
+    _tree: tree.ProgramTree
+    _scope: Scope
+    _robot: RobotDescription | None
+
+    def run(self, cycles: int | None = None, limit: int = MAX_STEPS) -> Iterator[Statement]:
+        """The moves and delays in order, loops unrolled as they are reached; SI units.
+
+        `cycles` ends a BEGIN CYCLE program after so many turns (None: it goes on) and has no effect on others.
+        `limit` is the number of statements and loop turns that may be executed.
+
+        Raises:
+            Pdl2Error: while iterating, where a statement cannot be executed (a position that was not assigned, a value
+                out of its range, …) or `limit` is passed.
+        """
+        run = _Run(self, limit)
+        turns = 0
+        try:
+            while True:
+                yield from run.block(self._tree.block)
+                turns += 1
+                if not self.cycle or (cycles is not None and turns >= cycles):
+                    return
+                run.step(self._tree.place)
+        except Pdl2Error as error:
+            raise error.within(self.path) from None
+
+
+class StepLimitError(Pdl2Error):
+    """The run was longer than its limit."""
+
+    def within(self, path: str) -> StepLimitError:
+        """The same error, naming the file."""
+        return StepLimitError(self.reason, self.place, path)
+
+
+class _Run:
+    """The state of one run: what was assigned so far, and how many steps are left."""
+
+    def __init__(self, program: Program, limit: int):
+        scope = program._scope
+        self.robot = program._robot
+        self.types = scope.variables
+        self.variables: dict[str | tuple[str, int], Value] = dict(scope.initial)
+        self.system: dict[str, Value] = {}
+        sizes = {name: kind.size for name, kind in scope.variables.items() if kind.size is not None}
+        self.memory = Memory(scope.constants, self.variables, self.system, sizes)
+        self.limit = limit
+        self.left = limit
+
+    def step(self, place: Place) -> None:
+        self.left -= 1
+        if self.left < 0:
+            raise StepLimitError(f"the program executes more than {self.limit} statements", place)
+
+    def block(self, block: tree.Block) -> Iterator[Statement]:
+        for statement in block:
+            self.step(statement.place)
+            if isinstance(statement, tree.MoveStatement):
+                yield self.move(statement)
+            elif isinstance(statement, tree.Assignment):
+                self.assign(statement)
+            elif isinstance(statement, tree.ForLoop):
+                yield from self.loop(statement)
+            elif isinstance(statement, tree.Conditional):
+                holds = evaluate(statement.condition, self.memory)
+                yield from self.block(statement.then if holds else statement.otherwise)
+            else:
+                yield self.delay(statement)
+
+    def loop(self, statement: tree.ForLoop) -> Iterator[Statement]:
+        first, last = (int(evaluate(bound, self.memory)) for bound in (statement.first, statement.last))
+        step = 1 if statement.step is None else int(evaluate(statement.step, self.memory))
+        if step < 1:
+            raise Pdl2Error(f"STEP is {step} and must be at least 1; DOWNTO counts down", statement.place)
+        for value in range(first, last - 1, -step) if statement.down else range(first, last + 1, step):
+            self.step(statement.place)
+            self.variables[statement.variable.name] = value
+            yield from self.block(statement.block)
+
+    def assign(self, statement: tree.Assignment) -> None:
+        target = statement.target
+        value = evaluate(statement.value, self.memory)
+        if isinstance(target, tree.System):
+            self.system[target.name] = _checked(target.place, target.name, value)
+            return
+        if self.types[target.name].name == "REAL":
+            value = float(value)  # type: ignore[arg-type]
+        if isinstance(target, tree.Element):
+            self.variables[target.name, subscript(target, self.memory)] = value
+        else:
+            self.variables[target.name] = value
+
+    def delay(self, statement: tree.DelayStatement) -> Delay:
+        milliseconds = float(evaluate(statement.milliseconds, self.memory))  # type: ignore[arg-type]
+        if not 0 <= milliseconds <= MAX_DELAY:
+            raise Pdl2Error(f"the time is {milliseconds:g} ms and must be in 0..{MAX_DELAY} ms", statement.place)
+        return Delay(milliseconds / 1000.0)
+
+    def move(self, statement: tree.MoveStatement) -> Move:
+        system = dict(self.system)
+        for setting in statement.settings:
+            value = evaluate(setting.value, self.memory)
+            system[setting.name] = _checked(setting.place, setting.name, value)
+        kind = MoveType[statement.trajectory or read("$MOVE_TYPE", system).name]  # type: ignore[arg-type,union-attr]
+        if (kind is MoveType.CIRCULAR) != (statement.via is not None):
+            raise Pdl2Error("VIA belongs to a CIRCULAR move, and a CIRCULAR move needs it", statement.place)
+        target, name = self.target(statement.target)
+        return Move(
+            type=kind,
+            target=target,
+            settings=motion_settings(system),
+            fly=statement.fly,
+            via=None if statement.via is None else self.target(statement.via)[0],
+            name=name,
+            line=statement.place.line,
+        )
+
+    def target(self, node: tree.Expression) -> tuple[Target, str]:
+        value = evaluate(node, self.memory)
+        name = ""
+        if isinstance(node, tree.Name):
+            name = node.place.word
+        elif isinstance(node, tree.Element):
+            name = f"{node.place.word}[{subscript(node, self.memory)}]"
+        if isinstance(value, tree.Pos):
+            return CartesianTarget(_pose(value.fields), value.configuration), name
+        assert isinstance(value, tree.Joints)
+        return JointTarget(self.joints(value.fields, node.place)), name
+
+    def joints(self, fields: tuple[float, ...], place: Place) -> np.ndarray:
+        if self.robot is None:
+            return np.radians(fields)
+        if len(fields) != self.robot.dof:
+            raise Pdl2Error(f"has {len(fields)} joints; {self.robot.name} has {self.robot.dof}", place)
+        prismatic = [joint.prismatic for joint in self.robot.joints]
+        return np.where(prismatic, np.array(fields) / 1000.0, np.radians(fields))
+
+
+@lru_cache(maxsize=1024)
+def _pose(fields: tuple[float, ...]) -> np.ndarray:
+    pose = pos_to_pose(np.array(fields))
+    pose.setflags(write=False)  # shared by every move to this point
+    return pose
+
+
+def _checked(place: Place, name: str, value: Value) -> Value:
+    refusal = SYSTEM_VARIABLES[name].refusal(value)  # type: ignore[arg-type]
+    if refusal:
+        raise Pdl2Error(refusal, place)
+    return value

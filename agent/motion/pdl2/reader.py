@@ -1,0 +1,39 @@
+"""From text to a program that is known to be sound as far as that can be known without moving."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from agent.motion.pdl2.checker import check
+from agent.motion.pdl2.errors import Pdl2Error
+from agent.motion.pdl2.interpreter import Program, StepLimitError
+
+if TYPE_CHECKING:
+    from agent.robot.description import RobotDescription
+
+#: A program has no inputs: what it does in its first steps it always does, so that much is tried when it is read.
+TRIAL_STEPS = 5000
+
+
+def parse_program(text: str, path: str = "", robot: RobotDescription | None = None) -> Program:
+    """Read and check a program of the motion subset; `path` is named in messages.
+
+    With `robot`, a JOINTPOS must have its number of joints, and its prismatic joints are in mm.
+
+    Raises:
+        Pdl2Error: text outside the subset, an undeclared name, a data type that does not fit, and whatever the first
+            5000 steps of the program would meet when it runs (positions not assigned, values out of range).
+    """
+    from agent.motion.pdl2.parser import parse_tree
+
+    try:
+        tree = parse_tree(text)
+        program = Program(tree.name, path, tree.cycle, tree, check(tree), robot)
+    except Pdl2Error as error:
+        raise error.within(path) from None
+    try:
+        for _ in program.run(limit=TRIAL_STEPS):
+            pass
+    except StepLimitError:
+        pass
+    return program

@@ -1,0 +1,160 @@
+"""The system variables of the motion subset, and how each stands in MotionSettings. Units are converted here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from agent.motion.pdl2.frames import pos_to_pose, pose_to_pos
+from agent.motion.pdl2.tree import Constant, Pos
+from agent.motion.program import (
+    FlyTrajectory,
+    FlyType,
+    MotionSettings,
+    MoveType,
+    OrientationType,
+    SpeedOption,
+    Termination,
+)
+
+Value = bool | int | float | str | Constant | Pos
+
+
+@dataclass(frozen=True)
+class SystemVariable:
+    """One system variable: the field of MotionSettings it stands in (None for `$MOVE_TYPE`), and what it may hold.
+
+    A number lies in `low`..`high` in the unit of PDL2 (`above` excludes `low` itself) and is `scale` times SI.
+    """
+
+    name: str
+    field: str | None
+    kind: str  # REAL, BOOLEAN, POS or predefined
+    scale: float = 1.0
+    unit: str = ""
+    low: float = 0.0
+    above: bool = False
+    high: float = float("inf")
+    choices: type[Enum] | None = None
+
+    def refusal(self, value: Value) -> str:
+        """Why the variable cannot hold a value, empty where it can."""
+        if self.choices is not None:
+            names = [choice.name for choice in self.choices]
+            return "" if isinstance(value, Constant) and value.name in names else f"is one of {', '.join(names)}"
+        if self.kind != "REAL" or not isinstance(value, int | float):
+            return ""
+        if not self.low <= value <= self.high or (self.above and value == self.low):
+            return f"is {value:g} and must be {self._range()}"
+        return ""
+
+    def _range(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        if self.high == float("inf"):
+            return f"{'above' if self.above else 'at least'} {self.low:g}{unit}"
+        return f"in {self.low:g}..{self.high:g}{unit}"
+
+    def read(self, settings: MotionSettings) -> Value:
+        """The value in PDL2's unit."""
+        if self.field is None:
+            return Constant(MoveType.JOINT.name)  # the controller's own default
+        value = getattr(settings, self.field)
+        if self.kind == "POS":
+            pose = np.eye(4) if value is None else np.array(value)
+            return Pos(tuple(float(x) for x in pose_to_pos(pose)), "")
+        if isinstance(value, Enum):
+            return Constant(value.name)
+        return value if isinstance(value, bool) else value * self.scale
+
+    def convert(self, value: Value) -> Any:
+        """The value of the field of MotionSettings."""
+        if isinstance(value, Constant):
+            return self.choices[value.name] if self.choices else value.name
+        if isinstance(value, Pos):
+            pose = pos_to_pose(np.array(value.fields))
+            return None if np.array_equal(pose, np.eye(4)) else tuple(tuple(float(x) for x in row) for row in pose)
+        return value if isinstance(value, bool) else float(value) / self.scale  # type: ignore[arg-type]
+
+
+def _percent(name: str, field: str) -> SystemVariable:
+    return SystemVariable(name, field, "REAL", scale=100.0, unit="%", low=1, high=100)
+
+
+def _choice(name: str, field: str | None, choices: type[Enum]) -> SystemVariable:
+    return SystemVariable(name, field, "predefined", choices=choices)
+
+
+_TABLE = (
+    _choice("$MOVE_TYPE", None, MoveType),
+    _choice("$FLY_TYPE", "fly_type", FlyType),
+    _choice("$FLY_TRAJ", "fly_trajectory", FlyTrajectory),
+    SystemVariable("$FLY_DIST", "fly_distance", "REAL", scale=1000.0, unit="mm"),
+    SystemVariable("$FLY_PER", "fly_percent", "REAL", unit="%", low=1, high=100),
+    SystemVariable("$STRESS_PER", "stress_percent", "REAL", unit="%", low=1, high=100),
+    _choice("$SPD_OPT", "speed_option", SpeedOption),
+    SystemVariable("$LIN_SPD", "linear_speed", "REAL", unit="m/s", above=True),
+    SystemVariable("$ROT_SPD", "rotational_speed", "REAL", unit="rad/s", above=True),
+    _choice("$ORNT_TYPE", "orientation", OrientationType),
+    _choice("$TERM_TYPE", "termination", Termination),
+    SystemVariable("$TOL_FINE", "tolerance_fine", "REAL", scale=1000.0, unit="mm", above=True),
+    SystemVariable("$TOL_COARSE", "tolerance_coarse", "REAL", scale=1000.0, unit="mm", above=True),
+    SystemVariable("$CNFG_CARE", "configuration_care", "BOOLEAN"),
+    SystemVariable("$TURN_CARE", "turn_care", "BOOLEAN"),
+    SystemVariable("$SING_CARE", "singularity_care", "BOOLEAN"),
+    _percent("$PROG_SPD_OVR", "speed_override"),
+    _percent("$PROG_ACC_OVR", "acceleration_override"),
+    _percent("$PROG_DEC_OVR", "deceleration_override"),
+    _percent("$ARM_SPD_OVR", "speed_override"),
+    _percent("$ARM_ACC_OVR", "acceleration_override"),
+    _percent("$ARM_DEC_OVR", "deceleration_override"),
+    _percent("$ARM_OVR", "arm_override"),
+    SystemVariable("$BASE", "base", "POS"),
+    SystemVariable("$TOOL", "tool", "POS"),
+    SystemVariable("$UFRAME", "uframe", "POS"),
+)
+
+SYSTEM_VARIABLES: dict[str, SystemVariable] = {variable.name: variable for variable in _TABLE}
+
+#: Predefined constants by their name in lower case.
+PREDEFINED: dict[str, bool | Constant] = {
+    **{
+        choice.name.lower(): Constant(choice.name)
+        for variable in _TABLE
+        if variable.choices is not None
+        for choice in variable.choices
+    },
+    "true": True,
+    "false": False,
+    "on": True,
+    "off": False,
+}
+
+
+def read(name: str, values: Mapping[str, Value]) -> Value:
+    """What a system variable holds, `values` being those that were assigned."""
+    if name in values:
+        return values[name]
+    if name.startswith("$ARM_") and name != "$ARM_OVR":
+        return 100.0
+    return SYSTEM_VARIABLES[name].read(MotionSettings())
+
+
+def motion_settings(values: Mapping[str, Value]) -> MotionSettings:
+    """The settings in force where these system variables were assigned; the others are MotionSettings' defaults.
+
+    The program's and the arm's overrides of speed, acceleration and deceleration multiply.
+    """
+    fields: dict[str, Any] = {}
+    for name, value in values.items():
+        variable = SYSTEM_VARIABLES[name]
+        if variable.field is None:
+            continue
+        converted = variable.convert(value)
+        if variable.unit == "%" and variable.scale == 100.0:
+            converted *= fields.get(variable.field, 1.0)
+        fields[variable.field] = converted
+    return MotionSettings().changed(**fields)

@@ -1,0 +1,240 @@
+"""Motion statements to PDL2 text."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.errors import InputError
+from agent.motion.pdl2.frames import pose_to_pos
+from agent.motion.pdl2.tree import Constant, Pos
+from agent.motion.pdl2.variables import SYSTEM_VARIABLES, SystemVariable
+from agent.motion.program import (
+    CartesianTarget,
+    Delay,
+    JointTarget,
+    MotionSettings,
+    Move,
+    MoveType,
+    Statement,
+    Target,
+    Termination,
+)
+
+if TYPE_CHECKING:
+    from agent.robot.description import RobotDescription
+
+#: The FLY statement as it is used in the field on the NS16, in its order.
+_FLY_STATEMENT = (
+    "$FLY_TYPE",
+    "$MOVE_TYPE",
+    "$SPD_OPT",
+    "$FLY_TRAJ",
+    "$STRESS_PER",
+    "$FLY_DIST",
+    "$LIN_SPD",
+    "$TERM_TYPE",
+    "$TOL_COARSE",
+)
+#: Set before the first move, so that nothing is left to what ran on the controller before.
+_ALWAYS_SET = (
+    "$FLY_TYPE",
+    "$FLY_TRAJ",
+    "$FLY_DIST",
+    "$FLY_PER",
+    "$STRESS_PER",
+    "$SPD_OPT",
+    "$LIN_SPD",
+    "$ROT_SPD",
+    "$ORNT_TYPE",
+    "$TERM_TYPE",
+    "$TOL_FINE",
+    "$TOL_COARSE",
+    "$CNFG_CARE",
+    "$TURN_CARE",
+    "$SING_CARE",
+    "$PROG_SPD_OVR",
+    "$PROG_ACC_OVR",
+    "$PROG_DEC_OVR",
+)
+#: The cell's own, left alone unless a statement asks for another value than MotionSettings' default.
+_SET_IF_USED = ("$ARM_OVR", "$BASE", "$TOOL", "$UFRAME")
+_PROGRAM_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}", re.ASCII)
+_WIDTH = 110
+
+
+def write_program(name: str, statements: Sequence[Statement], robot: RobotDescription | None = None) -> str:
+    """A HOLD program that makes these moves and delays once; `parse_program` gives them back.
+
+    Coordinates have nine decimals (mm, degrees), settings twelve digits. With `robot`, prismatic joints are in mm.
+
+    Raises:
+        InputError: a program name PDL2 does not take, or settings outside the range of their system variable.
+    """
+    writer = _Writer(statements, robot)
+    return writer.text(name, [line for statement in statements for line in writer.statement(statement, indent=2)], [])
+
+
+def write_loop_program(
+    name: str,
+    points: Sequence[Target],
+    settings: MotionSettings,
+    cycles: int,
+    approach: MotionSettings | None = None,
+    robot: RobotDescription | None = None,
+) -> str:
+    """A HOLD program of the loop: approach, then `cycles` times round the points.
+
+    The approach is MOVE JOINT to the first point with `approach` (default: 10 % speed override) and FINE. Each cycle
+    flies LINEAR through points 2 to K and closes with MOVE LINEAR to the first point and FINE, so every cycle starts
+    and ends at rest.
+
+    Raises:
+        InputError: fewer than two points, no cycle, or what `write_program` refuses.
+    """
+    if len(points) < 2:
+        raise InputError(f"program {name}: a loop needs at least 2 points, not {len(points)}")
+    if not 1 <= cycles <= 1_000_000:
+        raise InputError(f"program {name}: the number of cycles is 1 to 1000000, not {cycles}")
+    if approach is None:
+        approach = settings.changed(speed_override=min(0.1, settings.speed_override))
+    first = Move(MoveType.JOINT, points[0], approach.changed(termination=Termination.FINE))
+    loop = [Move(MoveType.LINEAR, point, settings, fly=True) for point in points[1:]]
+    loop.append(Move(MoveType.LINEAR, points[0], settings.changed(termination=Termination.FINE)))
+    writer = _Writer([*loop, first], robot, globals_of=settings)
+    lines = [*writer.statement(first, indent=2), f"  FOR cycle_number := 1 TO {cycles} DO"]
+    for move in loop:
+        lines += writer.statement(move, indent=4)
+    lines.append("  ENDFOR")
+    return writer.text(name, lines, ["cycle_number : INTEGER"])
+
+
+class _Writer:
+    """Equal points are one variable, in order of first use; settings in force from the start are not repeated."""
+
+    def __init__(
+        self,
+        statements: Sequence[Statement],
+        robot: RobotDescription | None,
+        globals_of: MotionSettings | None = None,
+    ):
+        self.robot = robot
+        self.names: dict[tuple[bytes, str], str] = {}
+        self.points: list[Target] = []
+        moves = [statement for statement in statements if isinstance(statement, Move)]
+        self.globals = globals_of or (moves[0].settings if moves else MotionSettings())
+        used = [move.settings for move in moves]
+        default = MotionSettings()
+        self.variables = [SYSTEM_VARIABLES[name] for name in _ALWAYS_SET]
+        for name in _SET_IF_USED:
+            field = str(SYSTEM_VARIABLES[name].field)
+            if any(getattr(settings, field) != getattr(default, field) for settings in used):
+                self.variables.append(SYSTEM_VARIABLES[name])
+
+    def point(self, target: Target) -> str:
+        if isinstance(target, CartesianTarget):
+            key = (np.asarray(target.pose, dtype=float).tobytes(), f"'{target.configuration}'")
+        else:
+            key = (np.asarray(target.position, dtype=float).tobytes(), "")
+        if key not in self.names:
+            self.points.append(target)
+            self.names[key] = f"p{len(self.points)}"
+        return self.names[key]
+
+    def statement(self, statement: Statement, indent: int) -> list[str]:
+        blank = " " * indent
+        if isinstance(statement, Delay):
+            return [f"{blank}DELAY {_number(1000.0 * statement.seconds)}"]
+        head = (
+            f"{blank}{'MOVEFLY' if statement.fly else 'MOVE'} {statement.type.value} TO {self.point(statement.target)}"
+        )
+        if statement.via is not None:
+            head += f" VIA {self.point(statement.via)}"
+        if statement.fly:
+            head += " ADVANCE"
+        settings = self._settings(statement)
+        if not settings:
+            return [head]
+        return [f"{head},", *_wrapped(settings, f"{blank}  WITH ", f"{blank}       "), f"{blank}ENDMOVE"]
+
+    def _settings(self, move: Move) -> list[str]:
+        """What the move says itself: the FLY statement in full, then whatever differs from the start."""
+        listed = []
+        if move.fly and move.type is MoveType.LINEAR:
+            for name in _FLY_STATEMENT:
+                value = move.type.value if name == "$MOVE_TYPE" else _value(SYSTEM_VARIABLES[name], move.settings)
+                listed.append(f"{name} = {value}")
+        for variable in self.variables:
+            field = str(variable.field)
+            differs = getattr(move.settings, field) != getattr(self.globals, field)
+            if differs and not (listed and variable.name in _FLY_STATEMENT):
+                listed.append(f"{variable.name} = {_value(variable, move.settings)}")
+        return listed
+
+    def text(self, name: str, lines: list[str], declarations: list[str]) -> str:
+        if _PROGRAM_NAME.fullmatch(name) is None:
+            raise InputError(f"program name {name!r}: a letter, then letters, digits and _, 32 characters at most")
+        kinds = {"POSITION": CartesianTarget, "JOINTPOS": JointTarget}
+        for kind, target_type in kinds.items():
+            names = [self.point(target) for target in self.points if isinstance(target, target_type)]
+            if names:
+                declarations.append(",\n    ".join(_chunks(names)) + f" : {kind}")
+        declared = ["VAR", *(f"  {declaration}" for declaration in declarations)] if declarations else []
+        start = [f"  {self.point(target)} := {_target(target, self.robot)}" for target in self.points]
+        start += [f"  {variable.name} := {_value(variable, self.globals)}" for variable in self.variables]
+        return "\n".join([f"PROGRAM {name} HOLD, PROG_ARM=1", *declared, "BEGIN", *start, *lines, f"END {name}", ""])
+
+
+def _value(variable: SystemVariable, settings: MotionSettings) -> str:
+    value = variable.read(settings)
+    refusal = variable.refusal(value)
+    if refusal:
+        raise InputError(f"{variable.name} {refusal}")
+    if isinstance(value, bool):
+        return "TRUE" if value else "FALSE"
+    if isinstance(value, Constant):
+        return value.name
+    if isinstance(value, Pos):
+        return _pos(np.array(value.fields), "")
+    return _number(float(value))
+
+
+def _target(target: Target, robot: RobotDescription | None) -> str:
+    if isinstance(target, CartesianTarget):
+        return _pos(pose_to_pos(target.pose), target.configuration)
+    position = np.asarray(target.position, dtype=float)
+    prismatic = np.zeros(len(position), dtype=bool) if robot is None else [joint.prismatic for joint in robot.joints]
+    joints = np.where(prismatic, 1000.0 * position, np.degrees(position))
+    return "{" + ", ".join(_coordinate(value) for value in joints) + "}"
+
+
+def _pos(fields: np.ndarray, configuration: str) -> str:
+    quoted = configuration.replace("'", "''")
+    return f"POS({', '.join(_coordinate(value) for value in fields)}, '{quoted}')"
+
+
+def _coordinate(value: float) -> str:
+    text = f"{value:.9f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
+
+
+def _number(value: float) -> str:
+    return f"{value:.12g}"
+
+
+def _wrapped(items: list[str], first: str, following: str) -> list[str]:
+    """Comma-separated items, each line ending in a comma."""
+    lines, line = [], first
+    for item in items:
+        if len(line) + len(item) + 1 > _WIDTH:
+            lines.append(line.rstrip())
+            line = following
+        line += f"{item}, "
+    return [*lines, line.rstrip()]
+
+
+def _chunks(names: list[str]) -> list[str]:
+    return [", ".join(names[k : k + 12]) for k in range(0, len(names), 12)]
