@@ -1,0 +1,365 @@
+"""Closed-form kinematics of a six-axis arm with a spherical wrist.
+
+The arm: axis 2 across axis 1, axis 3 parallel to axis 2, and axes 4, 5, 6 meeting in one point, the wrist centre, with
+5 across 4 and 6 across 5. Any offsets between axes 1 and 2 (along and across axis 2) and between 3 and 4.
+
+Frame B stands on axis 1 at the height of axis 2, with y along axis 2 when q₁ = 0, and x forward: where axis 2 lies from
+axis 1 or, where they meet, where axis 2 leans an upright arm when it turns positively. There the wrist centre is
+
+    w = Rz(±q₁) [ (a₁, b, 0) + Ry(±q₂) (L₂ + Ry(±q₃) L₃) ],    L₂ and L₃ in the xz plane,
+
+so that its distance from axis 1 gives r = ±√(x² + y² − b²), with r the reach in the plane of the arm (sign: shoulder),
+and the triangle of l₂, l₃ and the way from axis 2 to the wrist centre gives the angle γ from upper arm to forearm
+(sign: elbow). What rotation is left is the wrist's, Rz(q₄) Ry(β) Rz(q₆) with β = q₅ + constant (sign: wrist). Angles in
+the xz plane count from z towards x, as a rotation about y turns. See Siciliano et al., Robotics (2009), 2.12.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import NoReturn
+
+import numpy as np
+
+from agent.robot.configuration import Configuration, parse_configuration
+from agent.robot.description import RobotDescription
+from agent.robot.kinematic_chain import KinematicChain
+from agent.robot.kinematics import (
+    LARGEST_STEP,
+    SINGULAR_DISTANCE,
+    InverseSolutions,
+    Kinematics,
+    KinematicsError,
+    SingularityDistance,
+    pose_error,
+    position_text,
+)
+
+#: Axes are taken as parallel, perpendicular or meeting within this [rad, or as part of the arm's length]: URDFs write
+#: pi with four digits. What is left of such an error after the closed form is removed by Newton steps.
+TOLERANCE = 1e-4
+#: Signs of shoulder, elbow and wrist, in the order of the branches of `inverse`.
+BRANCHES = tuple(product((1, -1), repeat=3))
+SINGULARITIES = ("shoulder", "elbow", "wrist")
+_BEYOND = -2e-9  # a squared margin below this is out of reach, above it round-off at the border
+
+
+@dataclass(frozen=True, eq=False)
+class SphericalWristGeometry:
+    """The constants of the module's formulas.
+
+    shoulder_offset a₁, lateral_offset b, upper_arm l₂, forearm l₃ [m]; upper_arm_angle and forearm_angle: of L₂ and L₃
+    at zero; senses (3,): +1 or -1, how joints 1 to 3 count against B's axes; wrist_angle: β at q₅ = 0;
+    forearm_rotation (3, 3): from B to the wrist's axes (z axis 4, y axis 5); selection (12, 16): takes a flattened pose
+    to the wrist's rotation in B (9, row by row) and the wrist centre in B (3).
+    """
+
+    shoulder_offset: float
+    lateral_offset: float
+    upper_arm: float
+    forearm: float
+    upper_arm_angle: float
+    forearm_angle: float
+    senses: tuple[float, float, float]
+    wrist_angle: float
+    forearm_rotation: np.ndarray
+    selection: np.ndarray
+
+    @property
+    def reach(self) -> float:
+        """Length of the stretched arm from axis 2 to the wrist centre [m]."""
+        return self.upper_arm + self.forearm
+
+
+def recognise(chain: KinematicChain) -> SphericalWristGeometry | None:
+    """The constants of an arm of this kind, or None for any other arm."""
+    if chain.dof != 6 or chain.prismatic.any():
+        return None
+    axes, points, tcp = chain.axes_at_zero()
+    size = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+    crossing = [axes[0] @ axes[1], axes[3] @ axes[4], axes[4] @ axes[5]]
+    centre = points[3] + axes[3] * ((points[4] - points[3]) @ axes[3])
+    missing = [np.linalg.norm(np.cross(axes[k], centre - points[k])) / size for k in (4, 5)]
+    parallel = np.linalg.norm(np.cross(axes[1], axes[2]))
+    if max(*np.abs(crossing), *missing, parallel) > TOLERANCE:
+        return None
+    base = _base_frame(axes, points, size)
+    origin = points[0] + axes[0] * ((points[1] - points[0]) @ axes[0])
+    shoulder = base.T @ (points[1] - origin)
+    upper_arm = base.T @ (points[2] - points[1])
+    forearm = base.T @ (centre - points[2])
+    lengths = np.hypot(upper_arm[0], upper_arm[2]), np.hypot(forearm[0], forearm[2])
+    if min(lengths) < TOLERANCE * size:
+        return None
+    wrist = _frame(axes[3], axes[4])
+    last = wrist.T @ axes[5]
+    wrist_angle = float(np.arctan2(last[0], last[2]))
+    turned = tcp[:3, :3].T @ wrist @ _about_y(wrist_angle)
+    selection = np.zeros((12, 16))
+    entries = [0, 1, 2, 4, 5, 6, 8, 9, 10]  # of the rotation in a flattened pose
+    selection[:9, entries] = np.kron(base.T, turned.T)
+    selection[9:, entries] = -np.kron(base.T, tcp[:3, :3].T @ (tcp[:3, 3] - centre))
+    selection[9:, [3, 7, 11]] = base.T
+    selection[9:, 15] = -base.T @ origin
+    return SphericalWristGeometry(
+        shoulder_offset=float(shoulder[0]),
+        lateral_offset=float((base.T @ (centre - origin))[1]),
+        upper_arm=float(lengths[0]),
+        forearm=float(lengths[1]),
+        upper_arm_angle=float(np.arctan2(upper_arm[0], upper_arm[2])),
+        forearm_angle=float(np.arctan2(forearm[0], forearm[2])),
+        senses=tuple(float(np.sign(axis @ base[:, k])) for axis, k in zip(axes[:3], (2, 1, 1), strict=True)),
+        wrist_angle=wrist_angle,
+        forearm_rotation=wrist.T @ base,
+        selection=selection,
+    )
+
+
+class SphericalWristKinematics(Kinematics):
+    """Eight branches in closed form: shoulder, elbow and wrist signs, in the order of `BRANCHES`."""
+
+    def __init__(self, robot: RobotDescription, chain: KinematicChain, geometry: SphericalWristGeometry):
+        super().__init__(robot, chain)
+        self.geometry = geometry
+        self._exact = self._is_exact()
+
+    def inverse(self, poses: np.ndarray) -> InverseSolutions:
+        poses = np.asarray(poses, dtype=float)
+        samples = len(poses)
+        q = np.empty((samples, 8, 6))
+        margins = np.empty((samples, 8, 3))
+        wrist = self._wrist(poses)
+        for k, signs in enumerate(BRANCHES):
+            angles, squares = self._branch(wrist, signs)
+            q[:, k] = self.nearest_turn(angles.T, self.middle)
+            margins[:, k] = squares.T
+        reached = (margins >= _BEYOND).all(axis=2)
+        valid = (margins >= SINGULAR_DISTANCE**2).all(axis=2)
+        for k in range(8):
+            q[valid[:, k], k] = self._polish(poses[valid[:, k]], q[valid[:, k], k])
+        q[~valid] = np.nan
+        return InverseSolutions(
+            q=q,
+            valid=valid,
+            within_limits=valid & self.within_limits(q),
+            singular=reached & ~valid,
+            unreachable=~reached.any(axis=1),
+        )
+
+    def follow(self, poses: np.ndarray, start: np.ndarray) -> np.ndarray:
+        poses = np.asarray(poses, dtype=float)
+        start = np.asarray(start, dtype=float)
+        if len(poses) == 0:
+            return np.empty((0, 6))
+        distances = self._signed_distances(start[None])[:, 0]
+        near = int(np.abs(distances).argmin())
+        if abs(distances[near]) < SINGULAR_DISTANCE:
+            self._raise_singular(0, poses[0], near, abs(distances[near]), "the start")
+        signs = tuple(int(sign) for sign in np.sign(distances))
+        angles, margins = self._branch(self._wrist(poses), signs)
+        if not margins.min() >= SINGULAR_DISTANCE**2:
+            self._raise_margin(poses, margins, signs)
+        q = np.ascontiguousarray(self._unwrapped(angles, start, poses).T)
+        return self._polish(poses, q)
+
+    def singularity(self, q: np.ndarray) -> SingularityDistance:
+        """Distances in the order of `SINGULARITIES`.
+
+        shoulder: of the wrist centre from axis 1, over the arm's reach; elbow: |sin γ|, 0 where stretched or folded;
+        wrist: |sin β|, 0 where axes 4 and 6 are in line (|sin q₅| on the NS16).
+        """
+        return SingularityDistance(SINGULARITIES, np.abs(self._signed_distances(np.asarray(q, dtype=float))).T)
+
+    def branch(self, q: np.ndarray) -> tuple[int, int, int]:
+        """Signs of shoulder, elbow and wrist at one configuration (n,)."""
+        shoulder, elbow, wrist = (
+            1 if value >= 0 else -1 for value in self._signed_distances(np.asarray(q)[None])[:, 0]
+        )
+        return shoulder, elbow, wrist
+
+    def solve_configuration(self, pose: np.ndarray, configuration: str) -> np.ndarray:
+        wanted = parse_configuration(configuration)
+        poses = np.asarray(pose, dtype=float)[None]
+        angles, margins = self._branch(self._wrist(poses), wanted.signs)
+        if not margins.min() >= SINGULAR_DISTANCE**2:
+            self._raise_margin(poses, margins, wanted.signs)
+        q = self._polish(poses, self.nearest_turn(angles.T, self.middle))[0]
+        return wanted.turned(q)
+
+    def configuration(self, q: np.ndarray) -> Configuration:
+        """Flags and turns at one configuration (n,)."""
+        return Configuration.of(self.branch(q), np.asarray(q, dtype=float))
+
+    def _candidates(self, pose: np.ndarray, near: np.ndarray) -> InverseSolutions:
+        return self.inverse(pose[None])
+
+    def _refuse(self, pose: np.ndarray) -> NoReturn:
+        wrist = self._wrist(pose[None])
+        tried = [(self._branch(wrist, signs)[1], signs) for signs in BRANCHES]
+        margins, signs = max(tried, key=lambda branch: branch[0].min())
+        self._raise_margin(pose[None], margins, signs)
+
+    def _wrist(self, poses: np.ndarray) -> np.ndarray:
+        """(12, S): the wrist's rotation in B row by row, and the wrist centre in B."""
+        return self.geometry.selection @ poses.reshape(len(poses), 16).T
+
+    def _branch(self, wrist: np.ndarray, signs: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Joint angles (6, S) on one branch, and the squares (3, S) of the distances from its singularities.
+
+        A negative square is out of reach, and its angles are those of the border. Sines and cosines of the first three
+        joints come from the triangle itself, so that only the angles asked for cost a transcendental function.
+        """
+        g = self.geometry
+        r00, r01, r02, r10, r11, r12, r20, r21, r22, x, y, z = wrist
+        distance2 = x * x + y * y
+        margins = np.empty((3, wrist.shape[1]))
+        radial2 = distance2 - g.lateral_offset**2
+        margins[0] = radial2 / g.reach**2
+        radial = signs[0] * np.sqrt(np.maximum(radial2, 0.0))
+        distance2 = np.maximum(distance2, np.finfo(float).tiny)
+        cos1 = (x * radial + y * g.lateral_offset) / distance2
+        sin1 = (y * radial - x * g.lateral_offset) / distance2
+
+        ahead = radial - g.shoulder_offset
+        cos_elbow = (ahead * ahead + z * z - (g.upper_arm**2 + g.forearm**2)) / (2 * g.upper_arm * g.forearm)
+        margins[1] = 1.0 - cos_elbow * cos_elbow
+        cos_elbow = np.clip(cos_elbow, -1.0, 1.0)
+        sin_elbow = signs[1] * np.sqrt(np.maximum(margins[1], 0.0))
+        along = g.upper_arm + g.forearm * cos_elbow
+        across = g.forearm * sin_elbow
+        span = np.maximum(along * along + across * across, np.finfo(float).tiny)
+        sin2 = (ahead * along - z * across) / span  # of the angle of the upper arm from z
+        cos2 = (z * along + ahead * across) / span
+        cos0, sin0 = np.cos(g.forearm_angle), np.sin(g.forearm_angle)
+        sin3, cos3 = sin2 * cos_elbow + cos2 * sin_elbow, cos2 * cos_elbow - sin2 * sin_elbow  # and of the forearm
+        sin, cos = sin3 * cos0 - cos3 * sin0, cos3 * cos0 + sin3 * sin0  # of the rotation of link 3 about y
+
+        # Third column of what rotation is left, in the wrist's axes: (cos q4 sin β, sin q4 sin β, cos β).
+        forward = cos1 * r02 + sin1 * r12
+        last = np.stack([cos * forward - sin * r22, cos1 * r12 - sin1 * r02, sin * forward + cos * r22])
+        c4, s4, cos5 = g.forearm_rotation @ last
+        margins[2] = c4 * c4 + s4 * s4
+        # Third row: axis 4 in B against the first two columns of the wrist's rotation: (-sin β cos q6, sin β sin q6).
+        kx, ky, kz = g.forearm_rotation[2]
+        ahead4, up4 = cos * kx + sin * kz, cos * kz - sin * kx
+        ax, ay = cos1 * ahead4 - sin1 * ky, sin1 * ahead4 + cos1 * ky
+        c6 = -(ax * r00 + ay * r10 + up4 * r20)
+        s6 = ax * r01 + ay * r11 + up4 * r21
+
+        q = np.empty((6, wrist.shape[1]))
+        np.arctan2(sin1, cos1, out=q[0])
+        q[0] *= g.senses[0]
+        np.arctan2(sin2, cos2, out=q[1])
+        q[1] -= g.upper_arm_angle
+        q[1] *= g.senses[1]
+        np.arctan2(sin_elbow, cos_elbow, out=q[2])
+        q[2] -= g.forearm_angle - g.upper_arm_angle
+        q[2] *= g.senses[2]
+        np.arctan2(signs[2] * s4, signs[2] * c4, out=q[3])
+        np.arctan2(signs[2] * np.sqrt(margins[2]), cos5, out=q[4])
+        q[4] -= g.wrist_angle
+        np.arctan2(signs[2] * s6, signs[2] * c6, out=q[5])
+        return q, margins
+
+    def _signed_distances(self, q: np.ndarray) -> np.ndarray:
+        """(3, S): radial reach over arm length, sin γ, sin β; their signs are the branch."""
+        g = self.geometry
+        upper = g.upper_arm_angle + g.senses[1] * q[:, 1]
+        elbow = g.senses[2] * q[:, 2] + g.forearm_angle - g.upper_arm_angle
+        radial = g.shoulder_offset + g.upper_arm * np.sin(upper) + g.forearm * np.sin(upper + elbow)
+        return np.stack([radial / g.reach, np.sin(elbow), np.sin(q[:, 4] + g.wrist_angle)])
+
+    def _unwrapped(self, angles: np.ndarray, start: np.ndarray, poses: np.ndarray) -> np.ndarray:
+        """Angles (6, S) made continuous by full turns, the first nearest to `start`."""
+        steps = np.diff(angles, axis=1)
+        jumping = np.abs(steps).max(axis=1, initial=0.0) > np.pi
+        for joint in np.flatnonzero(jumping):
+            turns = np.round(steps[joint] / (2 * np.pi))
+            angles[joint, 1:] -= 2 * np.pi * np.cumsum(turns)
+            steps[joint] -= 2 * np.pi * turns
+        largest = np.abs(steps).max(axis=0, initial=0.0)
+        if largest.max(initial=0.0) > LARGEST_STEP:
+            index = int(np.flatnonzero(largest > LARGEST_STEP)[0])
+            joint = self.robot.joint_names[int(np.abs(steps[:, index]).argmax())]
+            raise KinematicsError(
+                index + 1,
+                "branch",
+                f"between poses {index} and {index + 1}, at {position_text(poses[index])}, {joint} would have to turn "
+                f"by {largest[index]:.2f} rad at once: the path crosses a singularity there",
+                float(largest.max() / LARGEST_STEP - 1.0),
+            )
+        return angles + 2 * np.pi * np.round((start - angles[:, 0]) / (2 * np.pi))[:, None]
+
+    def _raise_margin(self, poses: np.ndarray, margins: np.ndarray, signs: tuple[int, ...]) -> NoReturn:
+        """Say which is the first pose that is out of reach or singular on this branch."""
+        smallest = margins.min(axis=0)
+        index = int(np.flatnonzero(~(smallest >= SINGULAR_DISTANCE**2))[0])
+        if smallest[index] >= _BEYOND:
+            distance = float(np.sqrt(max(smallest[index], 0.0)))
+            self._raise_singular(index, poses[index], int(margins[:, index].argmin()), distance, "the pose")
+        g = self.geometry
+        x, y, z = self._wrist(poses)[9:, index]
+        if margins[0, index] < _BEYOND:
+            why = f"{np.hypot(x, y):.3f} m from axis 1, and the arm comes no nearer than {abs(g.lateral_offset):.3f} m"
+        else:
+            radial = signs[0] * np.sqrt(max(x * x + y * y - g.lateral_offset**2, 0.0))
+            distance = np.hypot(radial - g.shoulder_offset, z)
+            nearest = abs(g.upper_arm - g.forearm)
+            why = f"{distance:.3f} m from axis 2, and the arm reaches from {nearest:.3f} to {g.reach:.3f} m"
+        raise KinematicsError(
+            index,
+            "unreachable",
+            f"pose {index} at {position_text(poses[index])} is out of reach: its wrist centre is {why}",
+            float(np.sqrt(-smallest.min())) if np.isfinite(smallest).all() else np.inf,
+        )
+
+    def _raise_singular(self, index: int, pose: np.ndarray, kind: int, distance: float, what: str) -> NoReturn:
+        meaning = (
+            "its wrist centre is on axis 1",
+            "its elbow is stretched or folded",
+            "it has axes 4 and 6 in line",
+        )[kind]
+        raise KinematicsError(
+            index,
+            "singular",
+            f"{what} at {position_text(pose)} (pose {index}) is singular: {meaning}; "
+            "move the point or turn the tool by a few degrees",
+            1.0 - distance / SINGULAR_DISTANCE,
+        )
+
+    def _polish(self, poses: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Newton steps that remove what an inexact geometry leaves; nothing to do where it is exact."""
+        if self._exact or len(q) == 0:
+            return q
+        for _ in range(3):
+            q = q + self.joint_rates(q, pose_error(poses, self.forward(q)))
+        return q
+
+    def _is_exact(self) -> bool:
+        q = np.random.default_rng(0).uniform(-3.0, 3.0, (10, 6))
+        poses = self.forward(q)
+        solved = [
+            self._branch(self._wrist(pose[None]), self.branch(row))[0][:, 0] for pose, row in zip(poses, q, strict=True)
+        ]
+        return bool(np.abs(self.forward(np.array(solved)) - poses).max() < 1e-9)
+
+
+def _base_frame(axes: np.ndarray, points: np.ndarray, size: float) -> np.ndarray:
+    """(3, 3) axes of frame B in the base frame: z upwards where axis 1 is not horizontal, x forward, y across."""
+    up = axes[0] if axes[0, 2] > -TOLERANCE else -axes[0]
+    frame = _frame(up, axes[1])
+    backwards = frame[:, 0] @ (points[1] - points[0]) < -TOLERANCE * size
+    return frame @ np.diag([-1.0, -1.0, 1.0]) if backwards else frame
+
+
+def _frame(z: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation with third column z and second column y, made exactly perpendicular."""
+    y = y - z * (z @ y)
+    y = y / np.linalg.norm(y)
+    return np.column_stack([np.cross(y, z), y, z])
+
+
+def _about_y(angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
