@@ -24,10 +24,12 @@ class Repair:
 class Log:
     """One motion, sorted by controller time. S samples, n joints, SI on the joint side.
 
-    t (S,) [s] from the first sample; position (S, n); velocity and effort (S, n) or None where the log has none;
+    t (S,) [s] from the first sample, strictly increasing, even or not; position (S, n); velocity and effort (S, n) or
+    None where the log has none;
     reference_position, planned_position (S, n) or None: set-points of the controller, and what was planned, on the
-    same stamps (NaN where there is none). `segments` are [start, stop) sample ranges without a gap in them.
-    `stamp` is the first sample's controller time [s].
+    same stamps (NaN where there is none). `sample_rate` [Hz] is that of intervals without a missing sample. `segments`
+    are [start, stop) sample ranges without a gap in them: stretches of at most 10 ms or two samples may be missing, see
+    `agent.recording.resampled`. `stamp` is the first sample's controller time [s].
     """
 
     path: Path
@@ -49,3 +51,8 @@ class Log:
     def name(self) -> str:
         """File name, as results report it."""
         return self.path.name
+
+
+def motion_name(program: Path) -> str:
+    """What a log calls the motion of a program file: the file's name without its ending."""
+    return program.stem

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Protocol
@@ -13,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from agent.recording.joint_state import SCHEMA_NAME, SCHEMA_TEXT, JointStateLayout, layout_for
+from agent.recording.log import Log
 from agent.recording.mcap_output import CHUNK_SIZE, MESSAGE_HEAD, McapOutput
 from agent.recording.sequence import SequenceCheck
 
@@ -117,15 +120,13 @@ class LogFile:
             self.flush()
             self._flushed = int(stamps[-1])
 
-    def write_planned(self, times: np.ndarray, position: np.ndarray, velocity: np.ndarray | None = None) -> None:
-        """Add what was planned for controller times (K,) [s]: position and velocity (K, n)."""
+    def write_set_points(
+        self, topic: str, times: np.ndarray, position: np.ndarray, velocity: np.ndarray | None = None
+    ) -> None:
+        """Add set-points, of the controller or planned, for controller times (K,) [s]: (K, n) each."""
         stamps = nanoseconds(times)
-        self._append(
-            [(PLANNED, [np.asarray(position), None if velocity is None else np.asarray(velocity), None])],
-            stamps,
-            stamps + self._receive_offset,
-            np.arange(len(stamps)),
-        )
+        arrays = [np.asarray(position), None if velocity is None else np.asarray(velocity), None]
+        self._append([(topic, arrays)], stamps, stamps + self._receive_offset, np.arange(len(stamps)))
 
     def cycle_start(self, time: float) -> None:
         """Note a controller time [s] at which the motion begins anew."""
@@ -198,6 +199,47 @@ class LogFile:
                 schema = self._out.add_schema("std_msgs/msg/String", "ros2msg", "string data\n")
             self._channels[topic] = self._out.add_channel(topic, "cdr", schema)
         return self._channels[topic]
+
+
+def write_log(path: Path, log: Log) -> None:
+    """Write a log that is in memory, whole or not at all; an existing file is replaced.
+
+    Raises:
+        RecordingError: the file cannot be written.
+    """
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    beside.unlink(missing_ok=True)
+    times = log.stamp + log.t
+    run = log.metadata
+    robot, motion = run.get("robot", ""), run.get("motion", "")
+    file = LogFile(beside, log.joint_names, robot, motion, log.sample_rate, clock=lambda: times[0])
+    try:
+        file.write(_Block(np.arange(len(times)), times, log.position, log.velocity, log.effort))
+        for topic, position in ((REFERENCES, log.reference_position), (PLANNED, log.planned_position)):
+            if position is not None:
+                known = np.all(np.isfinite(position), axis=1)
+                file.write_set_points(topic, times[known], position[known])
+        for start in log.cycle_starts:
+            file.cycle_start(log.stamp + start)
+        file.finish()
+        os.replace(beside, path)
+    finally:
+        file.close()
+        beside.unlink(missing_ok=True)
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """Samples that come from memory; arrays as in `Samples`."""
+
+    sequence: np.ndarray
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray | None
+    torque: np.ndarray | None
+    reference_position: np.ndarray | None = None
+    reference_velocity: np.ndarray | None = None
+    received: float = 0.0
 
 
 def nanoseconds(times: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from types import TracebackType
 
 import numpy as np
 
-from agent.recording.log_file import FLUSH_INTERVAL, LogFile, Samples
+from agent.recording.log_file import FLUSH_INTERVAL, PLANNED, LogFile, Samples
 
 #: What may wait in memory for a slow disk [bytes]: half an hour of six joints at 500 Hz.
 BACKLOG_LIMIT = 256 * 2**20
@@ -88,7 +88,7 @@ class LogWriter:
 
     def write_planned(self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray | None = None) -> None:
         """Add what was planned for controller times (K,) [s]: position and velocity (K, n)."""
-        if not self._put(2 * position.nbytes, lambda: self._file.write_planned(time, position, velocity)):
+        if not self._put(2 * position.nbytes, lambda: self._file.write_set_points(PLANNED, time, position, velocity)):
             self.dropped += len(time)
 
     def cycle_start(self, time: float) -> None:

@@ -1,0 +1,305 @@
+"""From columns of tables to a log, by a mapping file (docs/import.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from agent.errors import InputError
+from agent.recording.log import Log
+from agent.recording.log_file import nanoseconds, write_log
+from agent.recording.mapping import CURRENT, Columns, EffortColumns, Mapping, PositionColumns, load_mapping, units_of
+from agent.recording.resampling import resampled
+from agent.recording.stamps import put_in_order, spacing_of
+from agent.recording.tables import Table, read_table
+from agent.units import Dimension, parse_quantity
+
+if TYPE_CHECKING:
+    from agent.robot import RobotDescription
+
+_T = TypeVar("_T")
+_NANO = 1_000_000_000
+#: Columns whose lengths differ by more than this part do not belong together.
+_SAME_LENGTH = 0.01
+
+
+def import_log(robot: RobotDescription, map_path: Path, inputs: Sequence[Path], output: Path) -> tuple[str, ...]:
+    """Turn columns of one or more tables into a log.
+
+    Motor-side columns come to the joints by the robot's gear ratios g and coupling C: q = C⁻¹ diag(1/g) q_m and
+    τ = Cᵀ diag(g) τ_m; a current i by its torque constant first, τ_m = k i.
+
+    Returns:
+        What there is to say about it: rows, samples, repairs.
+
+    Raises:
+        InputError: a table cannot be read, the mapping does not fit it or the robot, or the output is not an .mcap.
+        RecordingError: the log cannot be written.
+    """
+    if output.suffix != ".mcap":
+        raise InputError(f"{output}: the log to write comes last and ends in .mcap")
+    mapping = load_mapping(map_path)
+    source = _Source(robot, mapping, [read_table(path) for path in inputs])
+    log, notes = _assemble(robot, mapping, source, output)
+    if mapping.entries.decimate is not None:
+        log = _decimated(log, mapping.entries.decimate, notes)
+    if mapping.entries.cycle_period is not None:
+        log = replace(log, cycle_starts=tuple(np.arange(0.0, log.t[-1], mapping.entries.cycle_period).tolist()))
+    write_log(output, log)
+    notes.append(f"{len(log.t)} samples, {log.t[-1]:.3f} s at {log.sample_rate:.6g} Hz")
+    return tuple(f"{output.name}: {note}" for note in notes)
+
+
+def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output: Path) -> tuple[Log, list[str]]:
+    entries = mapping.entries
+    position = source.position("position", entries.position)
+    values = {
+        "position": position,
+        "velocity": None if entries.velocity is None else source.velocity(entries.velocity),
+        "effort": None if entries.effort is None else source.effort(entries.effort),
+        "reference": source.position("reference_position", entries.reference_position),
+        "planned": source.position("planned_position", entries.planned_position),
+    }
+    present = {name: array for name, array in values.items() if array is not None}
+    time = source.time()
+    rows, notes = _common_rows(mapping, time, present)
+    time = time[:rows]
+    inside = np.ones(rows, bool)
+    if entries.window is not None:
+        inside = ~(time < entries.window.start) & ~(time >= entries.window.stop)
+        if not (inside & np.isfinite(time)).any():
+            span = f"{np.nanmin(time):g} s to {np.nanmax(time):g} s" if np.isfinite(time).any() else "nowhere"
+            mapping.fault("window", f"no row is in it; the rows go from {span}")
+    whole = np.isfinite(time)
+    for array in present.values():
+        whole &= np.all(np.isfinite(array[:rows]), axis=1)
+    keep = inside & whole
+    if np.count_nonzero(keep) < 2:
+        mapping.fault("position", "fewer than two rows hold a number in every column that the mapping names")
+    if np.count_nonzero(keep) < np.count_nonzero(inside):
+        broken = inside & ~whole
+        kind = "rows without a number in every column, dropped; the first is row"
+        notes.append(f"{np.count_nonzero(broken)} {kind} {np.argmax(broken) + 1}")
+    present = {name: array[:rows][keep] for name, array in present.items()}
+    stamp = nanoseconds(time[keep])
+    identity = np.hstack([present[name] for name in ("position", "effort") if name in present])
+    order = put_in_order(stamp, identity, str(output))
+    present = {name: array[order.rows] for name, array in present.items()}
+    spacing = spacing_of(order.stamp, entries.rate)
+    repairs = (*order.repairs, *spacing.repairs)
+    notes += [str(repair) for repair in repairs]
+    log = Log(
+        path=output,
+        joint_names=robot.joint_names,
+        t=(order.stamp - order.stamp[0]) / _NANO,
+        position=present["position"],
+        velocity=present.get("velocity"),
+        effort=present.get("effort"),
+        reference_position=present.get("reference"),
+        planned_position=present.get("planned"),
+        sample_rate=spacing.rate,
+        stamp=int(order.stamp[0]) / _NANO,
+        segments=spacing.segments,
+        metadata={"robot": robot.name, "motion": entries.motion},
+        repairs=repairs,
+    )
+    return log, notes
+
+
+def _common_rows(mapping: Mapping, time: np.ndarray, values: dict[str, np.ndarray]) -> tuple[int, list[str]]:
+    """How many rows all columns have, and what was cut off the longer ones."""
+    lengths = {"time": len(time)} if mapping.entries.time is not None else {}
+    lengths |= {name: len(array) for name, array in values.items()}
+    rows, longest = min(lengths.values()), max(lengths.values())
+    if longest - rows > _SAME_LENGTH * longest:
+        listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        mapping.fault("position", f"columns of different length: {listed} rows; they are not of one recording")
+    return rows, [f"{longest - rows} last rows are in some columns only, dropped"] if longest > rows else []
+
+
+def _decimated(log: Log, factor: int, notes: list[str]) -> Log:
+    """Every `factor`-th sample, after a zero-phase Butterworth filter of order 8 (forward and backward) at 0.8 of the
+    new Nyquist frequency, the same on every column; it never sees what lies outside the window."""
+    from scipy.signal import butter, sosfiltfilt
+
+    if log.repairs:
+        log = resampled(log)
+        notes.append(f"interpolated to even {log.sample_rate:.6g} Hz before it was filtered")
+    cutoff = 0.4 * log.sample_rate / factor
+    sections = butter(8, cutoff, fs=log.sample_rate, output="sos")
+
+    def filtered(values: np.ndarray | None) -> np.ndarray | None:
+        if values is None:
+            return None
+        parts = [values[first:stop] for first, stop in log.segments]
+        return np.concatenate(
+            [sosfiltfilt(sections, p, axis=0, padlen=min(20 * factor, len(p) - 1))[::factor] for p in parts]
+        )
+
+    t = np.concatenate([log.t[first:stop:factor] for first, stop in log.segments])
+    spacing = spacing_of(nanoseconds(t), log.sample_rate / factor)
+    notes.append(f"every {factor}th sample, after a zero-phase filter at {cutoff:.4g} Hz")
+    return replace(
+        log,
+        t=t,
+        position=filtered(log.position),
+        velocity=filtered(log.velocity),
+        effort=filtered(log.effort),
+        reference_position=filtered(log.reference_position),
+        planned_position=filtered(log.planned_position),
+        sample_rate=spacing.rate,
+        segments=spacing.segments,
+    )
+
+
+class _Source:
+    """The columns that a mapping names, on the joint side, SI."""
+
+    def __init__(self, robot: RobotDescription, mapping: Mapping, tables: Sequence[Table]):
+        self._robot = robot
+        self._mapping = mapping
+        self._tables = tables
+
+    def time(self) -> np.ndarray:
+        """(S,) [s]."""
+        entries = self._mapping.entries
+        if entries.time is None:
+            return (
+                np.arange(max(len(column) for table in self._tables for column in table.columns.values()))
+                / entries.rate
+            )
+        factor = Dimension.TIME.value.factors | {"ns": 1e-9}
+        if entries.time.unit not in factor:
+            self._mapping.fault("time.unit", f"{entries.time.unit!r} is no unit of time: {', '.join(factor)}")
+        table = self._table("time", entries.time.file, [entries.time.column])
+        column = table.column(entries.time.column)
+        assert column is not None  # `_table` has looked
+        return column * factor[entries.time.unit]
+
+    def position(self, key: str, columns: PositionColumns | None) -> np.ndarray | None:
+        """(S, n), None without an entry. Side and offset of set-points are those of the positions unless given."""
+        if columns is None:
+            return None
+        measured = self._mapping.entries.position
+        side = columns.side or measured.side or self._mapping.entries.side
+        raw = self._raw(key, "position", columns, side)
+        given = columns.offset if columns.offset is not None else measured.offset
+        return self._to_joints(raw, side) + self._offsets(f"{key}.offset", given)
+
+    def velocity(self, columns: Columns) -> np.ndarray:
+        """(S, n)."""
+        side = columns.side or self._mapping.entries.side
+        return self._to_joints(self._raw("velocity", "velocity", columns, side), side)
+
+    def effort(self, columns: EffortColumns) -> np.ndarray:
+        """(S, n)."""
+        units = self._per_joint("effort.unit", columns.unit, None)
+        currents = [unit in CURRENT for unit in units]
+        side = columns.side or ("motor" if any(currents) else self._mapping.entries.side)
+        if any(currents) and side == "joint":
+            self._mapping.fault("effort.side", "currents are on the motor side")
+        raw = self._raw("effort", "effort", columns, side)
+        if any(currents):
+            raw = raw * np.where(currents, self._torque_constants(columns), 1.0)
+        if side == "motor":
+            return (raw * self._robot.gear_ratios) @ self._robot.coupling
+        return raw
+
+    def _to_joints(self, values: np.ndarray, side: str) -> np.ndarray:
+        if side == "joint":
+            return values
+        return np.linalg.solve(self._robot.coupling, (values / self._robot.gear_ratios).T).T
+
+    def _raw(self, key: str, quantity: str, columns: Columns, side: str) -> np.ndarray:
+        """(S, n) of the side that the columns are of, SI."""
+        names = self._names(key, columns)
+        table = self._table(key, columns.file, names)
+        found = [table.column(name) for name in names]
+        rows = min(len(column) for column in found if column is not None)
+        values = np.column_stack([column[:rows] for column in found if column is not None])
+        factors = []
+        for joint, unit in zip(self._robot.joints, self._per_joint(f"{key}.unit", columns.unit, None), strict=True):
+            allowed = units_of(quantity, joint.prismatic and side == "joint")
+            unit = next(iter(allowed)) if unit is None else unit
+            if unit not in allowed:
+                what = f"{unit!r} is no unit of {quantity} for {joint.name} on the {side} side"
+                self._mapping.fault(f"{key}.unit", f"{what}; allowed are {', '.join(allowed)}")
+            factors.append(allowed[unit])
+        scales = [self._scale(key, scale, table) for scale in self._per_joint(f"{key}.scale", columns.scale, 1.0)]
+        return values * (np.array(scales) * np.array(factors))
+
+    def _names(self, key: str, columns: Columns) -> list[str | int]:
+        """One column a joint; one name may stand for a matrix of them."""
+        n = self._robot.dof
+        names = columns.columns if isinstance(columns.columns, list) else [columns.columns]
+        if len(names) == 1 and n > 1 and isinstance(names[0], str):
+            matrices = [matrix for table in self._tables if len(matrix := table.matrix(names[0])) == n]
+            names = [*matrices[0]] if matrices else names
+        if len(names) != n:
+            joints = ", ".join(self._robot.joint_names)
+            self._mapping.fault(f"{key}.columns", f"{len(names)} columns for {n} joints ({joints})")
+        return list(names)
+
+    def _table(self, key: str, pattern: str | None, names: Sequence[str | int]) -> Table:
+        """The one table that `file` names, or that has the columns."""
+        tables = [table for table in self._tables if pattern is None or fnmatch(table.path.name, pattern)]
+        if not tables:
+            given = ", ".join(table.path.name for table in self._tables)
+            self._mapping.fault(f"{key}.file", f"no input is named {pattern!r}; given were {given}")
+        having = [table for table in tables if all(table.column(name) is not None for name in names)]
+        if len(having) == 1:
+            return having[0]
+        columns_key = "time.column" if key == "time" else f"{key}.columns"
+        if having:
+            listed = ", ".join(table.path.name for table in having)
+            self._mapping.fault(columns_key, f"{listed} all have these columns; say which with `file:`")
+        table = tables[0]
+        missing = [str(name) for name in names if table.column(name) is None]
+        self._mapping.fault(
+            columns_key, f"{table.path.name} has no column {', '.join(missing)}; it has {', '.join(table.columns)}"
+        )
+
+    def _scale(self, key: str, scale: float | str, table: Table) -> float:
+        if not isinstance(scale, str):
+            return scale
+        if scale not in table.constants:
+            known = ", ".join(table.constants) or "none"
+            self._mapping.fault(
+                f"{key}.scale", f"{table.path.name} has no constant {scale!r}; its constants are {known}"
+            )
+        return table.constants[scale]
+
+    def _offsets(self, key: str, offset: float | str | list[float | str] | None) -> np.ndarray:
+        """(n,) [rad, m]."""
+        result = []
+        for joint, value in zip(self._robot.joints, self._per_joint(key, offset, 0.0), strict=True):
+            try:
+                result.append(parse_quantity(value, Dimension.LENGTH if joint.prismatic else Dimension.ANGLE))
+            except InputError as error:
+                self._mapping.fault(key, f"{joint.name}: {error}")
+        return np.array(result)
+
+    def _torque_constants(self, columns: EffortColumns) -> np.ndarray:
+        """(n,) [N·m/A, motor side]."""
+        given = columns.torque_constant
+        if given is None:
+            given = [np.nan if joint.torque_constant is None else joint.torque_constant for joint in self._robot.joints]
+        constants = np.array(self._per_joint("effort.torque_constant", given, None), dtype=float)
+        if np.isnan(constants).any():
+            missing = ", ".join(n for n, k in zip(self._robot.joint_names, constants, strict=True) if np.isnan(k))
+            self._mapping.fault("effort.unit", f"currents need the torque_constant of {missing}, here or in robot.yaml")
+        return constants
+
+    def _per_joint(self, key: str, value: _T | list[_T], default: _T) -> list[_T]:
+        """One value a joint from one for all or a list."""
+        n = self._robot.dof
+        if not isinstance(value, list):
+            return [default if value is None else value] * n
+        if len(value) != n:
+            self._mapping.fault(key, f"{len(value)} values for {n} joints; give one for all, or one a joint")
+        return value

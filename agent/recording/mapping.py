@@ -1,0 +1,165 @@
+"""The mapping file of `agent import`: which column is what, in which unit, on which side of the gears."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, NoReturn
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from agent.documents import line_of, read_yaml, validate_document
+from agent.errors import InputError
+from agent.units import Dimension, parse_quantity
+
+Side = Literal["motor", "joint"]
+_TURN = 6.283185307179586
+_ANGLE = {**Dimension.ANGLE.value.factors, "rev": _TURN}
+_ANGULAR_SPEED = {**Dimension.ANGULAR_SPEED.value.factors, "rev/s": _TURN}
+_TORQUE = {"N·m": 1.0, "Nm": 1.0, "N*m": 1.0, "N.m": 1.0, "mN·m": 1e-3, "mNm": 1e-3, "kN·m": 1e3, "kNm": 1e3}
+_FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
+#: A current [A] becomes a torque by the torque constant.
+CURRENT = {"A": 1.0, "mA": 1e-3}
+
+
+def _quantity(dimension: Dimension) -> Any:
+    def parse(value: Any) -> float:
+        try:
+            return parse_quantity(value, dimension)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+
+    return Annotated[float, BeforeValidator(parse)]
+
+
+def _one_or_list(what: str, *types: type) -> Any:
+    """One value for all joints, or a list with one a joint."""
+
+    def check(value: Any) -> Any:
+        values = value if isinstance(value, list) else [value]
+        if not values or not all(isinstance(item, types) and not isinstance(item, bool) for item in values):
+            raise ValueError(f"{what} is expected, or a list with one for each joint")
+        return value
+
+    return Annotated[Any, BeforeValidator(check)]
+
+
+def _column(value: Any) -> Any:
+    if not isinstance(value, (str, int)) or isinstance(value, bool):
+        raise ValueError("a column is expected, by name or by number from 1")
+    return value
+
+
+Time = _quantity(Dimension.TIME)
+Frequency = _quantity(Dimension.FREQUENCY)
+_Names = _one_or_list("a column, by name or by number from 1,", str, int)
+_Unit = _one_or_list('a unit such as "rad"', str)
+_Scale = _one_or_list("a number or the name of a constant of the file", int, float, str)
+_Offset = _one_or_list('an offset such as "90 deg"', int, float, str)
+_Number = _one_or_list("a number", int, float)
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, populate_by_name=True, strict=True)
+
+
+class TimeColumn(_Strict):
+    """`time:` the column with the time of each row."""
+
+    column: Annotated[Any, BeforeValidator(_column)]
+    unit: str = "s"
+    file: str | None = None
+
+
+class Columns(_Strict):
+    """One quantity of all joints. SI = column · scale · unit."""
+
+    columns: _Names
+    unit: _Unit = None
+    file: str | None = None
+    scale: _Scale = 1.0
+    side: Side | None = None
+
+
+class PositionColumns(Columns):
+    """Positions; `offset` is added on the joint side."""
+
+    offset: _Offset = None
+
+
+class EffortColumns(Columns):
+    """Torques, forces or motor currents; `torque_constant` [N·m/A, motor side] instead of the robot description's."""
+
+    torque_constant: _Number = None
+
+
+class Window(_Strict):
+    """`window:` rows whose time is in [from, to)."""
+
+    start: Time = Field(alias="from")
+    stop: Time = Field(alias="to")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Window:
+        if self.start >= self.stop:
+            raise ValueError(f"from {self.start:g} s to {self.stop:g} s is no stretch of time")
+        return self
+
+
+class ImportMap(_Strict):
+    """A mapping file."""
+
+    motion: str = "imported"
+    side: Side = "joint"
+    rate: Annotated[Frequency, Field(gt=0)] | None = None
+    time: TimeColumn | None = None
+    position: PositionColumns
+    velocity: Columns | None = None
+    effort: EffortColumns | None = None
+    reference_position: PositionColumns | None = None
+    planned_position: PositionColumns | None = None
+    window: Window | None = None
+    decimate: Annotated[int, Field(ge=2)] | None = None
+    cycle_period: Annotated[Time, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _one_clock(self) -> ImportMap:
+        if (self.rate is None) == (self.time is None):
+            raise ValueError("give either rate (rows are evenly sampled) or time (a column), not both and not neither")
+        return self
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """A mapping file and what it takes to point into it."""
+
+    path: Path
+    document: Any
+    entries: ImportMap
+
+    def fault(self, key: str, message: str) -> NoReturn:
+        """Refuse the mapping at a key such as `position.columns`.
+
+        Raises:
+            InputError: always.
+        """
+        raise InputError(f"{self.path}:{line_of(self.document, tuple(key.split('.')))}: {key}: {message}")
+
+
+def load_mapping(path: Path) -> Mapping:
+    """Read a mapping file.
+
+    Raises:
+        InputError: with file, line and key of every fault.
+    """
+    document = read_yaml(path)
+    return Mapping(path, document, validate_document(path, document, ImportMap))
+
+
+def units_of(quantity: str, linear: bool) -> dict[str, float]:
+    """Units a column of `position`, `velocity` or `effort` may have, with their SI factors; the SI unit first."""
+    if quantity == "velocity":
+        return Dimension.SPEED.value.factors if linear else _ANGULAR_SPEED
+    if quantity == "effort":
+        return (_FORCE if linear else _TORQUE) | CURRENT
+    return Dimension.LENGTH.value.factors if linear else _ANGLE

@@ -1,0 +1,192 @@
+"""Columns of numbers out of CSV, MAT and Parquet files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.errors import InputError
+
+#: Columns that one matrix of a MAT file may hold; a wider one is no table of samples.
+_MAX_COLUMNS = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns (S,) by name, in the order of the file, NaN where a field is no number; constants by name.
+
+    A matrix (S, k) named q is columns q[1] to q[k]. Columns of a MAT file may differ in length.
+    """
+
+    path: Path
+    columns: dict[str, np.ndarray]
+    constants: dict[str, float]
+
+    def column(self, key: str | int) -> np.ndarray | None:
+        """(S,) by name, or by number from 1; None if there is none."""
+        if isinstance(key, int):
+            names = list(self.columns)
+            return self.columns[names[key - 1]] if 1 <= key <= len(names) else None
+        return self.columns.get(key)
+
+    def matrix(self, name: str) -> list[str]:
+        """Names of the columns of a matrix, q[1], q[2], …; empty if there is none of that name."""
+        return [column for column in self.columns if column.startswith(f"{name}[")]
+
+
+def read_table(path: Path) -> Table:
+    """Read a file by its ending: .csv, .tsv, .txt, .dat, .mat, .parquet.
+
+    Raises:
+        InputError: no such file, another ending, or nothing in it that can be read.
+    """
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(f"{path}: tables end in {', '.join(_READERS)}; {path.suffix or 'no ending'} is none of them")
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        table = reader(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    if not any(len(column) for column in table.columns.values()):
+        raise InputError(f"{path}: no columns of numbers in it")
+    return table
+
+
+def _read_text(path: Path) -> Table:
+    """Comma, semicolon, tab or blanks between the numbers; decimal commas where the comma separates nothing.
+
+    Names come from the first line above the numbers that has as many fields, a comment (#, %) among them.
+    """
+    lines = [line for line in path.read_text(encoding="utf-8-sig", errors="replace").splitlines() if line.strip()]
+    start = next((k for k, line in enumerate(lines) if _is_data(line)), None)
+    if start is None:
+        raise InputError(f"{path}: no line of numbers in it")
+    separator = _separator(lines[start])
+    width = len(_split(lines[start], separator))
+    names = [f"column {k + 1}" for k in range(width)]
+    for line in lines[:start]:
+        fields = _split(line.lstrip("#% \t") if _comment(line) else line, separator)
+        if len(fields) == width:
+            names = [field.strip("\"' ") for field in fields]
+            break
+    data = [line for line in lines[start:] if not _comment(line)]
+    if separator != ",":
+        data = [line.replace(",", ".") for line in data]
+    try:
+        values = np.loadtxt(data, delimiter=separator, ndmin=2, comments=None)
+    except ValueError:
+        values = _read_broken(data, separator, width)
+    if len(set(names)) < width:
+        raise InputError(f"{path}: column names stand twice: {', '.join(names)}; make them differ, or use numbers")
+    return Table(path, dict(zip(names, values.T, strict=True)), {})
+
+
+def _read_broken(lines: list[str], separator: str | None, width: int) -> np.ndarray:
+    """(S, width) numbers, NaN where a field is none and in rows of another width."""
+    values = np.full((len(lines), width), np.nan)
+    for row, line in zip(values, lines, strict=True):
+        fields = _split(line, separator)
+        if len(fields) == width:
+            row[:] = [_number(field) for field in fields]
+    return values
+
+
+def _separator(line: str) -> str | None:
+    return next((mark for mark in (";", "\t", ",") if mark in line), None)
+
+
+def _split(line: str, separator: str | None) -> list[str]:
+    return [field.strip() for field in line.split(separator)]
+
+
+def _comment(line: str) -> bool:
+    return line.lstrip().startswith(("#", "%"))
+
+
+def _is_data(line: str) -> bool:
+    """Whether at least half of the fields are numbers."""
+    if _comment(line):
+        return False
+    fields = _split(line, _separator(line))
+    return 2 * sum(not np.isnan(_number(field.replace(",", "."))) for field in fields) >= len(fields)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return np.nan
+
+
+def _read_mat(path: Path) -> Table:
+    from scipy.io import loadmat
+
+    try:
+        content = loadmat(path, squeeze_me=True, struct_as_record=False)
+    except NotImplementedError:
+        raise InputError(f"{path}: saved as MATLAB 7.3 (HDF5); save it with `save -v7`") from None
+    except (ValueError, TypeError, KeyError, IndexError, EOFError, MemoryError) as error:
+        raise InputError(f"{path}: not a readable MAT file: {error}") from None
+    columns: dict[str, np.ndarray] = {}
+    constants: dict[str, float] = {}
+    for name, value in content.items():
+        if not name.startswith("__"):
+            _flatten(name, value, columns, constants)
+    return Table(path, columns, constants)
+
+
+def _flatten(name: str, value: Any, columns: dict[str, np.ndarray], constants: dict[str, float]) -> None:
+    """Numbers of a MATLAB variable: scalars, vectors, matrices (samples along the longer side), fields of structs."""
+    for part in getattr(value, "_fieldnames", ()):
+        _flatten(f"{name}.{part}", getattr(value, part), columns, constants)
+    if np.asarray(value).dtype.kind not in "biuf":
+        return
+    array = np.asarray(value, float)
+    if array.size == 1:
+        constants[name] = array.item()
+    elif array.ndim == 1:
+        columns[name] = array
+    elif array.ndim == 2 and min(array.shape) <= _MAX_COLUMNS:
+        samples = array if array.shape[0] >= array.shape[1] else array.T
+        columns |= {f"{name}[{k + 1}]": column for k, column in enumerate(samples.T)}
+
+
+def _read_parquet(path: Path) -> Table:
+    try:
+        from pyarrow import ArrowException, parquet
+    except ImportError:
+        raise InputError(
+            f"{path}: reading Parquet needs pyarrow, which is not installed: pip install 'calibration-agent[parquet]'"
+        ) from None
+    try:
+        content = parquet.read_table(path)
+    except ArrowException as error:
+        raise InputError(f"{path}: not a readable Parquet file: {error}") from None
+    columns: dict[str, np.ndarray] = {}
+    for name in content.column_names:
+        values = content.column(name).to_numpy(zero_copy_only=False)
+        if values.dtype.kind == "M":
+            columns[name] = values.astype("datetime64[ns]").astype(np.int64) / 1e9
+        elif values.dtype.kind in "biuf":
+            columns[name] = values.astype(float)
+        elif values.dtype.kind == "O" and len({np.shape(value) for value in values}) == 1 and np.ndim(values[0]) == 1:
+            stacked = np.stack(values)
+            if stacked.dtype.kind in "biuf":
+                columns |= {f"{name}[{k + 1}]": column.astype(float) for k, column in enumerate(stacked.T)}
+    return Table(path, columns, {})
+
+
+_READERS: dict[str, Callable[[Path], Table]] = {
+    ".csv": _read_text,
+    ".tsv": _read_text,
+    ".txt": _read_text,
+    ".dat": _read_text,
+    ".mat": _read_mat,
+    ".parquet": _read_parquet,
+}
