@@ -266,13 +266,10 @@ class _Motion:
 
     def take(self, block: SampleBlock, request: int) -> None:
         """Samples, asked for again where `request` says so."""
-        before = self.sequencer.expected
         if self.fetching is not None and request == self.fetching[0]:
-            self.fetching = None
             self._append(self.sequencer.give_up(int(block.sequence[0])))
             self._append(self.sequencer.accept(block))
-            if self.sequencer.expected == before:
-                self._give_up()
+            self._fetched()
         else:
             self._append(self.sequencer.accept(block))
             if self.sequencer.held > _MAX_HELD:
@@ -282,8 +279,7 @@ class _Motion:
     def refetch_refused(self, request: int) -> None:
         """The controller does not have them any more."""
         if self.fetching is not None and request == self.fetching[0]:
-            self.fetching = None
-            self._give_up()
+            self._fetched()
             self._close_if_complete()
 
     def ended(self, end: End) -> None:
@@ -307,6 +303,13 @@ class _Motion:
 
     def _missing(self) -> tuple[int, int] | None:
         return self.sequencer.missing(None if self._end is None else self._end.samples)
+
+    def _fetched(self) -> None:
+        assert self.fetching is not None
+        _, first = self.fetching
+        self.fetching = None
+        if self.sequencer.expected == first:  # asking again would bring no more
+            self._give_up()
 
     def _give_up(self) -> None:
         missing = self._missing()

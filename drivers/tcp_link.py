@@ -185,7 +185,8 @@ class Link:
                 interval = self.watchdog / 4
                 began = time.monotonic()
                 if began - beaten >= interval:
-                    self._send(Heartbeat())
+                    with contextlib.suppress(DriverError):  # what the peer still sent is to be read all the same
+                        self._send(Heartbeat())
                     beaten = began
                 data = b""
                 if selector.select(interval):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from agent.motion import FlyInterpolator
+from agent.motion.fly import FlyInterpolator
 from agent.motion.fly_parameters import FlyParameters
 from agent.robot import load_robot
 from agent.robot.kinematics import kinematics_for

@@ -7,19 +7,19 @@ import re
 import threading
 import traceback
 from collections import OrderedDict, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from agent.motion.interpolator import MotionError
-from agent.motion.pdl2 import Pdl2Error, parse_program
 
-from agent.errors import InputError
+from agent.motion.interpolator import Interpolator
+from agent.motion.pdl2 import Pdl2Error, Program, parse_program
 from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.clock import Clock
-from fake_controller.execution import Chain, Execution, Planner, Slice, StopSwitch
+from fake_controller.execution import CannotMove, Chain, Execution, Planner, Slice, StopSwitch
+from fake_controller.plant import Plant
 
 CONTROLLER = "fake controller"
 VERSION = "1.0"
@@ -67,6 +67,15 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
+class _Stored:
+    """A translated program; `size` in bytes and `checksum`, SHA-256 (hex), of its text."""
+
+    program: Program
+    size: int
+    checksum: str
+
+
+@dataclass(frozen=True, eq=False)
 class _Recorded:
     first: int
     time_ns: np.ndarray
@@ -96,7 +105,7 @@ class Controller:
 
     Args:
         robot: whom it drives.
-        plant: `fake_controller.plant.Plant` of that robot; put to rest at the calibration pose here.
+        plant: that robot; put to rest at the calibration pose here.
         interpolator: the controller's own, at `PERIOD`.
         forward: (S, n) joint positions to (S, 4, 4) TCP poses.
         clock: controller time.
@@ -106,9 +115,9 @@ class Controller:
     def __init__(
         self,
         robot: RobotDescription,
-        plant: Any,
-        interpolator: Any,
-        forward: Any,
+        plant: Plant,
+        interpolator: Interpolator,
+        forward: Callable[[np.ndarray], np.ndarray],
         clock: Clock,
         serial: str,
     ) -> None:
@@ -120,7 +129,7 @@ class Controller:
         self._planner = Planner(interpolator)
         self._execution = Execution(plant, forward, robot.max_acceleration, PERIOD, clock.slice_samples)
         self._lock = threading.RLock()
-        self._programs: OrderedDict[str, str] = OrderedDict()
+        self._programs: dict[str, _Stored] = {}
         self._last_stored = ""
         self._motion_ids: OrderedDict[bytes, None] = OrderedDict()
         self._ring = _Ring()
@@ -144,8 +153,8 @@ class Controller:
     def stored(self) -> tuple[str, str]:
         """Name and SHA-256 (hex) of the program that was stored last; empty where there is none."""
         with self._lock:
-            text = self._programs.get(self._last_stored.lower())
-            return ("", "") if text is None else (self._last_stored, checksum_of(text))
+            stored = self._programs.get(self._last_stored.lower())
+            return ("", "") if stored is None else (self._last_stored, stored.checksum)
 
     def check_upload(self, name: str, size: int) -> None:
         """Raises:
@@ -161,8 +170,8 @@ class Controller:
         with self._lock:
             if self.moving:
                 raise RefusedRequest(Refusal.MOVING, "no program is stored while one runs; stop it first")
-            others = {key: text for key, text in self._programs.items() if key != name.lower()}
-            if len(others) >= MAX_PROGRAMS or sum(map(len, others.values())) + size > MEMORY:
+            others = [stored.size for key, stored in self._programs.items() if key != name.lower()]
+            if len(others) >= MAX_PROGRAMS or sum(others) + size > MEMORY:
                 raise RefusedRequest(Refusal.MEMORY_FULL, "the program memory is full; delete programs")
 
     def store(self, name: str, data: bytes) -> str:
@@ -172,17 +181,18 @@ class Controller:
             RefusedRequest: not a program, or it cannot be stored now.
         """
         try:
-            text = data.decode("utf-8")
-            parse_program(text, name)
+            program = parse_program(data.decode("utf-8"), name, self.robot)
         except UnicodeDecodeError:
             raise RefusedRequest(Refusal.SYNTAX, f"program {name} is not UTF-8 text") from None
         except Pdl2Error as error:
-            raise RefusedRequest(Refusal.SYNTAX, str(error), error.line, error.column) from None
+            message = f"{error.word}: {error.reason}" if error.word else error.reason
+            raise RefusedRequest(Refusal.SYNTAX, message, error.line, error.column) from None
+        stored = _Stored(program, len(data), hashlib.sha256(data).hexdigest())
         with self._lock:
             self.check_upload(name, len(data))
-            self._programs[name.lower()] = text
+            self._programs[name.lower()] = stored
             self._last_stored = name
-        return checksum_of(text)
+        return stored.checksum
 
     def start(self, name: str, checksum: str, motion_id: bytes, listener: Listener) -> None:
         """Begin to run a stored program; `listener` hears the rest.
@@ -198,16 +208,16 @@ class Controller:
             if len(self._motion_ids) > REMEMBERED_MOTIONS:
                 self._motion_ids.popitem(last=False)
             self._check_ready()
-            text = self._programs.get(name.lower())
-            if text is None:
+            stored = self._programs.get(name.lower())
+            if stored is None:
                 raise RefusedRequest(Refusal.UNKNOWN_PROGRAM, f"no program {name!r} is stored")
-            if checksum_of(text) != checksum.lower():
+            if stored.checksum != checksum.lower():
                 raise RefusedRequest(Refusal.CHECKSUM, f"the stored {name} is another text than the checksum's")
-            chains = self._planner.chains(parse_program(text, name).run(), self._reference)
+            chains = self._planner.chains(stored.program.run(), self._reference)
             try:
                 first = next(chains, None)
-            except InputError as error:
-                raise RefusedRequest(Refusal.MOTION, str(error), getattr(error, "line", 0)) from None
+            except (CannotMove, Pdl2Error) as error:
+                raise RefusedRequest(Refusal.MOTION, str(error), error.line) from None
             self._ring = _Ring()
             self._switch = StopSwitch()
             self.motions_started += 1
@@ -277,8 +287,8 @@ class Controller:
                     self._reference = samples.reference_position[-1]
                 listener.on_samples(count, time_ns, samples)
                 count += len(samples)
-        except (MotionError, Pdl2Error) as error:
-            reason, message = EndReason.PROGRAM_ERROR, str(error)
+        except (CannotMove, Pdl2Error) as error:
+            reason, message = EndReason.PROGRAM_ERROR, f"line {error.line}: {error}" if error.line else str(error)
         except Exception as error:  # the client must hear that the motion is over, whatever went wrong in here
             traceback.print_exc()
             reason, message = EndReason.PROGRAM_ERROR, f"the controller failed: {type(error).__name__}: {error}"
@@ -293,11 +303,6 @@ def home(robot: RobotDescription) -> np.ndarray:
     """(n,) where a robot stands when it is switched on: its calibration pose, or zero within its limits."""
     lower, upper = robot.position_limits
     return _CALIBRATION_POSE.get(robot.name, np.clip(np.zeros(robot.dof), lower, upper))
-
-
-def checksum_of(text: str) -> str:
-    """SHA-256 (hex) of a program's bytes."""
-    return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
 def _chain(first: Chain | None, others: Iterator[Chain]) -> Iterator[Chain]:

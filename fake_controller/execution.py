@@ -9,9 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.errors import InputError
+from agent.motion.interpolator import Interpolator, MotionError
 from agent.motion.program import Delay, JointTarget, Move, Statement, Target, Termination
 from agent.motion.trajectory import Trajectory
 from drivers.wire.reasons import EndReason
+from fake_controller.plant import Plant
 
 MAX_CHAIN = 2000  # moves without a stop in between
 MAX_DELAY = 600.0  # s
@@ -34,6 +37,14 @@ class Slice:
 
     def __len__(self) -> int:
         return len(self.position)
+
+
+class CannotMove(Exception):
+    """A chain that the interpolator refuses; `line` of the program, 0 where it has none."""
+
+    def __init__(self, message: str, line: int) -> None:
+        super().__init__(message)
+        self.line = line
 
 
 class StopSwitch:
@@ -68,13 +79,9 @@ class Chain:
 
 
 class Planner:
-    """Plans a program chain by chain and remembers the last chains, so that a repeated cycle is planned once.
+    """Plans a program chain by chain and remembers the last few, so that a repeated cycle is planned once."""
 
-    Args:
-        interpolator: `agent.motion.interpolator.Interpolator`.
-    """
-
-    def __init__(self, interpolator: object, remembered: int = 8) -> None:
+    def __init__(self, interpolator: Interpolator, remembered: int = 8) -> None:
         self._interpolator = interpolator
         self._remembered = remembered
         self._plans: OrderedDict[tuple[object, ...], Trajectory] = OrderedDict()
@@ -83,7 +90,7 @@ class Planner:
         """The chains of a program that starts at rest at `start` (n,), each planned when it is asked for.
 
         Raises:
-            MotionError: a move that cannot be carried out.
+            CannotMove: a move that cannot be carried out.
         """
         moves: list[Move] = []
         for statement in statements:
@@ -104,7 +111,12 @@ class Planner:
         key = (tuple(np.round(start / _SAME_START).astype(np.int64)), *(_key(move) for move in moves))
         trajectory = self._plans.get(key)
         if trajectory is None:
-            trajectory = self._plans[key] = self._interpolator.plan(tuple(moves), start)
+            try:
+                trajectory = self._interpolator.plan(tuple(moves), start)
+            except InputError as error:
+                index = error.move if isinstance(error, MotionError) else 0
+                raise CannotMove(str(error), moves[index].line) from None
+            self._plans[key] = trajectory
             if len(self._plans) > self._remembered:
                 self._plans.popitem(last=False)
         self._plans.move_to_end(key)
@@ -117,7 +129,7 @@ class Execution:
     """Drives the plant along chains.
 
     Args:
-        plant: `fake_controller.plant.Plant`.
+        plant: the arm.
         forward: (S, n) joint positions to (S, 4, 4) TCP poses, for the Cartesian settling tolerances.
         max_acceleration: (n,) for the stop on the path [rad/s²].
         period: of the set-points [s].
@@ -126,7 +138,7 @@ class Execution:
 
     def __init__(
         self,
-        plant: object,
+        plant: Plant,
         forward: Callable[[np.ndarray], np.ndarray],
         max_acceleration: np.ndarray,
         period: float,

@@ -50,6 +50,7 @@ MAX_CONNECTIONS = 8
 WATCHDOG_RANGE = (0.05, 5.0)  # s
 IDLE_LIMIT = 5.0  # s of silence after which a client at rest is taken for gone, greeting included
 SEND_LIMIT = 5.0  # s
+LINGER = 1.0  # s
 _RECEIVE = 64 * 1024
 
 
@@ -88,6 +89,8 @@ class TcpServer:
             sessions = list(self._sessions)
         for session in sessions:
             session.close()
+        for session in sessions:
+            session.join()
         self._thread.join(5.0)
 
     def drop_clients(self) -> None:
@@ -145,16 +148,21 @@ class Session:
         self._greeted = False
         self._upload: _Upload | None = None
         self._driving = False  # this client's motion runs
+        self._thread = threading.Thread(target=self._serve, name="session", daemon=True)
 
     def start(self) -> None:
         """Begin to serve."""
-        threading.Thread(target=self._serve, name="session", daemon=True).start()
+        self._thread.start()
 
     def close(self) -> None:
-        """Cut the connection; the reader thread does the rest."""
+        """Say that nothing more will come; the reader thread does the rest."""
         self._closed.set()
         with contextlib.suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)
+            self._socket.shutdown(socket.SHUT_WR)
+
+    def join(self) -> None:
+        """Wait until the connection is closed."""
+        self._thread.join(2 * LINGER)
 
     def on_samples(self, first: int, time_ns: np.ndarray, samples: Slice) -> None:
         """Stream what the arm just did; a client that is gone ends the motion."""
@@ -179,7 +187,17 @@ class Session:
             if self._driving:
                 self._controller.stop(EndReason.WATCHDOG, "the client is gone")
             self._server.left(self)
+            self._linger()
             self._socket.close()
+
+    def _linger(self) -> None:
+        """Read on until the client has closed too: closing on unread data would take back what it has not read yet."""
+        until = time.monotonic() + LINGER
+        with contextlib.suppress(OSError):
+            while (left := until - time.monotonic()) > 0:
+                self._socket.settimeout(left)
+                if not self._socket.recv(_RECEIVE):
+                    return
 
     def _read(self) -> None:
         decoder = Decoder(MAX_REQUEST_PAYLOAD)

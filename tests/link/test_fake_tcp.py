@@ -1,0 +1,408 @@
+"""The fake controller over real sockets, driven by the real driver, with the real plant behind it."""
+
+import hashlib
+import socket
+import struct
+import zlib
+from contextlib import closing, suppress
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import DriverError, RefusedError
+from drivers.tcp import TcpDriver
+from drivers.wire import tcp
+from drivers.wire.reasons import EndReason, Refusal
+from fake_controller.build import build_controller
+from fake_controller.server_tcp import TcpServer
+
+GOAL = np.radians([20.0, -30.0])
+
+
+def program(body: str) -> str:
+    """PDL2 text around statements, for an arm of two joints."""
+    return f"PROGRAM p HOLD, PROG_ARM=1\nVAR\n  k : INTEGER\nBEGIN\n{body}\nEND p\n"
+
+
+SHORT = program("  MOVE JOINT TO {20, -30}")
+LONG = program("  FOR k := 1 TO 500 DO\n    MOVE JOINT TO {20, -30}\n    MOVE JOINT TO {-20, 30}\n  ENDFOR")
+
+
+def sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """The robot.yaml of a small arm with two joints."""
+    folder = tmp_path_factory.mktemp("arm")
+    (folder / "arm.urdf").write_text(URDF, encoding="utf-8")
+    (folder / "robot.yaml").write_text(DESCRIPTION, encoding="utf-8")
+    return str(folder / "robot.yaml")
+
+
+@pytest.fixture
+def server(arm):
+    with closing(TcpServer(build_controller(arm, seed=3, clock="fast"))) as server:
+        yield server
+
+
+@pytest.fixture
+def driver(server):
+    with closing(TcpDriver(server.address, watchdog=2.0)) as driver:
+        driver.connect()
+        yield driver
+
+
+def run(driver, text, name="p"):
+    driver.start(name, driver.upload(name, text))
+    return list(driver.samples())
+
+
+def test_who_and_how(driver, server):
+    identity = driver.identify()
+    assert (identity.robot, identity.joint_names, identity.period) == ("small_arm", ("shoulder", "elbow"), 0.002)
+    assert identity.serial == "FAKE-0003"
+    status = driver.status()
+    assert status.drives_on
+    assert status.mode == "auto"
+    assert status.emulator
+    assert not status.moving
+    assert (status.program, status.checksum) == ("", "")
+    np.testing.assert_allclose(status.position, [0, 0], atol=1e-3)
+
+
+def test_a_program_runs_from_rest_to_rest(driver):
+    blocks = run(driver, SHORT)
+    sequence = np.concatenate([block.sequence for block in blocks])
+    np.testing.assert_array_equal(sequence, np.arange(len(sequence)))
+    time = np.concatenate([block.time for block in blocks])
+    np.testing.assert_allclose(np.diff(time), 0.002, atol=1e-9)
+    reference = np.concatenate([block.reference_position for block in blocks])
+    measured = np.concatenate([block.position for block in blocks])
+    np.testing.assert_allclose(reference[-1], GOAL, atol=1e-9)
+    assert np.linalg.norm(measured[-1] - GOAL) < 2e-3
+    assert np.abs(measured - reference).max() < 0.05
+    velocity = np.concatenate([block.reference_velocity for block in blocks])
+    np.testing.assert_allclose(np.gradient(reference, 0.002, axis=0), velocity, atol=0.02)
+    assert np.abs(np.concatenate([block.torque for block in blocks])).max() > 1
+    assert driver.gaps == ()
+    status = driver.status()
+    assert not status.moving
+    np.testing.assert_array_equal(status.position, measured[-1])
+    assert (status.program, status.checksum) == ("p", sha256(SHORT))
+
+
+def test_motions_follow_one_another_in_controller_time(driver):
+    first, second = run(driver, SHORT), run(driver, program("  DELAY 100\n  MOVE JOINT TO {0, 0}"))
+    assert second[0].sequence[0] == 0
+    assert second[0].time[0] > first[-1].time[-1]
+    # The arm rests for the 100 ms of DELAY where the first motion left it.
+    reference = np.concatenate([block.reference_position for block in second])
+    np.testing.assert_array_equal(reference[:50], np.repeat(GOAL[None], 50, axis=0))
+
+
+def test_the_same_seed_gives_the_same_samples(arm):
+    runs = []
+    for _ in range(2):
+        with (
+            closing(TcpServer(build_controller(arm, 5, "fast"))) as server,
+            closing(TcpDriver(server.address)) as driver,
+        ):
+            driver.connect()
+            runs.append(np.concatenate([block.torque for block in run(driver, SHORT)]))
+            driver.close()
+    np.testing.assert_array_equal(*runs)
+
+
+def test_a_syntax_error_is_refused_with_its_place(driver):
+    with pytest.raises(RefusedError, match=r"syntax, line 5 column \d+.*FLIP"):
+        driver.upload("p", program("  FLIP TO {20, -30}"))
+    assert driver.status().program == ""
+
+
+def test_what_cannot_be_reached_is_refused_before_anything_moves(driver, server):
+    checksum = driver.upload("p", program("  MOVE JOINT TO {500, 0}"))
+    with pytest.raises(RefusedError, match=r"motion, line 5"):
+        driver.start("p", checksum)
+    assert server.controller.motions_started == 0
+    assert len(run(driver, SHORT)) > 0
+
+
+def test_what_cannot_be_reached_later_ends_the_motion_at_rest(driver):
+    driver.start("p", driver.upload("p", program("  MOVE JOINT TO {20, -30}\n  MOVE JOINT TO {500, 0}")))
+    blocks = []
+    with pytest.raises(RefusedError, match="cannot go on with the program: line 6"):
+        blocks.extend(driver.samples())
+    np.testing.assert_array_equal(blocks[-1].reference_velocity[-1], [0, 0])
+
+
+@pytest.mark.parametrize("name", ["", "1p", "p q", "x" * 33, "../p"])
+def test_names_that_no_program_can_have(driver, name):
+    with pytest.raises(RefusedError, match="cannot name a program"):
+        driver.upload(name, SHORT)
+
+
+def test_too_large_a_program(driver):
+    with pytest.raises(RefusedError, match="too large"):
+        driver.upload("p", SHORT + "-- " + "x" * 1_100_000)
+
+
+def test_only_the_program_that_was_meant_runs(driver, server):
+    driver.upload("p", SHORT)
+    with pytest.raises(RefusedError, match="checksum"):
+        driver.start("p", sha256(LONG))
+    with pytest.raises(RefusedError, match="unknown program"):
+        driver.start("q", sha256(SHORT))
+    assert server.controller.motions_started == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"emergency_stop": True}, "emergency stop"),
+        ({"drives_on": False}, "drives off"),
+        ({"mode": "teach"}, "teach mode"),
+        ({"alarms": ("62513",)}, "alarm.*62513"),
+        ({"cell_closed": False}, "cell open"),
+    ],
+)
+def test_a_state_that_forbids_motion(driver, server, changes, message):
+    checksum = driver.upload("p", SHORT)
+    for name, value in changes.items():
+        setattr(server.controller.state, name, value)
+        assert getattr(driver.status(), name) == value
+    with pytest.raises(RefusedError, match=message):
+        driver.start("p", checksum)
+    assert server.controller.motions_started == 0
+
+
+def test_stop_brings_the_arm_to_rest_on_its_path(driver, server):
+    driver.start("p", driver.upload("p", LONG))
+    received = driver.samples()
+    blocks = [next(received), next(received)]
+    driver.stop()
+    blocks += received
+    reference = np.concatenate([block.reference_position for block in blocks])
+    velocity = np.concatenate([block.reference_velocity for block in blocks])
+    sequence = np.concatenate([block.sequence for block in blocks])
+    np.testing.assert_array_equal(sequence, np.arange(len(sequence)))
+    np.testing.assert_allclose(velocity[-1], 0, atol=1e-9)
+    # On the path: between the same two points, one joint says where the other must be.
+    np.testing.assert_allclose(reference[:, 1], -1.5 * reference[:, 0], atol=1e-6)
+    acceleration = np.abs(np.diff(velocity, axis=0)).max(axis=0) / 0.002
+    assert np.all(acceleration <= 1.05 * server.controller.robot.max_acceleration)
+    assert not driver.status().moving
+    driver.stop()
+    assert len(run(driver, SHORT)) > 0
+
+
+def test_no_upload_and_no_second_start_while_the_arm_moves(driver, server):
+    checksum = driver.upload("p", LONG)
+    driver.start("p", checksum)
+    with pytest.raises(RefusedError, match="moving"):
+        driver.upload("q", SHORT)
+    with pytest.raises(DriverError, match="not over yet"):
+        driver.start("p", checksum)
+    assert driver.status().moving
+    driver.stop()
+    assert server.controller.motions_started == 1
+
+
+class Client:
+    """Frames by hand, for what the driver would never do."""
+
+    def __init__(self, server, watchdog_ms=5000):
+        host, _, port = server.address.rpartition(":")
+        self.socket = socket.create_connection((host, int(port)), 20)
+        self._decoder = tcp.Decoder(tcp.MAX_REPLY_PAYLOAD)
+        self._frames = []
+        self.watchdog_ms = watchdog_ms
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.socket.close()
+
+    def ask(self, message, request=1):
+        """The answer to a request."""
+        self.socket.sendall(tcp.encode(message, request))
+        return self.await_message(lambda frame, _: frame.request == request)
+
+    def await_message(self, wanted):
+        while True:
+            while not self._frames:
+                data = self.socket.recv(65536)
+                if not data:
+                    raise EOFError
+                self._frames += self._decoder.feed(data)
+            frame = self._frames.pop(0)
+            message = tcp.decode(frame)
+            if wanted(frame, message):
+                return message
+
+    def greet(self):
+        assert isinstance(self.ask(tcp.Hello(1, self.watchdog_ms, "by hand")), tcp.Welcome)
+        return self
+
+    def store(self, text):
+        self.ask(tcp.UploadBegin("p", len(text), sha256(text)))
+        self.ask(tcp.UploadBlock(0, text.encode()))
+        return self.ask(tcp.UploadEnd()).checksum
+
+
+def test_a_motion_command_acts_once(server):
+    with Client(server).greet() as client:
+        start = tcp.Start("p", client.store(SHORT), b"m" * 16)
+        assert isinstance(client.ask(start, 2), tcp.Started)
+        client.await_message(lambda _, message: isinstance(message, tcp.End))
+        refused = client.ask(start, 3)
+        assert refused.code == Refusal.REPEATED_MOTION
+    assert server.controller.motions_started == 1
+
+
+def test_what_was_missed_can_be_fetched(server):
+    with Client(server).greet() as client:
+        start = tcp.Start("p", client.store(SHORT), b"m" * 16)
+        client.ask(start, 2)
+        streamed = client.await_message(lambda _, message: isinstance(message, tcp.Samples))
+        end = client.await_message(lambda _, message: isinstance(message, tcp.End))
+        again = client.ask(tcp.Fetch(30, 20), 3)
+        assert again.first == 30
+        np.testing.assert_array_equal(again.torque, streamed.torque[30:50])
+        np.testing.assert_array_equal(again.time_ns, streamed.time_ns[30:50])
+        assert client.ask(tcp.Fetch(end.samples, 20), 4).code == Refusal.NOT_AVAILABLE
+
+
+def test_a_client_that_falls_silent_loses_the_arm(server):
+    with Client(server, watchdog_ms=50).greet() as client:
+        client.ask(tcp.Start("p", client.store(LONG), b"m" * 16), 2)
+        end = client.await_message(lambda _, message: isinstance(message, tcp.End))
+        assert end.reason == EndReason.WATCHDOG
+        assert "50 ms" in end.message
+
+
+def test_a_client_that_vanishes_leaves_the_arm_at_rest(server):
+    with closing(TcpDriver(server.address)) as driver:
+        driver.connect()
+        driver.start("p", driver.upload("p", LONG))
+        next(driver.samples())
+    thread = server.controller._thread
+    thread.join(20)
+    assert not thread.is_alive()
+    assert not server.controller.moving
+    end = server.controller._clock.now()
+    assert end < 300e9  # the whole program takes longer
+
+
+def test_a_controller_that_goes_away_in_mid_motion(server):
+    with closing(TcpDriver(server.address)) as driver:
+        driver.connect()
+        driver.start("p", driver.upload("p", LONG))
+        received = driver.samples()
+        assert len(next(received)) > 0
+        server.drop_clients()
+        with pytest.raises(DriverError, match=r"closed the connection|dropped"):
+            list(received)
+
+
+def test_switching_off_brings_the_arm_to_rest_first(arm):
+    server = TcpServer(build_controller(arm, 3, "fast"))
+    with closing(TcpDriver(server.address)) as driver:
+        driver.connect()
+        driver.start("p", driver.upload("p", LONG))
+        received = driver.samples()
+        next(received)
+        server.close()
+        blocks = []
+        with pytest.raises(DriverError, match="switched off"):
+            blocks.extend(received)
+        np.testing.assert_allclose(blocks[-1].reference_velocity[-1], 0, atol=1e-9)
+    with pytest.raises(DriverError, match="no controller answers"):
+        TcpDriver(server.address).connect()
+
+
+def test_one_client_at_a_time(server, driver):
+    with closing(TcpDriver(server.address)) as other:
+        with pytest.raises(RefusedError, match="busy: another client holds"):
+            other.connect()
+        driver.close()
+        for _ in range(100):  # the server has to notice that the first has left
+            with suppress(RefusedError):
+                other.connect()
+                break
+        assert other.identify().robot == "small_arm"
+
+
+def test_nothing_before_the_greeting(server):
+    with Client(server) as client:
+        assert client.ask(tcp.Identify()).code == Refusal.BAD_REQUEST
+
+
+def test_upload_blocks_are_checked(server):
+    with Client(server).greet() as client:
+        assert client.ask(tcp.UploadBlock(0, b"x")).code == Refusal.BAD_REQUEST
+        client.ask(tcp.UploadBegin("p", 4, sha256("abcd")))
+        assert client.ask(tcp.UploadBlock(1, b"x")).code == Refusal.BAD_REQUEST
+        assert client.ask(tcp.UploadBlock(0, b"abcde")).code == Refusal.TOO_LARGE
+        assert isinstance(client.ask(tcp.UploadBlock(0, b"abcx")), tcp.Done)
+        assert client.ask(tcp.UploadEnd()).code == Refusal.CHECKSUM
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=40)), max_size=8),
+    st.binary(max_size=100),
+)
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_hostile_clients_do_not_harm_the_next(server, frames, noise):
+    with Client(server) as client, suppress(EOFError, OSError):
+        for kind, payload in frames:
+            body = struct.pack("<4sBBHII", b"CALK", 1, kind, 0, len(payload), 1) + payload
+            client.socket.sendall(body + zlib.crc32(body).to_bytes(4, "little"))
+        client.socket.sendall(noise)
+        client.socket.shutdown(socket.SHUT_WR)
+        client.await_message(lambda *_: False)
+    with Client(server) as client:
+        for _ in range(100):
+            if not isinstance(client.ask(tcp.Hello(1, 200, "next")), tcp.Refused):
+                break
+        assert isinstance(client.ask(tcp.Identify(), 2), tcp.IdentityReply)
+
+
+def _link(name: str, mass: float) -> str:
+    return (
+        f'<link name="{name}"><inertial><origin xyz="0.2 0 0"/><mass value="{mass}"/>'
+        '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>'
+    )
+
+
+def _joint(name: str, parent: str, child: str, x: float) -> str:
+    return (
+        f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{x} 0 0"/><axis xyz="0 1 0"/>'
+        '<limit lower="-3" upper="3" effort="500" velocity="3"/></joint>'
+    )
+
+
+URDF = (
+    '<robot name="small_arm"><link name="base"/>'
+    + _link("upper", 5.0)
+    + _link("lower", 3.0)
+    + '<link name="tip"/>'
+    + _joint("shoulder", "base", "upper", 0.0)
+    + _joint("elbow", "upper", "lower", 0.4)
+    + '<joint name="end" type="fixed"><parent link="lower"/><child link="tip"/><origin xyz="0.4 0 0"/></joint></robot>'
+)
+
+DESCRIPTION = """\
+name: small_arm
+urdf: arm.urdf
+tip_frame: tip
+cartesian_limits: {linear_speed: 1.5, linear_acceleration: 3, rotational_speed: 2, rotational_acceleration: 6}
+joints:
+  - {name: shoulder, gear_ratio: 100, nominal_motor_torque: 1, max_velocity: 2, max_acceleration: 6}
+  - {name: elbow, gear_ratio: -80, nominal_motor_torque: 1, max_velocity: 3, max_acceleration: 9}
+"""
