@@ -1,8 +1,10 @@
 """Robot description, kinematics, dynamics, base parameters and friction.
 
-`agent.robot.dynamics` is imported where it is used: it loads Pinocchio.
+`agent.robot.dynamics` is imported where it is used: it loads Pinocchio. So is
+`agent.robot.base_parameters`, whose function has its name.
 """
 
+from agent.robot.configuration import configuration_of
 from agent.robot.description import (
     Capsule,
     CartesianLimits,
@@ -11,5 +13,18 @@ from agent.robot.description import (
     builtin_robots,
     load_robot,
 )
+from agent.robot.kinematics import InverseSolutions, Kinematics, KinematicsError, kinematics_for
 
-__all__ = ["Capsule", "CartesianLimits", "Joint", "RobotDescription", "builtin_robots", "load_robot"]
+__all__ = [
+    "Capsule",
+    "CartesianLimits",
+    "InverseSolutions",
+    "Joint",
+    "Kinematics",
+    "KinematicsError",
+    "RobotDescription",
+    "builtin_robots",
+    "configuration_of",
+    "kinematics_for",
+    "load_robot",
+]

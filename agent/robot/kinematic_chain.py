@@ -136,6 +136,12 @@ def chain_of(robot: RobotDescription, tool_frame: np.ndarray | None = None) -> K
     return KinematicChain(np.array(transforms), np.array([joint.prismatic for joint in robot.joints]))
 
 
+def joint_axes(robot: RobotDescription) -> np.ndarray:
+    """(n, 3) unit vectors of the joint axes, each in the frame of the link that the joint moves."""
+    joints = {joint.get("name"): joint for joint in ElementTree.fromstring(robot.urdf).findall("joint")}
+    return np.array([_axis(robot, joints[name]) for name in robot.joint_names])
+
+
 def _link(joint: ElementTree.Element, role: str) -> str:
     element = joint.find(role)
     return "" if element is None else str(element.get("link"))
