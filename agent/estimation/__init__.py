@@ -1,0 +1,7 @@
+"""From logs to an identified model: filtering, regression, friction, uncertainty."""
+
+from agent.estimation.estimate import METHODS, EstimationSettings, estimate
+from agent.estimation.filtering import FilterSettings
+from agent.estimation.model import EFFECTS, IdentifiedModel, ModelEffect
+
+__all__ = ["EFFECTS", "METHODS", "EstimationSettings", "FilterSettings", "IdentifiedModel", "ModelEffect", "estimate"]

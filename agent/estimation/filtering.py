@@ -1,15 +1,17 @@
 """From a log to smooth motion, and the one zero-phase filter that torque and regressor share.
 
-Two stages (AIM 2013, section III; CONTRACTS.md, 5):
+Two stages (AIM 2013, section III; CONTRACTS.md, 5), both as a real response in the frequency domain, hence zero phase:
 
-1. Positions are smoothed and differentiated by one convolution each. The kernel is an ideal low-pass windowed by a
-   Gaussian, k(t) = 2 f sinc(2 f t) exp(-t² / 2 s²); velocity and acceleration use its exact derivatives k'(t) and
-   k''(t). All three share one magnitude response, an error function in frequency that is 1 within 4e-5 up to
-   `pass_edge`, well above the cut-off, so that differentiation costs nothing where the filter passes. Torque columns
-   are built from these signals: a friction law needs the reversal as sharp as the data has it.
-2. The zero-phase Butterworth filter (forward and backward, so that an order of 8 acts as 16 and the cut-off lies at
-   -6 dB) at the cut-off, on the measured torque and on every column or prediction alike. As it is linear, the torque
-   equation holds after it as before. Its edges are dropped, then the rate is reduced.
+1. Positions are smoothed by L(f) = ½ erfc((|f| - f_m) / (√2 w)), which is 1 within 4e-5 up to `pass_edge`, well above
+   the cut-off; velocity and acceleration are (2πjf) L and (2πjf)² L of the same positions: no difference scheme, no
+   error where the filter passes. Torque columns are built from these signals: a friction law needs the reversal as
+   sharp as the data has it.
+2. The Butterworth filter run forward and backward, |H(f)|² = 1 / (1 + (tan(πf/f_s) / tan(πf_c/f_s))^(2 order)): order 8
+   falls like order 16 and is at -6 dB at the cut-off. It acts on the measured torque and on every column or prediction
+   alike, so that the torque equation holds after it as before.
+
+Beyond its ends a signal goes on by point reflection; what the ends can still disturb is dropped. The kernel of L is a
+sinc under a Gaussian and that of |H|² decays exponentially, so nothing reaches further in than that.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ from agent.errors import InputError
 from agent.recording.log import Log
 
 DEFAULT_CUTOFF = 30.0
-_GAUSS = 4.0  # width of half a transition band, in standard deviations of the Gaussian
+_HALF_BAND = 4.0  # half of a transition band, in standard deviations of the Gaussian that makes it
+_PIECE = 30_000  # samples worked on at a time
 
 
 @dataclass(frozen=True)
@@ -44,8 +47,9 @@ class FilterSettings:
 class Motion:
     """One stretch of a log without gaps, on an even grid. S samples, n joints, joint side, SI.
 
-    time (S,) [s] of the log; q, qd, qdd (S, n) smoothed up to `pass_edge` [Hz]; torque (S, n) as measured or None;
-    `cutoff` [Hz], `order` and `edge` (samples dropped at either end) belong to `low_pass`; `log` is the file's name.
+    time (S,) [s] of the log; q, qd, qdd (S, n) smoothed up to `pass_edge` [Hz]; torque (S, n) before the filter, or
+    None; `cutoff` [Hz], `order`, `edge` (samples dropped at either end) and `step` belong to `low_pass`; `log` is the
+    file's name, `cycle_starts` [s] are the log's.
     """
 
     log: str
@@ -54,6 +58,7 @@ class Motion:
     qd: np.ndarray
     qdd: np.ndarray
     torque: np.ndarray | None
+    cycle_starts: tuple[float, ...]
     rate: float
     cutoff: float
     order: int
@@ -62,12 +67,13 @@ class Motion:
     step: int
 
     def low_pass(self, signals: np.ndarray) -> np.ndarray:
-        """(S, …) samples of this motion → (S', …) filtered at the cut-off, edges dropped, every `step`-th sample."""
-        from scipy.signal import butter, sosfiltfilt
+        """(S, m) signals of this motion → (S', m) filtered at the cut-off, edges dropped, every `step`-th sample."""
 
-        sections = butter(self.order, self.cutoff, fs=self.rate, output="sos")
-        filtered = sosfiltfilt(sections, signals, axis=0, padlen=min(self.edge, len(signals) - 1))
-        return filtered[self.kept]
+        def response(frequency: np.ndarray) -> np.ndarray:
+            warped = np.tan(np.pi * np.minimum(frequency / self.rate, 0.5)) / np.tan(np.pi * self.cutoff / self.rate)
+            return 1 / (1 + warped ** (2 * self.order))
+
+        return _respond(signals, self.rate, [response], self.kept)[0]
 
     @property
     def kept(self) -> slice:
@@ -84,19 +90,51 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
         InputError: no stretch is longer than the filter's edges, or the sampling rate is too low for the cut-off.
     """
     cutoff = resolve_cutoff(log, settings)
-    found = False
-    for start, stop in log.segments:
-        motion = _motion(log, start, stop, cutoff, settings, reduce)
-        if motion is not None:
-            found = True
-            yield motion
-    if not found:
-        longest = max((stop - start for start, stop in log.segments), default=0) / log.sample_rate
-        needed = 2 * _edge_time(cutoff, *_bands(log, cutoff, settings)) + 1 / cutoff
+    flat, stop = _bands(log, cutoff, settings)
+    edge = _edge_time(cutoff, flat, stop)
+    needed = 2 * edge + 3 / cutoff
+    long_enough = [(a, b) for a, b in log.segments if (b - a) / log.sample_rate > needed]
+    if not long_enough:
+        longest = max((b - a for a, b in log.segments), default=0) / log.sample_rate
         raise InputError(
             f"{log.path}: the longest stretch without a gap is {longest:.2f} s; a cut-off of {cutoff:g} Hz "
             f"needs {needed:.2f} s. Record longer, or raise the cut-off"
         )
+    for first, last in long_enough:
+        time, position, torque = _even(log, first, last)
+        rate = (len(time) - 1) / (time[-1] - time[0])
+        every = max(1, int(rate / (16 * cutoff))) if reduce else 1
+        working = rate / every
+        q, qd, qdd = smooth_and_differentiate(position, rate, flat, stop, every)
+        if torque is not None and every > 1:
+            torque = smooth_and_differentiate(torque, rate, flat, stop, every)[0]
+        time = time[::every]
+        margin = int(np.ceil(edge * working))
+        step = max(1, int(working / (4 * cutoff))) if reduce else 1
+        for piece in _pieces(len(time), margin, step):
+            yield Motion(
+                log=log.name,
+                time=time[piece],
+                q=q[piece],
+                qd=qd[piece],
+                qdd=qdd[piece],
+                torque=None if torque is None else torque[piece],
+                cycle_starts=log.cycle_starts,
+                rate=working,
+                cutoff=cutoff,
+                order=settings.order,
+                pass_edge=flat,
+                edge=margin,
+                step=step,
+            )
+
+
+def _pieces(size: int, margin: int, step: int) -> Iterator[slice]:
+    """Cut a long stretch for the sake of memory, overlapping by the edges so that every sample is kept once."""
+    count = -(-(size - 2 * margin) // _PIECE)
+    length = -(-(size - 2 * margin) // (count * step)) * step
+    for first in range(0, size - 2 * margin, length):
+        yield slice(first, min(first + length, size - 2 * margin) + 2 * margin)
 
 
 def resolve_cutoff(log: Log, settings: FilterSettings) -> float:
@@ -107,7 +145,7 @@ def resolve_cutoff(log: Log, settings: FilterSettings) -> float:
     """
     highest = 0.35 * log.sample_rate
     if settings.cutoff is None:
-        return min(DEFAULT_CUTOFF, round(0.3 * log.sample_rate, 3))
+        return min(DEFAULT_CUTOFF, float(f"{0.3 * log.sample_rate:.3g}"))
     if not 0 < settings.cutoff <= highest:
         raise InputError(
             f"{log.path}: a cut-off of {settings.cutoff:g} Hz does not fit a sampling rate of {log.sample_rate:g} Hz; "
@@ -116,118 +154,109 @@ def resolve_cutoff(log: Log, settings: FilterSettings) -> float:
     return settings.cutoff
 
 
+def smooth_and_differentiate(
+    position: np.ndarray, rate: float, pass_edge: float, stop_edge: float, every: int = 1
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Low-pass an evenly sampled (S, n) signal; returns it and its first and second derivative, thinned by `every`.
+
+    Flat up to `pass_edge`, nothing from `stop_edge` on [Hz].
+    """
+    from scipy.special import erfc
+
+    middle, width = (pass_edge + stop_edge) / 2, (stop_edge - pass_edge) / (2 * _HALF_BAND)
+
+    def smooth(frequency: np.ndarray) -> np.ndarray:
+        return 0.5 * erfc((frequency - middle) / (np.sqrt(2) * width))
+
+    responses = [
+        smooth,
+        lambda frequency: 2j * np.pi * frequency * smooth(frequency),
+        lambda frequency: -((2 * np.pi * frequency) ** 2) * smooth(frequency),
+    ]
+    signals = _respond(position, rate, responses, slice(0, len(position), every))
+    return signals[0], signals[1], signals[2]
+
+
+def _respond(signals: np.ndarray, rate: float, responses: list, kept: slice) -> list[np.ndarray]:
+    """Apply responses over frequency [Hz] to (S, m) signals continued by point reflection, and return `kept` of each.
+
+    The spectrum is cut at the new Nyquist frequency where `kept` takes every k-th sample, so only responses that pass
+    nothing beyond it may be decimated.
+    """
+    from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+
+    size = len(signals)
+    first, stop, step = kept.indices(size)
+    reduced = next_fast_len((size + 2 * min(size - 1, int(rate))) // step + 1, real=True)
+    length = reduced * step
+    before = min(size - 1, (length - size) // 2)
+    after = min(size - 1, length - size - before)
+    # sample `first` comes first in the transform, what precedes it wraps around
+    extended = np.zeros((signals.shape[1], length))
+    extended[:, : size - first] = signals[first:].T
+    extended[:, size - first : size - first + after] = 2 * signals[-1][:, None] - signals[-2 : -after - 2 : -1].T
+    extended[:, length - first :] = signals[:first].T
+    extended[:, length - first - before : length - first] = 2 * signals[0][:, None] - signals[before:0:-1].T
+    spectrum = rfft(extended, axis=1)[:, : reduced // 2 + 1] / step
+    frequency = rfftfreq(length, 1 / rate)[: spectrum.shape[1]]
+    count = -(-(stop - first) // step)
+    return [
+        np.ascontiguousarray(irfft(spectrum * response(frequency), reduced, axis=1)[:, :count].T)
+        for response in responses
+    ]
+
+
 def _bands(log: Log, cutoff: float, settings: FilterSettings) -> tuple[float, float]:
     """Up to where the smoothing is flat, and from where it passes nothing [Hz]."""
-    stop = min(4.5 * cutoff, log.sample_rate / 2)
-    flat = max(stop * 2 / 3, 1.15 * cutoff)
-    if settings.smoothing is not None:
-        flat = settings.smoothing
-        stop = min(1.5 * flat, log.sample_rate / 2)
-        if not 1.15 * cutoff <= flat <= 0.4 * log.sample_rate:
-            raise InputError(
-                f"{log.path}: positions smoothed at {flat:g} Hz: between 1.15 times the cut-off ({1.15 * cutoff:g} Hz) "
-                f"and 0.4 times the sampling rate ({0.4 * log.sample_rate:g} Hz) is possible"
-            )
-    return flat, stop
-
-
-def _kernel_time(flat: float, stop: float) -> float:
-    """Half length of the smoothing kernel [s]: 4.5 standard deviations of its Gaussian."""
-    return 5.0 * 2 * _GAUSS / (2 * np.pi * (stop - flat))
-
-
-def _edge_time(cutoff: float, flat: float, stop: float) -> float:
-    """What is dropped at either end [s]: the kernel, and six periods of the cut-off for the Butterworth filter."""
-    return _kernel_time(flat, stop) + 6 / cutoff
-
-
-def _motion(log: Log, start: int, stop: int, cutoff: float, settings: FilterSettings, reduce: bool) -> Motion | None:
-    flat, stopped = _bands(log, cutoff, settings)
-    rate = log.sample_rate
-    if (stop - start) / rate <= 2 * _edge_time(cutoff, flat, stopped) + 1 / cutoff:
-        return None
-    time, position, torque = _even(log, start, stop)
-    rate = (len(time) - 1) / (time[-1] - time[0])
-    first = max(1, int(rate / (16 * cutoff))) if reduce else 1
-    q, qd, qdd = smooth_and_differentiate(position, rate, flat, stopped)
-    if first > 1 and torque is not None:
-        torque = smooth_and_differentiate(torque, rate, flat, stopped)[0]
-    working = rate / first
-    return Motion(
-        log=log.name,
-        time=time[::first],
-        q=q[::first],
-        qd=qd[::first],
-        qdd=qdd[::first],
-        torque=None if torque is None else torque[::first],
-        rate=working,
-        cutoff=cutoff,
-        order=settings.order,
-        pass_edge=flat,
-        edge=int(np.ceil(_edge_time(cutoff, flat, stopped) * working)),
-        step=max(1, int(working / (4 * cutoff))) if reduce else 1,
-    )
-
-
-def smooth_and_differentiate(
-    position: np.ndarray, rate: float, pass_edge: float, stop_edge: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Low-pass an evenly sampled (S, n) signal; returns it with its first and second derivative, (S, n) each.
-
-    Flat up to `pass_edge`, nothing from `stop_edge` on [Hz]. Beyond the ends the signal goes on by point reflection.
-    """
-    from scipy.signal import oaconvolve
-
-    middle, width = (pass_edge + stop_edge) / 2, (stop_edge - pass_edge) / (2 * _GAUSS)
-    half = min(int(np.ceil(_kernel_time(pass_edge, stop_edge) * rate)), len(position) - 1)
-    t = np.arange(-half, half + 1) / rate
-    spread = 1 / (2 * np.pi * width)
-    window = np.exp(-0.5 * (t / spread) ** 2)
-    window_1 = -t / spread**2 * window
-    window_2 = (t**2 / spread**4 - 1 / spread**2) * window
-    omega = 2 * np.pi * middle
-    sine, cosine = np.sin(omega * t), np.cos(omega * t)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ideal = np.where(t == 0, omega, sine / t) / np.pi
-        ideal_1 = np.where(t == 0, 0.0, (omega * cosine - sine / t) / t) / np.pi
-        ideal_2 = (
-            np.where(t == 0, -(omega**3) / 3, (-(omega**2) * sine - 2 * (omega * cosine - sine / t) / t) / t) / np.pi
+    if settings.smoothing is None:
+        stop = min(4.5 * cutoff, log.sample_rate / 2)
+        return max(stop * 2 / 3, 1.15 * cutoff), stop
+    if not 1.15 * cutoff <= settings.smoothing <= 0.4 * log.sample_rate:
+        raise InputError(
+            f"{log.path}: positions smoothed at {settings.smoothing:g} Hz: what is possible is between 1.15 times the "
+            f"cut-off ({1.15 * cutoff:g} Hz) and 0.4 times the sampling rate ({0.4 * log.sample_rate:g} Hz)"
         )
-    kernel = ideal * window
-    kernel_1 = ideal_1 * window + ideal * window_1
-    kernel_2 = ideal_2 * window + 2 * ideal_1 * window_1 + ideal * window_2
-    # truncation must not leave a slope or a constant behind
-    kernel = kernel / kernel.sum()
-    kernel_1 = kernel_1 / rate
-    kernel_2 = kernel_2 / rate - kernel_2.sum() / rate * kernel
+    return settings.smoothing, min(1.5 * settings.smoothing, log.sample_rate / 2)
 
-    start, end = 2 * position[0] - position[half:0:-1], 2 * position[-1] - position[-2 : -half - 2 : -1]
-    extended = np.concatenate([start, position, end])
-    smooth, first, second = (
-        oaconvolve(extended, k[:, None], mode="valid", axes=0) for k in (kernel, kernel_1, kernel_2)
-    )
-    return smooth, first, second
+
+def _edge_time(cutoff: float, pass_edge: float, stop_edge: float) -> float:
+    """What is dropped at either end [s]: the reach of the smoothing kernel, and four periods of the cut-off.
+
+    By then the Butterworth kernel has fallen to under 1 %; what it adds of the reflected ends is the same in torque and
+    columns.
+    """
+    spread = _HALF_BAND / (np.pi * (stop_edge - pass_edge))
+    return 2.5 * spread + 4 / cutoff
 
 
 def _even(log: Log, start: int, stop: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Time, position and torque of one stretch on an even grid.
+    """Time, position and torque of one stretch on an even grid, single missing samples filled in.
 
     Uneven stamps mean either an uneven sampling or a late stamp on an even one. The position tells: sampled evenly it
     is smooth in the sample number, else it is smooth in the stamps.
     """
     stamps, position = log.t[start:stop], log.position[start:stop]
     torque = None if log.effort is None else log.effort[start:stop]
-    grid = np.linspace(stamps[0], stamps[-1], len(stamps))
-    uneven = np.max(np.abs(stamps - grid)) * (len(stamps) - 1) / (stamps[-1] - stamps[0])
-    if uneven < 1e-3:
+    number = np.round((stamps - stamps[0]) * log.sample_rate)
+    slope, intercept = np.polyfit(number, stamps, 1)
+    grid = intercept + slope * np.arange(number[-1] + 1)
+    clock = intercept + slope * number
+    uneven = np.max(np.abs(stamps - clock)) > 1e-3 * slope
+    if not uneven and len(grid) == len(stamps):
         return grid, position, torque
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import CubicSpline, PchipInterpolator
 
-    resampled = CubicSpline(stamps, position)(grid)
-    if _roughness(position) <= _roughness(resampled):
-        slope, intercept = np.polyfit(np.arange(len(stamps)), stamps, 1)
-        return intercept + slope * np.arange(len(stamps)), position, torque
-    return grid, resampled, None if torque is None else CubicSpline(stamps, torque)(grid)
+    knots = stamps
+    if np.all(np.diff(number) > 0) and (
+        not uneven or _roughness(CubicSpline(clock, position)(grid)) <= _roughness(CubicSpline(stamps, position)(grid))
+    ):
+        knots = clock
+    inside = np.clip(grid, knots[0], knots[-1])
+    return (
+        grid,
+        CubicSpline(knots, position)(inside),
+        None if torque is None else PchipInterpolator(knots, torque)(inside),
+    )
 
 
 def _roughness(position: np.ndarray) -> float:

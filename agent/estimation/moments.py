@@ -1,0 +1,103 @@
+"""Second moments of regressor and torque: all that weighting, cross-validation and resampling need of the data.
+
+For Z = [X y], the sums Zᵀ Z are additive over rows: fitting without a fold, under other weights or with fewer columns
+is arithmetic on small matrices, whatever the length of the logs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.estimation.blocks import Partition
+from agent.estimation.friction_terms import FrictionTerm
+from agent.estimation.observation import Observation
+
+_STANDSTILL = 0.005  # of the highest speed seen on the joint
+
+Cells = np.ndarray | slice
+ALL_CELLS = slice(None)
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Of p parameters on n joints. Weights and energies are (2, n): a joint's rows while it moves, then at standstill.
+
+    index[i] (c_i,): which parameters act on joint i; sums[i] (cells, 2, c_i + 1, c_i + 1): Zᵀ Z of its rows;
+    rows (cells, 2, n): their number.
+    """
+
+    parameters: int
+    index: tuple[np.ndarray, ...]
+    sums: tuple[np.ndarray, ...]
+    rows: np.ndarray
+
+    def weighted(self, weights: np.ndarray, cells: Cells = ALL_CELLS) -> np.ndarray:
+        """(p + 1, p + 1): sum over cells and rows, the last row and column are the torque's."""
+        total = np.zeros((self.parameters + 1, self.parameters + 1))
+        for joint, (index, sums) in enumerate(zip(self.index, self.sums, strict=True)):
+            place = np.append(index, self.parameters)
+            total[np.ix_(place, place)] += np.tensordot(weights[:, joint], sums[cells].sum(axis=0), axes=1)
+        return total
+
+    def energy(self, parameters: np.ndarray, cells: Cells = ALL_CELLS) -> np.ndarray:
+        """(2, n) squared residual left by parameters (p,), not below the round-off of this difference."""
+        energy = np.empty((2, len(self.index)))
+        for joint, (index, sums) in enumerate(zip(self.index, self.sums, strict=True)):
+            extended = np.append(parameters[index], -1.0)
+            total = sums[cells].sum(axis=0)
+            energy[:, joint] = np.maximum(total @ extended @ extended, 1e-15 * total[:, -1, -1])
+        return energy
+
+    def torque_energy(self, cells: Cells = ALL_CELLS) -> np.ndarray:
+        """(2, n) squared measured torque."""
+        return np.stack([sums[cells, :, -1, -1].sum(axis=0) for sums in self.sums], axis=1)
+
+    def select(self, chosen: np.ndarray) -> Moments:
+        """The moments of some of the parameters, in the order given."""
+        position = np.full(self.parameters, -1)
+        position[chosen] = np.arange(len(chosen))
+        index, sums = [], []
+        for old, old_sums in zip(self.index, self.sums, strict=True):
+            keep = np.flatnonzero(position[old] >= 0)
+            keep = keep[np.argsort(position[old[keep]])]
+            place = np.append(keep, len(old))
+            index.append(position[old[keep]])
+            sums.append(old_sums[:, :, place[:, None], place])
+        return Moments(len(chosen), tuple(index), tuple(sums), self.rows)
+
+
+def collect(
+    observation: Observation,
+    partition: Partition,
+    terms: tuple[FrictionTerm, ...],
+    rigid_parameters: np.ndarray | None = None,
+) -> Moments:
+    """Moments of the base parameters and these friction terms; `rigid_parameters` as in `joint_columns`."""
+    n = observation.robot.dof
+    cells = len(partition.cluster)
+    index: list[np.ndarray] = []
+    sums: list[np.ndarray] = []
+    rows = np.zeros((cells, 2, n), dtype=int)
+    still = standstill(observation)
+    for stretch, labels, stopped in zip(observation.stretches, partition.labels, still, strict=True):
+        for joint, (acting, columns) in enumerate(observation.joint_columns(stretch, terms, rigid_parameters)):
+            block = np.column_stack([columns, stretch.torque[:, joint]])
+            if len(sums) == joint:
+                index.append(acting)
+                sums.append(np.zeros((cells, 2, block.shape[1], block.shape[1])))
+            keys = 2 * labels + stopped[:, joint]
+            order = np.argsort(keys, kind="stable")
+            found, first = np.unique(keys[order], return_index=True)
+            for key, part in zip(found, np.split(order, first[1:]), strict=True):
+                chosen = block[part]
+                sums[joint][key // 2, key % 2] += chosen.T @ chosen
+                rows[key // 2, key % 2, joint] += len(part)
+    return Moments(observation.rigid.count + len(terms), tuple(index), tuple(sums), rows)
+
+
+def standstill(observation: Observation) -> list[np.ndarray]:
+    """Per stretch (S', n) bool: where a joint stands still, so that its friction is anything within stiction."""
+    fastest = np.max([np.abs(stretch.speed).max(axis=0) for stretch in observation.stretches], axis=0)
+    return [np.abs(stretch.speed) <= _STANDSTILL * fastest for stretch in observation.stretches]

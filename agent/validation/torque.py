@@ -1,0 +1,127 @@
+"""Torque prediction on logs that took no part in a fit (AIM 2013, eq. 7-8, with the true root mean square)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from agent.estimation.filtering import FilterSettings, motions, resolve_cutoff
+from agent.estimation.model import IdentifiedModel
+from agent.estimation.observation import check_log
+from agent.recording.log import Log
+
+SCHEMA = "validation/1"
+_MOVING = 1e-3  # of a joint's highest speed by the robot description
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Measured and predicted torque of one log, both filtered alike, edges dropped. S samples, n joints.
+
+    time (S,) [s]; measured, predicted (S, n) [N·m]; moving (S,): where any joint moves.
+    """
+
+    model: IdentifiedModel
+    log: str
+    cutoff: float
+    time: np.ndarray
+    measured: np.ndarray
+    predicted: np.ndarray
+    moving: np.ndarray
+    _motions: tuple[Any, ...]
+
+    @property
+    def error(self) -> np.ndarray:
+        """(S, n) [N·m]."""
+        return self.measured - self.predicted
+
+    def normalised_rmse(self, moving: bool = False) -> np.ndarray:
+        """(n,) RMSE over nominal joint torque, NaN where there is none; `moving`: of samples where the arm moves."""
+        error = self.error[self.moving] if moving else self.error
+        return np.sqrt(np.mean(error**2, axis=0)) / self.model.robot.nominal_torque
+
+    @cached_property
+    def half_width(self) -> np.ndarray:
+        """(S, n) [N·m] half of the 95 % interval."""
+        parts = []
+        for motion in self._motions:
+            columns = self.model.columns(motion.q, motion.qd, motion.qdd)
+            flat = motion.low_pass(columns.reshape(len(columns), -1))
+            parts.append(self.model.prediction_interval(flat.reshape(-1, *columns.shape[1:])))
+        return np.concatenate(parts)
+
+
+def predict_log(model: IdentifiedModel, log: Log, cutoff: float | None = None) -> Prediction:
+    """Predict every sample of a log. `cutoff` [Hz] is the model's unless given.
+
+    Raises:
+        InputError: a log of another robot, without torque, too short, or sampled too slowly for the cut-off.
+    """
+    check_log(model.robot, log)
+    settings = FilterSettings(model.cutoff if cutoff is None else cutoff, model.order)
+    stretches = tuple(motions(log, settings, reduce=False))
+    time, measured, predicted, moving = [], [], [], []
+    for motion in stretches:
+        torque = model.predict(motion.q, motion.qd, motion.qdd, motion.time)
+        time.append(motion.time[motion.kept])
+        measured.append(motion.low_pass(motion.torque))
+        predicted.append(motion.low_pass(torque))
+        moving.append(np.any(np.abs(motion.qd[motion.kept]) > _MOVING * model.robot.max_velocity, axis=1))
+    return Prediction(
+        model=model,
+        log=log.name,
+        cutoff=resolve_cutoff(log, settings),
+        time=np.concatenate(time),
+        measured=np.concatenate(measured),
+        predicted=np.concatenate(predicted),
+        moving=np.concatenate(moving),
+        _motions=stretches,
+    )
+
+
+def validate(model: IdentifiedModel, logs: Sequence[Log], cutoff: float | None = None) -> dict[str, Any]:
+    """The result of CONTRACTS.md, 5: every sample counts, standstill included.
+
+    Raises:
+        InputError: as `predict_log`.
+    """
+    return summary([predict_log(model, log, cutoff) for log in logs])
+
+
+def summary(predictions: Sequence[Prediction]) -> dict[str, Any]:
+    """The same result from predictions at hand (at least one)."""
+    model = predictions[0].model
+    return {
+        "schema": SCHEMA,
+        "joints": list(model.robot.joint_names),
+        "cutoff_hz": predictions[0].cutoff,
+        "logs": [{"log": p.log, **_figures(model, p.measured, p.error), "samples": len(p.time)} for p in predictions],
+        "overall": _figures(
+            model,
+            np.concatenate([p.measured for p in predictions]),
+            np.concatenate([p.error for p in predictions]),
+        ),
+    }
+
+
+def _figures(model: IdentifiedModel, measured: np.ndarray, error: np.ndarray) -> dict[str, Any]:
+    rmse = np.sqrt(np.mean(error**2, axis=0))
+    length = np.linalg.norm(measured, axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.linalg.norm(error, axis=0) / length
+        together = np.linalg.norm(error) / np.linalg.norm(measured)
+    return {
+        "rmse": rmse.tolist(),
+        "normalised_rmse": _finite(rmse / model.robot.nominal_torque),
+        "relative_error": _finite(relative),
+        "relative_error_all_joints": _finite(np.atleast_1d(together))[0],
+    }
+
+
+def _finite(values: np.ndarray) -> list[float | None]:
+    """JSON has no NaN: null where a figure does not exist."""
+    return [float(value) if np.isfinite(value) else None for value in values]
