@@ -1,0 +1,174 @@
+"""The whole job, as in the paper's Fig. 2: plan, program, send, record, filter, estimate, validate, report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from agent import planning
+from agent.console import Console
+from agent.recipe import Recipe
+from agent.record import Recording, open_link, report_losses
+from agent.result import build_result, provenance, run_data
+from agent.run import RunFolder, sha256_file
+
+_EXCITATION = "excitation.mcap"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Run folder, the content of its `result.json`, and whether the gate accepted it."""
+
+    run: Path
+    result: dict[str, Any]
+    accepted: bool
+
+    def summary(self) -> str:
+        """One screen."""
+        result, validation = self.result, self.result["validation"]
+        axes = "  ".join(
+            f"{name} {100 * value:.2f} %"
+            for name, value in zip(validation["joints"], validation["normalised_rmse"], strict=True)
+        )
+        return "\n".join(
+            [
+                "",
+                f"fitness             {result['search']['fitness']:.2f}  (log10 det(HᵀH/M))",
+                f"condition number    {result['estimation']['condition_number']:.0f}",
+                f"prediction error    {axes}",
+                f"                    of nominal torque, {validation['motions']} unseen motions at "
+                f"{validation['speed']:g} m/s",
+                f"result              {'accepted' if self.accepted else 'REJECTED'}  "
+                f"(gate {100 * result['gate']['normalised_rmse']:.1f} % on every axis)",
+                f"report              {self.run / 'report.html'}",
+                "",
+            ]
+        )
+
+
+def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None, yes: bool) -> Outcome:
+    """Run the job; with `resume`, go on after the last finished step of a stopped run.
+
+    Raises:
+        AgentError, DriverError: with their exit codes; the run folder says where and why it stopped.
+    """
+    if resume is None:
+        run = RunFolder.create(logs, recipe.robot.name, recipe.path)
+    else:
+        run = RunFolder.open(resume, recipe.sha256)
+    console.say(f"run {run.path}")
+
+    with _step(run, "plan"):
+        plan = planning.plan_once(recipe, run, console)
+    with _step(run, "record"):
+        recordings = _record(recipe, plan, run, console, yes)
+    with _step(run, "estimate"):
+        model = _estimate(recipe, run, console)
+    with _step(run, "validate"):
+        validation = _validate(recipe, run, model, console)
+    with _step(run, "report"):
+        return _report(recipe, plan, run, recordings, model, validation)
+
+
+def _record(recipe: Recipe, plan: planning.Plan, run: RunFolder, console: Console, yes: bool) -> list[Recording]:
+    """Excitation and validation motions; each finished log is kept, a cut one is moved aside and run again."""
+    motions = [
+        (_EXCITATION, plan.excitation),
+        *((f"validation_{k + 1:02d}.mcap", m) for k, m in enumerate(plan.validation)),
+    ]
+    done = {
+        name: Recording(**{**found, "path": run.file(name)}) for name in dict(motions) if (found := _found(run, name))
+    }
+    if len(done) == len(motions):
+        return list(done.values())
+    with open_link(recipe, recipe.robot, console, yes) as link:
+        program = planning.programs(
+            recipe, plan, [motion for name, motion in motions if name not in done], link.position()
+        )
+        console.step(f"recording {len(motions) - len(done)} motions, {recipe.record.cycles} cycles of the loop first")
+        for (name, motion), (text, chains, total) in zip(
+            [m for m in motions if m[0] not in done], program, strict=True
+        ):
+            _set_aside(run.file(name))
+            recording = link.run(motion.name, text, run.file(name), motion.kind, chains, total)
+            report_losses(recording, console)
+            done[name] = recording
+            entry = {"samples": recording.samples, "lost": recording.lost, "duration": recording.duration}
+            run.finish(name, **entry, cycle_starts=recording.cycle_starts, sha256=sha256_file(recording.path))
+    return [done[name] for name, _ in motions]
+
+
+def _found(run: RunFolder, name: str) -> dict[str, Any] | None:
+    entry = run.finished(name)
+    if entry is None or not run.file(name).exists():
+        return None
+    keys = ("samples", "lost", "duration", "cycle_starts")
+    return {key: entry[key] for key in keys}
+
+
+def _set_aside(log: Path) -> None:
+    """A log that a stopped run left is kept under another name: its data may be all there is of an incident."""
+    number = 1
+    while log.exists():
+        aside = log.with_suffix(f".stopped{number}.mcap")
+        if not aside.exists():
+            log.rename(aside)
+        number += 1
+
+
+def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
+    from agent.estimation import EstimationSettings, estimate
+    from agent.identify import read_logs
+
+    console.step("estimating")
+    logs = read_logs([run.file(_EXCITATION)], recipe.robot, console)
+    model = estimate(
+        recipe.robot,
+        logs,
+        EstimationSettings.create(
+            cutoff=recipe.estimate.filter.cutoff, method=recipe.estimate.method, order=recipe.estimate.filter.order
+        ),
+        tool=recipe.tool,
+    )
+    model.save(run.file("model.json"))
+    return model
+
+
+def _validate(recipe: Recipe, run: RunFolder, model: Any, console: Console) -> list[Any]:
+    from agent.identify import read_logs
+    from agent.validation import predict_log
+
+    console.step("validating on unseen motions")
+    logs = read_logs(_validation_logs(run), recipe.robot, console)
+    return [predict_log(model, log) for log in logs]
+
+
+def _validation_logs(run: RunFolder) -> list[Path]:
+    return sorted(run.path.glob("validation_[0-9][0-9].mcap"))
+
+
+def _report(
+    recipe: Recipe, plan: planning.Plan, run: RunFolder, recordings: list[Recording], model: Any, predictions: list[Any]
+) -> Outcome:
+    from agent.report import run_report
+
+    origin = provenance(run.path, run.state, [run.file(_EXCITATION), *_validation_logs(run)])
+    result = build_result(recipe, plan, recordings, model, predictions, origin)
+    run.write_json("result.json", result)
+    run.write_text("report.html", run_report(run_data(recipe, plan, result, model, predictions)))
+    run.complete(result["accepted"])
+    return Outcome(run.path, result, result["accepted"])
+
+
+@contextmanager
+def _step(run: RunFolder, name: str) -> Iterator[None]:
+    """Whatever ends the run inside is noted in the run folder."""
+    try:
+        yield
+    except BaseException as error:
+        run.stopped(name, str(error) or type(error).__name__)
+        raise
+    run.finish(name)
