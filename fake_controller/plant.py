@@ -8,23 +8,19 @@ from typing import Any
 
 import numpy as np
 
+from agent.errors import InputError
 from agent.robot import RobotDescription
-from agent.simulation import ForwardSimulation, ServoGains, SimulatedMotion
+from agent.robot.dynamics import Dynamics
+from agent.simulation import ExternalTorque, ForwardSimulation, ServoGains
+from fake_controller.actuation import load_effect
 from fake_controller.actuation.drive import Drive
-from fake_controller.actuation.machine import ENCODER_COUNTS, Machine, draw_machine
+from fake_controller.actuation.machine import Machine, draw_machine
+from fake_controller.actuation.sensors import Measured, Sensors
 
-TORQUE_NOISE = 0.005  # of nominal, standard deviation, white
-CURRENT_COUNTS = 2**12  # over twice the drive's limit
+__all__ = ["Measured", "Plant", "Truth"]
+
 _SETTLING = 0.5  # s
-
-
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """K samples of what the controller measures, (K, n) each: joint positions, velocities, torques."""
-
-    position: np.ndarray
-    velocity: np.ndarray
-    torque: np.ndarray
+_HIGHEST_RATE = 20_000.0  # Hz
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +28,8 @@ class Truth:
     """What only tests may ask for.
 
     `parameters` (10 n,) standard inertial, `rotor_inertias` (n,) [kg·m², motor side], and `predict`: q, q̇, q̈ (S, n)
-    to the torque (S, n) that the controller would measure in steady sliding, without noise.
+    to the torque (S, n) that the controller would measure in steady sliding, without noise. It knows the machine's
+    bodies, rotors, friction curves and sensors; of effects, those that are parameters of these.
     """
 
     parameters: np.ndarray
@@ -46,12 +43,12 @@ class Plant:
     Args:
         robot: its type.
         seed: of the individual and of its measurement noise; the same seed gives the same samples.
-        effects: plain mappings as `fake_controller.actuation` loads them.
+        effects: plain mappings as `fake_controller.actuation.load_effect` takes them.
         period: of set-points and samples [s].
-        inner_rate: of servo and integration [Hz].
+        inner_rate: of servo and integration [Hz]; gears that give way raise it.
 
     Raises:
-        InputError: an effect that does not exist, or does not fit this robot.
+        InputError: an effect that does not exist, does not fit this robot, or is too stiff to simulate.
     """
 
     def __init__(
@@ -62,44 +59,44 @@ class Plant:
         period: float = 0.002,
         inner_rate: float = 2000.0,
     ):
-        from fake_controller.actuation import load_effect
-
         self.robot = robot
         self.machine = draw_machine(robot, seed)
         for effect in effects:
             load_effect(effect).install(self.machine)
-        machine = self.machine
-        dynamics = machine.dynamics()
+        dynamics = self.machine.dynamics()
+        gains = ServoGains.tuned(self.machine.typical_inertia, self.machine.limit)
         self._simulation = ForwardSimulation(
             dynamics,
-            machine.rotor_inertias,
-            Drive(machine),
-            ServoGains.tuned(machine.typical_inertia, machine.limit),
+            self.machine.rotor_inertias,
+            Drive(self.machine),
+            gains,
             period,
-            2.0 * inner_rate if machine.gears else inner_rate,
-            _external(machine, dynamics) if machine.contacts else None,
+            max(inner_rate, _rate_for_gears(self.machine, dynamics, gains)),
+            _external(self.machine, dynamics, period),
         )
+        self._sensors = Sensors(self.machine, seed, period)
         self._period = period
-        self._rng = np.random.default_rng([seed, 3])
-        self._to_joints = np.linalg.inv(machine.coupling).T
-        self._count = 2.0 * np.pi / (ENCODER_COUNTS * np.abs(robot.gear_ratios))
-        self._torque_count = 2.0 * machine.limit / CURRENT_COUNTS
         self.rest(np.zeros(robot.dof))
 
     @property
     def position(self) -> np.ndarray:
-        """(n,) where the controller believes the arm to be, without quantisation."""
-        return self._simulation.position + self.machine.encoder_offset
+        """(n,) where the controller believes the joints to be, without quantisation."""
+        return self._simulation.motor_position @ self._to_joints + self.machine.encoder_offset
+
+    @property
+    def time(self) -> float:
+        """Seconds of motion since the arm was put to rest."""
+        return self._simulation.time
 
     def rest(self, q: np.ndarray) -> None:
-        """Put the arm at the set-point q (n,), at rest and settled."""
+        """Put the arm at the set-point q (n,), at rest and settled; time starts again."""
         reference = np.asarray(q, dtype=float)
+        self._simulation.time = -_SETTLING
         self._simulation.rest(reference - self.machine.encoder_offset)
-        self._history = np.zeros((0, self.robot.dof))
-        self._last_position: np.ndarray | None = None
+        self._sensors.restart()
         for _ in self.hold(reference, _SETTLING):
             pass
-        self._reference = reference
+        self._simulation.time = 0.0
 
     def hold(self, q: np.ndarray, duration: float) -> Iterator[Measured]:
         """Samples while the set-point stays at q (n,) for `duration` [s]."""
@@ -107,16 +104,17 @@ class Plant:
         return self.run(reference, np.zeros_like(reference))
 
     def settled(self, tolerance: np.ndarray | float) -> bool:
-        """Whether every joint is within `tolerance` [rad] of the last set-point and nearly at rest."""
+        """Whether every joint is within `tolerance` [rad] of the last set-point and will stay there."""
         error = np.abs(self.position - self._reference)
-        return bool(np.all(error < tolerance) and np.all(np.abs(self._simulation.velocity) * 0.1 < tolerance))
+        slow = np.abs(self._simulation.velocity) * 0.1 < tolerance
+        return bool(np.all(error < tolerance) and np.all(slow))
 
     def run(
         self, reference: np.ndarray, reference_velocity: np.ndarray, period: float | None = None, chunk: int = 250
     ) -> Iterator[Measured]:
-        """Follow set-points (S, n) and (S, n), one a period; yields what was measured at their moments.
+        """Follow set-points (S, n) and their velocities, one a period; yields what was measured at their moments.
 
-        The state persists: the next call goes on where the caller stopped iterating.
+        At most `chunk` samples are computed ahead of what the caller has taken; the next call goes on from there.
 
         Raises:
             ValueError: a `period` that is not the plant's.
@@ -125,10 +123,14 @@ class Plant:
             raise ValueError(f"this plant runs at {self._period} s, not {period} s")
         return self._chunks(np.asarray(reference, float), np.asarray(reference_velocity, float), chunk)
 
-    def executed_path(self, position: np.ndarray, velocity: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-        """The set-points that this machine's interpolator makes of planned ones (S, n); their number may change."""
+    def executed_path(self, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The set-points that this machine's interpolator makes of planned ones (S, n), rest to rest.
+
+        Nothing changes without an effect that changes it; with one their number may.
+        """
         for change in self.machine.path_changes:
-            position, velocity = change(position, velocity, period)
+            position = change(position, self._period)
+            velocity = np.gradient(position, self._period, axis=0)
         return position, velocity
 
     def truth(self) -> Truth:
@@ -146,49 +148,58 @@ class Plant:
 
         return Truth(machine.parameters.copy(), machine.rotor_inertias.copy(), predict)
 
+    @property
+    def _to_joints(self) -> np.ndarray:
+        """(n, n) T with q = axle positions @ T, as this machine's controller knows its coupling."""
+        return np.linalg.inv(self.machine.coupling).T
+
     def _chunks(self, reference: np.ndarray, reference_velocity: np.ndarray, chunk: int) -> Iterator[Measured]:
         for at in range(0, len(reference), chunk):
             part = slice(at, at + chunk)
             motion = self._simulation.run(reference[part] - self.machine.encoder_offset, reference_velocity[part])
             self._reference = reference[part][-1]
-            yield self._measure(motion)
-
-    def _measure(self, motion: SimulatedMotion) -> Measured:
-        """Encoders count, currents are quantised and noisy; velocity is what the counts differ by from the last."""
-        machine = self.machine
-        counted = np.round(motion.motor_position / self._count) * self._count
-        position = counted @ self._to_joints + machine.encoder_offset
-        before = position[:1] if self._last_position is None else self._last_position[None]
-        velocity = np.diff(np.vstack([before, position]), axis=0) / self._period
-        self._last_position = position[-1]
-
-        current = self._delayed(motion.motor_torque)
-        current = current + TORQUE_NOISE * machine.nominal * self._rng.standard_normal(current.shape)
-        current = np.round(current / self._torque_count) * self._torque_count
-        torque = (current * machine.torque_scale + machine.torque_offset) @ self.robot.coupling
-        return Measured(position, velocity, torque)
-
-    def _delayed(self, torque: np.ndarray) -> np.ndarray:
-        """The torque `torque_delay` ago, between samples by linear interpolation."""
-        samples = self.machine.torque_delay / self._period
-        if samples == 0:
-            return torque
-        whole = int(np.ceil(samples))
-        if not len(self._history):
-            self._history = np.repeat(torque[:1], whole, axis=0)
-        series = np.vstack([self._history, torque])
-        self._history = series[-whole:]
-        at = np.arange(len(torque)) + whole - samples
-        low = at.astype(int)
-        share = (at - low)[:, None]
-        return (1.0 - share) * series[low] + share * series[np.minimum(low + 1, len(series) - 1)]
+            yield self._sensors.measure(motion)
 
 
-def _external(machine: Machine, dynamics: Any) -> Callable[[float, np.ndarray, np.ndarray], np.ndarray]:
-    """Joint torque of all contacts."""
+def _external(machine: Machine, dynamics: Dynamics, period: float) -> ExternalTorque | None:
+    """Joint torque of everything that sits on the joints or pushes the flange."""
+    if not machine.contacts and not machine.joint_loads:
+        return None
 
     def torque(time: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        jacobian = dynamics.tcp_jacobian(q[None])[0]
-        return sum((jacobian.T @ contact(time, q, qd, jacobian) for contact in machine.contacts), np.zeros(len(q)))
+        total = np.zeros(len(q))
+        force = sum((contact(time) for contact in machine.contacts), np.zeros(3))
+        if np.any(force):
+            total += dynamics.tcp_jacobian(q[None])[0, :3].T @ force
+        for k, loads in machine.joint_loads.items():
+            for load in loads:
+                total[k] += load.torque(q[k], qd[k], period)
+        return total
 
     return torque
+
+
+def _rate_for_gears(machine: Machine, dynamics: Dynamics, gains: ServoGains) -> float:
+    """[Hz] at which every gear that gives way is integrated well: half a radian of its fastest swing a step.
+
+    Raises:
+        InputError: no reasonable rate would do.
+    """
+    rotors = machine.reflected_rotors
+    rigid = np.array([rotor if k not in machine.gears else 0.0 for k, rotor in enumerate(rotors)])
+    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in machine.robot.position_limits)
+    rate = 0.0
+    for q in np.random.default_rng(0).uniform(lower, upper, (32, machine.robot.dof)):
+        matrix = dynamics.mass_matrix(q) + machine.coupling.T @ np.diag(rigid) @ machine.coupling
+        mobility = np.diag(machine.coupling @ np.linalg.solve(matrix, machine.coupling.T))
+        for k, gear in machine.gears.items():
+            swing = 1.0 / rotors[k] + mobility[k]
+            rate = max(rate, 2.0 * np.sqrt(gear.stiffness * swing), 2.0 * gear.damping * swing)
+            rate = max(rate, 2.5 * gains.velocity[k] / rotors[k])
+            if rate > _HIGHEST_RATE:
+                joint = machine.robot.joint_names[k]
+                raise InputError(
+                    f"effect on {joint}: its gear of {gear.stiffness:.3g} N·m/rad would need steps at {rate:.0f} Hz, "
+                    f"the simulation's limit is {_HIGHEST_RATE:.0f} Hz: make it softer"
+                )
+    return float(rate)

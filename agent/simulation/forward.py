@@ -84,6 +84,12 @@ class ForwardSimulation:
         dt = self.period / self._substeps
         return self._v + 0.5 * dt * self._a
 
+    @property
+    def motor_position(self) -> np.ndarray:
+        """(n,) positions of the motors now, on the axles."""
+        axle, speed = self._coupling @ self._q, self._coupling @ self.velocity
+        return np.array(self._actuation.motors(axle.tolist(), speed.tolist())[0])
+
     def rest(self, q: np.ndarray) -> None:
         """Put the arm at q (n,), at rest, holding itself; transients of friction and gears are not waited for."""
         self._q = np.array(q, dtype=float)

@@ -6,10 +6,53 @@ from collections.abc import Mapping
 from typing import Any
 
 from agent.errors import InputError
+from fake_controller.actuation.bodies import BaseTilt, InertialMismatch, Payload, WristCoupling
 from fake_controller.actuation.effect import Effect
+from fake_controller.actuation.friction_effects import (
+    AsymmetricFriction,
+    FrictionChange,
+    LoadDependentFriction,
+    Stribeck,
+    ViscousNonlinearity,
+)
+from fake_controller.actuation.friction_states import Presliding, ThermalFriction
+from fake_controller.actuation.gears import Backlash, JointElasticity
+from fake_controller.actuation.loads import ContactForce, DressPack, GravitySpring, TorqueRipple
+from fake_controller.actuation.measurement import (
+    EncoderOffset,
+    InterpolatorMismatch,
+    TimeDelay,
+    TorqueConstant,
+    TorqueOffset,
+)
+
+_FORMS: tuple[type[Effect], ...] = (
+    Stribeck,
+    AsymmetricFriction,
+    LoadDependentFriction,
+    ViscousNonlinearity,
+    ThermalFriction,
+    Presliding,
+    FrictionChange,
+    JointElasticity,
+    Backlash,
+    TorqueRipple,
+    WristCoupling,
+    Payload,
+    GravitySpring,
+    DressPack,
+    BaseTilt,
+    InertialMismatch,
+    ContactForce,
+    TorqueConstant,
+    TorqueOffset,
+    TimeDelay,
+    EncoderOffset,
+    InterpolatorMismatch,
+)
 
 #: Simulated forms by the name of the effect.
-EFFECTS: dict[str, type[Effect]] = {}
+EFFECTS: dict[str, type[Effect]] = {form.name: form for form in _FORMS}
 
 
 def load_effect(data: Mapping[str, Any]) -> Effect:

@@ -21,7 +21,6 @@ class Drive:
         self._terms = [machine.terms.get(k, ()) for k in range(n)]
         self._gears = list(machine.gears.items())
         self._motor_loads = list(machine.motor_loads.items())
-        self._loads = list(machine.loads.items())
         self._rotors = machine.reflected_rotors.tolist()
         self.rigid = [k not in machine.gears for k in range(n)]
         self._bristles = [0.0] * n
@@ -77,9 +76,6 @@ class Drive:
             speed += dt * acceleration
             self._motor[k] = (angle + dt * speed, speed, acceleration)
             load[k] = transmitted
-        for k, sources in self._loads:
-            for source in sources:
-                load[k] += source.torque(position[k], velocity[k], dt)
         return load
 
     def _alter(self, k: int, level: float, drag: float, speed: float, torque: float, dt: float) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from agent.robot import RobotDescription
 from fake_controller.actuation.machine import Machine
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Effect(ABC):
     """One effect of the vocabulary with its parameters, which are the further fields of the subclass.
 
@@ -62,7 +62,56 @@ class Effect(ABC):
                 raise InputError(
                     f"effect {cls.name}: parameters: unknown key {key!r}{hint}; allowed are {', '.join(allowed)}"
                 )
-        return cls(joints=joints, **{key: _plain(cls.name, key, value) for key, value in parameters.items()})
+        missing = [
+            field.name
+            for field in dataclasses.fields(cls)
+            if field.name not in parameters and field.default is dataclasses.MISSING
+        ]
+        if missing:
+            raise InputError(f"effect {cls.name}: parameters: {', '.join(missing)} must be given")
+        values = {key: _plain(cls.name, key, value) for key, value in parameters.items()}
+        for field in dataclasses.fields(cls):
+            if field.name in values and str(field.type).startswith("tuple") != isinstance(values[field.name], tuple):
+                kind = "a list of numbers" if str(field.type).startswith("tuple") else "one number"
+                raise InputError(f"effect {cls.name}: parameters: {field.name}: {kind} is expected")
+        return cls(joints=joints, **values)
+
+    def need(self, holds: bool, key: str, what: str) -> None:
+        """Raises:
+        InputError: it does not hold; `what` says what the value of `key` must be.
+        """
+        if not holds:
+            raise InputError(f"effect {self.name}: {key}: must be {what}, not {getattr(self, key)}")
+
+    def need_positive(self, *keys: str) -> None:
+        """Raises:
+        InputError: a parameter is not above zero.
+        """
+        for key in keys:
+            self.need(getattr(self, key) > 0, key, "above 0")
+
+
+class JointEffect(Effect):
+    """An effect that sits on every one of its joints in the same way."""
+
+    def install(self, machine: Machine) -> None:
+        for k in self.indices(machine.robot):
+            self.install_on(machine, k)
+
+    @abstractmethod
+    def install_on(self, machine: Machine, k: int) -> None:
+        """Build it into axle or joint `k`."""
+
+
+class ArmEffect(Effect):
+    """An effect of the whole arm or its base."""
+
+    def check_no_joints(self) -> None:
+        """Raises:
+        InputError: joints are named.
+        """
+        if self.joints:
+            raise InputError(f"effect {self.name}: joints: it acts on the whole arm; leave them out")
 
 
 def _plain(effect: str, key: str, value: Any) -> Any:

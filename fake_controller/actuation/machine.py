@@ -15,18 +15,19 @@ from fake_controller.actuation.friction import FrictionCurve, FrictionTerm
 #: Coulomb levels of built-in robots, N·m on the axles.
 COULOMB = {"comau_ns16": (68.0, 108.8, 50.4, 7.17, 12.8, 8.08)}
 
-ENCODER_COUNTS = 2**14  # per motor turn
 
-
-class AxleLoad(Protocol):
-    """A torque on an axle that is neither friction nor gear: a spring, a hose, a ripple."""
+class Load(Protocol):
+    """A torque on a motor shaft or a joint that is neither friction nor gear: a ripple, a spring, a hose."""
 
     def torque(self, position: float, velocity: float, dt: float) -> float:
-        """[N·m] at a position and velocity of the axle; advances its states by `dt`."""
+        """[N·m] at a position and velocity; advances its states by `dt`."""
 
 
-class Transmission(Protocol):
-    """A gear that gives way."""
+class Gear(Protocol):
+    """A gear that gives way. `stiffness` [N·m/rad] and `damping` [N·m·s/rad] where it is stiffest."""
+
+    stiffness: float
+    damping: float
 
     def torque(self, twist: float, twist_rate: float) -> float:
         """[N·m] on the load side, for the motor's lead over the axle [rad] and its rate."""
@@ -35,11 +36,11 @@ class Transmission(Protocol):
         """Static lead [rad] under a torque."""
 
 
-#: (time [s], q (n,), q̇ (n,), TCP Jacobian (6, n)) → wrench (6,) on the TCP in the base frame.
-Contact = Callable[[float, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+#: Time [s] → force (3,) [N] on the flange, in the base frame.
+Contact = Callable[[float], np.ndarray]
 
-#: Set-points (S, n) and their velocities, at a period [s], to the ones that are really executed.
-PathChange = Callable[[np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
+#: Set-points (S, n) at a period [s] to the ones that are really executed; their number may change.
+PathChange = Callable[[np.ndarray, float], np.ndarray]
 
 
 @dataclass
@@ -48,9 +49,10 @@ class Machine:
 
     `robot` is the description everybody has; `coupling` (n, n), `gravity` (3,) and `parameters` (10 n,) standard
     inertial, `rotor_inertias` (n,) [kg·m², motor side] are this machine's own. Per axle: `friction`, `terms` that
-    alter it, `gears` that give way (k → Transmission), `motor_loads` and `loads` before and after the gear.
-    Of measurement: `torque_scale` (n,), `torque_offset` (n,) [N·m, axle side], `encoder_offset` (n,) [rad],
-    `torque_delay` [s]. `nominal` (n,) [N·m] is the axles' nominal torque, `limit` (n,) the largest.
+    alter it, `gears` that give way, `motor_loads` on the shafts; `joint_loads` sit on the joints instead.
+    Of measurement: `torque_scale` (n,), `torque_offset` (n,) [N·m, axle side], `encoder_offset` (n,) [rad], and by how
+    much the torque is late behind the position, `torque_delay` [s]. `nominal` (n,) [N·m] is the axles' nominal torque,
+    `limit` (n,) the largest, `typical_inertia` (n,) [kg·m²] what a technician tunes the servos for.
     """
 
     robot: RobotDescription
@@ -63,9 +65,9 @@ class Machine:
     limit: np.ndarray
     typical_inertia: np.ndarray
     terms: dict[int, list[FrictionTerm]] = field(default_factory=dict)
-    gears: dict[int, Transmission] = field(default_factory=dict)
-    motor_loads: dict[int, list[AxleLoad]] = field(default_factory=dict)
-    loads: dict[int, list[AxleLoad]] = field(default_factory=dict)
+    gears: dict[int, Gear] = field(default_factory=dict)
+    motor_loads: dict[int, list[Load]] = field(default_factory=dict)
+    joint_loads: dict[int, list[Load]] = field(default_factory=dict)
     contacts: list[Contact] = field(default_factory=list)
     path_changes: list[PathChange] = field(default_factory=list)
     torque_scale: np.ndarray = field(init=False)
@@ -94,14 +96,17 @@ def draw_machine(robot: RobotDescription, seed: int) -> Machine:
     nominal_links = Dynamics(robot).standard_parameters()
     inertia, load = _typical(robot)
     rng = [np.random.default_rng([seed, part]) for part in range(3)]
-    # Without a prior: as a rule three tenths of the nominal torque turn a drive's rotor at full acceleration.
-    nominal = np.where(np.isnan(robot.nominal_torque), load + inertia * robot.max_acceleration, robot.nominal_torque)
-    usual = 0.3 * nominal / robot.max_acceleration / robot.gear_ratios**2
+    # Without a nominal torque: what full acceleration takes. Without a rotor: three tenths of that torque turn it.
+    accelerating = load + inertia * robot.max_acceleration
+    drive = np.where(np.isnan(robot.nominal_torque), accelerating, robot.nominal_torque)
+    usual = 0.3 * drive / robot.max_acceleration / robot.gear_ratios**2
     prior = np.array(
         [u if j.rotor_inertia is None else j.rotor_inertia for u, j in zip(usual, robot.joints, strict=True)]
     )
     rotors = prior * rng[0].uniform(0.9, 1.1, robot.dof)
     reflected = robot.gear_ratios**2 * rotors
+    with_rotors = accelerating + reflected * robot.max_acceleration
+    nominal = np.where(np.isnan(robot.nominal_torque), with_rotors, robot.nominal_torque)
     limit = np.array(
         [4.0 * nominal[k] if joint.max_torque is None else joint.max_torque for k, joint in enumerate(robot.joints)]
     )

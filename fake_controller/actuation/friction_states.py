@@ -1,0 +1,89 @@
+"""Effects that give the friction of a drive states of its own: temperature, and springs that stick and slip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp
+from typing import ClassVar
+
+from fake_controller.actuation.effect import JointEffect
+from fake_controller.actuation.friction import FrictionTerm
+from fake_controller.actuation.machine import Machine
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalFriction(JointEffect):
+    """One thermal mass: time_constant · Ṫ = equilibrium + resistance · (friction power) − T, starting at `start`.
+
+    T [K] counts from the temperature at which the machine's friction curves hold. The Coulomb level falls by
+    `coulomb_rate` [1/K] of itself each kelvin, the viscous one by exp(−viscous_rate · T) as grease does.
+    `resistance` [K/W], `time_constant` [s].
+    """
+
+    name: ClassVar[str] = "thermal_friction"
+    start: float = 0.0
+    equilibrium: float = 0.0
+    resistance: float = 0.0
+    time_constant: float = 60.0
+    coulomb_rate: float = 0.0
+    viscous_rate: float = 0.0
+
+    def install_on(self, machine: Machine, k: int) -> None:
+        self.need_positive("time_constant")
+        machine.terms.setdefault(k, []).append(_ThermalMass(self))
+
+
+class _ThermalMass(FrictionTerm):
+    def __init__(self, effect: ThermalFriction):
+        self._effect = effect
+        self.temperature = effect.start
+
+    def level(self, level: float, speed: float, load: float) -> float:
+        return level * (1.0 - self._effect.coulomb_rate * self.temperature)
+
+    def viscous(self, torque: float, speed: float) -> float:
+        return torque * exp(-self._effect.viscous_rate * self.temperature)
+
+    def heat(self, power: float, dt: float) -> None:
+        effect = self._effect
+        steady = effect.equilibrium + effect.resistance * power
+        self.temperature += (steady - self.temperature) * dt / effect.time_constant
+
+
+@dataclass(frozen=True, kw_only=True)
+class Presliding(JointEffect):
+    """A `share` (0 to 0.9) of the Coulomb level builds up over `travel` [rad] after each reversal.
+
+    Six springs in parallel, each slipping at its own stretch (Iwan, 1966): a hysteresis in position with the memory
+    of inner loops. The level in steady sliding stays what it was.
+    """
+
+    name: ClassVar[str] = "presliding"
+    share: float
+    travel: float
+
+    def install_on(self, machine: Machine, k: int) -> None:
+        self.need_positive("travel")
+        self.need(0.0 <= self.share <= 0.9, "share", "between 0 and 0.9")
+        machine.terms.setdefault(k, []).append(_SlipChain(self, machine.friction[k].coulomb))
+
+
+class _SlipChain(FrictionTerm):
+    ELEMENTS = 6
+
+    def __init__(self, effect: Presliding, coulomb: float):
+        self._torque = effect.share * coulomb
+        # Evenly spread limits; the mean reversal is complete after `travel`.
+        self._limits = [effect.travel * (i + 0.5) / self.ELEMENTS for i in range(self.ELEMENTS)]
+        self._stretch = [0.0] * self.ELEMENTS
+
+    def level(self, level: float, speed: float, load: float) -> float:
+        return level - self._torque
+
+    def bristles(self, speed: float, dt: float) -> float:
+        total = 0.0
+        for i, limit in enumerate(self._limits):
+            stretch = self._stretch[i] + speed * dt
+            self._stretch[i] = stretch = min(max(stretch, -limit), limit)
+            total += stretch / limit
+        return self._torque * total / self.ELEMENTS

@@ -1,0 +1,92 @@
+"""Gears that give way: two masses and a spring, with or without play between the teeth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import ClassVar
+
+import numpy as np
+
+from agent.errors import InputError
+from fake_controller.actuation.effect import JointEffect
+from fake_controller.actuation.machine import Machine
+
+_USUAL_TOOTH_FREQUENCY = 60.0  # Hz, of rotor against link
+
+
+def _reduced_inertia(machine: Machine, k: int) -> float:
+    """[kg·m²] of the rotor swinging against a typical link."""
+    rotor = machine.reflected_rotors[k]
+    link = max(machine.typical_inertia[k] - rotor, 1e-3 * rotor)
+    return float(rotor * link / (rotor + link))
+
+
+def _mount(machine: Machine, k: int, name: str, gear: _Spring | _Teeth) -> None:
+    if k in machine.gears:
+        raise InputError(f"effect {name}: joints: {machine.robot.joint_names[k]} has another gear effect already")
+    machine.gears[k] = gear
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointElasticity(JointEffect):
+    """The gear is a spring of `stiffness` [N·m/rad] between rotor and link, with a damper of `damping_ratio`."""
+
+    name: ClassVar[str] = "joint_elasticity"
+    stiffness: float
+    damping_ratio: float = 0.03
+
+    def install_on(self, machine: Machine, k: int) -> None:
+        self.need_positive("stiffness")
+        damping = 2.0 * self.damping_ratio * sqrt(self.stiffness * _reduced_inertia(machine, k))
+        _mount(machine, k, self.name, _Spring(self.stiffness, damping))
+
+
+@dataclass(frozen=True)
+class _Spring:
+    stiffness: float
+    damping: float
+
+    def torque(self, twist: float, twist_rate: float) -> float:
+        return self.stiffness * twist + self.damping * twist_rate
+
+    def twist(self, torque: float) -> float:
+        return torque / self.stiffness
+
+
+@dataclass(frozen=True, kw_only=True)
+class Backlash(JointEffect):
+    """Teeth with a play of `gap` [rad], flank to flank; they touch as springs of `stiffness` [N·m/rad].
+
+    A stiffness of 0 stands for the usual: rotor against link at 60 Hz.
+    """
+
+    name: ClassVar[str] = "backlash"
+    gap: float
+    stiffness: float = 0.0
+    damping_ratio: float = 0.1
+
+    def install_on(self, machine: Machine, k: int) -> None:
+        self.need_positive("gap")
+        inertia = _reduced_inertia(machine, k)
+        stiffness = self.stiffness or inertia * (2.0 * np.pi * _USUAL_TOOTH_FREQUENCY) ** 2
+        damping = 2.0 * self.damping_ratio * sqrt(stiffness * inertia)
+        _mount(machine, k, self.name, _Teeth(stiffness, damping, 0.5 * self.gap))
+
+
+@dataclass(frozen=True)
+class _Teeth:
+    stiffness: float
+    damping: float
+    half_gap: float
+
+    def torque(self, twist: float, twist_rate: float) -> float:
+        if twist > self.half_gap:
+            # A flank pushes, it never pulls.
+            return max(self.stiffness * (twist - self.half_gap) + self.damping * twist_rate, 0.0)
+        if twist < -self.half_gap:
+            return min(self.stiffness * (twist + self.half_gap) + self.damping * twist_rate, 0.0)
+        return 0.0
+
+    def twist(self, torque: float) -> float:
+        return torque / self.stiffness + (self.half_gap if torque >= 0 else -self.half_gap)

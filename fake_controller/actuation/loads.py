@@ -1,0 +1,124 @@
+"""Torques that act beside friction and gears: ripple of the motor, springs, hoses, forces from outside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, pi, sin, sqrt
+from typing import ClassVar
+
+import numpy as np
+
+from fake_controller.actuation.effect import ArmEffect, JointEffect
+from fake_controller.actuation.machine import Machine
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueRipple(JointEffect):
+    """The motor's torque is off by `amplitude` · sin(order · motor angle + phase) [N·m on the joint side].
+
+    `order` counts periods a motor turn: whole for cogging and current sensors, a fraction for gear angles.
+    """
+
+    name: ClassVar[str] = "torque_ripple"
+    amplitude: float
+    order: float
+    phase: float = 0.0
+
+    def install_on(self, machine: Machine, k: int) -> None:
+        per_joint_angle = self.order * machine.robot.joints[k].gear_ratio
+        machine.motor_loads.setdefault(k, []).append(_Ripple(self.amplitude, per_joint_angle, self.phase))
+
+
+@dataclass(frozen=True)
+class _Ripple:
+    amplitude: float
+    order: float
+    phase: float
+
+    def torque(self, position: float, velocity: float, dt: float) -> float:
+        return self.amplitude * sin(self.order * position + self.phase)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GravitySpring(JointEffect):
+    """A counterbalance between a pivot `anchor` [m] and a pivot `lever` [m] from the joint's axis.
+
+    It pulls with `preload` [N] where the pivots are nearest, at the joint angle `angle`, and `rate` [N/m] more beyond:
+    τ = −F a b sin(q − angle) / l with l² = a² + b² − 2 a b cos(q − angle).
+    """
+
+    name: ClassVar[str] = "gravity_spring"
+    preload: float
+    rate: float = 0.0
+    anchor: float = 0.4
+    lever: float = 0.15
+    angle: float = 0.0
+
+    def install_on(self, machine: Machine, k: int) -> None:
+        self.need_positive("anchor", "lever")
+        self.need(self.anchor != self.lever, "lever", "unlike the anchor: the pivots would meet")
+        machine.joint_loads.setdefault(k, []).append(self)
+
+    def torque(self, position: float, velocity: float, dt: float) -> float:
+        a, b, angle = self.anchor, self.lever, position - self.angle
+        length = sqrt(a * a + b * b - 2.0 * a * b * cos(angle))
+        force = self.preload + self.rate * (length - abs(a - b))
+        return -force * a * b * sin(angle) / length
+
+
+@dataclass(frozen=True, kw_only=True)
+class DressPack(JointEffect):
+    """A hose that bends with the joint: `stiffness` [N·m/rad] and `cubic` [N·m/rad³] about `centre` [rad].
+
+    Its inner friction lags behind by up to `hysteresis` [N·m], rebuilt over `travel` [rad] after a reversal (Dahl).
+    """
+
+    name: ClassVar[str] = "dress_pack"
+    stiffness: float
+    centre: float = 0.0
+    cubic: float = 0.0
+    hysteresis: float = 0.0
+    travel: float = 0.05
+
+    def install_on(self, machine: Machine, k: int) -> None:
+        self.need_positive("travel")
+        machine.joint_loads.setdefault(k, []).append(_Hose(self))
+
+
+class _Hose:
+    def __init__(self, effect: DressPack):
+        self._effect = effect
+        self._lag = 0.0  # of one
+
+    def torque(self, position: float, velocity: float, dt: float) -> float:
+        effect = self._effect
+        bend = position - effect.centre
+        moved = velocity * dt / effect.travel
+        self._lag = (self._lag + moved) / (1.0 + abs(moved))
+        return -(effect.stiffness * bend + effect.cubic * bend**3 + effect.hysteresis * self._lag)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactForce(ArmEffect):
+    """Somebody leans on the flange: `force` (3,) [N] in the base frame, from `start` [s] on for `duration` [s].
+
+    Time runs from when the arm was put to rest. The force swells and fades as sin² over a fifth of the duration.
+    """
+
+    name: ClassVar[str] = "contact"
+    force: tuple[float, ...]
+    start: float
+    duration: float
+
+    def install(self, machine: Machine) -> None:
+        self.need_positive("duration")
+        self.need(len(self.force) == 3, "force", "three numbers")
+        self.check_no_joints()
+        machine.contacts.append(self.at)
+
+    def at(self, time: float) -> np.ndarray:
+        """(3,) [N]."""
+        since, ramp = time - self.start, 0.2 * self.duration
+        edge = min(since, self.duration - since) / ramp
+        share = 0.0 if edge <= 0 else sin(0.5 * pi * min(edge, 1.0)) ** 2
+        return share * np.array(self.force)

@@ -1,0 +1,87 @@
+"""Effects of sensors and of the interpolator: what is told is not what is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from fake_controller.actuation.effect import ArmEffect, JointEffect
+from fake_controller.actuation.machine import Machine
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueConstant(JointEffect):
+    """The motor gives 1 / `scale` of the torque that its current is taken for, so it draws and reports more."""
+
+    name: ClassVar[str] = "torque_constant"
+    scale: float
+
+    def install_on(self, machine: Machine, k: int) -> None:
+        self.need_positive("scale")
+        machine.torque_scale[k] *= self.scale
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueOffset(JointEffect):
+    """The current sensor reads too much by `offset` [N·m on the joint side]."""
+
+    name: ClassVar[str] = "torque_offset"
+    offset: float
+
+    def install_on(self, machine: Machine, k: int) -> None:
+        machine.torque_offset[k] += self.offset
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeDelay(ArmEffect):
+    """Torques arrive `delay` [s] later than the positions of the same moment; below zero, positions do."""
+
+    name: ClassVar[str] = "time_delay"
+    delay: float
+
+    def install(self, machine: Machine) -> None:
+        self.check_no_joints()
+        machine.torque_delay += self.delay
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncoderOffset(JointEffect):
+    """The joint reads `offset` [rad] more than it stands at, to controller and user alike."""
+
+    name: ClassVar[str] = "encoder_offset"
+    offset: float
+
+    def install_on(self, machine: Machine, k: int) -> None:
+        machine.encoder_offset[k] += self.offset
+
+
+@dataclass(frozen=True, kw_only=True)
+class InterpolatorMismatch(ArmEffect):
+    """The path is run at `rate` times the planned speed, and its corners are averaged over `blend` [s].
+
+    Start, end and rests of at least `blend` stay where they were.
+    """
+
+    name: ClassVar[str] = "interpolator_mismatch"
+    rate: float = 1.0
+    blend: float = 0.0
+
+    def install(self, machine: Machine) -> None:
+        self.need_positive("rate")
+        self.need(self.blend >= 0, "blend", "0 or more")
+        self.check_no_joints()
+        machine.path_changes.append(self.executed)
+
+    def executed(self, position: np.ndarray, period: float) -> np.ndarray:
+        """(T, n) set-points in place of the planned ones (S, n)."""
+        samples = 1 + int(np.ceil((len(position) - 1) / self.rate - 1e-9))
+        at = np.minimum(self.rate * np.arange(samples), len(position) - 1)
+        low = np.minimum(at.astype(int), max(len(position) - 2, 0))
+        share = (at - low)[:, None]
+        path = (1.0 - share) * position[low] + share * position[np.minimum(low + 1, len(position) - 1)]
+        width = 2 * round(0.5 * self.blend / period) + 1
+        padded = np.pad(path, ((width - 1, width - 1), (0, 0)), mode="edge")
+        sums = np.cumsum(np.vstack([np.zeros(path.shape[1]), padded]), axis=0)
+        return (sums[width:] - sums[:-width]) / width

@@ -1,0 +1,76 @@
+"""What the controller measures of its drives: counted angles, quantised and noisy currents, channels out of step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.simulation import SimulatedMotion
+from fake_controller.actuation.machine import Machine
+
+TORQUE_NOISE = 0.005  # of nominal, standard deviation, white
+ENCODER_COUNTS = 2**14  # per motor turn
+CURRENT_COUNTS = 2**12  # from the drive's lowest to its highest torque
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """K samples of what the controller measures, (K, n) each: joint positions, velocities, torques."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+    torque: np.ndarray
+
+
+class Sensors:
+    """Measurement of one machine, sample after sample at `period` [s], with noise from `seed`."""
+
+    def __init__(self, machine: Machine, seed: int, period: float):
+        self._machine = machine
+        self._period = period
+        self._rng = np.random.default_rng([seed, 3])
+        self._axles_to_joints = np.linalg.inv(machine.coupling).T
+        self._count = 2.0 * np.pi / (ENCODER_COUNTS * np.abs(machine.robot.gear_ratios))
+        self._torque_count = 2.0 * machine.limit / CURRENT_COUNTS
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what was before: the arm rests."""
+        late = self._machine.torque_delay / self._period
+        self._torque_line = _DelayLine(max(late, 0.0))
+        self._position_line = _DelayLine(max(-late, 0.0))
+        self._last_position: np.ndarray | None = None
+
+    def measure(self, motion: SimulatedMotion) -> Measured:
+        """Velocity is by how much the counted position differs from the last sample's."""
+        machine = self._machine
+        counted = np.round(self._position_line.pass_on(motion.motor_position) / self._count) * self._count
+        position = counted @ self._axles_to_joints + machine.encoder_offset
+        before = position[:1] if self._last_position is None else self._last_position[None]
+        velocity = np.diff(np.vstack([before, position]), axis=0) / self._period
+        self._last_position = position[-1]
+        current = self._torque_line.pass_on(motion.motor_torque)
+        current = current + TORQUE_NOISE * machine.nominal * self._rng.standard_normal(current.shape)
+        current = np.round(current / self._torque_count) * self._torque_count
+        torque = (current * machine.torque_scale + machine.torque_offset) @ machine.robot.coupling
+        return Measured(position, velocity, torque)
+
+
+class _DelayLine:
+    """Samples (K, n) as they were `delay` samples ago, linear in between."""
+
+    def __init__(self, delay: float):
+        self._whole = int(np.ceil(delay))
+        self._share = self._whole - delay
+        self._memory: np.ndarray | None = None
+
+    def pass_on(self, samples: np.ndarray) -> np.ndarray:
+        if self._whole == 0:
+            return samples
+        if self._memory is None:
+            self._memory = np.repeat(samples[:1], self._whole, axis=0)
+        series = np.vstack([self._memory, samples])
+        self._memory = series[-self._whole :]
+        count = len(samples)
+        return (1.0 - self._share) * series[:count] + self._share * series[1 : count + 1]

@@ -1,0 +1,246 @@
+"""Forward simulation: energy, a second integrator, and the laws an integrator must keep."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from agent.robot.drivetrain import rotor_mass_matrix
+from agent.robot.dynamics import Dynamics
+from agent.simulation import ForwardSimulation, RigidActuation, ServoGains
+from fake_controller.actuation.drive import Drive
+from fake_controller.actuation.machine import draw_machine
+
+ROTORS = 2e-4
+
+
+def no_torque(dof: int) -> ServoGains:
+    """Drives that are switched off."""
+    return ServoGains.tuned(np.ones(dof), np.zeros(dof))
+
+
+def frictionless(dof: int) -> RigidActuation:
+    return RigidActuation(*(np.zeros(dof),) * 4)
+
+
+def total_energy(robot, q, qd):
+    dynamics = Dynamics(robot)
+    rotors = rotor_mass_matrix(robot, np.full(robot.dof, ROTORS))
+    kinetic = np.array([dynamics.energy(a, b)[0] + 0.5 * b @ rotors @ b for a, b in zip(q, qd, strict=True)])
+    return kinetic, np.array([dynamics.energy(a, b)[1] for a, b in zip(q, qd, strict=True)])
+
+
+class Watched:
+    """An actuation that remembers what went in and out, step by step."""
+
+    def __init__(self, inner):
+        self.inner = inner
+        self.rigid = inner.rigid
+        self.damping = inner.damping
+        self.reset, self.motors = inner.reset, inner.motors
+        self.torques, self.loads, self.speeds = [], [], []
+
+    def step(self, time, position, velocity, torque, dt):
+        load = self.inner.step(time, position, velocity, torque, dt)
+        self.torques.append(list(torque))
+        self.loads.append(list(load))
+        self.speeds.append(list(velocity))
+        return load
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+def test_a_falling_arm_keeps_its_energy(make_arm, coupled):
+    coupling = np.eye(3) + (np.eye(3, k=-1) * 0.4 if coupled else 0.0)
+    robot = make_arm(3, coupling=coupling)
+    simulation = ForwardSimulation(Dynamics(robot), np.full(3, ROTORS), frictionless(3), no_torque(3), period=0.0005)
+    simulation.rest(np.array([0.2, -0.3, 0.4]))
+    motion = simulation.run(np.zeros((6000, 3)), np.zeros((6000, 3)))
+    kinetic, potential = total_energy(robot, motion.position, motion.velocity)
+    exchanged = kinetic.max()
+    assert exchanged > 30.0
+    assert np.abs(kinetic + potential - potential[0]).max() < 1e-3 * exchanged
+
+
+def test_the_work_of_the_motors_is_energy_and_heat(ns16, stop_and_go):
+    machine = draw_machine(ns16, 5)
+    drive = Watched(Drive(machine))
+    dynamics = machine.dynamics()
+    gains = ServoGains.tuned(machine.typical_inertia, machine.limit)
+    simulation = ForwardSimulation(dynamics, machine.rotor_inertias, drive, gains, period=0.0005)
+    q, qd = stop_and_go(np.array([[0, 0, -1.5, 0, 0, 0], [0.8, 0.5, -1.0, 1.0, -0.8, 1.5]]), 1.2, period=0.0005)
+    simulation.rest(q[0])
+    simulation.run(q[:1600], qd[:1600])
+    dt, speeds = 0.0005, np.array(drive.speeds)
+    torques, loads = np.array(drive.torques), np.array(drive.loads)
+    work = np.sum(torques * speeds) * dt
+    heat = np.sum((torques - loads) * speeds) * dt
+    state, velocity = simulation.position, simulation.velocity
+    rotors = rotor_mass_matrix(ns16, machine.rotor_inertias)
+    energy = sum(dynamics.energy(state, velocity)) + 0.5 * velocity @ rotors @ velocity
+    energy -= sum(dynamics.energy(q[0], np.zeros(6)))
+    assert heat > 50.0  # the friction of all axles over this motion, in joules
+    assert abs(work - heat - energy) < 2e-3 * (abs(work) + heat)
+
+
+def test_a_second_integrator_agrees_and_the_difference_is_first_order_in_the_step(make_arm):
+    robot = make_arm(2)
+    period = 0.002
+    dynamics = Dynamics(robot)
+    rotors = np.full(2, ROTORS)
+    gains = ServoGains.tuned(np.array([8.0, 4.0]), np.full(2, 1e4))
+    friction = np.array([6.0, 4.0]), np.array([2.0, 1.0]), np.array([0.3, 0.2]), np.array([0.05, 0.05])
+    start, amplitude, rate = np.array([0.3, -0.4]), np.array([0.4, -0.5]), 4.0
+
+    def reference(t):
+        return start + amplitude * (1 - np.cos(rate * t)) / 2, amplitude * rate * np.sin(rate * t) / 2
+
+    matrix = rotor_mass_matrix(robot, rotors)
+    f0, f1, f2, transition = friction
+
+    def ode(t, state):
+        q, v, integral = state[:2], state[2:4], state[4:]
+        r, rd = reference(max(t - period, 0.0))  # the drive is one set-point behind
+        error = gains.feedforward * rd + gains.position * (r - q) - v
+        motor = gains.velocity * error + integral
+        load = motor - f0 * np.tanh(v / transition) - f1 * v - f2 * np.abs(v) * v
+        bias = dynamics.inverse_dynamics(q[None], v[None], np.zeros((1, 2)))[0]
+        return np.concatenate(
+            [v, np.linalg.solve(dynamics.mass_matrix(q) + matrix, load - bias), gains.integral * error]
+        )
+
+    hold = dynamics.inverse_dynamics(start[None], np.zeros((1, 2)), np.zeros((1, 2)))[0]
+    t = period * np.arange(750)
+    exact = (
+        solve_ivp(
+            ode,
+            (0, t[-1]),
+            np.concatenate([start, np.zeros(2), hold]),
+            "DOP853",
+            t,
+            rtol=1e-9,
+            atol=1e-11,
+            max_step=0.01,
+        )
+        .y[:2]
+        .T
+    )
+    worst = {}
+    for inner in (2000.0, 4000.0):
+        simulation = ForwardSimulation(dynamics, rotors, RigidActuation(*friction), gains, period, inner)
+        simulation.rest(start)
+        motion = simulation.run(*reference(t[:, None]))
+        worst[inner] = np.abs(motion.position - exact).max()
+    assert worst[2000.0] < 2e-4
+    assert worst[4000.0] < 0.6 * worst[2000.0]
+
+
+def test_the_bristles_agree_with_a_stiff_integrator(make_arm):
+    robot = make_arm(1)
+    machine = draw_machine(robot, 3)
+    dynamics = machine.dynamics()
+    curve = machine.friction[0]
+    rotor = machine.reflected_rotors[0]
+    gains = ServoGains.tuned(machine.typical_inertia, machine.limit)
+    period, rate = 0.002, 5.0
+
+    def reference(t):
+        return 0.3 * (1 - np.cos(rate * t)), 0.3 * rate * np.sin(rate * t)
+
+    def ode(t, state):
+        q, v, integral, z = state
+        r, rd = reference(max(t - period, 0.0))
+        error = gains.feedforward[0] * rd + gains.position[0] * (r - q) - v
+        motor = gains.velocity[0] * error + integral
+        level = curve.coulomb + curve.rise * np.exp(-((v / curve.stribeck_speed) ** 2))
+        load = motor - z - curve.viscous * v / (1 + abs(v) / curve.knee)
+        inertia = dynamics.mass_matrix(np.array([q]))[0, 0] + rotor
+        bias = dynamics.inverse_dynamics(np.array([[q]]), np.array([[v]]), np.zeros((1, 1)))[0, 0]
+        return [v, (load - bias) / inertia, gains.integral[0] * error, curve.stiffness * (v - abs(v) * z / level)]
+
+    t = period * np.arange(1000)
+    exact = solve_ivp(ode, (0, t[-1]), np.zeros(4), "LSODA", t, rtol=1e-8, atol=1e-10, max_step=0.01).y
+    simulation = ForwardSimulation(dynamics, machine.rotor_inertias, Drive(machine), gains, period)
+    simulation.rest(np.zeros(1))
+    q, qd = reference(t)
+    motion = simulation.run(q[:, None], qd[:, None])
+    assert np.abs(exact[0]).max() > 0.5
+    assert np.abs(motion.position[:, 0] - exact[0]).max() < 3e-4
+    # The reversals, where friction swings from one side to the other, agree to a few percent of that swing.
+    torque = gains.velocity[0] * (
+        gains.feedforward[0] * reference(np.maximum(t - period, 0))[1]
+        + gains.position[0] * (reference(np.maximum(t - period, 0))[0] - exact[0])
+        - exact[1]
+    )
+    torque += exact[2]
+    assert np.sqrt(np.mean((motion.torque[:, 0] - torque) ** 2)) < 0.05 * curve.coulomb
+
+
+@given(
+    links=st.integers(1, 7),
+    seed=st.integers(0, 1000),
+    factor=st.sampled_from([0.0, 0.3]),
+    damped=st.booleans(),
+)
+@settings(max_examples=25, deadline=None)
+def test_accelerations_are_what_inverse_dynamics_asks_torque_for(make_arm, links, seed, factor, damped):
+    robot = make_arm(links, coupling=np.eye(links) + factor * np.eye(links, k=-1))
+    rng = np.random.default_rng(seed)
+    dynamics = Dynamics(robot)
+    q, qd, torque = rng.normal(size=(3, links))
+    axle_inertia, added = rng.uniform(0.1, 3.0, (2, links))
+    qdd = dynamics.acceleration_function(axle_inertia)(q, qd, torque, added if damped else None).copy()
+    rotors = robot.coupling.T @ np.diag(axle_inertia + (added if damped else 0.0)) @ robot.coupling
+    back = dynamics.inverse_dynamics(q[None], qd[None], qdd[None])[0] + rotors @ qdd
+    assert np.allclose(back, torque, atol=1e-8 * (1 + np.abs(qdd).max()))
+
+
+@given(transition=st.sampled_from([0.0, 1e-6, 1e-3]), coulomb=st.floats(80.0, 1e5))
+@settings(max_examples=15, deadline=None)
+def test_memoryless_friction_holds_a_dead_arm_however_stiff_it_is(make_arm, transition, coulomb):
+    robot = make_arm(1)
+    arm = replace(robot, gravity=(0.0, -9.80665, 0.0))
+    friction = RigidActuation(np.full(1, coulomb), np.zeros(1), np.zeros(1), np.full(1, transition))
+    simulation = ForwardSimulation(Dynamics(arm), np.full(1, ROTORS), friction, no_torque(1))
+    simulation.rest(np.zeros(1))
+    motion = simulation.run(np.zeros((500, 1)), np.zeros((500, 1)))
+    # Gravity is 39 N·m: the tanh creeps at less than its transition speed, and nothing oscillates.
+    assert np.abs(motion.velocity[10:]).max() <= 0.6 * transition + 1e-8
+    assert np.abs(np.diff(motion.velocity[50:], axis=0)).max() < 1e-6
+
+
+def test_set_points_are_reached_one_period_later_and_the_state_persists(ns16, stop_and_go):
+    machine = draw_machine(ns16, 1)
+    gains = ServoGains.tuned(machine.typical_inertia, machine.limit)
+    q, qd = stop_and_go(np.array([[0, 0, -1.5, 0, 0.3, 0], [0.4, 0.2, -1.2, 0.5, -0.2, 0.6]]), 0.8)
+    runs = []
+    for pieces in (1, 7):
+        simulation = ForwardSimulation(machine.dynamics(), machine.rotor_inertias, Drive(machine), gains)
+        simulation.rest(q[0])
+        parts = [
+            simulation.run(a, b) for a, b in zip(np.array_split(q, pieces), np.array_split(qd, pieces), strict=True)
+        ]
+        runs.append(np.concatenate([part.position for part in parts]))
+        assert np.allclose(np.concatenate([part.time for part in parts]), 0.002 * np.arange(len(q)))
+    assert np.array_equal(*runs)
+    moving = np.abs(qd[:, 0]) > 0.3
+    lag = np.mean((q - runs[0])[moving, 0] / qd[moving, 0])
+    assert 0.002 < lag < 0.008
+
+
+def test_feedforward_of_the_inertia_shrinks_the_tracking_error(make_arm, stop_and_go):
+    robot = replace(make_arm(1), gravity=(0.0, 0.0, -9.80665))
+    inertia = Dynamics(robot).mass_matrix(np.zeros(1))[0, 0] + 100.0**2 * ROTORS
+    q, qd = stop_and_go(np.array([[0.0], [1.0]]), 0.8)
+    worst = []
+    for fraction in (0.0, 1.0):
+        gains = ServoGains.tuned(np.array([inertia]), np.array([1e4]), feedforward=1.0, inertia_fraction=fraction)
+        simulation = ForwardSimulation(Dynamics(robot), np.full(1, ROTORS), frictionless(1), gains)
+        simulation.rest(q[0])
+        position = simulation.run(q, qd).position
+        worst.append(np.abs(position[1:] - q[:-1]).max())
+    assert worst[1] < 0.3 * worst[0]

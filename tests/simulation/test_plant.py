@@ -1,0 +1,177 @@
+"""The plant behind the fake controller: an honest robot, the same one for the same seed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfiltfilt
+
+from agent.robot.dynamics import Dynamics
+from fake_controller.actuation.drive import Drive
+from fake_controller.actuation.machine import draw_machine
+from fake_controller.plant import Plant
+
+HOME = np.array([0.0, 0.0, -1.5, 0.0, 0.0, 0.0])
+AWAY = np.array([0.7, 0.4, -1.0, 0.9, -0.8, 1.2])
+
+
+def follow(plant, q, qd, **options):
+    plant.rest(q[0])
+    chunks = list(plant.run(q, qd, **options))
+    return tuple(np.concatenate([getattr(c, name) for c in chunks]) for name in ("position", "velocity", "torque"))
+
+
+@pytest.fixture(scope="module")
+def motion(stop_and_go):
+    return stop_and_go(np.array([HOME, AWAY, HOME, -0.5 * AWAY + 1.5 * HOME]), 1.2, pause=0.3)
+
+
+@pytest.fixture(scope="module")
+def run(ns16, motion):
+    plant = Plant(ns16, 7)
+    return plant, *follow(plant, *motion)
+
+
+def test_the_same_seed_gives_the_same_samples_however_they_are_asked_for(ns16, motion, run):
+    _, *whole = run
+    q, qd = motion[0][:500], motion[1][:500]
+    again = follow(Plant(ns16, 7), q, qd, chunk=33)
+    for first, second in zip(whole, again, strict=True):
+        assert np.array_equal(first[:500], second)
+    other = follow(Plant(ns16, 8), q, qd)
+    assert np.abs(other[2] - again[2]).max() > 5.0
+
+
+def test_tracking_is_a_servos(ns16, motion, run):
+    plant, position, velocity, _ = run
+    q, qd = motion
+    error = np.abs(position - q)
+    assert 5e-4 < error.max() < 2e-2
+    list(plant.hold(q[-1], 1.0))
+    assert plant.settled(5e-5)
+    # Speed is the difference of counted positions: half a sample late, and no drift.
+    assert np.abs(np.cumsum(velocity, axis=0) * 0.002 + position[0] - position).max() < 1e-4
+
+
+def test_a_moving_arm_is_not_settled(ns16, motion):
+    plant = Plant(ns16, 7)
+    plant.rest(motion[0][0])
+    list(plant.run(motion[0][:400], motion[1][:400]))
+    assert not plant.settled(1e-3)
+
+
+def test_positions_are_counts_of_the_motor_encoder(ns16, run):
+    _, position, _, _ = run
+    counts = position * np.abs(ns16.gear_ratios) * 2**14 / (2 * np.pi)
+    assert np.abs(counts - np.round(counts)).max() < 1e-4
+
+
+def test_torque_noise_is_half_a_percent_of_nominal(ns16, run):
+    plant, *_ = run
+    torque = np.concatenate([part.torque for part in plant.hold(HOME, 4.0)])[1000:]
+    noise = np.diff(torque, axis=0).std(axis=0) / np.sqrt(2) / ns16.nominal_torque
+    assert np.all((noise > 0.0045) & (noise < 0.0058))
+
+
+def test_the_truth_predicts_the_torque_while_the_arm_moves(ns16, motion, run):
+    plant, position, _, torque = run
+
+    def smooth(values, cutoff):
+        return sosfiltfilt(butter(4, cutoff, fs=500, output="sos"), values, axis=0)
+
+    q = smooth(position, 100)
+    qd = np.gradient(q, 0.002, axis=0)
+    predicted = plant.truth().predict(q, qd, np.gradient(qd, 0.002, axis=0))
+    error = (smooth(torque, 30) - smooth(predicted, 30)) / ns16.nominal_torque
+    error[(np.abs(qd) < 0.05) | (np.arange(len(q))[:, None] < 200)] = np.nan
+    assert np.all(np.sqrt(np.nanmean(error[:-200] ** 2, axis=0)) < 0.01)
+
+
+def test_the_truth_is_near_the_description_and_not_on_it(ns16, run):
+    truth = run[0].truth()
+    nominal = Dynamics(ns16).standard_parameters().reshape(6, 10)
+    mine = truth.parameters.reshape(6, 10)
+    change = mine[:, 0] / nominal[:, 0] - 1
+    assert np.all(np.abs(change) < 0.15)
+    assert np.abs(change).max() > 0.02
+    rotors = truth.rotor_inertias / np.array([joint.rotor_inertia for joint in ns16.joints]) - 1
+    assert np.all(np.abs(rotors) <= 0.1)
+    assert np.all(rotors != 0)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_every_machine_has_links_that_are_bodies(ns16, seed):
+    for m, x, y, z, xx, xy, yy, xz, yz, zz in draw_machine(ns16, seed).parameters.reshape(6, 10):
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        pseudo = np.zeros((4, 4))
+        pseudo[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+        pseudo[:3, 3] = pseudo[3, :3] = x, y, z
+        pseudo[3, 3] = m
+        assert np.linalg.eigvalsh(pseudo).min() > 0
+
+
+def test_friction_sticks_gives_way_smoothly_and_saturates(ns16):
+    """Pushed back and forth slowly, an axle's friction is a hysteresis loop without a jump."""
+    machine = draw_machine(ns16, 7)
+    drive, dt = Drive(machine), 0.0005
+    position = 1e-3 * np.sin(2 * np.pi * 0.5 * dt * np.arange(8000))
+    speed = np.gradient(position, dt)
+    still = [0.0] * 6
+    friction = -np.array([drive.step(0.0, still, [v, *still[1:]], still, dt)[0] for v in speed])
+    curve = machine.friction[0]
+    assert 0.9 * curve.coulomb < np.abs(friction[4000:]).max() < 1.05 * (curve.coulomb + curve.rise)
+    assert np.abs(np.diff(friction)).max() < 0.1 * curve.coulomb
+    loop = np.sum(friction[4000:] * speed[4000:]) * dt
+    assert loop == pytest.approx(4 * 1e-3 * curve.coulomb, rel=0.25)
+
+
+def test_friction_in_steady_sliding_is_the_curve_of_the_truth(ns16):
+    machine = draw_machine(ns16, 7)
+    drive = Drive(machine)
+    still = [0.0] * 6
+    for speed in (-1.5, -0.3, -0.01, 0.005, 0.05, 2.0):
+        for _ in range(4000):
+            load = drive.step(0.0, still, [speed] * 6, still, 0.0005)
+        steady = [curve.steady(np.array([speed]))[0] for curve in machine.friction]
+        assert np.allclose(-np.array(load), steady, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        {"links": 1, "prismatic_first": True},
+        {"links": 3, "gear": 1.0},
+        {"links": 7},
+        {"links": 4, "coupling": np.eye(4) + 0.2 * np.eye(4, k=-1)},
+    ],
+    ids=["one sliding joint", "no gears", "seven joints", "coupled"],
+)
+def test_any_arm_works(make_arm, stop_and_go, form):
+    robot = make_arm(**form)
+    n = robot.dof
+    plant = Plant(robot, 2)
+    q, qd = stop_and_go(np.array([np.zeros(n), 0.4 * (-1.0) ** np.arange(n)]), 1.0)
+    position, _, torque = follow(plant, q, qd)
+    assert np.all(np.isfinite(torque))
+    assert np.abs(position - q).max() < 1e-2
+    list(plant.hold(q[-1], 1.0))
+    assert plant.settled(5e-4)
+
+
+def test_with_motor_coupling_the_reported_torque_is_the_joints(make_arm):
+    """At rest the effort balances gravity on the joints, whatever the coupling, but for what sticks."""
+    coupling = np.array([[1.0, 0.0], [0.5, 1.0]])
+    robot = make_arm(2, coupling=coupling)
+    plant = Plant(robot, 4)
+    target = np.array([0.2, 0.3])
+    plant.rest(target)
+    torque = np.concatenate([part.torque for part in plant.hold(target, 0.5)]).mean(axis=0)
+    gravity = plant.machine.dynamics().inverse_dynamics(target[None], np.zeros((1, 2)), np.zeros((1, 2)))[0]
+    noise = 0.005 * plant.machine.nominal @ np.abs(coupling)
+    assert np.all(np.abs(torque - gravity) < 3 * noise)
+
+
+def test_a_period_that_is_not_the_plants_is_refused(ns16):
+    plant = Plant(ns16, 1)
+    with pytest.raises(ValueError, match=r"0\.002 s, not 0\.004 s"):
+        plant.run(np.zeros((2, 6)), np.zeros((2, 6)), 0.004)
