@@ -1,0 +1,193 @@
+"""The built-in interpolator: COMAU's FLY motion in every mode (`docs/decisions/fly-*.md`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.errors import InputError
+from agent.motion.fly_binding import binding_limits
+from agent.motion.fly_parameters import FlyParameters
+from agent.motion.fly_segments import SegmentMaker
+from agent.motion.fly_setpoints import plan_run
+from agent.motion.interpolator import MotionError
+from agent.motion.path import Path, build_path
+from agent.motion.path_blend import Corner, corner_between
+from agent.motion.path_segments import Segment
+from agent.motion.path_solve import matrices
+from agent.motion.profile import ArmLimits
+from agent.motion.program import Delay, Statement
+from agent.motion.trajectory import BindingLimit, Trajectory
+from agent.robot.description import RobotDescription
+
+if TYPE_CHECKING:
+    from agent.robot.dynamics import Tool
+
+
+#: A joint-space blend that comes out too wide is built anew, smaller, at most so often.
+_SHRINKS = 6
+
+
+class FlyInterpolator:
+    """Plans MOVE and MOVEFLY programs at the controller's period.
+
+    `tool` is the TCP of moves that name no $TOOL; `period` [s]; `parameters` are what public sources leave open.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        tool: Tool | None = None,
+        period: float = 0.002,
+        parameters: FlyParameters | None = None,
+    ):
+        if not 0.0 < period <= 0.1:
+            raise InputError(f"period: {period} s; give the controller's period, more than 0 and at most 0.1 s")
+        self.robot = robot
+        self.period = period
+        self.parameters = parameters or FlyParameters()
+        self._limits = ArmLimits.of(robot, self.parameters)
+        self._maker = SegmentMaker(robot, tool)
+
+    def plan(self, statements: Sequence[Statement], start: np.ndarray) -> Trajectory:
+        """Set-points of the program from rest at `start` (n,) [rad] to rest; the first sample is `start` at t = 0.
+
+        A move that does not fly, a DELAY, a change of $TOOL and a corner that turns back on itself are standstills.
+
+        Raises:
+            MotionError: out of reach, through a singularity, beyond a joint limit: names move, limit and amount.
+            InputError: settings or points that make no sense.
+        """
+        plan = _Plan(self, self._maker.checked_start(start))
+        for index, statement in enumerate(statements):
+            if isinstance(statement, Delay):
+                plan.run_pending()
+                plan.rest(index, statement.seconds)
+                continue
+            segment = self._maker.segment(index, statement, plan.pending, plan.q)
+            if segment is not None:
+                plan.pending.append(segment)
+            if not statement.fly:
+                plan.run_pending()
+        plan.run_pending()
+        return plan.trajectory()
+
+
+class _Plan:
+    """A trajectory in the making: where the arm rests, the moves not yet planned, and the samples so far."""
+
+    def __init__(self, interpolator: FlyInterpolator, q: np.ndarray):
+        self.q = q
+        self.pending: list[Segment] = []
+        self._of = interpolator
+        self._samples = 0
+        self._binding: list[BindingLimit] = []
+        self._parts: list[tuple[np.ndarray, ...]] = []
+        self._add_rest(0, 1)
+
+    def rest(self, index: int, seconds: float) -> None:
+        """A DELAY."""
+        longest = self._of.parameters.longest
+        if not 0.0 <= seconds <= longest:
+            excess = seconds / longest if seconds > longest else 1.0
+            message = f"statement {index + 1}: a DELAY of {seconds} s; it has to be 0 to {longest:g} s"
+            raise MotionError(message, index, "duration", excess)
+        self._add_rest(index, round(seconds / self._of.period))
+
+    def run_pending(self) -> None:
+        """Plan the pending moves up to standstill."""
+        of, first = self._of, 0
+        corners = [
+            corner_between(before, after, of.parameters)
+            for before, after in zip(self.pending, self.pending[1:], strict=False)
+        ]
+        for last in range(len(self.pending)):
+            if last < len(corners) and corners[last] is not None:
+                continue
+            blended = [corner for corner in corners[first:last] if corner is not None]
+            self._add_run(self.pending[first : last + 1], blended)
+            first = last + 1
+        self.pending = []
+
+    def trajectory(self) -> Trajectory:
+        """All samples so far."""
+        q, qd, qdd, pose, speed, move = (np.concatenate(column) for column in zip(*self._parts, strict=True))
+        return Trajectory(
+            np.arange(len(q)) * self._of.period,
+            q,
+            qd,
+            qdd,
+            matrices(pose[:, :3], pose[:, 3:]),
+            speed,
+            move,
+            tuple(self._binding),
+        )
+
+    def _add_rest(self, index: int, count: int) -> None:
+        pose = self._of._maker.pose_at(self.q)
+        still = np.zeros((count, len(self.q)))
+        self._parts.append(
+            (
+                np.tile(self.q, (count, 1)),
+                still,
+                still,
+                np.tile(pose, (count, 1)),
+                np.zeros(count),
+                np.full(count, index),
+            )
+        )
+        self._samples += count
+
+    def _add_run(self, segments: Sequence[Segment], corners: list[Corner]) -> None:
+        of = self._of
+        path = build_path(segments, corners, self.q, of._limits.speed, of.parameters)
+        for _ in range(_SHRINKS):
+            if max(path.deviations, default=0.0) <= 1.0:
+                break
+            corners = [
+                corner if deviation <= 1.0 else corner.scaled(0.95 / deviation)
+                for corner, deviation in zip(corners, path.deviations, strict=True)
+            ]
+            path = build_path(segments, corners, self.q, of._limits.speed, of.parameters)
+        self.q = path.q[-1]
+        _check_positions(path, segments, of.robot)
+        run = plan_run(path, segments, of._limits, of.period, of.parameters)
+        samples = run.samples
+        begin = (self._samples - 1) * of.period
+        self._binding += binding_limits(run, of._limits, of.robot.joint_names, begin, of.period)
+        knot = np.clip(np.searchsorted(path.s, samples.s + path.s[0]), 0, len(path.s) - 1)
+        self._parts.append(
+            tuple(
+                part[1:]
+                for part in (
+                    samples.q,
+                    samples.qd,
+                    samples.qdd,
+                    samples.pose,
+                    np.linalg.norm(samples.pose_rate[:, :3], axis=1),
+                    path.move[knot],
+                )
+            )
+        )
+        self._samples += len(samples.q) - 1
+
+
+def _check_positions(path: Path, segments: Sequence[Segment], robot: RobotDescription) -> None:
+    lower, upper = robot.position_limits
+    beyond = np.maximum(path.q - upper, lower - path.q)
+    knot, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+    amount = float(beyond[knot, joint])
+    if amount <= 1e-9:
+        return
+    move, name = int(path.move[knot]), robot.joint_names[joint]
+    label = next(segment.label for segment in segments if segment.move == move)
+    sliding = robot.joints[joint].prismatic
+    shown = f"{1e3 * amount:.3g} mm" if sliding else f"{np.degrees(amount):.3g} degrees"
+    raise MotionError(
+        f"{label}: {name} would go {shown} beyond its limit; move the point or choose another configuration",
+        move,
+        f"{name} position",
+        amount / float(min(upper[joint] - lower[joint], 2.0 * np.pi)),
+    )

@@ -1,0 +1,68 @@
+"""Which limit keeps a run below its programmed speed, and when."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from agent.motion import path_rules as rules
+from agent.motion.fly_setpoints import Run, cartesian_rates
+from agent.motion.profile import ArmLimits
+from agent.motion.trajectory import BindingLimit
+
+#: Every so many samples are looked at; slower than this part of the programmed speed is slowed down.
+_EVERY, _REACHED = 5, 0.995
+
+
+def binding_limits(
+    run: Run, limits: ArmLimits, joint_names: tuple[str, ...], begin: float, period: float
+) -> list[BindingLimit]:
+    """The limits in force where the run is slower than programmed, the fullest one at each time; `begin` [s].
+
+    A limit is as full as the part of it that stress and overrides leave, so what is named may be below the arm's own.
+    """
+    samples, path = run.samples, run.path
+    pick = np.arange(0, len(samples.s), _EVERY)
+    s, speed = samples.s[pick] + path.s[0], samples.speed[pick]
+    knot = np.clip(np.searchsorted(path.s, s), 0, len(path.s) - 1)
+    rule = path.rules[knot]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        joint_full = np.max(np.abs(run.shape.q1[:, knot]) / limits.speed[:, None], axis=0)
+        programmed = np.minimum(
+            np.minimum(
+                rule[:, rules.LINEAR] / run.shape.travel[knot], rule[:, rules.ROTATIONAL] / run.shape.turn[knot]
+            ),
+            np.where(rule[:, rules.JOINT] < 1.0, rule[:, rules.JOINT] / joint_full, np.inf),
+        )
+    allowed = rule[:, rules.STRESS] * np.maximum(rule[:, rules.ACCELERATION], rule[:, rules.DECELERATION])
+    jerk = np.diff(samples.qdd, axis=0, prepend=0.0)[pick] / period
+    rates = cartesian_rates(samples)[:, pick]
+    cartesian = limits.cartesian
+    ceilings = (
+        cartesian.linear_speed,
+        cartesian.rotational_speed,
+        cartesian.linear_acceleration * allowed / rule[:, rules.STRESS],
+        cartesian.rotational_acceleration * allowed / rule[:, rules.STRESS],
+    )
+    full = np.concatenate(
+        (
+            (np.abs(samples.qd[pick]) / limits.speed).T,
+            (np.abs(samples.qdd[pick]) / (limits.acceleration * allowed[:, None])).T,
+            (np.abs(jerk) / limits.jerk).T,
+            rates
+            / (np.stack([np.broadcast_to(ceiling, len(pick)) for ceiling in ceilings]) * rule[:, rules.CARTESIAN]),
+            np.where(path.overlap[knot] < 0.999, speed / np.maximum(programmed * path.overlap[knot], 1e-12), 0.0)[None],
+        )
+    )
+    names = [f"{name} {what}" for what in ("speed", "acceleration", "jerk") for name in joint_names]
+    names += ["linear speed", "rotational speed", "linear acceleration", "rotational acceleration", "FLY_NORM overlap"]
+    worst = np.where(speed < _REACHED * programmed, np.argmax(full, axis=0), -1)
+    worst[[0, -1]] = worst[[1, -2]] if len(worst) > 2 else -1
+    edges = np.concatenate(([0], 1 + np.flatnonzero(np.diff(worst)), [len(worst)]))
+    end = begin + (len(samples.s) - 1) * period
+    return [
+        BindingLimit(names[worst[a]], begin + pick[a] * period, min(begin + (pick[b - 1] + _EVERY) * period, end))
+        for a, b in pairwise(edges)
+        if worst[a] >= 0
+    ]

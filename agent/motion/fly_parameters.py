@@ -1,0 +1,35 @@
+"""What public sources leave open about the controller's interpolator, as numbers that can be changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class FlyParameters:
+    """Choices of the FLY interpolator; `docs/decisions/fly-*.md` give the reasons.
+
+    blend_shape: 0 hands over from one move to the next with a cubic, 1 with a quintic (rounder start, sharper middle).
+    ramp: length of the jerk-limited ramps, in units of the longest (acceleration limit / jerk limit) of the joints.
+    jerk_time: [s] from zero to full acceleration of a joint whose description gives no jerk limit.
+    stress_floor: part of the acceleration limits that a blend may use however low `$STRESS_PER` is; at 100 it is all.
+    auto_tightness: FLY_AUTO gives `1 - auto_tightness · $STRESS_PER / 100` of the half segment to the blend.
+    curve_share: part of the TCP acceleration limits that may go into the curve of a blend, the rest changes the speed.
+    stop_angle: [rad] corners that turn by more than this cannot be blended; the arm stops there.
+    norm_acceleration: [m/s²] of FLY_NORM's overlap where the robot has no Cartesian limits.
+    singular_slowdown: refuse a path where joint speed limits leave less than this part of the programmed speed.
+    spacing: [m] between the points of the path at which inverse kinematics is solved.
+    longest: [s] no planned motion may take longer.
+    """
+
+    blend_shape: float = 0.0
+    ramp: float = 2.0
+    jerk_time: float = 0.08
+    stress_floor: float = 0.5
+    auto_tightness: float = 0.8
+    curve_share: float = 0.8
+    stop_angle: float = 2.97
+    norm_acceleration: float = 1.7
+    singular_slowdown: float = 0.01
+    spacing: float = 0.005
+    longest: float = 3600.0

@@ -1,0 +1,176 @@
+"""From the path of one run to its set-points: profile, time law, limits checked at every sample.
+
+Limits are kept by construction up to the width of the averaging window (`profile_time`). What is left is repaired: the
+speed ceiling is lowered around every sample that breaks a limit, a bounded number of times; whatever then remains is
+taken out by stretching the time of the run, which divides speed, acceleration and jerk by the factor, its square, cube.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from agent.motion import path_rules as rules
+from agent.motion.fly_parameters import FlyParameters
+from agent.motion.interpolator import MotionError
+from agent.motion.path import Path
+from agent.motion.path_segments import Segment
+from agent.motion.profile import ArmLimits, PathShape, fastest, shape_of, speed_ceiling, widened
+from agent.motion.profile_time import TimeLaw, time_law
+
+_REPAIRS, _STRETCHES = 5, 4
+#: Limits may be passed by this part of them at a sample: half of what the set-points' users are promised.
+_TOLERANCE = 5e-4
+
+
+@dataclass(frozen=True, eq=False)
+class SetPoints:
+    """Samples of one run, the first at rest at its start: q, qd, qdd (S, n); the path parameter s and its speed (S,).
+
+    pose (S, 7): position [m] and orientation (unit quaternion) of the TCP; pose_rate, pose_acceleration: its
+    derivatives by time.
+    """
+
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    s: np.ndarray
+    speed: np.ndarray
+    pose: np.ndarray
+    pose_rate: np.ndarray
+    pose_acceleration: np.ndarray
+
+
+def cartesian_rates(samples: SetPoints) -> np.ndarray:
+    """(4, S) linear [m/s] and rotational speed [rad/s], linear and rotational acceleration of the TCP."""
+    quaternion, rate, acceleration = samples.pose[:, 3:], samples.pose_rate, samples.pose_acceleration
+    along = np.einsum("si,si->s", quaternion, acceleration[:, 3:])
+    across = np.einsum("si,si->s", acceleration[:, 3:], acceleration[:, 3:]) - along**2
+    return np.stack(
+        (
+            np.linalg.norm(rate[:, :3], axis=1),
+            2.0 * np.linalg.norm(rate[:, 3:], axis=1),
+            np.linalg.norm(acceleration[:, :3], axis=1),
+            2.0 * np.sqrt(np.maximum(across, 0.0)),
+        )
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What was planned between two standstills: the path, its spline, the time law and the samples."""
+
+    path: Path
+    shape: PathShape
+    law: TimeLaw
+    samples: SetPoints
+
+
+def plan_run(
+    path: Path, segments: Sequence[Segment], limits: ArmLimits, period: float, parameters: FlyParameters
+) -> Run:
+    """The fastest samples along `path` that its rules and the arm's limits allow, from rest to rest.
+
+    Raises:
+        MotionError: it would take too long, or the arm would all but stop near a singularity; names one of `segments`.
+    """
+    shape = shape_of(path)
+    _refuse_crawling(path, shape, segments, limits, parameters)
+    ramp = parameters.ramp * float(np.max(limits.acceleration / limits.jerk))
+    window = max(round(ramp / period), 1) * period
+    ceiling = widened(path, speed_ceiling(path, shape, limits, parameters), window)
+    for repair in range(_REPAIRS + 1):
+        law = time_law(path, fastest(path, shape, limits, ceiling), window)
+        _refuse_long(path, law, segments, parameters)
+        samples = _sampled(path, shape, law, period)
+        excess = _excess(path, samples, limits, period)
+        if np.max(excess) <= 1.0 + _TOLERANCE:
+            return Run(path, shape, law, samples)
+        if repair < _REPAIRS:
+            ceiling = _lowered(ceiling, path, samples, excess, round(window / period))
+    for _ in range(_STRETCHES):
+        law = replace(law, stretch=law.stretch * float(np.max(excess)))
+        samples = _sampled(path, shape, law, period)
+        excess = _excess(path, samples, limits, period)
+        if np.max(excess) <= 1.0 + _TOLERANCE:
+            break
+    return Run(path, shape, law, samples)
+
+
+def _refuse_crawling(
+    path: Path, shape: PathShape, segments: Sequence[Segment], limits: ArmLimits, parameters: FlyParameters
+) -> None:
+    with np.errstate(divide="ignore"):
+        programmed = path.rules[:, rules.LINEAR] / shape.travel
+    turns = np.abs(shape.q1) / limits.speed[:, None] * np.where(np.isfinite(programmed), programmed, 0.0)
+    joint, knot = np.unravel_index(int(np.argmax(turns)), turns.shape)
+    slowdown = float(turns[joint, knot]) * parameters.singular_slowdown
+    if slowdown <= 1.0:
+        return
+    move = int(path.move[knot])
+    x, y, z = 1e3 * path.position[knot]
+    raise MotionError(
+        f"{_label(segments, move)}: joint {joint + 1} would have to turn {turns[joint, knot]:.0f} times faster than it "
+        f"can at x {x:.0f}, y {y:.0f}, z {z:.0f} mm: the path passes a singularity; move the point or turn the tool",
+        move,
+        "singularity",
+        slowdown - 1.0,
+    )
+
+
+def _refuse_long(path: Path, law: TimeLaw, segments: Sequence[Segment], parameters: FlyParameters) -> None:
+    if law.duration <= parameters.longest:
+        return
+    move = int(path.move[int(np.argmax(np.diff(law.t)))])
+    raise MotionError(
+        f"{_label(segments, move)}: the motion would take {law.duration:.3g} s, and {parameters.longest:g} s are "
+        "allowed; raise the speed or the overrides",
+        move,
+        "duration",
+        law.duration / parameters.longest - 1.0,
+    )
+
+
+def _label(segments: Sequence[Segment], move: int) -> str:
+    return next((segment.label for segment in segments if segment.move == move), segments[0].label)
+
+
+def _sampled(path: Path, shape: PathShape, law: TimeLaw, period: float) -> SetPoints:
+    n = path.q.shape[1]
+    t = np.arange(int(np.ceil(law.duration / period - 1e-9)) + 1) * period
+    s, speed, acceleration = law.sample(t)
+    curve: Any = shape.curve
+    at = s + path.s[0]
+    value, first, second = curve(at), curve(at, 1), curve(at, 2)
+    value[:, n + 3 :] /= np.linalg.norm(value[:, n + 3 :], axis=1, keepdims=True)
+    rate = first * speed[:, None]
+    change = first * acceleration[:, None] + second * (speed**2)[:, None]
+    return SetPoints(value[:, :n], rate[:, :n], change[:, :n], s, speed, value[:, n:], rate[:, n:], change[:, n:])
+
+
+def _excess(path: Path, samples: SetPoints, limits: ArmLimits, period: float) -> np.ndarray:
+    """(S,) the factor by which time would have to be stretched at each sample for every limit to hold there."""
+    knot = np.clip(np.searchsorted(path.s, samples.s + path.s[0]), 0, len(path.s) - 1)
+    rates = cartesian_rates(samples) / path.rules[knot, rules.CARTESIAN]
+    cartesian = limits.cartesian
+    speed = np.max(np.abs(samples.qd) / limits.speed, axis=1)
+    speed = np.maximum(speed, np.maximum(rates[0] / cartesian.linear_speed, rates[1] / cartesian.rotational_speed))
+    acceleration = np.max(np.abs(samples.qdd) / limits.acceleration, axis=1)
+    acceleration = np.maximum(acceleration, rates[2] / cartesian.linear_acceleration)
+    acceleration = np.maximum(acceleration, rates[3] / cartesian.rotational_acceleration)
+    jerk = np.max(np.abs(np.diff(samples.qdd, axis=0, prepend=0.0)) / (limits.jerk * period), axis=1)
+    return np.maximum(np.maximum(speed, np.sqrt(acceleration)), np.cbrt(jerk))
+
+
+def _lowered(ceiling: np.ndarray, path: Path, samples: SetPoints, excess: np.ndarray, window: int) -> np.ndarray:
+    """The ceiling (K,) lowered to what the broken samples need, for a whole window (in samples) around each of them."""
+    needed = np.where(excess > 1.0 + _TOLERANCE, (samples.speed / (1.002 * np.maximum(excess, 1.0))) ** 2, np.inf)
+    edge = np.full(window // 2, np.inf)
+    around = np.lib.stride_tricks.sliding_window_view(np.concatenate((edge, needed, edge)), 2 * (window // 2) + 1)
+    lowest = around.min(axis=1)
+    k = np.clip(np.searchsorted(samples.s, path.s - path.s[0]), 1, len(lowest) - 1)
+    # A sample that breaks a limit as the arm sets off says nothing about the speed; the floor keeps the arm moving.
+    return np.minimum(ceiling, np.maximum(np.minimum(lowest[k], lowest[k - 1]), 1e-6 * np.max(ceiling)))

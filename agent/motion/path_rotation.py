@@ -1,0 +1,105 @@
+"""Unit quaternions (S, 4), scalar first, and COMAU's Euler ZYZ angles, over many samples at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def multiply(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """(S, 4) Hamilton product; either side may be one quaternion (4,)."""
+    w1, x1, y1, z1 = np.moveaxis(left, -1, 0)
+    w2, x2, y2, z2 = np.moveaxis(right, -1, 0)
+    return np.stack(
+        (
+            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
+            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
+            w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
+            w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
+        ),
+        axis=-1,
+    )
+
+
+def conjugate(quaternion: np.ndarray) -> np.ndarray:
+    """The inverse of a unit quaternion (..., 4)."""
+    return quaternion * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def about(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """(S, 4) rotations about one unit axis (3,) by angles (S,) [rad]."""
+    half = 0.5 * np.asarray(angle)
+    return np.concatenate((np.cos(half)[..., None], np.sin(half)[..., None] * axis), axis=-1)
+
+
+def from_matrices(rotations: np.ndarray) -> np.ndarray:
+    """(S, 4) quaternions of rotation matrices (S, 3, 3): the largest row of 4 q qᵀ, which is linear in the matrix."""
+    r = rotations
+    products = np.empty((len(r), 4, 4))
+    trace = np.einsum("sii->s", r)
+    products[:, 0, 0] = 1.0 + trace
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        products[:, k + 1, k + 1] = 1.0 + 2.0 * r[:, k, k] - trace
+        products[:, 0, k + 1] = products[:, k + 1, 0] = r[:, j, i] - r[:, i, j]
+        products[:, i + 1, j + 1] = products[:, j + 1, i + 1] = r[:, i, j] + r[:, j, i]
+    largest = np.argmax(np.einsum("sii->si", products), axis=1)
+    q = products[np.arange(len(r)), largest]
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+def from_matrix(rotation: np.ndarray) -> np.ndarray:
+    """(4,) quaternion of one rotation matrix (3, 3)."""
+    return from_matrices(np.asarray(rotation)[None])[0]
+
+
+def to_matrix(quaternion: np.ndarray) -> np.ndarray:
+    """(S, 3, 3) rotation matrices of unit quaternions (S, 4)."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    matrix = np.empty((*np.shape(w), 3, 3))
+    matrix[..., 0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    matrix[..., 0, 1] = 2.0 * (x * y - w * z)
+    matrix[..., 0, 2] = 2.0 * (x * z + w * y)
+    matrix[..., 1, 0] = 2.0 * (x * y + w * z)
+    matrix[..., 1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    matrix[..., 1, 2] = 2.0 * (y * z - w * x)
+    matrix[..., 2, 0] = 2.0 * (x * z - w * y)
+    matrix[..., 2, 1] = 2.0 * (y * z + w * x)
+    matrix[..., 2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    return matrix
+
+
+def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
+    """(3,) axis times angle [rad], the shorter way round, of one unit quaternion (4,)."""
+    q = quaternion if quaternion[0] >= 0 else -quaternion
+    sine = float(np.linalg.norm(q[1:]))
+    if sine < 1e-12:
+        return 2.0 * q[1:]
+    return 2.0 * np.arctan2(sine, q[0]) / sine * q[1:]
+
+
+def from_rotation_vector(vector: np.ndarray) -> np.ndarray:
+    """(S, 4) unit quaternions of rotation vectors (S, 3) [rad]."""
+    angle = np.linalg.norm(vector, axis=-1, keepdims=True)
+    return np.concatenate((np.cos(0.5 * angle), 0.5 * np.sinc(0.5 * angle / np.pi) * vector), axis=-1)
+
+
+def continuous(quaternions: np.ndarray) -> np.ndarray:
+    """The same rotations (S, 4) with signs chosen so that neighbours are close."""
+    flips = np.where(np.einsum("si,si->s", quaternions[1:], quaternions[:-1]) < 0, -1.0, 1.0)
+    return quaternions * np.concatenate(([1.0], np.cumprod(flips)))[:, None]
+
+
+def from_euler(angles: np.ndarray) -> np.ndarray:
+    """(S, 4) quaternions of Euler ZYZ angles a, e, r (S, 3) [rad]: Rz(a) Ry(e) Rz(r)."""
+    a, e, r = np.moveaxis(np.asarray(angles, dtype=float), -1, 0)
+    y, z = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    return multiply(multiply(about(z, a), about(y, e)), about(z, r))
+
+
+def to_euler(rotation: np.ndarray) -> np.ndarray:
+    """(3,) Euler ZYZ angles a, e, r [rad] of one rotation matrix (3, 3), e in [0, π]; r is 0 where e is 0 or π."""
+    sine = np.hypot(rotation[0, 2], rotation[1, 2])
+    e = np.arctan2(sine, rotation[2, 2])
+    if sine < 1e-9:
+        return np.array([np.arctan2(-rotation[0, 1], rotation[1, 1]), e, 0.0])
+    return np.array([np.arctan2(rotation[1, 2], rotation[0, 2]), e, np.arctan2(rotation[2, 1], -rotation[2, 0])])
