@@ -15,7 +15,7 @@ from agent.errors import InputError
 from agent.recording.log import Log, Repair
 from agent.recording.log_file import PLANNED, REFERENCES, RUN, STATES
 from agent.recording.scan import Messages, Scan, scan
-from agent.recording.stamps import match, put_in_order, spacing_of
+from agent.recording.stamps import BRIDGED, match, put_in_order, spacing_of
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -27,8 +27,8 @@ _SAME_STAMP = 0.1
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """Samples of one topic in the order of the file: stamp (S,) [ns]; arrays (S, n) or None; `first` stamp of the
-    topic [ns], also of a sample that was left out."""
+    """Samples of one topic in the order of the file: stamp (S,) [ns]; arrays (S, n) or None; `first`: earliest stamp
+    [ns] of these joints, also of a sample that was left out."""
 
     first: int
     stamp: np.ndarray
@@ -80,7 +80,7 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
         sample_rate=spacing.rate,
         stamp=int(stamp[0]) / _NANO,
         segments=spacing.segments,
-        cycle_starts=_cycle_starts(run, (table.first - int(stamp[0])) / _NANO, duration, repairs),
+        cycle_starts=_cycle_starts(run, (int(stamp[0]) - table.first) / _NANO, duration, repairs),
         metadata=run,
         repairs=tuple(repairs),
     )
@@ -122,7 +122,9 @@ def _joint_names(path: Path, groups: Sequence[Messages], robot: RobotDescription
 
 def _table(groups: list[Messages], names: tuple[str, ...]) -> _Table | None:
     """Whole, finite samples of the named joints, and what was left out."""
-    first = min(int(group.stamp.min()) for group in groups)
+    if not any(set(names) <= set(group.layout.names) for group in groups):
+        return None
+    first = min(int(group.stamp.min()) for group in groups if set(names) <= set(group.layout.names))
     left_out: dict[str, list[np.ndarray]] = {}
     usable: list[Messages] = []
     for group in groups:
@@ -143,12 +145,9 @@ def _table(groups: list[Messages], names: tuple[str, ...]) -> _Table | None:
         values = _column(usable, field, names)
         unknown = ~np.all(np.isfinite(values), axis=1)
         if field != "position" and np.count_nonzero(unknown) > 0.5 * len(stamp):
-            if not unknown.all():
-                repairs.append(
-                    _repair(f"samples with {field} are too few, all {field} left out", stamp[~unknown], first)
-                )
-            elif any(getattr(group, field) is not None for group in usable):
-                repairs.append(_repair(f"samples whose {field} is not a number, all {field} left out", stamp, first))
+            if any(getattr(group, field) is not None for group in usable):
+                kind = f"samples without a finite {field}, so all {field} left out"
+                repairs.append(_repair(kind, stamp[unknown], first))
             arrays.append(None)
             continue
         dropped = unknown & keep
@@ -250,15 +249,16 @@ def _run_repairs(run: dict[str, str], seen: Sequence[Repair]) -> list[Repair]:
     return repairs
 
 
-def _cycle_starts(run: dict[str, str], shift: float, duration: float, repairs: list[Repair]) -> tuple[float, ...]:
-    """Cycle starts [s] from the first sample kept, which the first sample of the file lies before by -`shift`."""
+def _cycle_starts(run: dict[str, str], before: float, duration: float, repairs: list[Repair]) -> tuple[float, ...]:
+    """Cycle starts [s] from the first sample that was kept; the first one in the file was `before` [s] earlier."""
     if "cycle_starts_s" not in run:
         return ()
     try:
-        starts = [float(start) for start in json.loads(run["cycle_starts_s"])]
+        starts = [float(start) - before for start in json.loads(run["cycle_starts_s"])]
     except (ValueError, TypeError):
         starts = [np.nan]
-    usable = sorted({start + shift for start in starts if -1e-6 <= start <= duration - shift})
+    # a cycle may have begun with a sample that was left out
+    usable = sorted({max(start, 0.0) for start in starts if -BRIDGED <= start <= duration})
     if len(usable) < len(starts) or sorted(starts) != starts:
         kind = "cycle_starts_s is no rising list of seconds within the log, used as far as possible; entries"
         repairs.append(Repair(kind, 0.0, len(starts)))

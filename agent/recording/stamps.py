@@ -50,8 +50,10 @@ def put_in_order(stamp: np.ndarray, values: np.ndarray, name: str) -> Order:
         name: of the file, for messages.
 
     Raises:
-        InputError: the stamps stand still, or go back and cover the same time twice.
+        InputError: a single sample, or stamps that stand still, or that go back and cover the same time twice.
     """
+    if len(stamp) < 2:
+        raise InputError(f"{name}: 1 sample at {stamp[0] / _NANO:.6f} s; a motion has more")
     rows = np.flatnonzero(~_far_off(stamp))
     first = int(stamp[rows].min())
     repairs = []
@@ -64,7 +66,7 @@ def put_in_order(stamp: np.ndarray, values: np.ndarray, name: str) -> Order:
         rows = rows[np.argsort(stamp[rows], kind="stable")]
     ordered = stamp[rows]
     same_stamp = np.diff(ordered) == 0
-    if len(rows) < 2 or len(rows) - same_stamp.sum() < max(2, 0.01 * len(rows)):
+    if len(rows) - same_stamp.sum() < max(2, 0.01 * len(rows)):
         raise InputError(
             f"{name}: the stamps stand still at {ordered[0] / _NANO:.6f} s ({len(stamp)} samples): without "
             "header.stamp nothing can be differentiated; record again with controller time in it"
@@ -130,7 +132,7 @@ def match(stamp: np.ndarray, others: np.ndarray, tolerance: float) -> tuple[np.n
 def _far_off(stamp: np.ndarray) -> np.ndarray:
     """(S,) which of the stamps are hours away from nearly all others: a clock that was not set yet, a flipped bit."""
     middle = np.median(stamp)
-    sampled = np.median(np.abs(np.diff(stamp))) * len(stamp) if len(stamp) > 1 else 0.0
+    sampled = np.median(np.abs(np.diff(stamp))) * len(stamp)
     far = np.abs(stamp - middle) > _FAR_OFF * _NANO + 10 * sampled
     return far if np.count_nonzero(far) <= 0.01 * len(stamp) else np.zeros(len(stamp), bool)
 

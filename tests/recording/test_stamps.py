@@ -1,0 +1,137 @@
+"""Sampling rate, gaps and jitter from stamps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agent.errors import InputError
+from agent.recording import read_log
+
+
+@pytest.fixture
+def log_at(tools, tmp_path):
+    """A log with samples of one joint at given times [s]; position is a sine of time unless given."""
+
+    def make(times, position=None):
+        q = np.sin(np.asarray(times)) if position is None else position
+        messages = [{"time": t, "names": ["a"], "position": [x], "effort": [x]} for t, x in zip(times, q, strict=True)]
+        return read_log(tools.write_foreign(tmp_path / "log.mcap", messages))
+
+    return make
+
+
+def repair(log, beginning):
+    return next(r for r in log.repairs if r.kind.startswith(beginning))
+
+
+def test_a_gap_cuts_the_log_in_two(log_at):
+    times = np.delete(np.arange(1000) / 500, slice(400, 450))
+    log = log_at(times)
+    assert log.segments == ((0, 400), (400, 950))
+    assert log.sample_rate == pytest.approx(500)
+    found = repair(log, "gap")
+    assert found.count == 50
+    assert found.time == pytest.approx(399 / 500)
+
+
+def test_a_few_lost_samples_do_not_cut_it(log_at):
+    times = np.delete(np.arange(1000) / 500, [100, 200, 201, 202, 500])
+    log = log_at(times)
+    assert log.segments == ((0, 995),)
+    assert log.sample_rate == pytest.approx(500)
+    assert sum(r.count for r in log.repairs if r.kind.startswith("missing samples")) == 5
+
+
+def test_many_holes_are_summed_up(log_at):
+    lost = np.arange(20, 1000, 25)
+    log = log_at(np.delete(np.arange(1000) / 500, lost))
+    assert len(log.repairs) == 1
+    assert log.repairs[0].count == len(lost)
+    assert f"in {len(lost)} places" in log.repairs[0].kind
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0, 500.0, 1000.0, 5000.0])
+@pytest.mark.parametrize("jitter", [0.0, 0.05, 0.3])
+def test_the_rate_is_found_through_jitter_and_loss(log_at, rate, jitter):
+    rng = np.random.default_rng(3)
+    times = 1 + (np.arange(3000) + jitter * rng.uniform(-0.5, 0.5, 3000)) / rate
+    log = log_at(np.delete(times, rng.choice(np.arange(1, 2999), 30, replace=False)))
+    assert log.sample_rate == pytest.approx(rate, rel=1e-3)
+    assert len(log.segments) == 1
+
+
+def test_uneven_sampling_is_kept_and_said(log_at):
+    rng = np.random.default_rng(0)
+    times = np.cumsum(rng.uniform(0.001, 0.003, 2000))
+    log = log_at(times)
+    np.testing.assert_allclose(log.t, times - times[0], atol=1e-9)
+    assert log.sample_rate == pytest.approx(500, rel=0.02)
+    assert len(log.segments) == 1
+    assert repair(log, "uneven intervals").count > 1000
+
+
+def test_stamps_rounded_to_milliseconds_are_no_gaps(log_at):
+    log = log_at(np.round(np.arange(2000) / 700, 3))
+    assert log.sample_rate == pytest.approx(700, rel=1e-3)
+    assert len(log.segments) == 1
+
+
+def test_samples_that_share_a_coarse_stamp_are_spread(log_at):
+    true = np.arange(5000) / 5000
+    log = log_at(np.floor(true * 1000) / 1000, position=np.sin(40 * true))
+    np.testing.assert_allclose(log.t, true, atol=1e-8)
+    assert log.sample_rate == pytest.approx(5000)
+    assert repair(log, "samples share a stamp").count == 4000
+
+
+def test_stamps_that_stand_still(log_at):
+    with pytest.raises(InputError, match=r"log.mcap: the stamps stand still at 7.000000 s \(100 samples\)"):
+        log_at(np.full(100, 7.0), position=np.arange(100))
+
+
+def test_a_clock_that_was_set_back(log_at):
+    times = np.arange(1000) / 500
+    with pytest.raises(InputError, match=r"log.mcap: the controller's clock was set back.*sample 1000 on"):
+        log_at(np.concatenate([times, times[:600] + 0.0005]), position=np.arange(1600))
+
+
+def test_halves_in_the_wrong_order_are_sorted(log_at):
+    times = np.arange(1000) / 500
+    log = log_at(np.roll(times, 500))
+    np.testing.assert_allclose(log.t, times, atol=1e-9)
+    assert repair(log, "stamps out of order").count == 1
+
+
+def test_a_stamp_of_another_clock_is_dropped(log_at):
+    times = 1.7e9 + np.arange(1000) / 500
+    times[0] = 0.0
+    log = log_at(times)
+    assert len(log.t) == 999
+    assert log.t[-1] == pytest.approx(1.996)
+    assert repair(log, "samples with stamps far off").count == 1
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.floats(20, 5000),
+    st.lists(st.tuples(st.integers(1, 1999), st.floats(1, 300)), max_size=4, unique_by=lambda gap: gap[0]),
+)
+def test_segments_cover_the_log_and_hold_no_gap(rate, gaps):
+    from agent.recording.stamps import spacing_of
+
+    interval = np.full(1999, 1 / rate)
+    for place, factor in gaps:
+        interval[place - 1] *= factor
+    stamp = np.rint(1e9 * np.concatenate([[0.0], np.cumsum(interval)])).astype(np.int64)
+    spacing = spacing_of(stamp)
+    assert spacing.rate == pytest.approx(rate, rel=1e-2)
+    assert spacing.segments[0][0] == 0
+    assert spacing.segments[-1][1] == 2000
+    assert all(a[1] == b[0] for a, b in zip(spacing.segments, spacing.segments[1:], strict=False))
+    for start, stop in spacing.segments:
+        longest = np.max(np.diff(stamp[start:stop]), initial=0) / 1e9
+        assert longest <= max(0.010, 3.5 / spacing.rate) * (1 + 1e-6)
+    assert len(spacing.segments) == 1 + sum(factor / rate > max(0.010, 3.5 / spacing.rate) for _, factor in gaps)
