@@ -1,0 +1,29 @@
+"""The excitation loop as moves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.motion.program import CartesianTarget, MotionSettings, Move, MoveType, Target, Termination
+
+
+def loop_moves(poses: np.ndarray, settings: MotionSettings) -> tuple[Move, ...]:
+    """One cycle over via-points (K, 4, 4): it starts at rest at the first, flies to the others and ends where it began.
+
+    Every cycle ends with FINE, so that cycles repeat exactly. `settings` hold for all moves.
+    """
+    flying = [
+        Move(MoveType.LINEAR, CartesianTarget(pose), settings, fly=True, name=f"p{k}")
+        for k, pose in enumerate(poses[1:], start=2)
+    ]
+    closing = settings.changed(termination=Termination.FINE)
+    return (*flying, Move(MoveType.LINEAR, CartesianTarget(poses[0]), closing, name="p1"))
+
+
+def approach_moves(target: Target, speed: float = 0.1, settings: MotionSettings | None = None) -> tuple[Move, ...]:
+    """From wherever the arm stands at rest to the first point of a program, joint by joint, ending with FINE.
+
+    `speed` is the part of the joint speed limits that it may take; frames and tool are those of `settings`.
+    """
+    calm = (settings or MotionSettings()).changed(speed_override=speed, termination=Termination.FINE)
+    return (Move(MoveType.JOINT, target, calm, name="p1"),)
