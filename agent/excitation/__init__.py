@@ -1,0 +1,30 @@
+"""Excitation: which loop through the sub-region tells most about the parameters."""
+
+from agent.excitation.candidates import Candidates, Loop, LoopProblem
+from agent.excitation.criterion import Criterion, log_determinant, torque_weights
+from agent.excitation.scoring import Score, ranking
+from agent.excitation.search import Generation, SearchResult, search
+from agent.excitation.store import FOLDER, StoredLoop, find_loop, keep_loop, loop_key, stored_loops
+from agent.excitation.sub_region import OutOfReach, check_sub_region
+
+__all__ = [
+    "FOLDER",
+    "Candidates",
+    "Criterion",
+    "Generation",
+    "Loop",
+    "LoopProblem",
+    "OutOfReach",
+    "Score",
+    "SearchResult",
+    "StoredLoop",
+    "check_sub_region",
+    "find_loop",
+    "keep_loop",
+    "log_determinant",
+    "loop_key",
+    "ranking",
+    "search",
+    "stored_loops",
+    "torque_weights",
+]

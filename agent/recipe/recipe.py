@@ -6,7 +6,6 @@ import hashlib
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,9 +21,6 @@ if TYPE_CHECKING:
     from agent.robot.dynamics import Tool
 
 Vector = tuple[float, ...]
-
-#: Entry points that add interpolators; `fly` is built in.
-INTERPOLATORS = "calibration_agent.interpolators"
 
 
 @dataclass(frozen=True)
@@ -247,6 +243,7 @@ def _contradictions(
     path: Path, document: RecipeDocument, robot: RobotDescription
 ) -> Iterator[tuple[tuple[str, ...], str]]:
     """What is wrong between values that are each right by themselves."""
+    from agent.motion.interpolator import interpolator_names
     from drivers.registry import available
 
     limits = robot.cartesian_limits
@@ -261,7 +258,7 @@ def _contradictions(
     if document.controller.driver not in available():
         message = f"there is no driver {document.controller.driver!r}; allowed are {', '.join(available())}"
         yield ("controller", "driver"), message
-    interpolators = sorted({"fly", *(point.name for point in entry_points(group=INTERPOLATORS))})
+    interpolators = interpolator_names()
     if document.search.interpolator not in interpolators:
         message = f"there is no interpolator {document.search.interpolator!r}; allowed are {', '.join(interpolators)}"
         yield ("search", "interpolator"), message

@@ -14,7 +14,7 @@ PAPER_TERMS = ("f0", "f1", "f2")
 def smooth_sign(velocity: np.ndarray, transition: np.ndarray | float) -> np.ndarray:
     """tanh(v / transition), or the sign where the transition speed [rad/s] is 0."""
     transition = np.broadcast_to(np.asarray(transition, dtype=float), np.shape(velocity))
-    scaled = np.divide(velocity, transition, out=np.sign(velocity) * np.inf, where=transition > 0)
+    scaled = np.divide(velocity, transition, out=np.copysign(np.inf, velocity), where=transition > 0)
     return np.tanh(np.where(velocity == 0, 0.0, scaled))
 
 

@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from pydantic import BaseModel
 
 from agent.errors import InputError
 from agent.motion.program import FlyTrajectory, FlyType
 from agent.recipe import ViaBox, ViaLike, ViaPointList, ViaTube, load_recipe, recipe_schema, template
-from agent.recipe.schema import RecipeDocument
+from agent.recipe.schema import RecipeDocument, ToolSection
+from agent.units import Dimension
 
 ROOT = Path(__file__).parents[2]
 MINIMAL = """\
@@ -281,3 +283,25 @@ def mutated_recipes(draw: st.DrawFn) -> str:
 def test_a_mutated_recipe_loads_or_is_an_input_error(recipe_file: Path, text: str) -> None:
     with contextlib.suppress(InputError):
         assert math.isfinite(load_text(recipe_file, text).motion.speed)
+
+
+def keys_of(model: type[BaseModel], prefix: str = "") -> set[str]:
+    keys: set[str] = set()
+    for name, field in model.model_fields.items():
+        key = f"{prefix}{field.alias or name}"
+        section = field.annotation
+        nested = isinstance(section, type) and issubclass(section, BaseModel)
+        keys |= keys_of(section, f"{key}.") if nested and key != "motion.via_points" else {key}
+    return keys
+
+
+def test_the_documentation_has_every_key_and_unit() -> None:
+    text = (ROOT / "docs/recipe.md").read_text(encoding="utf-8")
+    documented = set(re.findall(r"^\| `([a-z_.]+)` \|", text, re.MULTILINE))
+    tool = {key for key in documented if key.startswith("tool.")}
+    assert documented - tool == keys_of(RecipeDocument) - {"tool"}
+    assert {key.removeprefix("tool.") for key in tool} == set(ToolSection.model_fields)
+    units = {
+        unit for dimension in Dimension if dimension is not Dimension.ANGULAR_SPEED for unit in dimension.value.factors
+    }
+    assert all(f"`{unit}`" in text for unit in units)

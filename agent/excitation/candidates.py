@@ -1,0 +1,177 @@
+"""From a genome to a motion and what it is worth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.excitation.criterion import Criterion
+from agent.excitation.scoring import Score, infeasible
+from agent.motion import Trajectory, ViaRegions, create_interpolator, loop_moves
+from agent.motion.interpolator import MotionError
+from agent.motion.program import MotionSettings, Move
+from agent.robot import RobotDescription
+from agent.robot.drivetrain import rotor_regressor
+from agent.robot.dynamics import Dynamics, Tool
+from agent.robot.kinematics import Kinematics, KinematicsError, kinematics_for
+
+if TYPE_CHECKING:
+    from agent.recipe import KeepOut
+
+#: The search takes the regressor at every so many interpolated samples; limits are checked at every one.
+EVERY = 10
+#: The search checks the cell at every so many samples, with half the way between them as margin.
+CELL_EVERY = 20
+#: A penetration of the cell of so many metres ranks like a limit exceeded by its own size.
+CELL_SCALE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class LoopProblem:
+    """What is searched for: a loop of via-points in `regions` that this arm can run. Plain data, so that it travels.
+
+    `settings` are those of the loop's moves, `period` [s] the controller's.
+    """
+
+    robot: RobotDescription
+    regions: ViaRegions
+    settings: MotionSettings
+    tool: Tool | None = None
+    keep_out: tuple[KeepOut, ...] = ()
+    interpolator: str = "fly"
+    period: float = 0.002
+
+    @property
+    def genes(self) -> int:
+        """Length of a genome: six for each via-point."""
+        return 6 * self.regions.count
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """One cycle: its genome (6 K,), via-points (K, 4, 4), start (n,) at the first of them, moves and set-points."""
+
+    genome: np.ndarray
+    poses: np.ndarray
+    start: np.ndarray
+    moves: tuple[Move, ...]
+    trajectory: Trajectory = field(repr=False)
+
+
+class Candidates:
+    """Turns genomes into loops, and scores them. Built once a process: it holds robot, interpolator and criterion."""
+
+    def __init__(self, problem: LoopProblem):
+        self.problem = problem
+        self.kinematics = kinematics_for(problem.robot, problem.tool)
+        self.posture = posture(self.kinematics, problem.regions)
+        self._interpolator = create_interpolator(
+            problem.interpolator, problem.robot, problem.tool, period=problem.period
+        )
+        self._criterion = Criterion(problem.robot, problem.tool)
+        self._dynamics = Dynamics(problem.robot, problem.tool)
+        self._rotors = np.array([joint.rotor_inertia or 0.0 for joint in problem.robot.joints])
+        self._max_torque = np.array([joint.max_torque or np.inf for joint in problem.robot.joints])
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the parameters that the criterion counts."""
+        return self._criterion.columns
+
+    def loop(self, genome: np.ndarray) -> Loop:
+        """The loop of a genome (6 K,) in [0, 1], through the interpolator.
+
+        Raises:
+            MotionError, KinematicsError: it breaks a limit; names the point, the limit and by how much.
+        """
+        poses = self.problem.regions.poses(genome)
+        start = self.kinematics.solve(poses[0], self.posture)
+        moves = loop_moves(poses, self.problem.settings)
+        return Loop(genome, poses, start, moves, self._interpolator.plan(moves, start))
+
+    def score(self, genome: np.ndarray) -> Score:
+        """What the search takes: limits at every sample, the regressor at every tenth."""
+        return self._score(genome, EVERY, CELL_EVERY)
+
+    def score_on_all(self, genome: np.ndarray) -> Score:
+        """What the result is judged by: everything at every sample."""
+        return self._score(genome, 1, 1)
+
+    def _score(self, genome: np.ndarray, every: int, cell_every: int) -> Score:
+        try:
+            trajectory = self.loop(genome).trajectory
+        except (MotionError, KinematicsError) as error:
+            return infeasible(error.excess, str(error))
+        q, qd, qdd = trajectory.q[::every], trajectory.qd[::every], trajectory.qdd[::every]
+        for broken in (self._torque(q, qd, qdd), self._collision(trajectory, cell_every)):
+            if broken is not None:
+                return broken
+        return Score(self._criterion(q, qd, qdd))
+
+    def _torque(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> Score | None:
+        limits = self._max_torque
+        if np.isinf(limits).all():
+            return None
+        rigid = self._dynamics.inverse_dynamics(q, qd, qdd)
+        torque = np.abs(rigid + rotor_regressor(self.problem.robot, qdd) @ self._rotors)
+        excess = (torque / limits).max(axis=0) - 1.0
+        joint = int(np.argmax(excess))
+        if excess[joint] <= 0:
+            return None
+        name, largest = self.problem.robot.joint_names[joint], torque[:, joint].max()
+        return infeasible(
+            float(excess[joint]),
+            f"{name} needs {largest:.0f} N·m by the description's inertias, max_torque is {limits[joint]:g} N·m: "
+            "lower motion.speed, or move the sub-region",
+        )
+
+    def _collision(self, trajectory: Trajectory, every: int) -> Score | None:
+        if self._cell is None:
+            return None
+        q = trajectory.q[::every]
+        step = 0.0 if every == 1 else every * self.problem.period * float(trajectory.path_speed.max()) / 2
+        report = self._cell.check(q, step)
+        if report.collision is None:
+            return None
+        return infeasible(max(step - report.clearance, 1e-6) / CELL_SCALE, str(report.collision))
+
+    @cached_property
+    def _cell(self):
+        from agent.safety.cell import Cell
+
+        return Cell(self.problem.robot, self.problem.tool, self.problem.keep_out)
+
+
+def posture(kinematics: Kinematics, regions: ViaRegions) -> np.ndarray:
+    """(n,) joint positions at the middle of the sub-region, from which loops choose their branch.
+
+    Of all solutions there, the one from which most of the sub-region's edges are near at hand; among equals, the
+    one nearest to the middle of the joint ranges.
+
+    Raises:
+        KinematicsError: the middle cannot be reached; says by how much.
+    """
+    edges = np.vstack([regions.poses(genome) for genome in _edges(regions.count)])
+    middle = regions.poses(np.full(6 * regions.count, 0.5))[0]
+    found = kinematics.inverse(middle[None])
+    if not found.within_limits[0].any():
+        return kinematics.solve(middle, kinematics.middle)  # with its message if there is none
+    options = found.q[0, found.within_limits[0]]
+    around = kinematics.inverse(edges)
+    near = np.array([_reached(kinematics, around.q, around.within_limits, option) for option in options])
+    away = np.linalg.norm(options - kinematics.middle, axis=1)
+    return options[np.lexsort((away, -near))[0]]
+
+
+def _reached(kinematics: Kinematics, q: np.ndarray, allowed: np.ndarray, option: np.ndarray) -> int:
+    turned = kinematics.nearest_turn(q, option)
+    return int((allowed & (np.abs(turned - option) < np.pi / 2).all(axis=2)).any(axis=1).sum())
+
+
+def _edges(count: int) -> list[np.ndarray]:
+    """Genomes with all points at one corner of their position ranges, the orientation in the middle of its own."""
+    corners = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), axis=-1).reshape(-1, 3)
+    return [np.tile(np.concatenate([corner, [0.5] * 3]), count) for corner in corners]

@@ -1,0 +1,103 @@
+"""The fitness of a motion: f = log10 det(HᵀH / M) (AIM 2013, eq. 5).
+
+H stacks the rows of the regressor at M points of the motion. Its columns are the base parameters, rotor inertias
+included, and the paper's three friction terms of every joint: 58 for the COMAU NS16. The row of joint i is scaled by
+τ_nom,i / max τ_nom with the nominal torques on the joint side; an arm without them gets unit weights.
+
+With the columns scaled to unit length, H = Q R D, so that
+
+    f = 2 Σ log10 |R_ii| + 2 Σ log10 D_ii - p log10 M
+
+for p columns, which neither overflows nor squares the condition number. A motion that does not excite a column, or
+not independently, has f = -inf.
+"""
+
+from __future__ import annotations
+
+import functools
+from contextlib import AbstractContextManager
+
+import numpy as np
+
+from agent.robot import RobotDescription
+from agent.robot.base_parameters import base_parameters
+from agent.robot.drivetrain import rotor_regressor
+from agent.robot.dynamics import Dynamics, Tool
+from agent.robot.friction import PAPER_TERMS, friction_regressor
+
+
+class Criterion:
+    """The criterion for one arm, with the tool it carries.
+
+    `columns` names the p columns: base parameters as combinations of standard ones, then friction.
+    """
+
+    def __init__(self, robot: RobotDescription, tool: Tool | None = None):
+        self._robot = robot
+        self._dynamics = Dynamics(robot, tool)
+        base = base_parameters(robot, rotors=True)
+        names = dict(zip((int(k) for k in base.independent), base.names, strict=True))
+        inertial = 10 * robot.dof
+        self._inertial = [k for k in names if k < inertial]
+        self._rotors = [k - inertial for k in names if k >= inertial]
+        self.weights = torque_weights(robot)
+        self.columns = (
+            *(names[k] for k in self._inertial),
+            *(names[k + inertial] for k in self._rotors),
+            *(f"{term} {joint}" for term in PAPER_TERMS for joint in robot.joint_names),
+        )
+
+    def observation_matrix(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """(M n, p) H of M points, positions, velocities and accelerations each (M, n); column-major."""
+        blocks = (
+            self._dynamics.regressor(q, qd, qdd)[:, :, self._inertial],
+            rotor_regressor(self._robot, qdd)[:, :, self._rotors],
+            friction_regressor(self._robot, qd),
+        )
+        matrix = np.empty((len(self.columns), *np.shape(q)))
+        first = 0
+        for block in blocks:
+            last = first + block.shape[2]
+            np.multiply(block.transpose(2, 0, 1), self.weights, out=matrix[first:last])
+            first = last
+        return matrix.reshape(len(matrix), -1).T
+
+    def __call__(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> float:
+        """f of M points, each argument (M, n); -inf where they do not excite every column."""
+        with one_blas_thread():
+            return log_determinant(self.observation_matrix(q, qd, qdd), len(q))
+
+
+def log_determinant(matrix: np.ndarray, points: int) -> float:
+    """log10 det(HᵀH / M) for H = `matrix` (rows, p) and M = `points`; -inf where H has not full column rank."""
+    from scipy.linalg.lapack import dgeqrf
+
+    rows, columns = matrix.shape
+    lengths = np.linalg.norm(matrix, axis=0)
+    if rows < columns or not np.all(lengths > 0):
+        return -np.inf
+    factored, _, _, _ = dgeqrf(matrix / lengths, overwrite_a=True)
+    diagonal = np.abs(np.diag(factored))
+    if diagonal.min() <= rows * np.finfo(float).eps:
+        return -np.inf
+    return float(2.0 * np.sum(np.log10(diagonal)) + 2.0 * np.sum(np.log10(lengths)) - columns * np.log10(points))
+
+
+def torque_weights(robot: RobotDescription) -> np.ndarray:
+    """(n,) τ_nom / max τ_nom on the joint side; ones where a joint has no nominal torque."""
+    nominal = robot.nominal_torque
+    return np.ones(robot.dof) if np.isnan(nominal).any() else nominal / nominal.max()
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Linear algebra on one thread inside: the last bits depend on how many there are."""
+    return _thread_pools().limit(limits=1)
+
+
+@functools.cache
+def _thread_pools() -> object:
+    # Finding the pools takes milliseconds, limiting them microseconds.
+    import scipy.linalg  # noqa: F401  its own BLAS must be loaded to be found
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()

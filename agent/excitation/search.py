@@ -1,0 +1,167 @@
+"""The search for the loop that excites the parameters best: one front for every method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from agent.errors import InputError
+from agent.excitation.candidates import Candidates, Loop, LoopProblem
+from agent.excitation.criterion import one_blas_thread
+from agent.excitation.genetic import genetic
+from agent.excitation.random_search import random_search
+from agent.excitation.scoring import Score, ranking
+from agent.excitation.workers import Workers, available_cores
+
+#: Methods by the names that a recipe uses.
+METHODS = {"genetic": genetic, "random": random_search}
+#: So many of the best candidates are scored again on all samples.
+FINALISTS = 10
+
+
+@dataclass(frozen=True)
+class Generation:
+    """What is told of a generation: its number from 0, best and mean fitness of its feasible candidates (NaN without
+    any), how many are feasible, and how many candidates were evaluated so far."""
+
+    number: int
+    best: float
+    mean: float
+    feasible: int
+    evaluated: int
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """The loop that was found, and how.
+
+    `fitness` is log10 det(HᵀH/M) over all samples of one cycle; best, mean (G,) over the generations are of every tenth
+    sample, NaN where a generation had no feasible candidate; feasible (G,) counts them. `finalists` (F, 2): fitness of
+    the best candidates on every tenth sample and on all. `columns` names the parameters that the fitness counts.
+    """
+
+    loop: Loop
+    fitness: float
+    best: np.ndarray
+    mean: np.ndarray
+    feasible: np.ndarray
+    finalists: np.ndarray
+    evaluated: int
+    columns: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, without the set-points."""
+        return {
+            "fitness": self.fitness,
+            "genome": self.loop.genome.tolist(),
+            "history": {
+                "best": self.best.tolist(),
+                "mean": self.mean.tolist(),
+                "feasible": self.feasible.tolist(),
+            },
+            "finalists": self.finalists.tolist(),
+            "evaluated": self.evaluated,
+            "parameters": len(self.columns),
+        }
+
+
+def search(
+    problem: LoopProblem,
+    method: str = "genetic",
+    population: int = 50,
+    generations: int = 40,
+    seed: int = 1,
+    workers: int | None = None,
+    progress: Callable[[Generation], None] | None = None,
+) -> SearchResult:
+    """Find a loop. The same seed gives the same loop to the bit, for any number of `workers` (default: all cores).
+
+    `progress` is called after each generation. The ten best candidates are scored again on all samples, and the best of
+    them is the result.
+
+    Raises:
+        InputError: no such method; or no candidate keeps all limits: names the limit that the best one breaks, where
+            and by how much.
+    """
+    if method not in METHODS:
+        raise InputError(f"search method {method!r} is not known; there are: {', '.join(METHODS)}")
+    history = _History(progress)
+    with Workers(_scorer, problem, workers or available_cores()) as team:
+        candidates = Candidates(problem)
+        rng = np.random.default_rng(seed)
+        METHODS[method](team.evaluate, problem.genes, population, generations, rng, history.note)
+    with one_blas_thread():
+        genome, fitness, finalists = _final(candidates, history)
+        loop = candidates.loop(genome)
+    return SearchResult(
+        loop=loop,
+        fitness=fitness,
+        best=np.array([generation.best for generation in history.generations]),
+        mean=np.array([generation.mean for generation in history.generations]),
+        feasible=np.array([generation.feasible for generation in history.generations]),
+        finalists=finalists,
+        evaluated=history.evaluated,
+        columns=candidates.columns,
+    )
+
+
+class _History:
+    """Every distinct candidate with its score, and what to tell of each generation."""
+
+    def __init__(self, progress: Callable[[Generation], None] | None):
+        self.generations: list[Generation] = []
+        self.archive: dict[bytes, tuple[np.ndarray, Score]] = {}
+        self._progress = progress
+
+    @property
+    def evaluated(self) -> int:
+        return len(self.archive)
+
+    def note(self, genomes: np.ndarray, scores: Sequence[Score]) -> None:
+        for genome, score in zip(genomes, scores, strict=True):
+            self.archive.setdefault(genome.tobytes(), (genome.copy(), score))
+        fitness = np.array([score.fitness for score in scores if score.feasible and np.isfinite(score.fitness)])
+        best, mean = (float(fitness.max()), float(fitness.mean())) if len(fitness) else (np.nan, np.nan)
+        generation = Generation(len(self.generations), best, mean, len(fitness), self.evaluated)
+        self.generations.append(generation)
+        if self._progress is not None:
+            self._progress(generation)
+
+
+def _final(candidates: Candidates, history: _History) -> tuple[np.ndarray, float, np.ndarray]:
+    """Genome and fitness of the best of the finalists on all samples; (F, 2) their fitness before and after."""
+    genomes = [genome for genome, _ in history.archive.values()]
+    scores = [score for _, score in history.archive.values()]
+    order = ranking(scores)
+    useful = [int(k) for k in order if scores[k].feasible and np.isfinite(scores[k].fitness)]
+    if not useful:
+        raise InputError(_hopeless(scores[order[0]], len(scores)))
+    last = scores[useful[0]]
+    for first in range(0, len(useful), FINALISTS):
+        group = useful[first : first + FINALISTS]
+        again = [candidates.score_on_all(genomes[k]) for k in group]
+        winner = int(ranking(again)[0])
+        if again[winner].feasible and np.isfinite(again[winner].fitness):
+            table = np.array([[scores[k].fitness, new.fitness] for k, new in zip(group, again, strict=True)])
+            return genomes[group[winner]], again[winner].fitness, table
+        last = again[winner]
+    raise InputError(_hopeless(last, len(scores)))
+
+
+def _hopeless(best: Score, count: int) -> str:
+    if best.feasible:
+        return (
+            f"none of {count} loops excites every parameter: the sub-region is too small, or the arm too slow in it; "
+            "enlarge motion.via_points or its cone, or raise motion.speed"
+        )
+    return (
+        f"none of {count} loops in the sub-region keeps all limits; the nearest to it: {best.reason}. "
+        "Move or shrink motion.via_points, or lower motion.speed"
+    )
+
+
+def _scorer(problem: LoopProblem) -> Callable[[np.ndarray], Score]:
+    return Candidates(problem).score

@@ -1,0 +1,183 @@
+"""Loops that were found, kept for later: one JSON file each, by robot, tool, sub-region and checksum."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, is_dataclass
+from datetime import UTC, datetime
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.errors import InputError
+from agent.recipe import Recipe
+from agent.run import sha256_text, write_atomically
+
+#: Where loops are kept unless told otherwise: beside the folder of the runs.
+FOLDER = Path("trajectories")
+_SCHEMA = "loop/1"
+
+
+@dataclass(frozen=True)
+class StoredLoop:
+    """A loop with the program that runs it.
+
+    `key` is the SHA-256 of all that the loop was searched for (robot, tool, sub-region, motion settings, period,
+    interpolator); `checksum` that of the program's text, as a controller reports it. `tool` and `sub_region` are plain
+    data; poses (K) (4, 4), start (n,) [rad]; `fitness` over all samples; `created` in UTC, ISO 8601.
+    """
+
+    key: str
+    robot: str
+    tool: dict[str, Any] | None
+    sub_region: dict[str, Any]
+    search: dict[str, Any]
+    fitness: float
+    genome: tuple[float, ...]
+    poses: tuple[tuple[tuple[float, ...], ...], ...]
+    start: tuple[float, ...]
+    program_name: str
+    program: str
+    checksum: str
+    created: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, as in the file."""
+        return {"schema": _SCHEMA, **asdict(self)}
+
+    def line(self) -> str:
+        """One line for a list."""
+        kind = next(iter(self.sub_region))
+        tool = "no tool" if self.tool is None else f"tool {self.tool['mass']:g} kg"
+        return (
+            f"{self.created}  {self.robot}  {tool}  {len(self.poses)} points in {kind} {self.key[:8]}  "
+            f"fitness {self.fitness:.2f}  program {self.program_name} {self.checksum[:12]}"
+        )
+
+
+def keep_loop(
+    recipe: Recipe,
+    genome: np.ndarray,
+    poses: np.ndarray,
+    start: np.ndarray,
+    fitness: float,
+    program_name: str,
+    program: str,
+    folder: Path = FOLDER,
+    now: datetime | None = None,
+) -> StoredLoop:
+    """Keep a loop; the same loop found again replaces its file.
+
+    Raises:
+        AgentError: the folder cannot be written.
+    """
+    purpose = _purpose(recipe)
+    loop = StoredLoop(
+        key=_digest(purpose),
+        robot=recipe.robot.name,
+        tool=purpose["tool"],
+        sub_region=purpose["sub_region"],
+        search=_plain(recipe.search),
+        fitness=float(fitness),
+        genome=_tuples(genome),
+        poses=_tuples(poses),
+        start=_tuples(start),
+        program_name=program_name,
+        program=program,
+        checksum=sha256_text(program),
+        created=(now or datetime.now(UTC)).isoformat(timespec="seconds"),
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    name = f"{loop.robot}_{loop.key[:12]}_{loop.checksum[:12]}.json"
+    write_atomically(folder / name, json.dumps(loop.to_dict(), indent=2) + "\n")
+    return loop
+
+
+def stored_loops(folder: Path = FOLDER) -> list[StoredLoop]:
+    """All loops in a folder, by robot, sub-region and age, newest first; none where there is no folder.
+
+    Raises:
+        InputError: a file that is damaged, or whose program is not the one of its checksum.
+    """
+    loops = [_read(path) for path in sorted(folder.glob("*.json"))] if folder.is_dir() else []
+    loops.sort(key=lambda loop: loop.created, reverse=True)
+    return sorted(loops, key=lambda loop: (loop.robot, loop.key))
+
+
+def find_loop(recipe: Recipe, folder: Path = FOLDER) -> StoredLoop | None:
+    """The newest loop kept for a recipe's robot, tool, sub-region and motion settings, or None.
+
+    Raises:
+        InputError: as in `stored_loops`.
+    """
+    key = loop_key(recipe)
+    return next((loop for loop in stored_loops(folder) if loop.key == key), None)
+
+
+def loop_key(recipe: Recipe) -> str:
+    """SHA-256 (hex) of what a loop depends on: robot, tool, cell, sub-region, motion settings, period, interpolator."""
+    return _digest(_purpose(recipe))
+
+
+def _read(path: Path) -> StoredLoop:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        if data.pop("schema") != _SCHEMA:
+            raise ValueError("another schema")
+        for key in ("genome", "poses", "start"):
+            data[key] = _tuples(np.array(data[key], dtype=float))
+        loop = StoredLoop(**data)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: not a stored loop ({error}); move it away") from None
+    if sha256_text(loop.program) != loop.checksum:
+        raise InputError(f"{path}: its program is not the one that was stored (checksum differs); move it away")
+    return loop
+
+
+def _purpose(recipe: Recipe) -> dict[str, Any]:
+    via_points = recipe.motion.via_points
+    kind = type(via_points).__name__.removeprefix("Via").lower()
+    sub_region = {kind: _plain(via_points)}
+    like = getattr(via_points, "path", None)
+    if isinstance(like, Path):  # the content of the job counts, not where its file lies
+        sub_region[kind]["path"] = hashlib.sha256(like.read_bytes()).hexdigest()
+    return {
+        "robot": recipe.robot.to_dict(),
+        "tool": _plain(recipe.tool),
+        "cell": _plain(recipe.cell),
+        "sub_region": sub_region,
+        "settings": _plain(recipe.motion.settings),
+        "rate": recipe.record.rate,
+        "interpolator": recipe.search.interpolator,
+    }
+
+
+def _digest(data: Mapping[str, Any]) -> str:
+    return sha256_text(json.dumps(data, sort_keys=True))
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value) and not isinstance(value, type):
+        return {key: _plain(item) for key, item in asdict(value).items()}
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, Path):
+        return str(value)
+    return value
+
+
+def _tuples(array: np.ndarray) -> Any:
+    def nested(value: Any) -> Any:
+        return tuple(nested(item) for item in value) if isinstance(value, list) else value
+
+    return nested(np.asarray(array, dtype=float).tolist())

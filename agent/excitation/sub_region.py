@@ -1,0 +1,76 @@
+"""Whether the arm reaches its sub-region at all: asked before minutes are spent on a search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.errors import InputError
+from agent.excitation.candidates import LoopProblem
+from agent.robot.kinematics import KinematicsError, kinematics_for
+
+#: Where in a via-point's region it is asked: the middle, the corners of its position and the ends of its orientation.
+_PLACES = {
+    "middle": (0.5, 0.5, 0.5, 0.5, 0.5, 0.5),
+    **{
+        f"corner {'-+'[x]}x {'-+'[y]}y {'-+'[z]}z": (x, y, z, 0.5, 0.5, 0.5)
+        for x in (0, 1)
+        for y in (0, 1)
+        for z in (0, 1)
+    },
+    **{
+        f"{'-+'[end]} end of orientation {axis + 1}": (0.5, 0.5, 0.5, *(end if k == axis else 0.5 for k in range(3)))
+        for axis in range(3)
+        for end in (0, 1)
+    },
+}
+
+
+@dataclass(frozen=True)
+class OutOfReach:
+    """A place of a via-point's region that the arm does not reach, and the message that says by how much."""
+
+    point: int
+    place: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"via-point {self.point + 1}, {self.place} of its region: {self.message}"
+
+
+def check_sub_region(problem: LoopProblem) -> list[OutOfReach]:
+    """Places of the sub-region that the arm does not reach; a search goes around a few of them.
+
+    Raises:
+        InputError: the middle of a via-point's region, or most of what was asked, is out of reach; names the point,
+            the limit and by how much.
+    """
+    regions = problem.regions
+    kinematics = kinematics_for(problem.robot, problem.tool)
+    missed: list[OutOfReach] = []
+    known: dict[bytes, str | None] = {}
+    for place, genes in _PLACES.items():
+        for point, pose in enumerate(regions.poses(np.tile(np.array(genes, dtype=float), regions.count))):
+            key = np.round(pose, 9).tobytes()  # the points of a box share their places
+            if key not in known:
+                known[key] = _complaint(kinematics, pose)
+            complaint = known[key]
+            if complaint is not None:
+                missed.append(OutOfReach(point, place, complaint))
+    for point in range(regions.count):
+        mine = [miss for miss in missed if miss.point == point]
+        if any(miss.place == "middle" for miss in mine) or 2 * len(mine) > len(_PLACES):
+            raise InputError(
+                f"{mine[0]}; {len(mine)} of {len(_PLACES)} places asked in this region are out of reach: "
+                "move or shrink motion.via_points"
+            )
+    return missed
+
+
+def _complaint(kinematics: object, pose: np.ndarray) -> str | None:
+    try:
+        kinematics.solve(pose, kinematics.middle)
+    except KinematicsError as error:
+        return str(error)
+    return None
