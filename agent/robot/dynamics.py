@@ -158,7 +158,7 @@ class Dynamics:
         for k in range(len(jacobians)):
             jacobian = pin.computeFrameJacobian(
                 self._model, self._data, q[k], self._tip, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-            )
+            ).reshape(6, -1)  # a vector for a single joint
             lever = self._data.oMf[self._tip].rotation @ offset
             jacobian[:3] -= _skew(lever) @ jacobian[3:]
             jacobians[k] = jacobian

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from fake_controller.actuation.effect import ArmEffect, JointEffect
 from fake_controller.actuation.machine import Machine
@@ -76,11 +77,12 @@ class InterpolatorMismatch(ArmEffect):
 
     def executed(self, position: np.ndarray, period: float) -> np.ndarray:
         """(T, n) set-points in place of the planned ones (S, n)."""
-        samples = 1 + int(np.ceil((len(position) - 1) / self.rate - 1e-9))
-        at = np.minimum(self.rate * np.arange(samples), len(position) - 1)
-        low = np.minimum(at.astype(int), max(len(position) - 2, 0))
-        share = (at - low)[:, None]
-        path = (1.0 - share) * position[low] + share * position[np.minimum(low + 1, len(position) - 1)]
+        last = len(position) - 1
+        samples = 1 + int(np.ceil(last / self.rate - 1e-9))
+        path = position
+        if self.rate != 1.0 and last > 0:
+            at = np.minimum(self.rate * np.arange(samples), last)
+            path = CubicSpline(np.arange(last + 1), position, bc_type="clamped")(at)
         width = 2 * round(0.5 * self.blend / period) + 1
         padded = np.pad(path, ((width - 1, width - 1), (0, 0)), mode="edge")
         sums = np.cumsum(np.vstack([np.zeros(path.shape[1]), padded]), axis=0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -74,7 +75,7 @@ def stop_and_go(
     shape, slope = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / duration
     still = np.zeros((round(pause / period), targets.shape[1]))
     q, qd = [still + targets[0]], [still]
-    for start, end in zip(targets, targets[1:], strict=False):
+    for start, end in pairwise(targets):
         q += [start + (end - start) * shape, still + end]
         qd += [(end - start) * slope, still]
     return np.concatenate(q), np.concatenate(qd)
