@@ -10,6 +10,7 @@ import numpy as np
 
 from agent.errors import InputError
 from agent.motion.pdl2.frames import pose_to_pos
+from agent.motion.pdl2.reader import parse_program
 from agent.motion.pdl2.tree import Constant, Pos
 from agent.motion.pdl2.variables import SYSTEM_VARIABLES, SystemVariable
 from agent.motion.program import (
@@ -71,8 +72,11 @@ def write_program(name: str, statements: Sequence[Statement], robot: RobotDescri
 
     Coordinates have nine decimals (mm, degrees), settings twelve digits. With `robot`, prismatic joints are in mm.
 
+    The text is read back before it is returned: what this package could not read, it does not write.
+
     Raises:
-        InputError: a program name PDL2 does not take, or settings outside the range of their system variable.
+        InputError: a program name PDL2 does not take, a setting outside the range of its system variable, a
+            coordinate that is not finite.
     """
     writer = _Writer(statements, robot)
     return writer.text(name, [line for statement in statements for line in writer.statement(statement, indent=2)], [])
@@ -162,15 +166,15 @@ class _Writer:
 
     def _settings(self, move: Move) -> list[str]:
         """What the move says itself: the FLY statement in full, then whatever differs from the start."""
+        stated = _FLY_STATEMENT if move.fly and move.type is MoveType.LINEAR else ()
         listed = []
-        if move.fly and move.type is MoveType.LINEAR:
-            for name in _FLY_STATEMENT:
-                value = move.type.value if name == "$MOVE_TYPE" else _value(SYSTEM_VARIABLES[name], move.settings)
-                listed.append(f"{name} = {value}")
+        for name in stated:
+            value = move.type.value if name == "$MOVE_TYPE" else _value(SYSTEM_VARIABLES[name], move.settings)
+            listed.append(f"{name} = {value}")
         for variable in self.variables:
             field = str(variable.field)
             differs = getattr(move.settings, field) != getattr(self.globals, field)
-            if differs and not (listed and variable.name in _FLY_STATEMENT):
+            if differs and variable.name not in stated:
                 listed.append(f"{variable.name} = {_value(variable, move.settings)}")
         return listed
 
@@ -185,7 +189,9 @@ class _Writer:
         declared = ["VAR", *(f"  {declaration}" for declaration in declarations)] if declarations else []
         start = [f"  {self.point(target)} := {_target(target, self.robot)}" for target in self.points]
         start += [f"  {variable.name} := {_value(variable, self.globals)}" for variable in self.variables]
-        return "\n".join([f"PROGRAM {name} HOLD, PROG_ARM=1", *declared, "BEGIN", *start, *lines, f"END {name}", ""])
+        text = "\n".join([f"PROGRAM {name} HOLD, PROG_ARM=1", *declared, "BEGIN", *start, *lines, f"END {name}", ""])
+        parse_program(text, "the program to be written", self.robot)
+        return text
 
 
 def _value(variable: SystemVariable, settings: MotionSettings) -> str:
@@ -206,7 +212,9 @@ def _target(target: Target, robot: RobotDescription | None) -> str:
     if isinstance(target, CartesianTarget):
         return _pos(pose_to_pos(target.pose), target.configuration)
     position = np.asarray(target.position, dtype=float)
-    prismatic = np.zeros(len(position), dtype=bool) if robot is None else [joint.prismatic for joint in robot.joints]
+    if robot is not None and len(position) != robot.dof:
+        raise InputError(f"a joint target has {len(position)} joints; {robot.name} has {robot.dof}")
+    prismatic = False if robot is None else np.array([joint.prismatic for joint in robot.joints])
     joints = np.where(prismatic, 1000.0 * position, np.degrees(position))
     return "{" + ", ".join(_coordinate(value) for value in joints) + "}"
 
@@ -217,6 +225,8 @@ def _pos(fields: np.ndarray, configuration: str) -> str:
 
 
 def _coordinate(value: float) -> str:
+    if not np.isfinite(value):
+        raise InputError(f"a coordinate of the program is {value} and must be finite")
     text = f"{value:.9f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else text
 
