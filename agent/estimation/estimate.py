@@ -12,7 +12,7 @@ import numpy as np
 from agent.errors import InputError
 from agent.estimation.blocks import Partition, partition
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.friction_terms import FrictionTerm
+from agent.estimation.friction_terms import FrictionTerm, Reversal
 from agent.estimation.least_squares import iterate_weights, ordinary_weights, residuals, solve_rows
 from agent.estimation.model import IdentifiedModel
 from agent.estimation.moments import Moments, collect
@@ -68,7 +68,7 @@ def estimate(
     rigid, names, combinations = rigid_bodies(robot, tool)
     observation = observe(rigid, logs, settings.filter)
     cells = partition(observation.stretches)
-    terms = paper_terms(np.zeros(robot.dof))
+    terms = paper_terms([Reversal()] * robot.dof)
     trust = fit(observation, cells, terms, settings.method, 1.0).trust
     if settings.friction == "ladder":
         terms = select_terms(observation, cells, trust)

@@ -1,101 +1,182 @@
-"""The terms friction may be made of. Each acts on one axle, is linear in its one parameter, and lists its constants.
+"""The terms friction may be made of. Each acts on one axle and is linear in its one parameter.
 
-| form               | torque on the axle per unit of its parameter      | constants                            |
-| ------------------ | ------------------------------------------------- | ------------------------------------ |
-| coulomb            | tanh(w / transition)                              | transition [rad/s], 0: the sign      |
-| viscous            | w                                                 |                                      |
-| quadratic          | w |w|                                             |                                      |
-| offset             | 1                                                 |                                      |
-| coulomb_asymmetry  | |tanh(w / transition)|                            | transition                           |
-| viscous_asymmetry  | |w|                                               |                                      |
-| stribeck           | tanh(w / transition) exp(-|w| / fading)           | transition, fading [rad/s]           |
-| load               | tanh(w / transition) |load|                       | transition                           |
+| form               | torque on the axle per unit of its parameter |
+| ------------------ | --------------------------------------------- |
+| coulomb            | s                                             |
+| viscous            | w                                             |
+| quadratic          | w |w|                                         |
+| offset             | 1                                             |
+| viscous_asymmetry  | |w|                                           |
+| stribeck           | s exp(-|w| / fading)                          |
+| load               | s |load|                                      |
 
-w is the axle's speed, load the torque it transmits to the links (see `agent.robot.drivetrain`). The
-first three are the seed paper's (AIM 2013, eq. 2), with the sign smoothed.
+w is the axle's speed, load the torque it transmits to the links (see `agent.robot.drivetrain`), and s its direction of
+sliding, between -1 and 1, which a `Reversal` makes of the motion. With s = sign(w) the first three are the seed paper's
+(AIM 2013, eq. 2). A torque offset is what an asymmetric Coulomb friction amounts to while the joint moves.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from agent.robot import RobotDescription
 from agent.robot.drivetrain import axle_motion
 
-#: Symbol of each form's parameter and its unit on a revolute axle.
-SYMBOLS = {
-    "coulomb": ("f0", "N·m"),
-    "viscous": ("f1", "N·m·s/rad"),
-    "quadratic": ("f2", "N·m·s²/rad²"),
-    "offset": ("offset", "N·m"),
-    "coulomb_asymmetry": ("f0_asymmetry", "N·m"),
-    "viscous_asymmetry": ("f1_asymmetry", "N·m·s/rad"),
-    "stribeck": ("stribeck", "N·m"),
-    "load": ("load", "-"),
+#: Symbol of each form's parameter, and the power of speed it is multiplied with.
+FORMS = {
+    "coulomb": ("f0", 0),
+    "viscous": ("f1", 1),
+    "quadratic": ("f2", 2),
+    "offset": ("offset", 0),
+    "viscous_asymmetry": ("f1_asymmetry", 1),
+    "stribeck": ("stribeck", 0),
+    "load": ("load", 0),
 }
 
 
 @dataclass(frozen=True)
+class Reversal:
+    """How the direction of sliding changes sign.
+
+    kind "speed": s = tanh(w / scale), scale a speed [rad/s], or sign(w) with scale 0; friction follows the speed.
+    kind "travel": ds = (1 - s sign(dx)) dx / scale, scale a travel [rad]: presliding, in which the contact gives way
+    like a spring before it slides, so that friction after a stop is what it was before (Dahl, AIAA J. 14, 1976).
+    """
+
+    kind: str = "speed"
+    scale: float = 0.0
+
+    def __str__(self) -> str:
+        if self.scale == 0:
+            return "sign"
+        return f"reversal within {self.scale:.3g} rad" + ("/s" if self.kind == "speed" else "")
+
+
+@dataclass(frozen=True)
 class FrictionTerm:
-    """One column: `axle` from 0, `form` and `constants` of the table above."""
+    """One column: `axle` from 0, `form` of the table above; `reversal` and `fading` [rad/s] where the form has one."""
 
     axle: int
     form: str
-    constants: tuple[float, ...] = ()
+    reversal: Reversal | None = None
+    fading: float | None = None
 
     @property
     def name(self) -> str:
         """As the table of parameters shows it, e.g. ``f0_2`` for the second axle."""
-        return f"{SYMBOLS[self.form][0]}_{self.axle + 1}"
+        return f"{FORMS[self.form][0]}_{self.axle + 1}"
+
+    def unit(self, prismatic: bool) -> str:
+        """Unit of its parameter."""
+        if self.form == "load":
+            return "-"
+        power = FORMS[self.form][1]
+        exponent = "²" if power == 2 else ""
+        force, way = ("N", "m") if prismatic else ("N·m", "rad")
+        return force if power == 0 else f"{force}·s{exponent}/{way}{exponent}"
+
+    def meaning(self, joint: str) -> str:
+        """In words."""
+        details = [str(self.reversal)] if self.reversal else []
+        details += [f"fading over {self.fading:.3g} rad/s"] if self.fading else []
+        return f"{self.form.replace('_', ' ')} friction of {joint}" + (f" ({', '.join(details)})" if details else "")
 
 
 @dataclass(frozen=True, eq=False)
-class AxleState:
-    """What friction depends on: speed and transmitted load of every axle, (S, n); load None where unknown."""
+class AxleMotion:
+    """What friction depends on: position, speed and transmitted load of every axle (S, n); load None where unknown."""
 
+    position: np.ndarray
     speed: np.ndarray
     load: np.ndarray | None = None
+    _known: dict[tuple[int, Reversal], np.ndarray] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, robot: RobotDescription, qd: np.ndarray, rigid_torque: np.ndarray | None = None) -> AxleState:
-        """From joint speed (S, n) and, for the load, the torque of the rigid bodies (S, n)."""
+    def of(
+        cls, robot: RobotDescription, q: np.ndarray, qd: np.ndarray, rigid_torque: np.ndarray | None = None
+    ) -> AxleMotion:
+        """From consecutive samples of joint motion (S, n) and, for the load, the torque of the rigid bodies (S, n)."""
         load = None if rigid_torque is None else rigid_torque @ np.linalg.inv(robot.coupling)
-        return cls(axle_motion(robot, qd), load)
+        return cls(axle_motion(robot, q), axle_motion(robot, qd), load)
+
+    def directions(self, axle: int, reversals: list[Reversal]) -> None:
+        """Work out several directions of one axle at once; `direction` returns them."""
+        new = [r for r in reversals if r.kind == "travel" and (axle, r) not in self._known]
+        if new:
+            found = dahl(self.position[:, axle], np.array([r.scale for r in new]))
+            self._known.update({(axle, r): found[:, k] for k, r in enumerate(new)})
+
+    def direction(self, axle: int, reversal: Reversal) -> np.ndarray:
+        """(S,) direction of sliding s."""
+        if (axle, reversal) not in self._known:
+            if reversal.kind == "travel":
+                self.directions(axle, [reversal])
+            else:
+                speed = self.speed[:, axle]
+                sign = np.sign(speed) if reversal.scale == 0 else np.tanh(speed / reversal.scale)
+                self._known[axle, reversal] = sign
+        return self._known[axle, reversal]
+
+    @cached_property
+    def magnitude(self) -> np.ndarray:
+        """(S, n) |w|."""
+        return np.abs(self.speed)
 
 
-def axle_columns(terms: tuple[FrictionTerm, ...], state: AxleState) -> np.ndarray:
+def axle_columns(terms: tuple[FrictionTerm, ...], motion: AxleMotion) -> np.ndarray:
     """(S, T): each term's torque on its own axle per unit of its parameter."""
-    columns = np.empty((len(state.speed), len(terms)))
+    for axle in {term.axle for term in terms}:
+        motion.directions(axle, list(dict.fromkeys(t.reversal for t in terms if t.axle == axle and t.reversal)))
+    columns = np.empty((len(motion.speed), len(terms)))
     for k, term in enumerate(terms):
-        columns[:, k] = _column(term, state)
+        columns[:, k] = _column(term, motion)
     return columns
 
 
-def _column(term: FrictionTerm, state: AxleState) -> np.ndarray:
-    speed = state.speed[:, term.axle]
+def _column(term: FrictionTerm, motion: AxleMotion) -> np.ndarray | float:
+    speed, magnitude = motion.speed[:, term.axle], motion.magnitude[:, term.axle]
     match term.form:
-        case "coulomb":
-            return _sign(speed, term.constants[0])
         case "viscous":
             return speed
         case "quadratic":
-            return speed * np.abs(speed)
+            return speed * magnitude
         case "offset":
-            return np.ones_like(speed)
-        case "coulomb_asymmetry":
-            return np.abs(_sign(speed, term.constants[0]))
+            return 1.0
         case "viscous_asymmetry":
-            return np.abs(speed)
+            return magnitude
+    assert term.reversal is not None
+    direction = motion.direction(term.axle, term.reversal)
+    match term.form:
+        case "coulomb":
+            return direction
         case "stribeck":
-            transition, fading = term.constants
-            return _sign(speed, transition) * np.exp(-np.abs(speed) / fading)
+            assert term.fading is not None
+            return direction * np.exp(-magnitude / term.fading)
         case "load":
-            assert state.load is not None
-            return _sign(speed, term.constants[0]) * np.abs(state.load[:, term.axle])
+            assert motion.load is not None
+            return direction * np.abs(motion.load[:, term.axle])
     raise ValueError(f"no friction form {term.form!r}")
 
 
-def _sign(speed: np.ndarray, transition: float) -> np.ndarray:
-    return np.sign(speed) if transition == 0 else np.tanh(speed / transition)
+def dahl(position: np.ndarray, travels: np.ndarray) -> np.ndarray:
+    """(S, K) direction of sliding s over a path (S,) for travels (K,), from s = 0 at its start.
+
+    Over one step dx it is exact: s' = sign(dx) - (sign(dx) - s) exp(-|dx| / travel), a recursion s' = a s + b whose
+    coefficients do not depend on s. It is run in all of √S blocks at once from s = 0, then the ends are handed on.
+    """
+    step = np.diff(position, prepend=position[:1])
+    size = len(step)
+    width = int(np.ceil(np.sqrt(size)))
+    blocks = -(-size // width)
+    step = np.append(step, np.zeros(blocks * width - size)).reshape(blocks, width, 1)
+    decay = np.exp(-np.abs(step) / travels)
+    state = np.sign(step) * (1 - decay)
+    for k in range(1, width):
+        state[:, k] += decay[:, k] * state[:, k - 1]
+    decay = np.cumprod(decay, axis=1)
+    for block in range(1, blocks):
+        state[block] += decay[block] * state[block - 1, -1]
+    return state.reshape(-1, len(travels))[:size]

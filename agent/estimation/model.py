@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from agent.errors import InputError
-from agent.estimation.friction_terms import SYMBOLS, AxleState, FrictionTerm, axle_columns
+from agent.estimation.friction_terms import FORMS, AxleMotion, FrictionTerm, Reversal, axle_columns
 from agent.estimation.observation import RigidBodies
 from agent.robot import RobotDescription
 
@@ -88,7 +88,7 @@ class IdentifiedModel:
     def columns(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """(S, n, p) regressor of all parameters for joint motion (S, n)."""
         rigid = self.rigid.columns(q, qd, qdd)
-        friction = self._friction_columns(qd, rigid @ self.base_values)
+        friction = self._friction_columns(q, qd, rigid @ self.base_values)
         return np.concatenate([rigid, friction], axis=2)
 
     def predict(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, time: np.ndarray | None = None) -> np.ndarray:
@@ -98,7 +98,7 @@ class IdentifiedModel:
             InputError: the model has an effect that is not known here.
         """
         rigid = self.rigid.torque(q, qd, qdd, self.base_values)
-        friction = axle_columns(self.terms, AxleState.of(self.robot, qd, rigid))
+        friction = axle_columns(self.terms, AxleMotion.of(self.robot, q, qd, rigid))
         torque = rigid + friction * self.values[len(self.independent) :] @ self._friction_share
         motion = {"time": time, "q": q, "qd": qd, "qdd": qdd}
         for entry in self.effects:
@@ -120,9 +120,15 @@ class IdentifiedModel:
         """(T, n): what each term's axle torque is on each joint."""
         return self.robot.coupling[[term.axle for term in self.terms]]
 
-    def _friction_columns(self, qd: np.ndarray, rigid_torque: np.ndarray) -> np.ndarray:
-        columns = axle_columns(self.terms, AxleState.of(self.robot, qd, rigid_torque))
+    def _friction_columns(self, q: np.ndarray, qd: np.ndarray, rigid_torque: np.ndarray) -> np.ndarray:
+        columns = axle_columns(self.terms, AxleMotion.of(self.robot, q, qd, rigid_torque))
         return self._friction_share.T[None] * columns[:, None, :]
+
+    def _term_unit(self, term: FrictionTerm) -> str:
+        return term.unit(self.robot.joints[term.axle].prismatic)
+
+    def _term_meaning(self, term: FrictionTerm) -> str:
+        return term.meaning(self.robot.joint_names[term.axle])
 
     def rows(self) -> list[tuple[str, ...]]:
         """Table of parameters like the paper's Table I, header first."""
@@ -130,8 +136,8 @@ class IdentifiedModel:
         rows: list[tuple[str, ...]] = [("parameter", "value", "std. dev.", "rel. [%]", "unit", "stands for")]
         for k, name in enumerate(self.names):
             b = len(self.independent)
-            unit = _standard_unit(name) if k < b else SYMBOLS[self.terms[k - b].form][1]
-            meaning = self.combinations[k] if k < b else _meaning(self.robot, self.terms[k - b])
+            unit = _standard_unit(name) if k < b else self._term_unit(self.terms[k - b])
+            meaning = self.combinations[k] if k < b else self._term_meaning(self.terms[k - b])
             value, deviation = self.values[k], deviations[k]
             relative = f"{100 * deviation / abs(value):.1f}" if value != 0 else "-"
             rows.append((name, f"{value:.5g}", f"{deviation:.2g}", relative, unit, meaning))
@@ -173,8 +179,9 @@ class IdentifiedModel:
                     "name": term.name,
                     "joint": self.robot.joint_names[term.axle],
                     "form": term.form,
-                    "constants": list(term.constants),
-                    "unit": SYMBOLS[term.form][1],
+                    "reversal": None if term.reversal is None else asdict(term.reversal),
+                    "fading": term.fading,
+                    "unit": self._term_unit(term),
                     "value": float(self.values[b + k]),
                     "standard_deviation": float(deviations[b + k]),
                 }
@@ -248,7 +255,13 @@ class IdentifiedModel:
             standard_names=tuple(data["standard_names"]),
             combinations=tuple(entry["combination"] for entry in base),
             terms=tuple(
-                FrictionTerm(robot.joint_names.index(e["joint"]), e["form"], tuple(e["constants"])) for e in friction
+                FrictionTerm(
+                    robot.joint_names.index(e["joint"]),
+                    e["form"],
+                    None if e["reversal"] is None else Reversal(**e["reversal"]),
+                    e["fading"],
+                )
+                for e in friction
             ),
             values=values,
             covariance=np.array(data["covariance"], dtype=float),
@@ -266,7 +279,7 @@ class IdentifiedModel:
         if len(base) != len(model.independent) or model.covariance.shape != (len(values), len(values)):
             raise ValueError("the numbers of parameters and the size of their covariance differ")
         for term in model.terms:
-            if term.form not in SYMBOLS:
+            if term.form not in FORMS:
                 raise ValueError(f"unknown friction form {term.form!r}")
         return model
 
@@ -281,10 +294,3 @@ def _standard_unit(name: str) -> str:
     if name.startswith("m") and name[1:].isdigit():
         return "kg"
     return "kg·m" if name.startswith("m") else "kg·m²"
-
-
-def _meaning(robot: RobotDescription, term: FrictionTerm) -> str:
-    constants = ", ".join(f"{value:.3g}" for value in term.constants)
-    return f"{term.form.replace('_', ' ')} friction of {robot.joint_names[term.axle]}" + (
-        f" ({constants} rad/s)" if constants else ""
-    )

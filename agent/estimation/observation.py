@@ -15,7 +15,7 @@ import numpy as np
 
 from agent.errors import InputError
 from agent.estimation.filtering import FilterSettings, Motion, motions
-from agent.estimation.friction_terms import AxleState, FrictionTerm, axle_columns
+from agent.estimation.friction_terms import AxleMotion, FrictionTerm, axle_columns
 from agent.recording.log import Log
 from agent.robot import RobotDescription
 
@@ -103,8 +103,8 @@ class Observation:
         if any(term.form == "load" for term in terms):
             assert rigid_parameters is not None
             load = self.rigid.torque(motion.q, motion.qd, motion.qdd, rigid_parameters)
-        state = AxleState.of(self.robot, motion.qd, load)
-        friction = motion.low_pass(axle_columns(terms, state)) if terms else np.empty((len(stretch.torque), 0))
+        axles_moving = AxleMotion.of(self.robot, motion.q, motion.qd, load)
+        friction = motion.low_pass(axle_columns(terms, axles_moving)) if terms else np.empty((len(stretch.torque), 0))
         coupling = self.robot.coupling
         axles = np.array([term.axle for term in terms], dtype=int)
         result = []

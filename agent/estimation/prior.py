@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.estimation.friction_terms import FrictionTerm
+from agent.estimation.friction_terms import FORMS, FrictionTerm
 from agent.estimation.observation import Observation
 
 _LINK_DOUBT = 0.5  # standard deviation of a link's mass, first moment and inertia, relative
@@ -22,6 +22,10 @@ class Prior:
 
     mean: np.ndarray
     precision: np.ndarray
+
+    def select(self, chosen: np.ndarray) -> Prior:
+        """Of some parameters: all base parameters and any friction terms, which are independent of all else."""
+        return Prior(self.mean[chosen], self.precision[np.ix_(chosen, chosen)])
 
 
 def physical_prior(observation: Observation, terms: tuple[FrictionTerm, ...]) -> Prior:
@@ -40,7 +44,7 @@ def physical_prior(observation: Observation, terms: tuple[FrictionTerm, ...]) ->
     precision = np.zeros((count + len(terms), count + len(terms)))
     precision[:count, :count] = np.linalg.inv((projection * deviation**2) @ projection.T)
     for k, term in enumerate(terms):
-        speed_power = {"viscous": 1, "viscous_asymmetry": 1, "quadratic": 2}.get(term.form, 0)
+        speed_power = FORMS[term.form][1]
         size = 1.0 if term.form == "load" else torque[term.axle] / robot.max_velocity[term.axle] ** speed_power
         precision[count + k, count + k] = 1 / max(size, 1e-9) ** 2
     return Prior(np.append(projection @ mean, np.zeros(len(terms))), precision)

@@ -1,8 +1,9 @@
 """The friction ladder: which terms each axle gets, decided by held-out error.
 
-Every axle starts with the paper's three terms, the transition speed of its smooth sign learned from a grid and
-refined. Further terms come one at a time per axle, where leaving folds out shows that they predict better: by at least
-2 % of the joint's squared error, and by more than the scatter of that gain between folds.
+Every axle starts with the paper's three terms. How its sliding reverses is learned: from a grid of transition speeds
+and of presliding travels, then from a finer one around the best. Further terms come one at a time per axle, where
+leaving folds out shows that they predict better: by at least 2 % of the joint's squared error, and by more than the
+scatter of that gain between folds.
 
 Trying a column is cheap: with A the normal matrix of the terms taken, the candidate c changes the estimate along
 d = [-A⁻¹ a_c, 1] only, and the held-out error is a parabola in that step.
@@ -10,27 +11,31 @@ d = [-A⁻¹ a_c, 1] only, and the held-out error is a parabola in that step.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from agent.estimation.blocks import Partition
-from agent.estimation.friction_terms import FrictionTerm
+from agent.estimation.friction_terms import FrictionTerm, Reversal
 from agent.estimation.least_squares import iterate_weights, solve
 from agent.estimation.moments import Moments, collect
 from agent.estimation.observation import Observation
 from agent.estimation.prior import Prior, physical_prior
 
-_TRANSITIONS = (0.0, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 3e-2)  # of the highest speed of the axle
-_FADINGS = (3e-3, 1e-2, 3e-2, 0.1, 0.3)  # likewise
+_SPEEDS = (2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 3e-2)  # of the highest speed of the axle
+_TRAVELS = (1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the range the axle moves over
+_FADINGS = (3e-3, 1e-2, 3e-2, 0.1, 0.3)  # of the highest speed
+_FINER = (0.55, 0.75, 1.0, 1.35, 1.8)
 _LEAST_GAIN = 0.02
 
 
-def paper_terms(transitions: np.ndarray) -> tuple[FrictionTerm, ...]:
-    """The seed paper's three terms for every axle; transition speeds (n,) [rad/s]."""
+def paper_terms(reversals: Sequence[Reversal]) -> tuple[FrictionTerm, ...]:
+    """The seed paper's three terms for every axle, with a reversal each."""
     return tuple(
         term
-        for axle, transition in enumerate(transitions)
+        for axle, reversal in enumerate(reversals)
         for term in (
-            FrictionTerm(axle, "coulomb", (float(transition),)),
+            FrictionTerm(axle, "coulomb", reversal),
             FrictionTerm(axle, "viscous"),
             FrictionTerm(axle, "quadratic"),
         )
@@ -41,26 +46,32 @@ def select_terms(observation: Observation, partition: Partition, trust: float) -
     """Climb the ladder."""
     n = observation.robot.dof
     coupling = observation.robot.coupling
-    fastest = np.max([np.abs(s.motion.qd @ coupling.T).max(axis=0) for s in observation.stretches], axis=0)
+    motion = [stretch.motion for stretch in observation.stretches]
+    fastest = np.max([np.abs(m.qd @ coupling.T).max(axis=0) for m in motion], axis=0)
     fastest = np.maximum(fastest, 1e-6 * observation.robot.max_velocity)
-    transitions = fastest * 1e-3
-    grids = [fastest[axle] * np.array(_TRANSITIONS) for axle in range(n)]
-    transitions = _learn_transitions(observation, partition, grids, transitions, trust)
-    finer = [
-        np.unique([t, *(t * np.array([0.6, 0.8, 1.25, 1.6]) if t > 0 else f * np.array([5e-5, 1e-4]))])
-        for t, f in zip(transitions, fastest, strict=True)
+    path = np.concatenate([m.q @ coupling.T for m in motion])
+    travelled = np.maximum(np.ptp(path, axis=0), 1e-6)
+    grids = [
+        [
+            Reversal(),
+            *(Reversal("speed", float(speed * fastest[axle])) for speed in _SPEEDS),
+            *(Reversal("travel", float(travel * travelled[axle])) for travel in _TRAVELS),
+        ]
+        for axle in range(n)
     ]
-    transitions = _learn_transitions(observation, partition, finer, transitions, trust)
+    reversals = _learn_reversals(observation, partition, grids, trust)
+    finer = [[Reversal(r.kind, r.scale * factor) for factor in _FINER] if r.scale else [r] for r in reversals]
+    reversals = _learn_reversals(observation, partition, finer, trust)
 
-    terms = paper_terms(transitions)
-    candidates = [term for axle in range(n) for term in _candidates(axle, transitions[axle], fastest[axle])]
+    terms = paper_terms(reversals)
+    candidates = [term for axle in range(n) for term in _candidates(axle, reversals[axle], float(fastest[axle]))]
     everything = (*terms, *candidates)
     prior = physical_prior(observation, everything)
     base = observation.rigid.count
     taken = np.arange(base + len(terms))
     first = collect(observation, partition, terms)
-    weights = iterate_weights(first, _select(prior, taken), trust)
-    rigid = solve(first, weights, _select(prior, taken), trust)[:base]
+    weights = iterate_weights(first, prior.select(taken), trust)
+    rigid = solve(first, weights, prior.select(taken), trust)[:base]
     moments = collect(observation, partition, everything, rigid)
     axles = np.array([-1] * base + [term.axle for term in everything])
     kinds = np.array([""] * base + [term.name for term in everything])
@@ -69,62 +80,45 @@ def select_terms(observation: Observation, partition: Partition, trust: float) -
     return tuple(sorted(chosen, key=lambda term: term.axle))
 
 
-def _candidates(axle: int, transition: float, fastest: float) -> list[FrictionTerm]:
+def _candidates(axle: int, reversal: Reversal, fastest: float) -> list[FrictionTerm]:
     return [
         FrictionTerm(axle, "offset"),
         FrictionTerm(axle, "viscous_asymmetry"),
-        FrictionTerm(axle, "coulomb_asymmetry", (float(transition),)),
-        FrictionTerm(axle, "load", (float(transition),)),
-        *(FrictionTerm(axle, "stribeck", (float(transition), float(fastest * f))) for f in _FADINGS),
+        FrictionTerm(axle, "load", reversal),
+        *(FrictionTerm(axle, "stribeck", reversal, fastest * fading) for fading in _FADINGS),
     ]
 
 
-def _select(prior: Prior, chosen: np.ndarray) -> Prior:
-    """Friction terms are independent of all else in the prior, so leaving some out is dropping rows."""
-    return Prior(prior.mean[chosen], prior.precision[np.ix_(chosen, chosen)])
-
-
-def _learn_transitions(
-    observation: Observation,
-    partition: Partition,
-    grids: list[np.ndarray],
-    start: np.ndarray,
-    trust: float,
-) -> np.ndarray:
-    """(n,) transition speeds from grids, by the residual they leave, axle after axle, two rounds."""
+def _learn_reversals(
+    observation: Observation, partition: Partition, grids: list[list[Reversal]], trust: float
+) -> list[Reversal]:
+    """One reversal per axle from its grid, by the residual it leaves, axle after axle, two rounds."""
     terms = tuple(
         term
         for axle, grid in enumerate(grids)
         for term in (
             FrictionTerm(axle, "viscous"),
             FrictionTerm(axle, "quadratic"),
-            *(FrictionTerm(axle, "coulomb", (float(value),)) for value in grid),
+            *(FrictionTerm(axle, "coulomb", reversal) for reversal in grid),
         )
     )
     base = observation.rigid.count
     prior = physical_prior(observation, terms)
     moments = collect(observation, partition, terms)
-    choice = {
-        axle: base + k
-        for axle, value in enumerate(start)
-        for k, term in enumerate(terms)
-        if term.axle == axle
-        and term.form == "coulomb"
-        and term.constants[0] == grids[axle][np.argmin(np.abs(grids[axle] - value))]
-    }
     fixed = [*range(base), *(base + k for k, term in enumerate(terms) if term.form != "coulomb")]
-    taken = np.array([*fixed, *choice.values()])
-    weights = iterate_weights(moments.select(taken), _select(prior, taken), trust)
-    total = moments.weighted(weights)
+    options = {
+        axle: np.array([base + k for k, t in enumerate(terms) if t.axle == axle and t.form == "coulomb"])
+        for axle in range(len(grids))
+    }
+    choice = {axle: int(found[len(found) // 3]) for axle, found in options.items()}
     for _ in range(2):
-        for axle in choice:
+        taken = np.array([*fixed, *choice.values()])
+        weights = iterate_weights(moments.select(taken), prior.select(taken), trust)
+        total = moments.weighted(weights)
+        for axle, found in options.items():
             others = np.array([*fixed, *(k for a, k in choice.items() if a != axle)])
-            options = np.array(
-                [base + k for k, term in enumerate(terms) if term.axle == axle and term.form == "coulomb"]
-            )
-            error = _trial(total, total, prior, trust, others, options)[1]
-            choice[axle] = int(options[np.argmin(error)])
-    return np.array([terms[choice[axle] - base].constants[0] for axle in range(len(grids))])
+            choice[axle] = int(found[np.argmin(_trial(total, total, prior, trust, others, found)[1])])
+    return [terms[choice[axle] - base].reversal or Reversal() for axle in range(len(grids))]
 
 
 def _trial(
