@@ -74,39 +74,27 @@ def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None,
 
 
 def _record(recipe: Recipe, plan: planning.Plan, run: RunFolder, console: Console, yes: bool) -> list[Recording]:
-    """Excitation and validation motions; each finished log is kept, a cut one is moved aside and run again."""
-    motions = [
-        (_EXCITATION, plan.excitation),
-        *((f"validation_{k + 1:02d}.mcap", m) for k, m in enumerate(plan.validation)),
-    ]
-    done = {
-        name: Recording(**{**found, "path": run.file(name)}) for name in dict(motions) if (found := _found(run, name))
-    }
-    if len(done) == len(motions):
-        return list(done.values())
-    with open_link(recipe, recipe.robot, console, yes) as link:
-        program = planning.programs(
-            recipe, plan, [motion for name, motion in motions if name not in done], link.position()
-        )
-        console.step(f"recording {len(motions) - len(done)} motions, {recipe.record.cycles} cycles of the loop first")
-        for (name, motion), (text, chains, total) in zip(
-            [m for m in motions if m[0] not in done], program, strict=True
-        ):
-            _set_aside(run.file(name))
-            recording = link.run(motion.name, text, run.file(name), motion.kind, chains, total)
-            report_losses(recording, console)
-            done[name] = recording
-            entry = {"samples": recording.samples, "lost": recording.lost, "duration": recording.duration}
-            run.finish(name, **entry, cycle_starts=recording.cycle_starts, sha256=sha256_file(recording.path))
-    return [done[name] for name, _ in motions]
+    """Excitation, then validation motions; a finished log is kept, one that was cut is moved aside and run again."""
+    motions = {_EXCITATION: plan.excitation}
+    motions |= {f"validation_{k + 1:02d}.mcap": motion for k, motion in enumerate(plan.validation)}
+    done = {name: found for name in motions if (found := _recorded(run, name))}
+    missing = {name: motion for name, motion in motions.items() if name not in done}
+    if missing:
+        with open_link(recipe, recipe.robot, console, yes) as link:
+            ready = planning.programs(recipe, list(missing.values()), link.position())
+            console.step(f"recording {len(missing)} motions, {sum(total for *_, total in ready):.0f} s of them")
+            for (name, motion), (text, chains, total) in zip(missing.items(), ready, strict=True):
+                _set_aside(run.file(name))
+                recording = link.run(motion.name, text, run.file(name), motion.kind, chains, total)
+                report_losses(recording, console)
+                run.finish(name, **recording.to_dict(), sha256=sha256_file(recording.path))
+                done[name] = recording
+    return [done[name] for name in motions]
 
 
-def _found(run: RunFolder, name: str) -> dict[str, Any] | None:
+def _recorded(run: RunFolder, name: str) -> Recording | None:
     entry = run.finished(name)
-    if entry is None or not run.file(name).exists():
-        return None
-    keys = ("samples", "lost", "duration", "cycle_starts")
-    return {key: entry[key] for key in keys}
+    return Recording.from_dict(run.file(name), entry) if entry and run.file(name).exists() else None
 
 
 def _set_aside(log: Path) -> None:

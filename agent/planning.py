@@ -276,14 +276,18 @@ def _targets(recipe: Recipe, loop: Loop) -> list[Target]:
     from agent.robot.kinematics import kinematics_for
 
     kinematics = kinematics_for(recipe.robot, recipe.tool)
-    q = kinematics.follow(loop.poses, loop.start)
+    trajectory = loop.trajectory
+    passed = [loop.start]
+    for move, pose in enumerate(loop.poses[1:]):
+        there = trajectory.q[np.flatnonzero(trajectory.move == move)[-1]]
+        passed.append(kinematics.solve(pose, there))
     if not hasattr(kinematics, "solve_configuration"):
-        return [JointTarget(position) for position in q]
+        return [JointTarget(position) for position in passed]
     from agent.robot.configuration import configuration_of
 
     return [
         CartesianTarget(pose, configuration_of(kinematics, position))
-        for pose, position in zip(loop.poses, q, strict=True)
+        for pose, position in zip(loop.poses, passed, strict=True)
     ]
 
 

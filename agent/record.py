@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,6 +32,16 @@ class Recording:
     lost: int
     duration: float
     cycle_starts: tuple[float, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, but for the path."""
+        return {key: value for key, value in asdict(self).items() if key != "path"}
+
+    @classmethod
+    def from_dict(cls, path: Path, data: dict[str, Any]) -> Recording:
+        """The inverse of `to_dict`; other keys are left alone."""
+        cycles = tuple(data["cycle_starts"])
+        return cls(path, data["samples"], data["lost"], data["duration"], cycles)
 
 
 class Link:
