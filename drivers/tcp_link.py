@@ -138,11 +138,14 @@ class Link:
     def close(self) -> None:
         """End the link and its thread; never raises."""
         self._closing.set()
-        with contextlib.suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)
+        self._hang_up()
         if threading.current_thread() is not self._thread:
             self._thread.join(5.0)
         self._socket.close()
+
+    def _hang_up(self) -> None:
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
 
     def _ended(self) -> DriverError:
         assert self.failure is not None
@@ -172,6 +175,7 @@ class Link:
         except Exception as error:  # whoever waits must hear of it, whatever it is
             failure = ProtocolError(f"what {self.peer} sent cannot be handled: {type(error).__name__}: {error}")
         self.failure = failure
+        self._hang_up()
         for answers in list(self._waiting.values()):
             answers.put(failure)
         self._on_failure(failure)

@@ -159,7 +159,7 @@ class Execution:
             if chain.trajectory is None:
                 yield from self._hold(reference, round(chain.hold / self._period), switch)
                 continue
-            path = self._plant.executed_path(chain.trajectory.q, chain.trajectory.qd, self._period)
+            path = self._plant.executed_path(chain.trajectory.q, chain.trajectory.qd)
             # The first sample of a trajectory is the rest that the last one ended in.
             position, velocity = (part[1:] for part in path)
             for at in range(0, len(position), self._slice_samples):
@@ -212,8 +212,8 @@ def path_stop(
     """Set-points that come to rest on the path of a trajectory.
 
     The path parameter s runs over the trajectory's own time, with ds/dt = ½ (1 + cos(π t / T)) from one to zero: the
-    arm stays on its path and the rate has no step. T is the shortest for which slowing down, at most π/(2T) · q̇,
-    asks no joint for more than its acceleration.
+    arm stays on its path and the rate has no step. T is long enough that slowing down, on top of what the path itself
+    asks for, takes no joint beyond its acceleration (or beyond what the trajectory had anyway).
 
     Args:
         position, velocity: (S, n) what would follow; the first row is the last set-point given.
@@ -222,19 +222,32 @@ def path_stop(
     Returns:
         position and velocity, both (K, n), the set-points after that one.
     """
-    fastest = np.abs(velocity).max(axis=0)
-    duration = max(_SHORTEST_STOP, float(np.max(np.pi / 2 * fastest / max_acceleration)))
-    t = period * np.arange(1, int(np.ceil(duration / period)) + 1)
-    t = np.minimum(t, duration)
+    own = np.abs(np.diff(velocity, axis=0)).max(axis=0, initial=0.0) / period
+    allowed = 1.01 * np.maximum(max_acceleration, own)
+    # Slowing down alone asks for π/(2T) · q̇ at most.
+    duration = max(_SHORTEST_STOP, float(np.max(np.pi / 2 * np.abs(velocity[0]) / max_acceleration)))
+    while True:
+        q, qd = _slowed(position, velocity, duration, period)
+        asked = np.abs(np.diff(np.vstack([velocity[:1], qd]), axis=0)).max(axis=0) / period
+        if np.all(asked <= allowed) or duration > 4 * period * len(position):
+            return q, qd
+        duration *= 1.2
+
+
+def _slowed(
+    position: np.ndarray, velocity: np.ndarray, duration: float, period: float
+) -> tuple[np.ndarray, np.ndarray]:
+    t = np.minimum(period * np.arange(1, int(np.ceil(duration / period)) + 1), duration)
     s = 0.5 * (t + duration / np.pi * np.sin(np.pi * t / duration)) / period
     rate = 0.5 * (1 + np.cos(np.pi * t / duration))
     last = len(position) - 1
     beyond = s >= last
     index = np.minimum(s.astype(int), max(last - 1, 0))
+    after = np.minimum(index + 1, last)
     u = np.clip(s - index, 0.0, 1.0)[:, None]
     # Cubic Hermite between set-points, so that velocity stays the derivative of position.
-    p0, p1 = position[index], position[np.minimum(index + 1, last)]
-    v0, v1 = velocity[index] * period, velocity[np.minimum(index + 1, last)] * period
+    p0, p1 = position[index], position[after]
+    v0, v1 = velocity[index] * period, velocity[after] * period
     q = p0 + u * (v0 + u * (3 * (p1 - p0) - 2 * v0 - v1 + u * (2 * (p0 - p1) + v0 + v1)))
     dq = v0 + u * (2 * (3 * (p1 - p0) - 2 * v0 - v1) + u * 3 * (2 * (p0 - p1) + v0 + v1))
     q[beyond], dq[beyond] = position[-1], 0.0

@@ -23,6 +23,9 @@ def sine(seconds: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
 @settings(max_examples=50, deadline=None)
 def test_a_stop_stays_on_the_path_and_ends_at_rest(phase, seconds):
     position, velocity = sine(seconds, phase)
+    ramp = np.linspace(1, 0, len(position))[:, None]  # a trajectory ends at rest
+    velocity = velocity * ramp
+    position = position[0] + PERIOD * np.cumsum(velocity, axis=0)
     q, qd = path_stop(position, velocity, LIMITS, PERIOD)
     np.testing.assert_allclose(qd[-1], 0, atol=1e-9)
     # Set-points go on from the last one without a step, and velocity is the derivative of position.
@@ -32,9 +35,7 @@ def test_a_stop_stays_on_the_path_and_ends_at_rest(phase, seconds):
     # Every point of it is a point of the path.
     away = np.abs(q[:, None, :] - position[None]).max(axis=2).min(axis=1)
     assert away.max() <= np.abs(velocity).max() * PERIOD
-    # Slowing down costs at most the limits, on top of what the path itself asks for.
-    steady = np.abs(np.gradient(velocity, PERIOD, axis=0)).max(axis=0)
-    assert np.all(np.abs(np.diff(qd, axis=0)).max(axis=0) / PERIOD <= LIMITS + steady + 0.1)
+    assert np.all(np.abs(np.diff(qd, axis=0)).max(axis=0) / PERIOD <= 1.02 * LIMITS)
 
 
 def test_a_stop_near_the_end_ends_at_the_end():
