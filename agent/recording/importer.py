@@ -87,8 +87,8 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
         notes.append(f"{np.count_nonzero(broken)} {kind} {np.argmax(broken) + 1}")
     present = {name: array[:rows][keep] for name, array in present.items()}
     stamp = nanoseconds(time[keep])
-    identity = np.hstack([present[name] for name in ("position", "effort") if name in present])
-    order = put_in_order(stamp, identity, str(output))
+    measured = [present[name] for name in ("position", "effort") if name in present]
+    order = put_in_order(stamp, measured, str(output))
     present = {name: array[order.rows] for name, array in present.items()}
     spacing = spacing_of(order.stamp, entries.rate)
     repairs = (*order.repairs, *spacing.repairs)

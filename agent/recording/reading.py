@@ -37,6 +37,11 @@ class _Table:
     effort: np.ndarray | None
     repairs: tuple[Repair, ...]
 
+    @property
+    def measured(self) -> list[np.ndarray]:
+        """What tells one sample from another."""
+        return [self.position] if self.effort is None else [self.position, self.effort]
+
 
 def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
     """Read a log by docs/logs.md, whoever wrote it.
@@ -57,7 +62,7 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
     if table is None:
         raise InputError(f"{path}: {topic}: no message holds a finite position of every joint ({', '.join(names)})")
     run = found.metadata.get(RUN, {})
-    order = put_in_order(table.stamp, _fingerprint(table), str(path))
+    order = put_in_order(table.stamp, table.measured, str(path))
     stamp, rows = order.stamp, order.rows
     spacing = spacing_of(stamp, _nominal_rate(run))
     in_order = len(rows) == len(table.stamp) and not np.any(np.diff(rows) != 1)
@@ -198,7 +203,7 @@ def _set_points(
         repairs.append(Repair(f"{topic}: messages without a position of every joint, left out", 0.0, total))
         return None
     try:
-        order = put_in_order(table.stamp, table.position, topic)
+        order = put_in_order(table.stamp, table.measured, topic)
     except InputError:
         repairs.append(Repair(f"{topic}: messages with unusable stamps, left out", 0.0, total))
         return None
@@ -210,10 +215,6 @@ def _set_points(
     values = table.position[order.rows[nearest]]
     values[~same] = np.nan
     return values
-
-
-def _fingerprint(table: _Table) -> np.ndarray:
-    return table.position if table.effort is None else np.hstack([table.position, table.effort])
 
 
 def _nominal_rate(run: dict[str, str]) -> float | None:

@@ -40,13 +40,12 @@ _TYPES = ("sensor_msgs/msg/JointState", "sensor_msgs/JointState")
 
 @dataclass(frozen=True, eq=False)
 class Messages:
-    """K messages of one topic and layout: place in the file (K,), header stamps (K,) [ns], receive times (K,) [ns],
-    position, velocity and effort (K, n) or None."""
+    """K messages of one topic and layout: place in the file (K,), header stamps (K,) [ns], position, velocity and
+    effort (K, n) or None."""
 
     layout: JointStateLayout
     order: np.ndarray
     stamp: np.ndarray
-    log_time: np.ndarray
     position: np.ndarray | None
     velocity: np.ndarray | None
     effort: np.ndarray | None
@@ -229,7 +228,6 @@ class _Scanner:
                     layout=layout,
                     order=places,
                     stamp=layout.stamps(messages),
-                    log_time=np.ascontiguousarray(rows[:, 6:14]).view("<u8")[:, 0],
                     position=layout.array(messages, 0),
                     velocity=layout.array(messages, 1),
                     effort=layout.array(messages, 2),

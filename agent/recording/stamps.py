@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -41,12 +42,12 @@ class Spacing:
     repairs: tuple[Repair, ...]
 
 
-def put_in_order(stamp: np.ndarray, values: np.ndarray, name: str) -> Order:
+def put_in_order(stamp: np.ndarray, values: Sequence[np.ndarray], name: str) -> Order:
     """Sort samples by their stamps; drop repetitions; spread samples that share a stamp too coarse for their rate.
 
     Args:
         stamp: (S,) [ns] in the order of the file.
-        values: (S, n) what tells a repeated sample from another one with the same stamp.
+        values: arrays (S, n) that tell a repeated sample from another one with the same stamp.
         name: of the file, for messages.
 
     Raises:
@@ -71,7 +72,9 @@ def put_in_order(stamp: np.ndarray, values: np.ndarray, name: str) -> Order:
             f"{name}: the stamps stand still at {ordered[0] / _NANO:.6f} s ({len(stamp)} samples): without "
             "header.stamp nothing can be differentiated; record again with controller time in it"
         )
-    equal = same_stamp & np.all(values[rows[:-1]] == values[rows[1:]], axis=1)
+    equal = same_stamp.copy()
+    for array in values:
+        equal[equal] = np.all(array[rows[:-1][equal]] == array[rows[1:][equal]], axis=1)
     other = same_stamp & ~equal
     coarse = other.sum() > max(0.05 * same_stamp.sum(), 0.01 * len(rows))
     if len(back):

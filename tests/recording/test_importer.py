@@ -1,0 +1,346 @@
+"""Tables become logs by mapping files; the examples for measured data give what direct computation gives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import loadmat, savemat
+
+from agent.errors import InputError
+from agent.recording import import_log, read_log
+from agent.robot import load_robot
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "recipes/examples"
+
+ROBOT = """
+name: pair
+urdf: pair.urdf
+tip_frame: tip
+joints:
+  - {name: turn, gear_ratio: -50, max_velocity: 2, max_acceleration: 5, torque_constant: 0.5}
+  - {name: slide, gear_ratio: 200, max_velocity: 1, max_acceleration: 5, torque_constant: 0.1}
+motor_coupling: [[1, 0], [0.25, 1]]
+"""
+URDF = """<robot name="pair"><link name="base"/><link name="middle"/><link name="tip"/>
+<joint name="turn" type="revolute"><parent link="base"/><child link="middle"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" velocity="2" effort="9"/></joint>
+<joint name="slide" type="prismatic"><parent link="middle"/><child link="tip"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" velocity="1" effort="9"/></joint></robot>"""
+
+
+@pytest.fixture
+def pair(tmp_path):
+    """A turning joint and a slide behind coupled motors."""
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    (tmp_path / "pair.urdf").write_text(URDF)
+    return load_robot(tmp_path / "robot.yaml")
+
+
+@pytest.fixture
+def convert(pair, tmp_path):
+    """Import a table by the text of a mapping; returns the log that is read back, and the notes."""
+
+    def run(mapping: str, *inputs: Path, robot=pair):
+        (tmp_path / "map.yaml").write_text(mapping)
+        notes = import_log(robot, tmp_path / "map.yaml", inputs, tmp_path / "out.mcap")
+        return read_log(tmp_path / "out.mcap", robot), notes
+
+    return run
+
+
+@pytest.fixture
+def table(tmp_path):
+    """A CSV file with time, two positions, two velocities, two efforts; and what is in it (S, 7)."""
+    t = np.arange(400) / 200
+    values = np.column_stack([t, *(np.sin(t * k) * k for k in range(1, 7))])
+    path = tmp_path / "data.csv"
+    np.savetxt(path, values, delimiter=",", header="time,q1,q2,v1,v2,e1,e2", comments="", fmt="%.17g")
+    return path, values
+
+
+JOINT_SIDE = "time: {column: time}\nposition: {columns: [q1, q2]}\n"
+
+
+def test_joint_side_columns_are_taken_as_they_are(convert, table):
+    path, values = table
+    log, notes = convert(JOINT_SIDE + "velocity: {columns: [v1, v2]}\neffort: {columns: [e1, e2]}\n", path)
+    np.testing.assert_array_equal(log.position, values[:, 1:3])
+    np.testing.assert_array_equal(log.velocity, values[:, 3:5])
+    np.testing.assert_array_equal(log.effort, values[:, 5:7])
+    np.testing.assert_allclose(log.t, values[:, 0], atol=1e-9)
+    assert log.sample_rate == pytest.approx(200)
+    assert log.metadata["robot"] == "pair"
+    assert notes == ("out.mcap: 400 samples, 1.995 s at 200 Hz",)
+
+
+def test_units_scales_and_offsets(convert, table):
+    path, values = table
+    log, _ = convert(
+        "time: {column: time, unit: ms}\n"
+        "position: {columns: [q1, q2], unit: [deg, mm], scale: [2, -1], offset: [90 deg, 10 mm]}\n"
+        "velocity: {columns: [v1, v2], unit: [rpm, m/min]}\n"
+        "effort: {columns: [6, 7], unit: [Nm, kN]}\n",
+        path,
+    )
+    q = values[:, 1:3] * [2 * np.pi / 180, -1e-3] + [np.pi / 2, 0.01]
+    np.testing.assert_allclose(log.position, q, rtol=1e-14)
+    np.testing.assert_allclose(log.velocity, values[:, 3:5] * [np.pi / 30, 1 / 60], rtol=1e-14)
+    np.testing.assert_allclose(log.effort, values[:, 5:7] * [1, 1000], rtol=1e-14)
+    assert log.sample_rate == pytest.approx(200e3)
+
+
+def test_motor_side_comes_to_the_joints_by_gears_and_coupling(convert, table):
+    path, values = table
+    log, _ = convert(
+        "time: {column: time}\nside: motor\nposition: {columns: [q1, q2]}\nvelocity: {columns: [v1, v2], unit: rpm}\n"
+        "effort: {columns: [e1, e2], unit: A}\nreference_position: {columns: [q2, q1]}\n",
+        path,
+    )
+    ratio = np.diag([-50.0, 200.0]) @ np.array([[1.0, 0.0], [0.25, 1.0]])  # joint speed to motor speed
+    np.testing.assert_allclose(log.position @ ratio.T, values[:, 1:3], atol=1e-12)
+    np.testing.assert_allclose(log.velocity @ ratio.T, values[:, 3:5] * np.pi / 30, atol=1e-12)
+    np.testing.assert_allclose(log.reference_position @ ratio.T, values[:, [2, 1]], atol=1e-12)
+    motor_torque = values[:, 5:7] * [0.5, 0.1]
+    np.testing.assert_allclose(log.effort, motor_torque @ ratio, atol=1e-12)
+    # the power is the same on both sides
+    np.testing.assert_allclose(
+        np.sum(log.effort * log.velocity, axis=1), np.sum(motor_torque * values[:, 3:5] * np.pi / 30, axis=1), atol=1e-9
+    )
+
+
+def test_currents_beside_joint_positions(convert, table):
+    path, values = table
+    log, _ = convert(JOINT_SIDE + "effort: {columns: [e1, e2], unit: mA, torque_constant: 2}\n", path)
+    np.testing.assert_array_equal(log.position, values[:, 1:3])
+    torque = values[:, 5:7] * 2e-3 * [-50, 200]
+    np.testing.assert_allclose(log.effort, np.column_stack([torque[:, 0] + 0.25 * torque[:, 1], torque[:, 1]]))
+
+
+def test_window_cycles_and_motion(convert, table):
+    path, values = table
+    log, _ = convert(JOINT_SIDE + "window: {from: 500 ms, to: 1.5}\ncycle_period: 0.4 s\nmotion: wave\n", path)
+    np.testing.assert_array_equal(log.position, values[100:300, 1:3])
+    assert log.stamp == pytest.approx(0.5)
+    np.testing.assert_allclose(log.cycle_starts, [0.0, 0.4, 0.8], atol=1e-9)
+    assert log.metadata["motion"] == "wave"
+
+
+def test_decimation_keeps_slow_motion_and_removes_what_it_cannot_carry(convert, tmp_path):
+    t = np.arange(20000) / 5000
+    slow, fast = np.sin(2 * np.pi * 3 * t), 0.1 * np.sin(2 * np.pi * 480 * t)
+    np.savetxt(tmp_path / "fast.csv", np.column_stack([slow + fast, slow]), delimiter=",")
+    log, notes = convert("rate: 5 kHz\nposition: {columns: [1, 2]}\ndecimate: 10\n", tmp_path / "fast.csv")
+    assert log.sample_rate == 500
+    assert len(log.t) == 2000
+    np.testing.assert_allclose(log.position[50:-50, 0], slow[::10][50:-50], atol=1e-4)  # 480 Hz would alias to 20 Hz
+    assert any("every 10th sample, after a zero-phase filter at 200 Hz" in note for note in notes)
+
+
+def test_columns_of_several_files(convert, tmp_path, table):
+    path, values = table
+    np.savetxt(tmp_path / "other.csv", values[:398, 5:7], delimiter=";", header="q1;q2", comments="# ", fmt="%.17g")
+    mapping = "rate: 200 Hz\nposition: {file: data.csv, columns: [q1, q2]}\neffort: {file: oth*, columns: [q1, q2]}\n"
+    log, notes = convert(mapping, path, tmp_path / "other.csv")
+    np.testing.assert_array_equal(log.position, values[:398, 1:3])
+    np.testing.assert_array_equal(log.effort, values[:398, 5:7])
+    assert any("2 last rows are in some columns only" in note for note in notes)
+    with pytest.raises(InputError, match=r"map.yaml:2: position.columns: data.csv, other.csv all have these columns"):
+        convert("rate: 200 Hz\nposition: {columns: [q1, q2]}\n", path, tmp_path / "other.csv")
+    np.savetxt(tmp_path / "short.csv", values[:300, 5:7], delimiter=",", header="a,b", comments="")
+    with pytest.raises(InputError, match=r"different length: position 400, effort 300 rows"):
+        convert(
+            "rate: 200 Hz\nposition: {columns: [q1, q2]}\neffort: {columns: [a, b]}\n", path, tmp_path / "short.csv"
+        )
+
+
+def test_broken_and_jittered_rows(convert, tmp_path, table):
+    path, values = table
+    rng = np.random.default_rng(1)
+    values[:, 0] += rng.uniform(-1e-3, 1e-3, 400)
+    np.savetxt(path, values, delimiter=",", header="time,q1,q2,v1,v2,e1,e2", comments="", fmt="%.17g")
+    with open(path, "a", encoding="utf-8") as file:
+        file.write("2.0,nan,1,1,1,1,1\n2.005,0.1,oops,1,1,1,1\n2.01,0.1")
+    log, notes = convert(JOINT_SIDE + "effort: {columns: [e1, e2]}\n", path)
+    np.testing.assert_array_equal(log.position, values[:, 1:3])
+    np.testing.assert_allclose(log.t, values[:, 0] - values[0, 0], atol=2e-9)
+    assert log.sample_rate == pytest.approx(200, rel=1e-3)
+    assert "out.mcap: 3 rows without a number in every column, dropped; the first is row 401" in notes
+    assert any("uneven intervals" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t;a;b\n0;1,5;2\n0,01;2,5;3\n0,02;3,5;4\n",
+        "# t a b\n0 1.5 2\n0.01 2.5 3\n0.02 3.5 4\n",
+        "% made by a logger\nt\ta\tb\n[s]\t[rad]\t[m]\n0\t1.5\t2\n0.01\t2.5\t3\n0.02\t3.5\t4\n",
+        '"t","a","b"\r\n0,1.5,2\r\n0.01,2.5,3\r\n0.02,3.5,4\r\n',
+        "\ufefft,a,b,state\n0,1.5,2,ok\n0.01,2.5,3,ok\n0.02,3.5,4,ok\n",
+    ],
+    ids=["decimal comma", "blanks", "tabs and units", "quotes", "text column"],
+)
+def test_kinds_of_text_tables(convert, tmp_path, text):
+    (tmp_path / "data.csv").write_bytes(text.encode())
+    for a, b in (("a", "b"), (2, 3)):
+        log, _ = convert(f"time: {{column: t}}\nposition: {{columns: [{a}, {b}]}}\n", tmp_path / "data.csv")
+        np.testing.assert_array_equal(log.position, [[1.5, 2], [2.5, 3], [3.5, 4]])
+        assert log.sample_rate == pytest.approx(100)
+
+
+def test_mat_files(convert, tmp_path):
+    t = np.arange(100) / 50
+    q = np.column_stack([np.sin(t), np.cos(t)])
+    path = tmp_path / "data.mat"
+    savemat(path, {"log": {"time": t[:, None], "q": q.T, "gain": 3.0}, "force": q})
+    mapping = "time: {column: log.time}\nposition: {columns: log.q}\neffort: {columns: force, scale: [log.gain, 1]}\n"
+    log, _ = convert(mapping, path)
+    np.testing.assert_array_equal(log.position, q)
+    np.testing.assert_array_equal(log.effort, q * [3, 1])
+    log, _ = convert("rate: 50 Hz\nposition: {columns: ['log.q[2]', 'force[1]']}\n", path)
+    np.testing.assert_array_equal(log.position, q[:, [1, 0]])
+    path.write_bytes(b"MATLAB 5.0 MAT-file" + bytes(500))
+    with pytest.raises(InputError, match=r"data.mat: not a readable MAT file"):
+        convert(mapping, path)
+
+
+def test_parquet_files(convert, tmp_path):
+    pyarrow = pytest.importorskip("pyarrow", reason="reading Parquet is an extra: pip install '.[parquet]'")
+    from pyarrow import parquet
+
+    count = np.arange(100)
+    stamps = (1_700_000_000_000_000_000 + count * 10_000_000).astype("datetime64[ns]")
+    q = np.column_stack([np.sin(count / 9), np.cos(count / 9)])
+    content = {"when": stamps, "q": [row.tolist() for row in q], "e1": q[:, 0], "e2": q[:, 1], "note": ["x"] * 100}
+    parquet.write_table(pyarrow.table(content), tmp_path / "data.parquet")
+    mapping = "time: {column: when}\nposition: {columns: q}\neffort: {columns: [e1, e2]}\n"
+    log, _ = convert(mapping, tmp_path / "data.parquet")
+    np.testing.assert_array_equal(log.position, q)
+    np.testing.assert_array_equal(log.effort, q)
+    assert log.sample_rate == pytest.approx(100, rel=1e-3)
+    assert log.stamp == pytest.approx(1.7e9)
+    (tmp_path / "data.parquet").write_bytes(b"PAR1 no")
+    with pytest.raises(InputError, match=r"not a readable Parquet file"):
+        convert(mapping, tmp_path / "data.parquet")
+
+
+def test_without_pyarrow_it_says_what_to_install(convert, tmp_path, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    (tmp_path / "data.parquet").touch()
+    with pytest.raises(InputError, match=r"pip install 'calibration-agent\[parquet\]'"):
+        convert("rate: 1\nposition: {columns: q}\n", tmp_path / "data.parquet")
+
+
+@pytest.mark.parametrize(
+    ("mapping", "complaint"),
+    [
+        ("position: {columns: [q1, q2]}\n", r"map.yaml:1: document: give either rate"),
+        ("rate: 5 m\nposition: {columns: [q1, q2]}\n", r"map.yaml:1: rate: .*frequency.*length"),
+        ("rate: 5\n", r"map.yaml:\d+: position: this key is required"),
+        ("rate: 5\nposition: {colums: [q1, q2]}\n", r"map.yaml:2: position.colums: unknown key.*did you mean columns"),
+        ("rate: 5\nposition: {columns: {a: 1}}\n", r"map.yaml:2: position.columns: a column, by name or by number"),
+        (
+            "rate: 5\nposition: {columns: [q1]}\n",
+            r"map.yaml:2: position.columns: 1 columns for 2 joints \(turn, slide\)",
+        ),
+        (
+            "rate: 5\nposition:\n  columns: [q1, q9]\n",
+            r"map.yaml:3: position.columns: data.csv has no column q9; it has",
+        ),
+        ("rate: 5\nposition: {columns: [1, 12]}\n", r"map.yaml:2: position.columns: data.csv has no column 12"),
+        ("rate: 5\nposition: {columns: [q1, q2], file: x.csv}\n", r"map.yaml:2: position.file: no input is named"),
+        (
+            "rate: 5\nposition:\n  columns: [q1, q2]\n  unit: deg\n",
+            r"map.yaml:4: position.unit: 'deg' is no unit of position for slide on the joint side; allowed are m, cm",
+        ),
+        ("rate: 5\nposition: {columns: [q1, q2], offset: [1 s, 0]}\n", r"position.offset: turn: an angle"),
+        ("rate: 5\nposition: {columns: [q1, q2], scale: gain}\n", r"position.scale: data.csv has no constant 'gain'"),
+        ("rate: 5\nposition: {columns: [q1, q2], scale: [1, 2, 3]}\n", r"position.scale: 3 values for 2 joints"),
+        ("rate: 5\nside: left\nposition: {columns: [q1, q2]}\n", r"map.yaml:2: side: .*'motor' or 'joint'"),
+        ("rate: 5\nwindow: {from: 2 s, to: 1 s}\nposition: {columns: [q1, q2]}\n", r"map.yaml:2: window: from 2 s"),
+        ("rate: 5\nwindow: {from: 900 s, to: 901 s}\nposition: {columns: [q1, q2]}\n", r"window: no row is in it"),
+        (
+            "rate: 5\ndecimate: 1\nposition: {columns: [q1, q2]}\n",
+            r"map.yaml:2: decimate: .*greater than or equal to 2",
+        ),
+        (
+            "rate: 5\nposition: {columns: [q1, q2]}\neffort: {columns: [e1, e2], unit: A, side: joint}\n",
+            r"map.yaml:3: effort.side: currents are on the motor side",
+        ),
+        (
+            "time: {column: when}\nposition: {columns: [q1, q2]}\n",
+            r"map.yaml:1: time.column: data.csv has no column when",
+        ),
+        ("time: {column: time, unit: m}\nposition: {columns: [q1, q2]}\n", r"time.unit: 'm' is no unit of time"),
+    ],
+)
+def test_a_wrong_map_names_file_line_and_key(convert, table, mapping, complaint):
+    with pytest.raises(InputError, match=complaint):
+        convert(mapping, table[0])
+
+
+def test_files_that_are_no_tables(convert, pair, tmp_path, table):
+    (tmp_path / "words.csv").write_text("nothing\nbut words\n")
+    (tmp_path / "empty.csv").touch()
+    for name, complaint in {
+        "words.csv": "no line of numbers",
+        "empty.csv": "no line of numbers",
+        "absent.csv": "no such file",
+        "log.mcap": "tables end in .csv",
+    }.items():
+        with pytest.raises(InputError, match=complaint):
+            convert(JOINT_SIDE, tmp_path / name)
+    with pytest.raises(InputError, match=r"ends in \.mcap"):
+        import_log(pair, tmp_path / "map.yaml", [tmp_path / "out.mcap"], table[0])
+    assert table[0].exists()
+
+
+def test_a_failed_import_leaves_nothing(convert, tmp_path, table):
+    with pytest.raises(InputError):
+        convert("rate: 5\nposition: {columns: [q1, q9]}\n", table[0])
+    assert not list(tmp_path.glob("*.mcap*"))
+    assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.parametrize(("stretch", "start", "stop"), [("fit", 500, 22700), ("held_out", 22700, 37500)])
+def test_tx40_gives_what_the_formulas_give(shared_data, tmp_path, stretch, start, stop):
+    robot = load_robot(EXAMPLES / "tx40")
+    tables = [shared_data / "tx40" / name for name in ("pos_read_data.csv", "curr_data.csv")]
+    out = tmp_path / "tx40.mcap"
+    import_log(robot, EXAMPLES / "tx40" / f"map_{stretch}.yaml", tables, out)
+    log = read_log(out, robot)
+
+    motor, torque = (np.loadtxt(table, delimiter=",", skiprows=1)[start:stop] for table in tables)
+    n = np.array([32.0, 32.0, 45.0, -48.0, 45.0, 32.0])
+    q = motor / n
+    q[:, 5] = motor[:, 5] / n[5] - q[:, 4]
+    q[:, 1] -= np.pi / 2
+    q[:, 2] += np.pi / 2
+    tau = torque * n
+    tau[:, 4] += n[5] * torque[:, 5]
+    np.testing.assert_allclose(log.position, q, atol=1e-12)
+    np.testing.assert_allclose(log.effort, tau, atol=1e-12)
+    np.testing.assert_allclose(log.t, np.arange(stop - start) / 5000, atol=1e-9)
+    assert log.sample_rate == 5000
+    assert log.segments == ((0, stop - start),)
+    assert log.repairs == ()
+    lower, upper = robot.position_limits
+    assert ((log.position > lower) & (log.position < upper)).all()
+
+
+@pytest.mark.parametrize("name", ["DATA_EMPS.mat", "DATA_EMPS_PULSES.mat"])
+def test_emps_gives_what_the_formulas_give(shared_data, tmp_path, name):
+    robot = load_robot(EXAMPLES / "emps")
+    out = tmp_path / "emps.mcap"
+    import_log(robot, EXAMPLES / "emps" / "map.yaml", [shared_data / "emps" / name], out)
+    log = read_log(out, robot)
+    data = loadmat(shared_data / "emps" / name)
+    np.testing.assert_array_equal(log.position, data["qm"])
+    np.testing.assert_array_equal(log.reference_position, data["qg"])
+    np.testing.assert_allclose(log.effort, data["gtau"] * data["vir"], rtol=1e-15)
+    np.testing.assert_allclose(log.t, data["t"][:, 0] - data["t"][0, 0], atol=2e-9)
+    assert log.sample_rate == pytest.approx(1000, rel=1e-6)
+    assert len(log.segments) == 1
