@@ -1,0 +1,137 @@
+"""Base parameters: the laws that define them, on arms of every shape."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.robot import RobotDescription
+from agent.robot.base_parameters import BaseParameters, base_parameters
+from agent.robot.drivetrain import rotor_regressor
+from agent.robot.dynamics import Dynamics
+
+NAMES = (
+    "slide",
+    "lift",
+    "planar",
+    "planar, flat",
+    "anthropomorphic",
+    "gantry",
+    "scara",
+    "skew",
+    "spherical",
+    "coupled wrist",
+    "seven axes",
+    "comau_ns16",
+)
+
+
+def standard_regressor(robot: RobotDescription, rotors: bool, seed: int = 7) -> np.ndarray:
+    """(S, n, p) of states other than those the base parameters were found with."""
+    q, qd, qdd = np.random.default_rng(seed).normal(scale=1.5, size=(3, 80, robot.dof))
+    columns = Dynamics(robot).regressor(q, qd, qdd)
+    return np.concatenate([columns, rotor_regressor(robot, qdd)], axis=2) if rotors else columns
+
+
+@pytest.mark.parametrize("rotors", [True, False])
+@pytest.mark.parametrize("name", NAMES)
+def test_they_say_all_that_the_standard_parameters_say_and_nothing_twice(
+    arms: dict[str, RobotDescription], name: str, rotors: bool
+) -> None:
+    robot = arms[name]
+    base = base_parameters(robot, rotors)
+    standard = standard_regressor(robot, rotors)
+    reduced = base.regressor(standard)
+    size = np.abs(standard).max()
+    np.testing.assert_allclose(reduced @ base.projection, standard, atol=1e-12 * size)
+    values = np.random.default_rng(0).normal(size=standard.shape[2])
+    torque = standard @ values
+    np.testing.assert_allclose(reduced @ base.values(values), torque, atol=1e-11 * np.abs(torque).max())
+
+    matrix = reduced.reshape(-1, len(base))
+    lengths = np.linalg.norm(matrix, axis=0)
+    singular = np.linalg.svd(matrix / lengths, compute_uv=False)
+    assert singular[-1] > 1e-3 * singular[0], "a base parameter is a combination of others"
+    full = standard.reshape(-1, standard.shape[2])
+    length = np.linalg.norm(full, axis=0)
+    moving = length > 1e-9 * lengths.min()
+    assert np.linalg.matrix_rank(full[:, moving] / length[moving], tol=1e-8) == len(base)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_is_named_by_its_combination(arms: dict[str, RobotDescription], name: str) -> None:
+    base = base_parameters(arms[name])
+    assert base.projection.shape == (len(base), 11 * arms[name].dof)
+    np.testing.assert_array_equal(base.projection[:, base.independent], np.eye(len(base)))
+    assert np.all(np.diff(base.independent) > 0)
+    for text, row, own in zip(base.names, base.projection, base.independent, strict=True):
+        assert re.match(rf"{base.standard_names[own]}( [+-] |$)", text)
+        told = np.zeros(len(row))
+        for sign, number, parameter in re.findall(r"(?:(^|[+-])\s*)(?:([\d.e+-]+) )?([A-Za-z]+\d)", text):
+            told[base.standard_names.index(parameter)] = (-1 if sign == "-" else 1) * float(number or 1)
+        np.testing.assert_allclose(told, row, rtol=1e-4)
+
+
+def counts(robot: RobotDescription) -> tuple[int, int]:
+    return len(base_parameters(robot)), len(base_parameters(robot, rotors=False))
+
+
+def test_the_ns16_has_forty_and_thirty_six(ns16: RobotDescription) -> None:
+    assert counts(ns16) == (40, 36)
+
+
+def test_wrist_coupling_does_not_change_their_number(ns16: RobotDescription) -> None:
+    coupling = np.eye(6)
+    coupling[4, 3], coupling[5, 3], coupling[5, 4] = -0.02, 0.0204, 0.02
+    assert counts(replace(ns16, motor_coupling=tuple(map(tuple, coupling)))) == (40, 36)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("slide", (1, 1)),  # the rotor only adds to the mass
+        ("lift", (2, 1)),  # gravity tells the mass from the rotor
+        ("planar", (7, 6)),
+        ("planar, flat", (5, 4)),
+    ],
+)
+def test_known_counts(arms: dict[str, RobotDescription], name: str, expected: tuple[int, int]) -> None:
+    assert counts(arms[name]) == expected
+
+
+def test_coefficients_are_clean(ns16: RobotDescription, arms: dict[str, RobotDescription]) -> None:
+    base = base_parameters(ns16)
+    by_name = dict(zip((base.standard_names[k] for k in base.independent), base.names, strict=True))
+    assert by_name["Izz1"].startswith("Izz1 + 0.09 m2 + Izz2")
+    assert by_name["Izz1"].endswith(" + 32974 J1")
+    assert by_name["Iyy2"] == "Iyy2 + 0.49 m3 + 0.49 m4 + 0.49 m5 + 0.49 m6 + 25364 J2"
+    assert by_name["Izz6"] == "Izz6"
+    row = base.projection[list(base.independent).index(base.standard_names.index("Iyy2"))]
+    assert row[base.standard_names.index("m3")] == 0.49
+    assert base_parameters(arms["slide"]).names == ("m1 + 98596 J1",)
+
+
+def test_gravity_along_a_joint_changes_what_can_be_known(ns16: RobotDescription) -> None:
+    """A tilted base shows the first moments of link 1 (and with them its rotor apart from nothing else)."""
+    tilted = replace(ns16, gravity=(1.0, 0.5, -9.7))
+    assert set(base_parameters(tilted).independent) - set(base_parameters(ns16).independent) == {1, 2}
+
+
+def test_they_do_not_depend_on_the_inertias(make_arm: Callable, arms: dict[str, RobotDescription]) -> None:
+    robot = arms["scara"]
+    other = replace(robot, urdf=robot.urdf.replace('mass value="8.0"', 'mass value="80.0"'))
+    assert other.urdf != robot.urdf
+    same(base_parameters(robot), base_parameters(other))
+
+
+def test_they_are_the_same_every_time(ns16: RobotDescription) -> None:
+    same(base_parameters(ns16), base_parameters(ns16))
+
+
+def same(one: BaseParameters, other: BaseParameters) -> None:
+    np.testing.assert_array_equal(one.projection, other.projection)
+    assert one.names == other.names

@@ -1,0 +1,100 @@
+"""The built-in NS16 against the figures published for it."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.robot import RobotDescription, builtin_robots, kinematics_for
+from agent.robot.dynamics import Dynamics
+
+#: a [m], d [m], alpha [deg], sign, bias [deg] of the standard Denavit-Hartenberg convention.
+DH = (
+    (0.300, 0.600, -90, -1, 0),
+    (0.700, 0.0, 0, 1, -90),
+    (0.185, 0.0, -90, -1, -90),
+    (0.0, 0.624, 90, -1, 0),
+    (0.0, 0.0, -90, 1, 0),
+    (0.0, 0.135, 0, -1, 180),
+)
+
+
+def denavit_hartenberg(degrees: np.ndarray) -> np.ndarray:
+    pose = np.eye(4)
+    for q, (a, d, alpha, sign, bias) in zip(degrees, DH, strict=True):
+        turn, twist = np.radians(sign * q + bias), np.radians(alpha)
+        about_z = np.array(
+            [[np.cos(turn), -np.sin(turn), 0, 0], [np.sin(turn), np.cos(turn), 0, 0], [0, 0, 1, d], [0, 0, 0, 1]]
+        )
+        about_x = np.array(
+            [[1, 0, 0, a], [0, np.cos(twist), -np.sin(twist), 0], [0, np.sin(twist), np.cos(twist), 0], [0, 0, 0, 1]]
+        )
+        pose = pose @ about_z @ about_x
+    return pose
+
+
+@given(st.lists(st.floats(-720, 720), min_size=6, max_size=6))
+def test_forward_kinematics_is_the_published_table(ns16: RobotDescription, degrees: list[float]) -> None:
+    q = np.radians([degrees])
+    expected = denavit_hartenberg(np.array(degrees))
+    np.testing.assert_allclose(Dynamics(ns16).tcp_pose(q)[0], expected, atol=1e-12)
+    np.testing.assert_allclose(kinematics_for(ns16).forward(q)[0], expected, atol=1e-12)
+
+
+def test_figures_of_the_drives(ns16: RobotDescription) -> None:
+    assert "comau_ns16" in builtin_robots()
+    np.testing.assert_allclose(ns16.gear_ratios, [-181.587, 159.261, 162.474, 72.586, 78.75, -50.0])
+    np.testing.assert_allclose(ns16.nominal_torque, np.abs(ns16.gear_ratios) * [3, 6, 3, 0.7, 0.7, 0.7])
+    np.testing.assert_allclose(np.degrees(ns16.max_velocity), [155, 155, 170, 360, 350, 550])
+    ramp = ns16.max_velocity / ns16.max_acceleration
+    np.testing.assert_allclose(ramp, [0.823] * 3 + [0.388] * 3)
+    lower, upper = ns16.position_limits
+    np.testing.assert_allclose(np.degrees(lower), [-180, -60, -170, -720, -120, -720])
+    np.testing.assert_allclose(np.degrees(upper), [180, 155, 110, 720, 120, 720])
+
+
+def test_every_link_is_a_possible_body(ns16: RobotDescription) -> None:
+    """The pseudo-inertia of each link is positive definite (Wensing, Kim, Slotine, RA-L 2018)."""
+    for m, mx, my, mz, xx, xy, yy, xz, yz, zz in Dynamics(ns16).standard_parameters().reshape(6, 10):
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+        first = np.array([[mx], [my], [mz]])
+        assert np.linalg.eigvalsh(np.block([[second, first], [first.T, np.array([[m]])]])).min() > 0
+
+
+def test_holding_the_outstretched_arm_is_within_what_the_motors_can_do(ns16: RobotDescription) -> None:
+    q = np.radians([[0.0, 90.0, -16.5, 0.0, 0.0, 0.0]])
+    torque = np.abs(Dynamics(ns16).inverse_dynamics(q, 0 * q, 0 * q)[0])
+    assert torque[1] > 300
+    assert (torque < ns16.nominal_torque).all()
+
+
+def test_bodies_are_apart_where_the_arm_works(ns16: RobotDescription) -> None:
+    rng = np.random.default_rng(0)
+    q = np.radians(rng.uniform([-180, -50, -160, -180, -120, -180], [180, 110, -20, 180, 120, 180], (1500, 6)))
+    dynamics = Dynamics(ns16)
+    along = np.linspace(0.0, 1.0, 8)[:, None]
+    points = {}
+    for link, (capsule,) in ns16.bodies.items():
+        pose = dynamics.link_poses(q, link)
+        inside = np.array(capsule.start) + along * (np.array(capsule.end) - np.array(capsule.start))
+        points[link] = inside @ pose[:, :3, :3].transpose(0, 2, 1) + pose[:, None, :3, 3], capsule.radius
+    names = list(ns16.bodies)
+    for one, other in combinations(range(len(names)), 2):
+        if other - one > 1:
+            (a, ra), (b, rb) = points[names[one]], points[names[other]]
+            assert np.linalg.norm(a[:, :, None] - b[:, None], axis=-1).min() > ra + rb, (names[one], names[other])
+
+
+def test_a_retold_description_is_the_same(ns16: RobotDescription) -> None:
+    assert RobotDescription.from_dict(ns16.to_dict()) == ns16
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_a_limit_is_what_the_urdf_says(ns16: RobotDescription, joint: int) -> None:
+    kinematics = kinematics_for(ns16)
+    q = np.zeros((2, 6))
+    q[:, joint] = ns16.joints[joint].upper + np.array([-1e-6, 1e-6])
+    assert kinematics.within_limits(q).tolist() == [True, False]
