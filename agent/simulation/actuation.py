@@ -16,7 +16,7 @@ import numpy as np
 class Actuation(Protocol):
     """Friction, gears, springs: n axles with whatever states they need, advanced one inner step at a time.
 
-    Plain floats in lists: at a few kHz and 7 joints they cost half of what small arrays do. All in rad, rad/s, N·m
+    Plain floats in lists: for six joints they cost a fifth of what small arrays do. All in rad, rad/s, N·m
     (m, m/s, N on a prismatic joint), of the axles.
     """
 
