@@ -1,0 +1,138 @@
+"""`agent check`: everything that could stop a calibration, found without moving anything, told all at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from agent.console import Console
+from agent.errors import AgentError
+from agent.recipe import Recipe
+
+#: Random loops that are run through the interpolator and the cell.
+LOOPS = 50
+#: Fewer feasible ones than this part of them, and a search will have a hard time.
+FEW = 0.2
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at: `subject`, what was found, and the exit code it asks for (0: fine)."""
+
+    subject: str
+    message: str
+    exit_code: int = 0
+
+    @property
+    def ok(self) -> bool:
+        """Whether this would stop nothing."""
+        return self.exit_code == 0
+
+
+@dataclass(frozen=True)
+class Findings:
+    """All that was looked at."""
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def exit_code(self) -> int:
+        """0, or the code of the first problem."""
+        return next((finding.exit_code for finding in self.findings if not finding.ok), 0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        rows = [{"subject": f.subject, "ok": f.ok, "message": f.message} for f in self.findings]
+        return {"schema": "check/1", "ok": self.exit_code == 0, "findings": rows}
+
+    def text(self) -> str:
+        """A line each."""
+        return "\n".join(f"{'ok     ' if f.ok else 'PROBLEM'} {f.subject}: {f.message}" for f in self.findings)
+
+
+def check_recipe(recipe: Recipe, console: Console) -> Findings:
+    """Reach, limits, cell and controller of a recipe that could be read."""
+    console.step(f"checking {recipe.path}")
+    looks: tuple[tuple[str, Callable[[Recipe], str]], ...] = (
+        ("sub-region", _reach),
+        ("loops", _loops),
+        ("validation", _validation),
+        ("controller", _controller),
+    )
+    findings = [Finding("recipe", f"{recipe.path} is complete; robot {recipe.robot.name}, {recipe.robot.dof} joints")]
+    for subject, look in looks:
+        try:
+            findings.append(Finding(subject, look(recipe)))
+        except Exception as error:
+            code = getattr(error, "exit_code", None)
+            if code is None and not isinstance(error, AgentError):
+                raise
+            findings.append(Finding(subject, str(error), code or 2))
+    return Findings(tuple(findings))
+
+
+def _reach(recipe: Recipe) -> str:
+    from agent.excitation import check_sub_region
+    from agent.planning import loop_problem
+
+    missed = check_sub_region(loop_problem(recipe, recipe.motion.speed))
+    if not missed:
+        return "all corners and orientations asked can be reached"
+    return f"{len(missed)} places are out of reach and a search goes around them, the first: {missed[0]}"
+
+
+def _loops(recipe: Recipe) -> str:
+    return _feasible(recipe, recipe.motion.speed, recipe.search.seed)
+
+
+def _validation(recipe: Recipe) -> str:
+    return _feasible(recipe, recipe.validate.speed, recipe.validate.seed)
+
+
+def _feasible(recipe: Recipe, speed: float, seed: int) -> str:
+    from agent.errors import InputError
+    from agent.excitation import Candidates
+    from agent.planning import loop_problem
+
+    candidates = Candidates(loop_problem(recipe, speed))
+    rng = np.random.default_rng(seed)
+    scores = [candidates.score(rng.uniform(size=candidates.problem.genes)) for _ in range(LOOPS)]
+    broken = [score for score in scores if not score.feasible]
+    text = f"{LOOPS - len(broken)} of {LOOPS} random loops at {speed:g} m/s keep all limits and clear of the cell"
+    if not broken:
+        return text
+    nearest = min(broken, key=lambda score: score.excess)
+    text += f"; one that does not: {nearest.reason}"
+    if len(broken) > (1 - FEW) * LOOPS:
+        raise InputError(f"{text}. Move or shrink motion.via_points, or lower the speed")
+    return text
+
+
+def _controller(recipe: Recipe) -> str:
+    from agent.safety.preconditions import check_identity
+    from drivers.registry import create
+
+    address = recipe.controller.address
+    driver = create(recipe.controller.driver, address)
+    try:
+        driver.connect()
+        identity = driver.identify()
+        check_identity(identity, recipe.robot, address)
+        status = driver.status()
+    finally:
+        driver.close()
+    state = [
+        f"mode {status.mode}",
+        f"drives {'on' if status.drives_on else 'off'}",
+        f"override {100 * status.override:.0f} %",
+        f"cell {'closed' if status.cell_closed else 'open'}",
+        *(["emergency stop pressed"] if status.emergency_stop else []),
+        *(f"alarm {alarm}" for alarm in status.alarms),
+    ]
+    return (
+        f"{identity.robot}, serial {identity.serial}, {identity.controller} {identity.version} at {address}, "
+        f"{1 / identity.period:g} Hz: {', '.join(state)}"
+    )
