@@ -17,8 +17,8 @@ from agent.robot.description import RobotDescription
 from agent.robot.drivetrain import rotor_regressor
 from agent.robot.kinematic_chain import joint_axes
 
-#: A column of unit length is dependent when less than this is left of it. Columns that differ do so by percents; a pi
-#: with four digits in a URDF leaves 1e-5 of a column that should vanish.
+#: A column of unit length is dependent when less than this is left of it. Of an independent one a quarter or more is
+#: left on the arms tried, of a dependent one round-off, or 5e-6 where the URDF has pi with four digits.
 DEPENDENT = 1e-4
 #: A link's column this much shorter than the longest one is zero.
 NEGLIGIBLE = 1e-5

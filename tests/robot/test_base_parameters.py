@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from agent.robot import RobotDescription
+from agent.robot import RobotDescription, load_robot
 from agent.robot.base_parameters import BaseParameters, base_parameters
 from agent.robot.drivetrain import rotor_regressor
 from agent.robot.dynamics import Dynamics
@@ -82,6 +83,14 @@ def counts(robot: RobotDescription) -> tuple[int, int]:
 
 def test_the_ns16_has_forty_and_thirty_six(ns16: RobotDescription) -> None:
     assert counts(ns16) == (40, 36)
+
+
+def test_the_arm_of_the_development_runs_has_as_many(shared_data: Path) -> None:
+    assert counts(load_robot(shared_data / "gap-dev" / "robot.yaml")) == (40, 36)
+
+
+def test_four_digits_of_pi_in_a_urdf_add_none(make_spherical: Callable) -> None:
+    assert counts(make_spherical(pi=3.1416)) == counts(make_spherical()) == (40, 36)
 
 
 def test_wrist_coupling_does_not_change_their_number(ns16: RobotDescription) -> None:
