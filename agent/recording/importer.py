@@ -26,6 +26,8 @@ _T = TypeVar("_T")
 _NANO = 1_000_000_000
 #: Columns whose lengths differ by more than this part do not belong together.
 _SAME_LENGTH = 0.01
+#: Latest time that a header stamp can hold [s].
+_LATEST = 2.0**31
 
 
 def import_log(robot: RobotDescription, map_path: Path, inputs: Sequence[Path], output: Path) -> tuple[str, ...]:
@@ -47,8 +49,12 @@ def import_log(robot: RobotDescription, map_path: Path, inputs: Sequence[Path], 
     source = _Source(robot, mapping, [read_table(path) for path in inputs])
     log, notes = _assemble(robot, mapping, source, output)
     if mapping.entries.decimate is not None:
+        if mapping.entries.decimate > len(log.t) // 10:
+            mapping.fault("decimate", f"{len(log.t)} samples would leave fewer than ten")
         log = _decimated(log, mapping.entries.decimate, notes)
     if mapping.entries.cycle_period is not None:
+        if mapping.entries.cycle_period * log.sample_rate < 10:
+            mapping.fault("cycle_period", f"a cycle has at least ten samples, of {1 / log.sample_rate:g} s here")
         log = replace(log, cycle_starts=tuple(np.arange(0.0, log.t[-1], mapping.entries.cycle_period).tolist()))
     write_log(output, log)
     notes.append(f"{len(log.t)} samples, {log.t[-1]:.3f} s at {log.sample_rate:.6g} Hz")
@@ -67,6 +73,9 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
     }
     present = {name: array for name, array in values.items() if array is not None}
     time = source.time()
+    if np.nanmax(np.abs(time), initial=0.0) > _LATEST:
+        key = "rate" if entries.time is None else "time"
+        mapping.fault(key, f"times go up to {np.nanmax(np.abs(time)):.3g} s: is the unit right?")
     rows, notes = _common_rows(mapping, time, present)
     time = time[:rows]
     inside = np.ones(rows, bool)

@@ -131,7 +131,7 @@ def _read_mat(path: Path) -> Table:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError:
         raise InputError(f"{path}: saved as MATLAB 7.3 (HDF5); save it with `save -v7`") from None
-    except (ValueError, TypeError, KeyError, IndexError, EOFError, MemoryError) as error:
+    except Exception as error:  # scipy raises whatever a damaged file leads it to
         raise InputError(f"{path}: not a readable MAT file: {error}") from None
     columns: dict[str, np.ndarray] = {}
     constants: dict[str, float] = {}

@@ -274,6 +274,9 @@ def test_without_pyarrow_it_says_what_to_install(convert, tmp_path, monkeypatch)
             "time: {column: when}\nposition: {columns: [q1, q2]}\n",
             r"map.yaml:1: time.column: data.csv has no column when",
         ),
+        ("rate: 5\ncycle_period: 1 s\nposition: {columns: [q1, q2]}\n", r"map.yaml:2: cycle_period: .*ten samples"),
+        ("rate: 5\ndecimate: 50\nposition: {columns: [q1, q2]}\n", r"map.yaml:2: decimate: 400 samples would leave"),
+        ("rate: 1e-9\nposition: {columns: [q1, q2]}\n", r"map.yaml:1: rate: times go up to 3.99e\+11 s: is the unit"),
         ("time: {column: time, unit: m}\nposition: {columns: [q1, q2]}\n", r"time.unit: 'm' is no unit of time"),
     ],
 )
