@@ -7,6 +7,7 @@ import os
 import struct
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 
 from agent.recording.joint_state import SCHEMA_NAME, SCHEMA_TEXT, JointStateLayout, layout_for
 from agent.recording.log import Log
-from agent.recording.mcap_output import CHUNK_SIZE, MESSAGE_HEAD, McapOutput
+from agent.recording.mcap_output import CHUNK_SIZE, MESSAGE_HEAD, McapOutput, RecordingError
 from agent.recording.sequence import SequenceCheck
 
 STATES = "/joint_states"
@@ -208,11 +209,24 @@ def write_log(path: Path, log: Log) -> None:
         RecordingError: the file cannot be written.
     """
     beside = path.with_name(f".{path.name}.{os.getpid()}")
-    beside.unlink(missing_ok=True)
+    try:
+        beside.unlink(missing_ok=True)
+        _write_whole(beside, log)
+        os.replace(beside, path)
+    except OSError as error:
+        raise RecordingError(path, error.strerror) from None
+    except RecordingError as error:
+        raise RecordingError(path, error.reason) from None
+    finally:
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
+
+
+def _write_whole(path: Path, log: Log) -> None:
     times = log.stamp + log.t
     run = log.metadata
     robot, motion = run.get("robot", ""), run.get("motion", "")
-    file = LogFile(beside, log.joint_names, robot, motion, log.sample_rate, clock=lambda: times[0])
+    file = LogFile(path, log.joint_names, robot, motion, log.sample_rate, clock=lambda: times[0])
     try:
         file.write(_Block(np.arange(len(times)), times, log.position, log.velocity, log.effort))
         for topic, position in ((REFERENCES, log.reference_position), (PLANNED, log.planned_position)):
@@ -222,10 +236,8 @@ def write_log(path: Path, log: Log) -> None:
         for start in log.cycle_starts:
             file.cycle_start(log.stamp + start)
         file.finish()
-        os.replace(beside, path)
     finally:
         file.close()
-        beside.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True, eq=False)

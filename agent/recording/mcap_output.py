@@ -50,7 +50,15 @@ _INDEX_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
 
 
 class RecordingError(AgentError):
-    """A log cannot be written: disk full, read-only or no rights. What was written before stays readable."""
+    """A log cannot be written: disk full, read-only or no rights; `reason` is the system's. What was written before
+    stays readable."""
+
+    def __init__(self, path: Path, reason: str, kept: int = 0):
+        what = f"; {kept} bytes recorded before are in the file and readable" if kept else ""
+        super().__init__(
+            f"{path}: the log cannot be written: {reason}; free space, or choose a folder with write permission{what}"
+        )
+        self.reason = reason
 
 
 @dataclass
@@ -80,7 +88,7 @@ class McapOutput:
         except FileExistsError:
             raise InputError(f"{path}: exists already; a recording is never overwritten, name another file") from None
         except OSError as error:
-            raise self._refused(error) from None
+            raise RecordingError(path, error.strerror) from None
         self._end = 0
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
@@ -190,7 +198,7 @@ class McapOutput:
         try:
             os.fsync(self._file.fileno())
         except OSError as error:
-            raise self._refused(error) from None
+            raise RecordingError(self._path, error.strerror, self._end) from None
 
     def finish(self) -> None:
         """Write the index at the end of the file."""
@@ -240,14 +248,8 @@ class McapOutput:
         except OSError as error:
             with suppress(OSError):  # else the reader meets half a record, which it can deal with
                 self._file.truncate(self._end)
-            raise self._refused(error) from None
+            raise RecordingError(self._path, error.strerror, self._end) from None
         self._end += len(data)
-
-    def _refused(self, error: OSError) -> RecordingError:
-        return RecordingError(
-            f"{self._path}: the log cannot be written: {error.strerror}; free space, or choose a folder with write "
-            "permission. What was recorded before is in the file"
-        )
 
 
 _Fill = Callable[[np.ndarray], None]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.errors import InputError
-from agent.recording import Log, read_log, resampled, write_log
+from agent.recording import Log, RecordingError, read_log, resampled, write_log
 
 
 @pytest.fixture
@@ -65,6 +65,13 @@ def test_it_says_that_it_interpolated(uneven):
 def test_too_short_for_the_grid(uneven):
     with pytest.raises(InputError, match=r"uneven.mcap.*too short for 0.1 Hz"):
         resampled(uneven, 0.1)
+
+
+def test_a_folder_that_is_not_there(uneven, tmp_path):
+    (tmp_path / "file").touch()
+    for folder, reason in (("missing", "No such file or directory"), ("file", "Not a directory")):
+        with pytest.raises(RecordingError, match=rf"{folder}/copy.mcap: the log cannot be written: {reason}"):
+            write_log(tmp_path / folder / "copy.mcap", uneven)
 
 
 def test_a_log_in_memory_goes_to_a_file_and_back(uneven, tmp_path):

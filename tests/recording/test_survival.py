@@ -90,7 +90,7 @@ def test_a_full_disk_is_one_clear_error_and_the_log_stays_readable(tmp_path):
     )
     assert process.returncode == 1
     assert process.stdout.startswith(f"{path}: the log cannot be written: ")
-    assert "What was recorded before is in the file" in process.stdout
+    assert "bytes recorded before are in the file and readable" in process.stdout
     assert process.stderr == ""
     log = read_log(path)
     assert len(log.t) > 200
