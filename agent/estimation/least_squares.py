@@ -1,102 +1,62 @@
-"""Weighted least squares with a prior, on moments and on rows.
+"""Ordinary and weighted least squares with a prior, on moments.
 
-With row groups g of weight w_g, the estimate minimises Σ w_g |y_g - X_g θ|² + (θ - θ₀)ᵀ Λ (θ - θ₀). The paper's weights
-are the inverse residual variance of each joint (AIM 2013, eq. 4); here the rows in which a joint stands still form a
-group of their own, never weighted above its moving rows: what stiction leaves undetermined counts for what it is worth.
+With row groups g of weight w_g, the estimate minimises Σ w_g |y_g - X_g θ|² + k (θ - θ₀)ᵀ Λ (θ - θ₀). The paper's
+weights are the inverse residual variance of each joint (AIM 2013, eq. 4); here the rows in which a joint stands still
+form a group of their own, never weighted above its moving rows: what stiction leaves open counts for what it is worth.
+
+Normal equations square the condition number; one step of refinement from the rows' own residuals (`refine`) gives that
+back (corrected seminormal equations, Björck, Linear Algebra Appl. 88, 1987).
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from agent.estimation.friction_terms import FrictionTerm
-from agent.estimation.moments import ALL_CELLS, Cells, Moments, standstill
-from agent.estimation.observation import Observation
-from agent.estimation.prior import Prior
+from agent.estimation.moments import Moments, standstill
+from agent.estimation.problem import Estimate, Problem, cross_validate
+from agent.estimation.solving import iterate_weights, solve, solve_scaled, solve_sum
 
 
-def solve(moments: Moments, weights: np.ndarray, prior: Prior, trust: float, cells: Cells = ALL_CELLS) -> np.ndarray:
-    """(p,) estimate from moments, with weights (2, n) and the prior's precision times `trust`."""
-    return solve_sum(moments.weighted(weights, cells), prior, trust)
+def weighted(problem: Problem) -> Estimate:
+    """The paper's estimator: weights from residuals, after a first fit in which every joint counts alike."""
+    weights = iterate_weights(problem.moments, problem.prior, problem.trust)
+    return refined(problem, finish(problem, problem.moments, weights, ""))
 
 
-def solve_sum(total: np.ndarray, prior: Prior, trust: float) -> np.ndarray:
-    """(p,) estimate from a weighted sum (p + 1, p + 1)."""
-    matrix = total[:-1, :-1] + trust * prior.precision
-    right = total[:-1, -1] + trust * prior.precision @ prior.mean
-    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return scale * np.linalg.solve(matrix * np.outer(scale, scale), scale * right)
+def reweighted(problem: Problem) -> Estimate:
+    """Weights that agree with the residuals they leave."""
+    weights = iterate_weights(problem.moments, problem.prior, problem.trust, 20)
+    return refined(problem, finish(problem, problem.moments, weights, ""))
 
 
-def reweight(moments: Moments, parameters: np.ndarray) -> np.ndarray:
-    """(2, n) inverse residual variance of each group at parameters (p,)."""
-    rows = moments.rows.sum(axis=0)
-    energy = moments.energy(parameters)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        variance = energy / rows
-    moving = np.where(rows[0] > 0, variance[0], variance[1])
-    still = np.where(rows[1] > 0, np.maximum(variance[1], moving), moving)
-    floor = 1e-30 + 1e-20 * moments.torque_energy().sum() / rows.sum()
-    return 1 / np.maximum(np.stack([moving, still]), floor)
+def ordinary(problem: Problem) -> Estimate:
+    """Every row of every joint with the same weight."""
+    rows = problem.moments.rows.sum(axis=0)
+    weights = iterate_weights(problem.moments, problem.prior, problem.trust)
+    parameters = solve(problem.moments, weights, problem.prior, problem.trust)
+    variance = problem.moments.energy(parameters).sum() / rows.sum()
+    return refined(problem, finish(problem, problem.moments, np.full(rows.shape, 1 / variance), ""))
 
 
-def ordinary_weights(moments: Moments) -> np.ndarray:
-    """(2, n) equal weights, of the size of the inverse torque variance so that the prior keeps its meaning."""
-    variance = moments.torque_energy().sum() / moments.rows.sum()
-    return np.full((2, len(moments.index)), 1e4 / max(variance, 1e-30))
+def finish(problem: Problem, moments: Moments, weights: np.ndarray, note: str) -> Estimate:
+    """Solve for given moments and weights (2, n), and cross-validate just that."""
+
+    def solver(total: np.ndarray) -> np.ndarray:
+        return solve_sum(total, problem.prior, problem.trust)
+
+    held_out = cross_validate(problem, moments, weights, solver)
+    return Estimate(solver(moments.weighted(weights)), weights, moments, held_out, solver, note)
 
 
-def iterate_weights(moments: Moments, prior: Prior, trust: float, rounds: int = 4) -> np.ndarray:
-    """(2, n) weights consistent with the residuals they leave."""
-    energy = moments.torque_energy().sum(axis=0) / np.maximum(moments.rows.sum(axis=(0, 1)), 1)
-    weights = np.tile(1 / np.maximum(energy, 1e-30), (2, 1))
-    for _ in range(rounds):
-        weights = reweight(moments, solve(moments, weights, prior, trust))
-    return weights
-
-
-def solve_rows(
-    observation: Observation,
-    terms: tuple[FrictionTerm, ...],
-    weights: np.ndarray,
-    prior: Prior,
-    trust: float,
-    rigid_parameters: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The same estimate (p,) by orthogonal triangularisation of the rows, which does not square the condition number.
-
-    Also the triangle (p + 1, p + 1): R of the weighted rows [X y], without the prior.
-    """
-    size = observation.rigid.count + len(terms) + 1
-    triangle = np.zeros((0, size))
-    for stretch, still in zip(observation.stretches, standstill(observation), strict=True):
-        rows = np.zeros((stretch.torque.size, size))
-        length = len(stretch.torque)
-        for joint, (index, columns) in enumerate(observation.joint_columns(stretch, terms, rigid_parameters)):
-            part = slice(joint * length, (joint + 1) * length)
-            rows[part, index] = columns
-            rows[part, -1] = stretch.torque[:, joint]
-            rows[part] *= np.sqrt(weights[still[:, joint].astype(int), joint])[:, None]
-        triangle = np.linalg.qr(np.vstack([triangle, rows]), mode="r")
-    root = np.linalg.cholesky(trust * prior.precision + 1e-300 * np.eye(size - 1)).T
-    stacked = np.vstack([triangle, np.column_stack([root, root @ prior.mean])])
-    scale = 1 / np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
-    full = np.linalg.qr(stacked * scale, mode="r")
-    parameters = scale[:-1] * np.linalg.solve(full[:-1, :-1], full[:-1, -1]) / scale[-1]
-    return parameters, triangle
-
-
-def residuals(
-    observation: Observation,
-    terms: tuple[FrictionTerm, ...],
-    parameters: np.ndarray,
-    rigid_parameters: np.ndarray | None = None,
-) -> list[np.ndarray]:
-    """Per stretch (S', n) [N·m]: filtered measured torque minus what parameters (p,) explain."""
-    result = []
-    for stretch in observation.stretches:
-        error = stretch.torque.copy()
-        for joint, (index, columns) in enumerate(observation.joint_columns(stretch, terms, rigid_parameters)):
-            error[:, joint] -= columns @ parameters[index]
-        result.append(error)
-    return result
+def refined(problem: Problem, found: Estimate) -> Estimate:
+    """One step from the rows' own residuals against round-off."""
+    prior, joints = problem.prior, np.arange(found.weights.shape[1])
+    rows = [
+        residual * found.weights[still.astype(int), joints]
+        for residual, still in zip(problem.residuals(found.parameters), standstill(problem.observation), strict=True)
+    ]
+    slope = problem.correlation(rows) + problem.trust * prior.precision @ (prior.mean - found.parameters)
+    matrix = found.moments.weighted(found.weights)[:-1, :-1] + problem.trust * prior.precision
+    return replace(found, parameters=found.parameters + solve_scaled(matrix, slope))

@@ -41,7 +41,8 @@ class IdentifiedModel:
     Its p parameters are b base parameters (rotor inertias among them), then the friction terms: values (p,) and
     covariance (p, p). `independent`, `projection` and `combinations` are those of `agent.robot.base_parameters`;
     `residual_rmse` and `held_out_rmse` (n,) [N·m] are of the fit and of its cross-validation, standstill included;
-    `weights` (2, n) are the fit's, moving and at standstill; `cutoff` [Hz] and `order` are the filter's.
+    `weights` (2, n) are the fit's, moving and at standstill; `cutoff` [Hz] and `order` are the filter's; `standard`
+    (10 n + n,) are physical inertial parameters behind the base parameters, where the method found them.
     """
 
     robot: RobotDescription
@@ -59,6 +60,7 @@ class IdentifiedModel:
     residual_rmse: np.ndarray
     held_out_rmse: np.ndarray
     condition_number: float
+    standard: np.ndarray | None = None
     notes: tuple[str, ...] = ()
     effects: tuple[ModelEffect, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -194,6 +196,7 @@ class IdentifiedModel:
             "standard_names": list(self.standard_names),
             "independent": self.independent.tolist(),
             "projection": self.projection.tolist(),
+            "standard_parameters": None if self.standard is None else self.standard.tolist(),
             "weights": self.weights.tolist(),
             "residual_rmse": self.residual_rmse.tolist(),
             "held_out_rmse": self.held_out_rmse.tolist(),
@@ -272,6 +275,7 @@ class IdentifiedModel:
             residual_rmse=np.array(data["residual_rmse"], dtype=float),
             held_out_rmse=np.array(data["held_out_rmse"], dtype=float),
             condition_number=np.inf if condition is None else float(condition),
+            standard=None if data["standard_parameters"] is None else np.array(data["standard_parameters"]),
             notes=tuple(data["notes"]),
             effects=tuple(ModelEffect(e["effect"], tuple(e["joints"]), dict(e["parameters"])) for e in data["effects"]),
             provenance=data["provenance"],

@@ -6,7 +6,7 @@ is arithmetic on small matrices, whatever the length of the logs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -32,27 +32,36 @@ class Moments:
     index: tuple[np.ndarray, ...]
     sums: tuple[np.ndarray, ...]
     rows: np.ndarray
+    _totals: dict[int, np.ndarray] = field(default_factory=dict)
 
     def weighted(self, weights: np.ndarray, cells: Cells = ALL_CELLS) -> np.ndarray:
         """(p + 1, p + 1): sum over cells and rows, the last row and column are the torque's."""
         total = np.zeros((self.parameters + 1, self.parameters + 1))
-        for joint, (index, sums) in enumerate(zip(self.index, self.sums, strict=True)):
+        for joint, index in enumerate(self.index):
             place = np.append(index, self.parameters)
-            total[np.ix_(place, place)] += np.tensordot(weights[:, joint], sums[cells].sum(axis=0), axes=1)
+            total[np.ix_(place, place)] += np.tensordot(weights[:, joint], self._over(joint, cells), axes=1)
         return total
+
+    def _over(self, joint: int, cells: Cells) -> np.ndarray:
+        """(2, c_i + 1, c_i + 1) sum over cells; that over all of them is asked for again and again."""
+        if isinstance(cells, slice) and cells == ALL_CELLS:
+            if joint not in self._totals:
+                self._totals[joint] = self.sums[joint].sum(axis=0)
+            return self._totals[joint]
+        return self.sums[joint][cells].sum(axis=0)
 
     def energy(self, parameters: np.ndarray, cells: Cells = ALL_CELLS) -> np.ndarray:
         """(2, n) squared residual left by parameters (p,), not below the round-off of this difference."""
         energy = np.empty((2, len(self.index)))
-        for joint, (index, sums) in enumerate(zip(self.index, self.sums, strict=True)):
+        for joint, index in enumerate(self.index):
             extended = np.append(parameters[index], -1.0)
-            total = sums[cells].sum(axis=0)
+            total = self._over(joint, cells)
             energy[:, joint] = np.maximum(total @ extended @ extended, 1e-15 * total[:, -1, -1])
         return energy
 
     def torque_energy(self, cells: Cells = ALL_CELLS) -> np.ndarray:
         """(2, n) squared measured torque."""
-        return np.stack([sums[cells, :, -1, -1].sum(axis=0) for sums in self.sums], axis=1)
+        return np.stack([self._over(joint, cells)[:, -1, -1] for joint in range(len(self.sums))], axis=1)
 
     def select(self, chosen: np.ndarray) -> Moments:
         """The moments of some of the parameters, in the order given."""
@@ -73,20 +82,27 @@ def collect(
     partition: Partition,
     terms: tuple[FrictionTerm, ...],
     rigid_parameters: np.ndarray | None = None,
+    trusted: list[np.ndarray] | None = None,
 ) -> Moments:
-    """Moments of the base parameters and these friction terms; `rigid_parameters` as in `joint_columns`."""
+    """Moments of the base parameters and these friction terms; `rigid_parameters` as in `joint_columns`.
+
+    `trusted`, per stretch (S', n), weights single rows between 0 and 1.
+    """
     n = observation.robot.dof
     cells = len(partition.cluster)
     index: list[np.ndarray] = []
     sums: list[np.ndarray] = []
     rows = np.zeros((cells, 2, n), dtype=int)
     still = standstill(observation)
-    for stretch, labels, stopped in zip(observation.stretches, partition.labels, still, strict=True):
+    for number, stretch in enumerate(observation.stretches):
+        labels, stopped = partition.labels[number], still[number]
         for joint, (acting, columns) in enumerate(observation.joint_columns(stretch, terms, rigid_parameters)):
             block = np.column_stack([columns, stretch.torque[:, joint]])
             if len(sums) == joint:
                 index.append(acting)
                 sums.append(np.zeros((cells, 2, block.shape[1], block.shape[1])))
+            if trusted is not None:
+                block *= np.sqrt(trusted[number][:, joint, None])
             keys = 2 * labels + stopped[:, joint]
             order = np.argsort(keys, kind="stable")
             found, first = np.unique(keys[order], return_index=True)

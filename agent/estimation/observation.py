@@ -66,12 +66,13 @@ class RigidBodies:
         """(S, n, b)."""
         from agent.robot.drivetrain import rotor_regressor
 
+        links = self.independent[self.independent < 10 * self.robot.dof]
+        rotors = self.independent[len(links) :] - 10 * self.robot.dof
         columns = np.empty((*q.shape, self.count))
         for first in range(0, len(q), _CHUNK):
             part = slice(first, first + _CHUNK)
-            links = self.dynamics.regressor(q[part], qd[part], qdd[part])
-            standard = np.concatenate([links, rotor_regressor(self.robot, qdd[part])], axis=2)
-            columns[part] = standard[:, :, self.independent]
+            columns[part, :, : len(links)] = self.dynamics.regressor(q[part], qd[part], qdd[part])[:, :, links]
+            columns[part, :, len(links) :] = rotor_regressor(self.robot, qdd[part])[:, :, rotors]
         return columns
 
     def torque(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, parameters: np.ndarray) -> np.ndarray:

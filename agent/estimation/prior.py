@@ -24,44 +24,48 @@ class Prior:
     precision: np.ndarray
 
     def select(self, chosen: np.ndarray) -> Prior:
-        """Of some parameters: all base parameters and any friction terms, which are independent of all else."""
+        """Of some of the parameters, the others being at their mean."""
         return Prior(self.mean[chosen], self.precision[np.ix_(chosen, chosen)])
 
 
 def physical_prior(observation: Observation, terms: tuple[FrictionTerm, ...]) -> Prior:
     """Prior of the base parameters and friction terms of an observation."""
-    rigid, robot = observation.rigid, observation.robot
-    motion = [stretch.motion for stretch in observation.stretches]
-    torque = np.max([np.abs(stretch.torque).max(axis=0) for stretch in observation.stretches], axis=0)
-    acceleration = np.max([np.abs(m.qdd).max(axis=0) for m in motion], axis=0)
-    mean, deviation = _links(observation)
-    rotors = np.array([joint.rotor_inertia or 0.0 for joint in robot.joints])
-    largest = torque / np.maximum(acceleration, 0.01 * robot.max_acceleration) / robot.gear_ratios**2
-    mean = np.append(mean, rotors)
-    deviation = np.append(deviation, np.maximum(largest, rotors))
-    projection = rigid.projection
-    count = rigid.count
+    robot = observation.robot
+    mean, deviation = link_prior(observation)
+    projection = observation.rigid.projection
+    count = observation.rigid.count
     precision = np.zeros((count + len(terms), count + len(terms)))
     precision[:count, :count] = np.linalg.inv((projection * deviation**2) @ projection.T)
+    torque = _largest_torque(observation)
     for k, term in enumerate(terms):
-        speed_power = FORMS[term.form][1]
-        size = 1.0 if term.form == "load" else torque[term.axle] / robot.max_velocity[term.axle] ** speed_power
+        size = 1.0 if term.form == "load" else torque[term.axle] / robot.max_velocity[term.axle] ** FORMS[term.form][1]
         precision[count + k, count + k] = 1 / max(size, 1e-9) ** 2
     return Prior(np.append(projection @ mean, np.zeros(len(terms))), precision)
 
 
-def _links(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation (10 n,) of the links' standard parameters."""
-    dynamics = observation.rigid.dynamics
-    mean = dynamics.standard_parameters()
+def link_prior(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation (10 n + n,) of the links' standard parameters and the rotor inertias.
+
+    A link's size is its radius of gyration, at least a tenth of the reach; a massless link has at least 2 % of the
+    robot's mass, or of what its torques could hold. A rotor may be as large as the torque and acceleration seen allow.
+    """
+    robot, dynamics = observation.robot, observation.rigid.dynamics
+    links = dynamics.standard_parameters().reshape(-1, 10)
     rng = np.random.default_rng(0)
-    reach = np.linalg.norm(dynamics.tip_pose(rng.uniform(-3, 3, (50, dynamics.dof)))[:, :3, 3], axis=1).max()
-    links = mean.reshape(-1, 10)
-    gravity = max(float(np.linalg.norm(observation.robot.gravity)), 1.0)
-    torque = np.max([np.abs(stretch.torque).max() for stretch in observation.stretches])
-    least = 0.02 * max(links[:, 0].sum(), torque / gravity / max(reach, 0.1))
-    mass = np.maximum(links[:, 0], least)
+    reach = np.linalg.norm(dynamics.tip_pose(rng.uniform(-3, 3, (50, robot.dof)))[:, :3, 3], axis=1).max()
+    reach = max(float(reach), 0.1)
+    gravity = max(float(np.linalg.norm(robot.gravity)), 1.0)
+    torque = _largest_torque(observation)
+    mass = np.maximum(links[:, 0], 0.02 * max(links[:, 0].sum(), torque.max() / gravity / reach))
     gyration = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(axis=1), 0) / 2 / mass)
-    radius = np.maximum(gyration, 0.1 * max(reach, 0.1))
+    radius = np.maximum(gyration, 0.1 * reach)
     scale = mass[:, None] * np.stack([np.ones_like(mass), *[radius] * 3, *[radius**2] * 6], axis=1)
-    return mean, _LINK_DOUBT * scale.ravel()
+
+    rotors = np.array([joint.rotor_inertia or 0.0 for joint in robot.joints])
+    acceleration = np.max([np.abs(stretch.motion.qdd).max(axis=0) for stretch in observation.stretches], axis=0)
+    largest = torque / np.maximum(acceleration, 0.01 * robot.max_acceleration) / robot.gear_ratios**2
+    return np.append(links.ravel(), rotors), np.append(_LINK_DOUBT * scale.ravel(), np.maximum(largest, rotors))
+
+
+def _largest_torque(observation: Observation) -> np.ndarray:
+    return np.maximum(np.max([np.abs(stretch.torque).max(axis=0) for stretch in observation.stretches], axis=0), 1e-9)

@@ -17,10 +17,11 @@ import numpy as np
 
 from agent.estimation.blocks import Partition
 from agent.estimation.friction_terms import FrictionTerm, Reversal
-from agent.estimation.least_squares import iterate_weights, solve
-from agent.estimation.moments import Moments, collect
+from agent.estimation.moments import collect
 from agent.estimation.observation import Observation
 from agent.estimation.prior import Prior, physical_prior
+from agent.estimation.problem import Problem
+from agent.estimation.solving import iterate_weights, solve
 
 _SPEEDS = (2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 3e-2)  # of the highest speed of the axle
 _TRAVELS = (1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the range the axle moves over
@@ -42,15 +43,14 @@ def paper_terms(reversals: Sequence[Reversal]) -> tuple[FrictionTerm, ...]:
     )
 
 
-def select_terms(observation: Observation, partition: Partition, trust: float) -> tuple[FrictionTerm, ...]:
-    """Climb the ladder."""
+def ladder(observation: Observation, partition: Partition) -> Problem:
+    """Climb the ladder; the problem of fitting the terms it ends with."""
     n = observation.robot.dof
     coupling = observation.robot.coupling
     motion = [stretch.motion for stretch in observation.stretches]
     fastest = np.max([np.abs(m.qd @ coupling.T).max(axis=0) for m in motion], axis=0)
     fastest = np.maximum(fastest, 1e-6 * observation.robot.max_velocity)
-    path = np.concatenate([m.q @ coupling.T for m in motion])
-    travelled = np.maximum(np.ptp(path, axis=0), 1e-6)
+    travelled = np.maximum(np.ptp(np.concatenate([m.q @ coupling.T for m in motion]), axis=0), 1e-6)
     grids = [
         [
             Reversal(),
@@ -59,25 +59,19 @@ def select_terms(observation: Observation, partition: Partition, trust: float) -
         ]
         for axle in range(n)
     ]
-    reversals = _learn_reversals(observation, partition, grids, trust)
+    problem = _best_reversals(_with_reversals(observation, partition, grids))
+    reversals = [term.reversal or Reversal() for term in problem.terms if term.form == "coulomb"]
     finer = [[Reversal(r.kind, r.scale * factor) for factor in _FINER] if r.scale else [r] for r in reversals]
-    reversals = _learn_reversals(observation, partition, finer, trust)
+    problem = _best_reversals(_with_reversals(observation, partition, finer))
+    reversals = [term.reversal or Reversal() for term in problem.terms if term.form == "coulomb"]
 
-    terms = paper_terms(reversals)
-    candidates = [term for axle in range(n) for term in _candidates(axle, reversals[axle], float(fastest[axle]))]
-    everything = (*terms, *candidates)
-    prior = physical_prior(observation, everything)
-    base = observation.rigid.count
-    taken = np.arange(base + len(terms))
-    first = collect(observation, partition, terms)
-    weights = iterate_weights(first, prior.select(taken), trust)
-    rigid = solve(first, weights, prior.select(taken), trust)[:base]
-    moments = collect(observation, partition, everything, rigid)
-    axles = np.array([-1] * base + [term.axle for term in everything])
-    kinds = np.array([""] * base + [term.name for term in everything])
-    taken = _climb(moments, partition, prior, weights, trust, taken, axles, kinds)
-    chosen = [everything[k - base] for k in sorted(taken) if k >= base]
-    return tuple(sorted(chosen, key=lambda term: term.axle))
+    weights = iterate_weights(problem.moments, problem.prior, problem.trust)
+    load = solve(problem.moments, weights, problem.prior, problem.trust)[: observation.rigid.count]
+    candidates = (term for axle in range(n) for term in _candidates(axle, reversals[axle], float(fastest[axle])))
+    terms = (*problem.terms, *candidates)
+    moments = collect(observation, partition, terms, load)
+    wide = Problem(observation, partition, terms, load, moments, physical_prior(observation, terms), problem.trust)
+    return wide.select(_climb(wide, weights, len(problem.terms)))
 
 
 def _candidates(axle: int, reversal: Reversal, fastest: float) -> list[FrictionTerm]:
@@ -89,36 +83,41 @@ def _candidates(axle: int, reversal: Reversal, fastest: float) -> list[FrictionT
     ]
 
 
-def _learn_reversals(
-    observation: Observation, partition: Partition, grids: list[list[Reversal]], trust: float
-) -> list[Reversal]:
-    """One reversal per axle from its grid, by the residual it leaves, axle after axle, two rounds."""
+def _with_reversals(observation: Observation, partition: Partition, grids: list[list[Reversal]]) -> Problem:
+    """Coulomb friction with every reversal of each axle's grid, side by side."""
     terms = tuple(
         term
         for axle, grid in enumerate(grids)
         for term in (
+            *(FrictionTerm(axle, "coulomb", reversal) for reversal in grid),
             FrictionTerm(axle, "viscous"),
             FrictionTerm(axle, "quadratic"),
-            *(FrictionTerm(axle, "coulomb", reversal) for reversal in grid),
         )
     )
-    base = observation.rigid.count
     prior = physical_prior(observation, terms)
-    moments = collect(observation, partition, terms)
-    fixed = [*range(base), *(base + k for k, term in enumerate(terms) if term.form != "coulomb")]
+    load = prior.mean[: observation.rigid.count]
+    return Problem(observation, partition, terms, load, collect(observation, partition, terms), prior, 1.0)
+
+
+def _best_reversals(problem: Problem) -> Problem:
+    """One reversal per axle, by the residual it leaves, axle after axle, two rounds."""
+    forms = [term.form for term in problem.terms]
+    fixed = [k for k, form in enumerate(forms) if form != "coulomb"]
     options = {
-        axle: np.array([base + k for k, t in enumerate(terms) if t.axle == axle and t.form == "coulomb"])
-        for axle in range(len(grids))
+        axle: np.array([k for k, t in enumerate(problem.terms) if t.axle == axle and t.form == "coulomb"])
+        for axle in range(problem.observation.robot.dof)
     }
-    choice = {axle: int(found[len(found) // 3]) for axle, found in options.items()}
+    base = problem.observation.rigid.count
+    choice = {axle: int(found[0]) for axle, found in options.items()}
     for _ in range(2):
-        taken = np.array([*fixed, *choice.values()])
-        weights = iterate_weights(moments.select(taken), prior.select(taken), trust)
-        total = moments.weighted(weights)
+        fit = problem.select(np.array(sorted([*fixed, *choice.values()]))).with_own_trust()
+        total = problem.moments.weighted(iterate_weights(fit.moments, fit.prior, fit.trust))
         for axle, found in options.items():
-            others = np.array([*fixed, *(k for a, k in choice.items() if a != axle)])
-            choice[axle] = int(found[np.argmin(_trial(total, total, prior, trust, others, found)[1])])
-    return [terms[choice[axle] - base].reversal or Reversal() for axle in range(len(grids))]
+            others = [*fixed, *(k for a, k in choice.items() if a != axle)]
+            others = np.concatenate([np.arange(base), base + np.array(others)])
+            error = _trial(total, total, problem.prior, fit.trust, others, base + found)[1]
+            choice[axle] = int(found[np.argmin(error)])
+    return problem.select(np.array(sorted([*fixed, *choice.values()]))).with_own_trust()
 
 
 def _trial(
@@ -145,35 +144,27 @@ def _trial(
     return float(error), error + 2 * step * lean + step**2 * bend
 
 
-def _climb(
-    moments: Moments,
-    partition: Partition,
-    prior: Prior,
-    weights: np.ndarray,
-    trust: float,
-    taken: np.ndarray,
-    axles: np.ndarray,
-    kinds: np.ndarray,
-) -> np.ndarray:
-    """Add candidates (indices not in `taken`) while held-out error falls; one per axle and round, each form once."""
+def _climb(problem: Problem, weights: np.ndarray, count: int) -> np.ndarray:
+    """The first `count` terms and what else lowers held-out error; at most one per axle and round, each form once."""
+    partition, prior, trust = problem.partition, problem.prior, problem.trust
+    base, axles = problem.observation.rigid.count, np.array([term.axle for term in problem.terms])
+    names = [term.name for term in problem.terms]
     folds = range(partition.folds)
-    train = [moments.weighted(weights, partition.training(fold)) for fold in folds]
-    test = [moments.weighted(weights, partition.fold == fold) for fold in folds]
+    train = [problem.moments.weighted(weights, partition.training(fold)) for fold in folds]
+    test = [problem.moments.weighted(weights, partition.fold == fold) for fold in folds]
+    taken = list(range(count))
     while True:
-        present = set(kinds[taken])
-        free = np.array([k for k in range(moments.parameters) if kinds[k] not in present])
-        if len(free) == 0:
-            return taken
-        trials = [_trial(a, b, prior, trust, taken, free) for a, b in zip(train, test, strict=True)]
+        present = {names[k] for k in taken}
+        free = np.array([k for k, name in enumerate(names) if name not in present], dtype=int)
+        columns = np.concatenate([np.arange(base), base + np.array(taken)])
+        trials = [_trial(a, b, prior, trust, columns, base + free) for a, b in zip(train, test, strict=True)]
         gains = np.array([before - after for before, after in trials])
         mean = gains.sum(axis=0)
         scatter = gains.std(axis=0, ddof=1) * np.sqrt(len(gains))
         least = _LEAST_GAIN * sum(before for before, _ in trials) / (1 + axles.max())
         worth = (mean > least) & (mean > scatter)
-        added = []
+        if not worth.any():
+            return np.array(sorted(taken, key=lambda k: (axles[k], k)))
         for axle in np.unique(axles[free[worth]]):
             options = np.flatnonzero(worth & (axles[free] == axle))
-            added.append(int(free[options[np.argmax(mean[options])]]))
-        if not added:
-            return taken
-        taken = np.append(taken, added)
+            taken.append(int(free[options[np.argmax(mean[options])]]))

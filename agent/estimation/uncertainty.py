@@ -11,61 +11,31 @@ Two views, of which the wider one counts for each parameter:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from agent.estimation.blocks import Partition
-from agent.estimation.least_squares import solve_sum
 from agent.estimation.moments import Moments
 from agent.estimation.prior import Prior
+from agent.estimation.problem import Estimate, Problem
+from agent.estimation.solving import solve_sum
 
 
-def autocorrelation_time(residuals: Sequence[np.ndarray]) -> np.ndarray:
-    """(n,) samples per independent one, at least 1, of residuals given stretch by stretch (S', n).
-
-    1 + 2 Σ ρ_k up to where the sum of two neighbours turns negative (Geyer, Statistical Science 7, 1992).
-    """
-    n = residuals[0].shape[1]
-    longest = max(len(part) for part in residuals)
-    covariance = np.zeros((longest, n))
-    for part in residuals:
-        size = len(part)
-        spectrum = np.abs(np.fft.rfft(part - part.mean(axis=0), 2 * size, axis=0)) ** 2
-        covariance[:size] += np.fft.irfft(spectrum, axis=0)[:size]
-    times = np.ones(n)
-    for joint in range(n):
-        if covariance[0, joint] <= 0:
-            continue
-        rho = covariance[:, joint] / covariance[0, joint]
-        pairs = rho[1:-1:2] + rho[2::2]
-        stop = np.argmax(pairs <= 0) if np.any(pairs <= 0) else len(pairs)
-        times[joint] = max(1.0, 1 + 2 * pairs[:stop].sum())
-    return times
-
-
-def covariance(
-    moments: Moments,
-    partition: Partition,
-    weights: np.ndarray,
-    prior: Prior,
-    trust: float,
-    times: np.ndarray,
-) -> np.ndarray:
-    """(p, p) covariance of the estimate with weights (2, n) and autocorrelation times (n,)."""
-    information = moments.weighted(weights / times)[:-1, :-1] + prior.precision
+def covariance(problem: Problem, found: Estimate, times: np.ndarray) -> np.ndarray:
+    """(p, p) covariance of an estimate whose residuals have autocorrelation times (n,)."""
+    prior, partition = problem.prior, problem.partition
+    information = problem.moments.weighted(found.weights / times)[:-1, :-1] + prior.precision
     scale = 1 / np.sqrt(np.diag(information))
     stationary = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
-    total = moments.weighted(weights)
+    total = found.moments.weighted(found.weights)
     estimates = np.array(
         [
-            solve_sum(total - moments.weighted(weights, partition.cluster == cluster), prior, trust)
+            found.solver(total - found.moments.weighted(found.weights, partition.cluster == cluster))
             for cluster in range(partition.clusters)
         ]
     )
     count = len(estimates)
     jackknife = (count - 1) / count * np.sum((estimates - estimates.mean(axis=0)) ** 2, axis=0)
-    widen = np.sqrt(np.maximum(1.0, jackknife / np.diag(stationary))) if count > 1 else np.ones(len(total) - 1)
+    widen = np.sqrt(np.maximum(1.0, jackknife / np.diag(stationary))) if count > 1 else np.ones(len(scale))
     return stationary * np.outer(widen, widen)
 
 

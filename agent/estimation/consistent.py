@@ -1,0 +1,140 @@
+"""Physically consistent estimation: bodies that could exist.
+
+Unknowns are the standard parameters of every link, the rotor inertias and the friction terms. They minimise the same
+weighted squares and the same prior as `least_squares`, with the constraints that
+
+* every link's pseudo-inertia [[½ tr(I) 1 - I, m c], [m cᵀ, m]] is positive definite, which is exactly what a density
+  over space amounts to (Traversaro et al., IROS 2016; Wensing, Kim and Slotine, IEEE RA-L 3, 2018);
+* rotor inertias, Coulomb and viscous friction are not negative, nor Coulomb and Stribeck friction together at rest.
+
+Where the data is silent the prior decides, so links stay near their URDF. The convex programme goes to Clarabel
+directly: its cost is one small matrix made of the moments, and its cones are a few 4 × 4 matrices.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.estimation.prior import link_prior
+from agent.estimation.problem import Estimate, Problem, cross_validate
+from agent.estimation.solving import iterate_weights
+
+_SOLIDITY = 1e-4  # smallest eigenvalue of a pseudo-inertia, in units of the link's own scale
+
+
+def consistent(problem: Problem) -> Estimate:
+    """Weighted least squares on the set of physical robots."""
+    programme = _Programme(problem)
+    moments = problem.moments
+    weights = iterate_weights(moments, problem.prior, problem.trust)
+    total = moments.weighted(weights)
+    unknowns = programme.solve(total)
+    held_out = cross_validate(problem, moments, weights, programme.parameters)
+    note = "Every link has a physical mass distribution; rotor inertias and friction are not negative."
+    standard = unknowns[: programme.standard]
+    return Estimate(
+        programme.to_parameters @ unknowns, weights, moments, held_out, programme.parameters, note, standard
+    )
+
+
+class _Programme:
+    """Unknowns x = [links (10 n), rotors (n), friction terms], scaled by their prior deviations."""
+
+    def __init__(self, problem: Problem):
+        rigid = problem.observation.rigid
+        mean, deviation = link_prior(problem.observation)
+        self.standard = len(mean)
+        count, terms = rigid.count, problem.terms
+        self.to_parameters = np.zeros((count + len(terms), self.standard + len(terms)))
+        self.to_parameters[:count, : self.standard] = rigid.projection
+        self.to_parameters[count:, self.standard :] = np.eye(len(terms))
+        friction = 1 / np.sqrt(np.diag(problem.prior.precision)[count:])
+        self.mean = np.append(mean, np.zeros(len(terms)))
+        self.scale = np.append(deviation, friction)
+        self.trust = problem.trust
+        self._constraints(problem)
+
+    def _constraints(self, problem: Problem) -> None:
+        n = problem.observation.robot.dof
+        links = np.append(self.scale, 0.0)[: 10 * n].reshape(n, 10)
+        blocks, floors = [], []
+        for link in range(n):
+            rows = np.zeros((10, len(self.scale)))
+            rows[:, 10 * link : 10 * link + 10] = _PSEUDO_INERTIA
+            # in units of the link's own mass and length, so that one tolerance serves all
+            unit = np.sqrt([links[link, 4] / links[link, 0]] * 3 + [1.0])
+            weight = np.array([1 / (unit[i] * unit[j] * links[link, 0]) for i, j in _TRIANGLE])
+            blocks.append(rows * weight[:, None] * self.scale)
+            offset = (rows * weight[:, None]) @ self.mean
+            floors.append(_SOLIDITY * np.array([float(i == j) for i, j in _TRIANGLE]) - offset)
+        positive = [_unit(10 * n + k, len(self.scale)) for k in range(n)]
+        rest: dict[int, np.ndarray] = {}
+        for k, term in enumerate(problem.terms):
+            row = _unit(10 * n + n + k, len(self.scale))
+            if term.form in ("coulomb", "viscous"):
+                positive.append(row)
+            if term.form in ("coulomb", "stribeck"):
+                rest[term.axle] = rest.get(term.axle, 0) + row
+        positive += list(rest.values())
+        linear = np.array(positive)
+        self._cone_rows = np.vstack([linear * self.scale, *blocks])
+        self._cone_floor = np.concatenate([-linear @ self.mean, *floors])
+        self._linear, self._links = len(linear), n
+
+    def parameters(self, total: np.ndarray) -> np.ndarray:
+        """(p,) from a weighted sum of moments."""
+        return self.to_parameters @ self.solve(total)
+
+    def solve(self, total: np.ndarray) -> np.ndarray:
+        """(10 n + n + T,) unknowns from a weighted sum of moments (p + 1, p + 1)."""
+        import clarabel
+        from scipy.sparse import csc_matrix
+
+        columns = self.to_parameters * self.scale
+        offset = self.to_parameters @ self.mean
+        cost = columns.T @ total[:-1, :-1] @ columns + self.trust * np.eye(len(self.scale))
+        slope = columns.T @ (total[:-1, :-1] @ offset - total[:-1, -1])
+        size = np.sqrt(np.max(np.diag(cost)))
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.max_threads = 1
+        cones = [clarabel.NonnegativeConeT(self._linear), *[clarabel.PSDTriangleConeT(4)] * self._links]
+        solution = clarabel.DefaultSolver(
+            csc_matrix(np.triu(cost / size)),
+            slope / size,
+            csc_matrix(-self._cone_rows),
+            -self._cone_floor,
+            cones,
+            settings,
+        ).solve()
+        return self.mean + self.scale * np.array(solution.x)
+
+
+def _unit(k: int, size: int) -> np.ndarray:
+    row = np.zeros(size)
+    row[k] = 1.0
+    return row
+
+
+#: Upper triangle of a 4 × 4 matrix, column by column: the order of Clarabel's cone.
+_TRIANGLE = [(i, j) for j in range(4) for i in range(j + 1)]
+
+
+def _pseudo_inertia_rows() -> np.ndarray:
+    """(10, 10) from [m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz] to that triangle, off-diagonal entries times √2."""
+    entries = {(0, 1): 5, (0, 2): 7, (1, 2): 8}
+    rows = np.zeros((10, 10))
+    for k, (i, j) in enumerate(_TRIANGLE):
+        if i == j == 3:
+            rows[k, 0] = 1.0
+        elif j == 3:
+            rows[k, 1 + i] = np.sqrt(2)
+        elif i == j:
+            rows[k, [4, 6, 9]] = 0.5
+            rows[k, (4, 6, 9)[i]] = -0.5
+        else:
+            rows[k, entries[i, j]] = -np.sqrt(2)
+    return rows
+
+
+_PSEUDO_INERTIA = _pseudo_inertia_rows()

@@ -1,0 +1,95 @@
+"""What an estimator is given, what it gives back, and how it is held to account."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agent.estimation.blocks import Partition
+from agent.estimation.friction_terms import FrictionTerm
+from agent.estimation.moments import Moments
+from agent.estimation.observation import Observation
+from agent.estimation.prior import Prior
+from agent.estimation.solving import autocorrelation_time, iterate_weights, solve
+
+#: Weighted sum of moments (p + 1, p + 1) to parameters (p,).
+Solver = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Data and columns. The prior's precision counts `trust` times: rows are not independent, the prior is one fact.
+
+    `load` (b,) are base parameters of an earlier fit, for the terms that depend on the transmitted torque.
+    """
+
+    observation: Observation
+    partition: Partition
+    terms: tuple[FrictionTerm, ...]
+    load: np.ndarray
+    moments: Moments
+    prior: Prior
+    trust: float
+
+    def select(self, chosen: np.ndarray) -> Problem:
+        """The same with some of the terms, by index."""
+        base = self.observation.rigid.count
+        columns = np.concatenate([np.arange(base), base + chosen])
+        return replace(
+            self,
+            terms=tuple(self.terms[k] for k in chosen),
+            moments=self.moments.select(columns),
+            prior=self.prior.select(columns),
+        )
+
+    def with_own_trust(self) -> Problem:
+        """The same with the trust that the autocorrelation of its own residuals asks for, the joints' median."""
+        weights = iterate_weights(self.moments, self.prior, self.trust)
+        times = autocorrelation_time(self.residuals(solve(self.moments, weights, self.prior, self.trust)))
+        return replace(self, trust=float(np.median(times)))
+
+    def residuals(self, parameters: np.ndarray) -> list[np.ndarray]:
+        """Per stretch (S', n) [N·m]: filtered measured torque minus what parameters (p,) explain."""
+        result = []
+        for stretch in self.observation.stretches:
+            error = stretch.torque.copy()
+            for joint, (index, columns) in enumerate(self.observation.joint_columns(stretch, self.terms, self.load)):
+                error[:, joint] -= columns @ parameters[index]
+            result.append(error)
+        return result
+
+    def correlation(self, rows: list[np.ndarray]) -> np.ndarray:
+        """(p,) Xᵀ r for r given stretch by stretch (S', n)."""
+        total = np.zeros(self.moments.parameters)
+        for stretch, block in zip(self.observation.stretches, rows, strict=True):
+            for joint, (index, columns) in enumerate(self.observation.joint_columns(stretch, self.terms, self.load)):
+                total[index] += columns.T @ block[:, joint]
+        return total
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """parameters (p,); `weights` (2, n), `moments` and `solver` that lead to them; `held_out` (folds, 2, n) squared
+    error on rows left out; `standard` (10 n + n,) the inertial parameters behind the base parameters, where there are.
+    """
+
+    parameters: np.ndarray
+    weights: np.ndarray
+    moments: Moments
+    held_out: np.ndarray
+    solver: Solver
+    note: str
+    standard: np.ndarray | None = None
+
+
+def cross_validate(problem: Problem, moments: Moments, weights: np.ndarray, solver: Solver) -> np.ndarray:
+    """(folds, 2, n) squared error of every fold's rows under a fit to the moments of the others."""
+    partition = problem.partition
+    errors = np.zeros((partition.folds, *weights.shape))
+    for fold in range(partition.folds):
+        train, test = partition.training(fold), partition.fold == fold
+        if train.any() and test.any():
+            errors[fold] = problem.moments.energy(solver(moments.weighted(weights, train)), test)
+    return errors

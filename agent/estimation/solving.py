@@ -1,0 +1,72 @@
+"""The arithmetic that every estimator shares: solving, weighting, and what a row is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from agent.estimation.moments import ALL_CELLS, Cells, Moments
+from agent.estimation.prior import Prior
+
+
+def solve(moments: Moments, weights: np.ndarray, prior: Prior, trust: float, cells: Cells = ALL_CELLS) -> np.ndarray:
+    """(p,) estimate from moments, with weights (2, n) and the prior's precision times `trust`."""
+    return solve_sum(moments.weighted(weights, cells), prior, trust)
+
+
+def solve_sum(total: np.ndarray, prior: Prior, trust: float) -> np.ndarray:
+    """(p,) estimate from a weighted sum (p + 1, p + 1)."""
+    matrix = total[:-1, :-1] + trust * prior.precision
+    right = total[:-1, -1] + trust * prior.precision @ prior.mean
+    return solve_scaled(matrix, right)
+
+
+def solve_scaled(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve a positive definite system whose unknowns have units of their own."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return scale * np.linalg.solve(matrix * np.outer(scale, scale), scale * right)
+
+
+def reweight(moments: Moments, parameters: np.ndarray) -> np.ndarray:
+    """(2, n) inverse residual variance of each group at parameters (p,)."""
+    rows = moments.rows.sum(axis=0)
+    energy = moments.energy(parameters)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = energy / rows
+    moving = np.where(rows[0] > 0, variance[0], variance[1])
+    still = np.where(rows[1] > 0, np.maximum(variance[1], moving), moving)
+    floor = 1e-30 + 1e-20 * moments.torque_energy().sum() / rows.sum()
+    return 1 / np.maximum(np.stack([moving, still]), floor)
+
+
+def iterate_weights(moments: Moments, prior: Prior, trust: float, rounds: int = 4) -> np.ndarray:
+    """(2, n) weights from the residuals that the weights before leave, starting from equal ones."""
+    variance = moments.torque_energy().sum() / moments.rows.sum()
+    weights = np.full((2, len(moments.index)), 1 / max(variance, 1e-30))
+    for _ in range(rounds):
+        weights = reweight(moments, solve(moments, weights, prior, trust))
+    return weights
+
+
+def autocorrelation_time(residuals: Sequence[np.ndarray]) -> np.ndarray:
+    """(n,) samples per independent one, at least 1, of residuals given stretch by stretch (S', n).
+
+    1 + 2 Σ ρ_k up to where the sum of two neighbours turns negative (Geyer, Statistical Science 7, 1992).
+    """
+    n = residuals[0].shape[1]
+    longest = max(len(part) for part in residuals)
+    covariance = np.zeros((longest, n))
+    for part in residuals:
+        size = len(part)
+        spectrum = np.abs(np.fft.rfft(part - part.mean(axis=0), 2 * size, axis=0)) ** 2
+        covariance[:size] += np.fft.irfft(spectrum, axis=0)[:size]
+    times = np.ones(n)
+    for joint in range(n):
+        if covariance[0, joint] <= 0:
+            continue
+        rho = covariance[:, joint] / covariance[0, joint]
+        pairs = rho[1:-1:2] + rho[2::2]
+        stop = np.argmax(pairs <= 0) if np.any(pairs <= 0) else len(pairs)
+        times[joint] = max(1.0, 1 + 2 * pairs[:stop].sum())
+    return times

@@ -1,0 +1,122 @@
+"""From an estimate to a model: uncertainty, conditioning, and what a user should know about the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from agent.estimation.model import IdentifiedModel
+from agent.estimation.observation import Observation
+from agent.estimation.problem import Estimate, Problem
+from agent.estimation.solving import autocorrelation_time
+from agent.estimation.uncertainty import covariance, silent_directions
+from agent.recording.log import Log
+
+_BAD_CONDITION = 1000.0
+_NOTABLE_STANDSTILL = 0.05
+
+
+def build_model(
+    problem: Problem,
+    found: Estimate,
+    method: str,
+    names: tuple[str, ...],
+    combinations: tuple[str, ...],
+    logs: Sequence[Log],
+) -> IdentifiedModel:
+    """The identified model of an estimate. `names`, `combinations`: of standard and of base parameters."""
+    observation, moments = problem.observation, problem.moments
+    rows = moments.rows.sum(axis=(0, 1))
+    times = autocorrelation_time(problem.residuals(found.parameters))
+    first = observation.stretches[0].motion
+    model = IdentifiedModel(
+        robot=observation.robot,
+        independent=observation.rigid.independent,
+        projection=observation.rigid.projection,
+        standard_names=names,
+        combinations=combinations,
+        terms=problem.terms,
+        values=found.parameters,
+        covariance=covariance(problem, found, times),
+        cutoff=first.cutoff,
+        order=first.order,
+        method=method,
+        weights=found.weights,
+        residual_rmse=np.sqrt(moments.energy(found.parameters).sum(axis=0) / rows),
+        held_out_rmse=np.sqrt(found.held_out.sum(axis=(0, 1)) / rows),
+        condition_number=condition_number(moments.weighted(found.weights)),
+        standard=found.standard,
+        provenance=_provenance(observation, logs),
+    )
+    return replace(model, notes=tuple(_notes(model, problem, found, times, len(logs))))
+
+
+def condition_number(total: np.ndarray) -> float:
+    """Of the weighted observation matrix with its columns scaled to unit length, from its moments; inf beyond 1e7."""
+    length = np.sqrt(np.diag(total)[:-1])
+    if np.any(length <= 1e-12 * length.max()):
+        return float("inf")
+    values = np.linalg.eigvalsh(total[:-1, :-1] / np.outer(length, length))
+    return float(np.sqrt(values[-1] / values[0])) if values[0] > 1e-14 * values[-1] else float("inf")
+
+
+def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.ndarray, logs: int) -> Iterator[str]:
+    kind = "whole motions" if logs > 2 else "stretches of the motion, all cycles together, with a guard between them"
+    yield f"Held-out errors: {problem.partition.folds} folds of {kind}."
+    if found.note:
+        yield found.note
+    if model.condition_number > _BAD_CONDITION:
+        number = f"{model.condition_number:.3g}" if np.isfinite(model.condition_number) else "beyond 1e7"
+        yield (
+            f"The condition number of the observation matrix is {number}: these motions hardly tell some parameters "
+            "apart. Together they are sound on motions like these, each alone is not; a motion planned for excitation, "
+            "or a larger sub-region, separates them."
+        )
+    directions = silent_directions(problem.moments, found.weights, problem.prior, times)
+    if len(directions):
+        names = ", ".join(_leading_names(model.names, directions))
+        yield (
+            f"{len(directions)} of {len(model.values)} parameter directions are not in these data and stay near their "
+            f"prior (links near the URDF): mainly {names}."
+        )
+    still = problem.moments.rows[:, 1].sum(axis=0) / problem.moments.rows.sum(axis=(0, 1))
+    lighter = np.sqrt(found.weights[1] / found.weights[0])
+    shares = [
+        f"{name} {100 * share:.0f} % (weight {weight:.2f})"
+        for name, share, weight in zip(model.robot.joint_names, still, lighter, strict=True)
+        if share > _NOTABLE_STANDSTILL
+    ]
+    if shares:
+        yield (
+            "Standstill, where friction is anything within stiction, is in the fit with the weight its residuals "
+            f"earn: {', '.join(shares)}."
+        )
+
+
+def _leading_names(names: Sequence[str], directions: np.ndarray, most: int = 8) -> list[str]:
+    """The parameters that have most of these directions (d, p), largest first."""
+    share = np.sum(directions**2, axis=0)
+    return [names[k] for k in np.argsort(-share)[:most] if share[k] > 0.1]
+
+
+def _provenance(observation: Observation, logs: Sequence[Log]) -> dict[str, Any]:
+    rows = [sum(len(s.time) for s in observation.stretches if s.log_index == k) for k in range(len(logs))]
+    return {
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "smoothing_hz": float(observation.stretches[0].motion.pass_edge),
+        "logs": [
+            {
+                "log": log.name,
+                "samples": len(log.t),
+                "rate_hz": float(log.sample_rate),
+                "duration_s": float(log.t[-1] - log.t[0]),
+                "rows_per_joint": count,
+                "repairs": [str(repair) for repair in log.repairs],
+            }
+            for log, count in zip(logs, rows, strict=True)
+        ],
+    }
