@@ -1,4 +1,4 @@
-"""Rigid-body dynamics and forward kinematics. The only module that imports Pinocchio."""
+"""Rigid-body dynamics and forward kinematics. Beside `collision` the only module that imports Pinocchio."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Dynamics:
     def __init__(self, robot: RobotDescription, tool: Tool | None = None):
         self.robot = robot
         self.tool = tool
-        self._model = _build(robot, tool)
+        self._model = pinocchio_model(robot, tool)
         self._data = self._model.createData()
         self._tip = self._model.getFrameId(robot.tip_frame)
 
@@ -174,7 +174,12 @@ class Dynamics:
         return poses
 
 
-def _build(robot: RobotDescription, tool: Tool | None) -> pin.Model:
+def pinocchio_model(robot: RobotDescription, tool: Tool | None = None) -> pin.Model:
+    """The arm in Pinocchio's terms: the joints of the description in order, others held, no rotors, no geometry.
+
+    Raises:
+        InputError: a URDF that Pinocchio refuses, or joints that are not one serial chain in the order given.
+    """
     try:
         full = pin.buildModelFromXML(_without_meshes(robot.urdf))
     except Exception as error:  # Pinocchio raises several kinds, all of them the URDF's fault
