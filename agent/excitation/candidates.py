@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,15 +17,14 @@ from agent.robot import RobotDescription
 from agent.robot.drivetrain import rotor_regressor
 from agent.robot.dynamics import Dynamics, Tool
 from agent.robot.kinematics import Kinematics, KinematicsError, kinematics_for
+from agent.safety.cell import Cell, CellReport
 
 if TYPE_CHECKING:
     from agent.recipe import KeepOut
 
 #: The search takes the regressor at every so many interpolated samples; limits are checked at every one.
 EVERY = 10
-#: The search checks the cell at every so many samples, with half the way between them as margin.
-CELL_EVERY = 20
-#: A penetration of the cell of so many metres ranks like a limit exceeded by its own size.
+#: A clearance that lacks so many metres ranks like a limit that is exceeded by its own size.
 CELL_SCALE = 0.1
 
 
@@ -33,7 +32,8 @@ CELL_SCALE = 0.1
 class LoopProblem:
     """What is searched for: a loop of via-points in `regions` that this arm can run. Plain data, so that it travels.
 
-    `settings` are those of the loop's moves, `period` [s] the controller's.
+    `settings` are those of the loop's moves, `period` [s] the controller's. From itself and from the boxes of `keep_out`
+    the arm stays away by the FLY distance of the settings: by so much the controller's blends may differ from ours.
     """
 
     robot: RobotDescription
@@ -47,7 +47,7 @@ class LoopProblem:
     @property
     def genes(self) -> int:
         """Length of a genome: six for each via-point."""
-        return 6 * self.regions.count
+        return self.regions.genes
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +73,7 @@ class Candidates:
         )
         self._criterion = Criterion(problem.robot, problem.tool)
         self._dynamics = Dynamics(problem.robot, problem.tool)
+        self._cell = Cell(problem.robot, problem.tool, problem.keep_out)
         self._rotors = np.array([joint.rotor_inertia or 0.0 for joint in problem.robot.joints])
         self._max_torque = np.array([joint.max_torque or np.inf for joint in problem.robot.joints])
 
@@ -93,56 +94,41 @@ class Candidates:
         return Loop(genome, poses, start, moves, self._interpolator.plan(moves, start))
 
     def score(self, genome: np.ndarray) -> Score:
-        """What the search takes: limits at every sample, the regressor at every tenth."""
-        return self._score(genome, EVERY, CELL_EVERY)
+        """What the search takes: limits and cell at every sample, the regressor at every tenth."""
+        return self._score(genome, EVERY, self._cell.check)
 
     def score_on_all(self, genome: np.ndarray) -> Score:
-        """What the result is judged by: everything at every sample."""
-        return self._score(genome, 1, 1)
+        """What the result is judged by: the regressor at every sample too, and from each one the way to a stop."""
+        return self._score(genome, 1, self._cell.check_with_stopping)
 
-    def _score(self, genome: np.ndarray, every: int, cell_every: int) -> Score:
+    def _score(self, genome: np.ndarray, every: int, check_cell: Callable[[Trajectory, float], CellReport]) -> Score:
         try:
             trajectory = self.loop(genome).trajectory
         except (MotionError, KinematicsError) as error:
             return infeasible(error.excess, str(error))
-        q, qd, qdd = trajectory.q[::every], trajectory.qd[::every], trajectory.qdd[::every]
-        for broken in (self._torque(q, qd, qdd), self._collision(trajectory, cell_every)):
-            if broken is not None:
-                return broken
-        return Score(self._criterion(q, qd, qdd))
+        report = check_cell(trajectory, self.problem.settings.fly_distance)
+        if report.collision is not None:
+            return infeasible(report.depth / CELL_SCALE, str(report.collision))
+        overload = self._overload(trajectory.q[::EVERY], trajectory.qd[::EVERY], trajectory.qdd[::EVERY])
+        if overload is not None:
+            return overload
+        return Score(self._criterion(trajectory.q[::every], trajectory.qd[::every], trajectory.qdd[::every]))
 
-    def _torque(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> Score | None:
-        limits = self._max_torque
-        if np.isinf(limits).all():
+    def _overload(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> Score | None:
+        """The joint that the description's inertias ask most beyond its max_torque, at every tenth sample."""
+        if np.isinf(self._max_torque).all():
             return None
         rigid = self._dynamics.inverse_dynamics(q, qd, qdd)
         torque = np.abs(rigid + rotor_regressor(self.problem.robot, qdd) @ self._rotors)
-        excess = (torque / limits).max(axis=0) - 1.0
+        excess = (torque / self._max_torque).max(axis=0) - 1.0
         joint = int(np.argmax(excess))
         if excess[joint] <= 0:
             return None
-        name, largest = self.problem.robot.joint_names[joint], torque[:, joint].max()
         return infeasible(
             float(excess[joint]),
-            f"{name} needs {largest:.0f} N·m by the description's inertias, max_torque is {limits[joint]:g} N·m: "
-            "lower motion.speed, or move the sub-region",
+            f"{self.problem.robot.joint_names[joint]} needs {torque[:, joint].max():.0f} N·m by the description's "
+            f"inertias, its max_torque is {self._max_torque[joint]:g} N·m",
         )
-
-    def _collision(self, trajectory: Trajectory, every: int) -> Score | None:
-        if self._cell is None:
-            return None
-        q = trajectory.q[::every]
-        step = 0.0 if every == 1 else every * self.problem.period * float(trajectory.path_speed.max()) / 2
-        report = self._cell.check(q, step)
-        if report.collision is None:
-            return None
-        return infeasible(max(step - report.clearance, 1e-6) / CELL_SCALE, str(report.collision))
-
-    @cached_property
-    def _cell(self):
-        from agent.safety.cell import Cell
-
-        return Cell(self.problem.robot, self.problem.tool, self.problem.keep_out)
 
 
 def posture(kinematics: Kinematics, regions: ViaRegions) -> np.ndarray:

@@ -25,6 +25,9 @@ from agent.robot.drivetrain import rotor_regressor
 from agent.robot.dynamics import Dynamics, Tool
 from agent.robot.friction import PAPER_TERMS, friction_regressor
 
+#: A column of unit length of which less than this is left, once the others are taken out, is not excited by itself.
+DEPENDENT = 1e-10
+
 
 class Criterion:
     """The criterion for one arm, with the tool it carries.
@@ -78,7 +81,7 @@ def log_determinant(matrix: np.ndarray, points: int) -> float:
         return -np.inf
     factored, _, _, _ = dgeqrf(matrix / lengths, overwrite_a=True)
     diagonal = np.abs(np.diag(factored))
-    if diagonal.min() <= rows * np.finfo(float).eps:
+    if diagonal.min() <= DEPENDENT:
         return -np.inf
     return float(2.0 * np.sum(np.log10(diagonal)) + 2.0 * np.sum(np.log10(lengths)) - columns * np.log10(points))
 

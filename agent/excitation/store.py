@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.errors import AgentError, InputError
 from agent.recipe import Recipe
 from agent.run import sha256_text, write_atomically
 
@@ -91,7 +91,10 @@ def keep_loop(
         checksum=sha256_text(program),
         created=(now or datetime.now(UTC)).isoformat(timespec="seconds"),
     )
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise AgentError(f"{folder}: loops cannot be kept there: {error.strerror}; free space or rights?") from None
     name = f"{loop.robot}_{loop.key[:12]}_{loop.checksum[:12]}.json"
     write_atomically(folder / name, json.dumps(loop.to_dict(), indent=2) + "\n")
     return loop

@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.errors import InputError
+from agent.excitation import Candidates, Generation, LoopProblem, check_sub_region, search
+from agent.recipe import KeepOut
+
+
+@pytest.fixture(scope="module")
+def candidates(problem: LoopProblem) -> Candidates:
+    return Candidates(problem)
+
+
+def genomes(count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).random((count, 36))
+
+
+def test_a_seed_gives_the_same_loop_for_any_number_of_workers(problem: LoopProblem) -> None:
+    told: list[list[Generation]] = [[], []]
+    one = search(problem, population=8, generations=3, seed=4, workers=1, progress=told[0].append)
+    two = search(problem, population=8, generations=3, seed=4, workers=2, progress=told[1].append)
+    assert one.loop.genome.tobytes() == two.loop.genome.tobytes()
+    assert one.fitness == two.fitness
+    assert one.to_dict() == two.to_dict()
+    assert told[0] == told[1]
+    assert [generation.number for generation in told[0]] == [0, 1, 2]
+    np.testing.assert_array_equal(one.loop.trajectory.q, two.loop.trajectory.q)
+
+
+def test_the_result_is_the_best_of_the_finalists_on_all_samples(problem: LoopProblem, candidates: Candidates) -> None:
+    result = search(problem, method="random", population=7, generations=2, seed=2, workers=1)
+    assert result.evaluated == 14
+    assert result.feasible.shape == result.best.shape == result.mean.shape == (2,)
+    assert result.finalists.shape == (10, 2)
+    assert result.finalists[0, 0] == np.nanmax(result.best)
+    assert (np.diff(result.finalists[:, 0]) <= 0).all()
+    assert result.fitness == result.finalists[:, 1].max()
+    assert result.fitness == pytest.approx(candidates.score_on_all(result.loop.genome).fitness, abs=1e-9)
+    assert len(result.columns) == 58
+
+
+def test_a_loop_starts_and_ends_at_rest_at_its_first_point(candidates: Candidates) -> None:
+    for genome in genomes(5):
+        loop = candidates.loop(genome)
+        np.testing.assert_allclose(loop.poses, candidates.problem.regions.poses(genome))
+        np.testing.assert_allclose(candidates.kinematics.forward(loop.start[None])[0], loop.poses[0], atol=1e-9)
+        np.testing.assert_allclose(loop.trajectory.q[[0, -1]], [loop.start, loop.start], atol=1e-6)
+        np.testing.assert_allclose(loop.trajectory.qd[[0, -1]], 0.0, atol=1e-9)
+
+
+def test_every_tenth_sample_is_enough_for_the_regressor(candidates: Candidates) -> None:
+    for genome in genomes(5, seed=1):
+        tenth, every = candidates.score(genome), candidates.score_on_all(genome)
+        assert tenth.feasible
+        assert tenth.fitness == pytest.approx(every.fitness, abs=0.5)
+
+
+def test_a_loop_out_of_reach_is_infeasible_by_how_far(problem_with: Any) -> None:
+    near, far = (Candidates(problem_with((x, 0.0, 0.8))) for x in (1.45, 1.6))
+    genome = np.full(36, 0.5)
+    genome[6:9] = 1.0
+    scores = [candidates.score(genome) for candidates in (near, far)]
+    assert not any(score.feasible for score in scores)
+    assert 0 < scores[0].excess < scores[1].excess
+    assert "reach" in scores[1].reason
+
+
+def test_a_loop_that_overloads_a_motor_is_infeasible(problem: LoopProblem, problem_with: Any) -> None:
+    from dataclasses import replace
+
+    joints = list(problem.robot.joints)
+    joints[1] = replace(joints[1], max_torque=100.0)
+    weak = Candidates(problem_with(robot=replace(problem.robot, joints=tuple(joints))))
+    score = weak.score(genomes(1)[0])
+    assert not score.feasible
+    assert "joint_2" in score.reason
+    assert "100 N·m" in score.reason
+
+
+def test_a_loop_through_a_keep_out_box_is_infeasible(problem_with: Any) -> None:
+    post = KeepOut("post", (0.9, -0.1, 0.0), (1.1, 0.1, 1.5))
+    score = Candidates(problem_with(keep_out=(post,))).score(genomes(1)[0])
+    assert not score.feasible
+    assert "post" in score.reason
+
+
+def test_when_nothing_keeps_the_limits_the_nearest_miss_is_told(problem_with: Any) -> None:
+    everywhere = KeepOut("everything", (-3.0, -3.0, -3.0), (3.0, 3.0, 3.0))
+    with pytest.raises(InputError, match="everything") as error:
+        search(problem_with(keep_out=(everywhere,)), population=4, generations=2, workers=1)
+    assert "none of" in str(error.value)
+
+
+def test_an_unknown_method_names_the_known() -> None:
+    with pytest.raises(InputError, match="genetic, random"):
+        search(None, method="guess")  # type: ignore[arg-type]
+
+
+def test_the_quickstarts_sub_region_is_within_reach(problem: LoopProblem) -> None:
+    assert check_sub_region(problem) == []
+
+
+def test_a_sub_region_out_of_reach_names_point_and_amount(problem_with: Any) -> None:
+    with pytest.raises(
+        InputError, match=r"via-point 1, middle of its region: .*2\.721 m.*1\.351 m.*via_points"
+    ) as error:
+        check_sub_region(problem_with((3.0, 0.0, 0.8)))
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_a_corner_out_of_reach_is_told_but_not_refused(problem_with: Any) -> None:
+    missed = check_sub_region(problem_with((1.35, 0.0, 0.8)))
+    assert missed
+    assert all("corner +x" in place.place for place in missed)
+    assert {place.point for place in missed} == set(range(6))
+    assert "out of reach" in str(missed[0])
