@@ -10,11 +10,10 @@ import numpy as np
 from agent.errors import InputError
 from agent.motion.fly_binding import binding_limits
 from agent.motion.fly_parameters import FlyParameters
+from agent.motion.fly_runs import RunPlanner
 from agent.motion.fly_segments import SegmentMaker
-from agent.motion.fly_setpoints import plan_run
+from agent.motion.fly_setpoints import Run
 from agent.motion.interpolator import MotionError
-from agent.motion.path import Path, build_path
-from agent.motion.path_blend import Corner, corner_between
 from agent.motion.path_segments import Segment
 from agent.motion.path_solve import matrices
 from agent.motion.profile import ArmLimits
@@ -24,10 +23,6 @@ from agent.robot.description import RobotDescription
 
 if TYPE_CHECKING:
     from agent.robot.dynamics import Tool
-
-
-#: A joint-space blend that comes out too wide is built anew, smaller, at most so often.
-_SHRINKS = 6
 
 
 class FlyInterpolator:
@@ -48,7 +43,7 @@ class FlyInterpolator:
         self.robot = robot
         self.period = period
         self.parameters = parameters or FlyParameters()
-        self._limits = ArmLimits.of(robot, self.parameters)
+        self._planner = RunPlanner(robot, ArmLimits.of(robot, self.parameters), period, self.parameters)
         self._maker = SegmentMaker(robot, tool)
 
     def plan(self, statements: Sequence[Statement], start: np.ndarray) -> Trajectory:
@@ -98,18 +93,10 @@ class _Plan:
 
     def run_pending(self) -> None:
         """Plan the pending moves up to standstill."""
-        of, first = self._of, 0
-        corners = [
-            corner_between(before, after, of.parameters)
-            for before, after in zip(self.pending, self.pending[1:], strict=False)
-        ]
-        for last in range(len(self.pending)):
-            if last < len(corners) and corners[last] is not None:
-                continue
-            blended = [corner for corner in corners[first:last] if corner is not None]
-            self._add_run(self.pending[first : last + 1], blended)
-            first = last + 1
-        self.pending = []
+        if self.pending:
+            for run in self._of._planner.plan(self.pending, self.q):
+                self._add(run)
+            self.pending = []
 
     def trajectory(self) -> Trajectory:
         """All samples so far."""
@@ -138,56 +125,22 @@ class _Plan:
                 np.full(count, index),
             )
         )
-        self._samples += count
+        self._count(count, index)
 
-    def _add_run(self, segments: Sequence[Segment], corners: list[Corner]) -> None:
-        of = self._of
-        path = build_path(segments, corners, self.q, of._limits.speed, of.parameters)
-        for _ in range(_SHRINKS):
-            if max(path.deviations, default=0.0) <= 1.0:
-                break
-            corners = [
-                corner if deviation <= 1.0 else corner.scaled(0.95 / deviation)
-                for corner, deviation in zip(corners, path.deviations, strict=True)
-            ]
-            path = build_path(segments, corners, self.q, of._limits.speed, of.parameters)
-        self.q = path.q[-1]
-        _check_positions(path, segments, of.robot)
-        run = plan_run(path, segments, of._limits, of.period, of.parameters)
-        samples = run.samples
+    def _add(self, run: Run) -> None:
+        of, samples, path = self._of, run.samples, run.path
         begin = (self._samples - 1) * of.period
-        self._binding += binding_limits(run, of._limits, of.robot.joint_names, begin, of.period)
-        knot = np.clip(np.searchsorted(path.s, samples.s + path.s[0]), 0, len(path.s) - 1)
-        self._parts.append(
-            tuple(
-                part[1:]
-                for part in (
-                    samples.q,
-                    samples.qd,
-                    samples.qdd,
-                    samples.pose,
-                    np.linalg.norm(samples.pose_rate[:, :3], axis=1),
-                    path.move[knot],
-                )
-            )
-        )
-        self._samples += len(samples.q) - 1
+        self._binding += binding_limits(run, of._planner.limits, of.robot.joint_names, begin, of.period)
+        knot = np.minimum(np.searchsorted(path.s, samples.s + path.s[0]), len(path.s) - 1)
+        speed = np.sqrt(np.einsum("si,si->s", samples.pose_rate[:, :3], samples.pose_rate[:, :3]))
+        columns = (samples.q, samples.qd, samples.qdd, samples.pose, speed, path.move[knot])
+        self._parts.append(tuple(column[1:] for column in columns))
+        self._count(len(samples.s) - 1, int(path.move[-1]))
+        self.q = path.q[-1]
 
-
-def _check_positions(path: Path, segments: Sequence[Segment], robot: RobotDescription) -> None:
-    lower, upper = robot.position_limits
-    beyond = np.maximum(path.q - upper, lower - path.q)
-    knot, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
-    amount = float(beyond[knot, joint])
-    if amount <= 1e-9:
-        return
-    move, name = int(path.move[knot]), robot.joint_names[joint]
-    label = next(segment.label for segment in segments if segment.move == move)
-    sliding = robot.joints[joint].prismatic
-    shown = f"{1e3 * amount:.3g} mm" if sliding else f"{np.degrees(amount):.3g} degrees"
-    raise MotionError(
-        f"{label}: {name} would go {shown} beyond its limit; move the point or choose another configuration",
-        move,
-        f"{name} position",
-        amount / float(min(upper[joint] - lower[joint], 2.0 * np.pi)),
-    )
+    def _count(self, samples: int, index: int) -> None:
+        self._samples += samples
+        seconds, longest = self._samples * self._of.period, self._of.parameters.longest
+        if seconds > longest:
+            message = f"statement {index + 1}: the program takes more than {longest:g} s up to here; run it in parts"
+            raise MotionError(message, index, "duration", seconds / longest - 1.0)

@@ -13,6 +13,8 @@ from agent.motion.trajectory import BindingLimit
 
 #: Every so many samples are looked at; slower than this part of the programmed speed is slowed down.
 _EVERY, _REACHED = 5, 0.995
+#: A limit is in force from this part of it on.
+_FULL = 0.7
 
 
 def binding_limits(
@@ -23,7 +25,7 @@ def binding_limits(
     A limit is as full as the part of it that stress and overrides leave, so what is named may be below the arm's own.
     """
     samples, path = run.samples, run.path
-    pick = np.arange(0, len(samples.s), _EVERY)
+    pick = slice(None, None, _EVERY)
     s, speed = samples.s[pick] + path.s[0], samples.speed[pick]
     knot = np.clip(np.searchsorted(path.s, s), 0, len(path.s) - 1)
     rule = path.rules[knot]
@@ -36,8 +38,9 @@ def binding_limits(
             np.where(rule[:, rules.JOINT] < 1.0, rule[:, rules.JOINT] / joint_full, np.inf),
         )
     allowed = rule[:, rules.STRESS] * np.maximum(rule[:, rules.ACCELERATION], rule[:, rules.DECELERATION])
-    jerk = np.diff(samples.qdd, axis=0, prepend=0.0)[pick] / period
-    rates = cartesian_rates(samples)[:, pick]
+    jerk = np.zeros_like(samples.qdd[pick])
+    jerk[1:] = (samples.qdd[pick][1:] - samples.qdd[_EVERY - 1 :: _EVERY][: len(jerk) - 1]) / period
+    rates = cartesian_rates(samples, pick)
     cartesian = limits.cartesian
     ceilings = (
         cartesian.linear_speed,
@@ -50,19 +53,23 @@ def binding_limits(
             (np.abs(samples.qd[pick]) / limits.speed).T,
             (np.abs(samples.qdd[pick]) / (limits.acceleration * allowed[:, None])).T,
             (np.abs(jerk) / limits.jerk).T,
-            rates
-            / (np.stack([np.broadcast_to(ceiling, len(pick)) for ceiling in ceilings]) * rule[:, rules.CARTESIAN]),
+            rates / (np.stack([np.broadcast_to(ceiling, len(s)) for ceiling in ceilings]) * rule[:, rules.CARTESIAN]),
             np.where(path.overlap[knot] < 0.999, speed / np.maximum(programmed * path.overlap[knot], 1e-12), 0.0)[None],
         )
     )
     names = [f"{name} {what}" for what in ("speed", "acceleration", "jerk") for name in joint_names]
     names += ["linear speed", "rotational speed", "linear acceleration", "rotational acceleration", "FLY_NORM overlap"]
-    worst = np.where(speed < _REACHED * programmed, np.argmax(full, axis=0), -1)
-    worst[[0, -1]] = worst[[1, -2]] if len(worst) > 2 else -1
+    slowed = speed < _REACHED * programmed
+    slowed[[0, -1]] = len(s) > 2 and slowed[1], len(s) > 2 and slowed[-2]
+    # Between two limits, where the acceleration changes its sign, none is full: what was in force last still is.
+    certain = slowed & (full.max(axis=0) > _FULL)
+    last = np.maximum.accumulate(np.where(certain, np.arange(len(s)), -1))
+    first = np.argmax(certain) if certain.any() else 0
+    worst = np.where(slowed, np.argmax(full, axis=0)[np.where(last < 0, first, last)], -1)
     edges = np.concatenate(([0], 1 + np.flatnonzero(np.diff(worst)), [len(worst)]))
     end = begin + (len(samples.s) - 1) * period
     return [
-        BindingLimit(names[worst[a]], begin + pick[a] * period, min(begin + (pick[b - 1] + _EVERY) * period, end))
+        BindingLimit(names[worst[a]], begin + a * _EVERY * period, min(begin + b * _EVERY * period, end))
         for a, b in pairwise(edges)
         if worst[a] >= 0
     ]

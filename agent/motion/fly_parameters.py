@@ -18,6 +18,7 @@ class FlyParameters:
     stop_angle: [rad] corners that turn by more than this cannot be blended; the arm stops there.
     norm_acceleration: [m/s²] of FLY_NORM's overlap where the robot has no Cartesian limits.
     singular_slowdown: refuse a path where joint speed limits leave less than this part of the programmed speed.
+    singular_distance: normalised distance from a singularity that `$SING_CARE` asks for.
     spacing: [m] between the points of the path at which inverse kinematics is solved.
     longest: [s] no planned motion may take longer.
     """
@@ -31,5 +32,6 @@ class FlyParameters:
     stop_angle: float = 2.97
     norm_acceleration: float = 1.7
     singular_slowdown: float = 0.01
-    spacing: float = 0.005
+    singular_distance: float = 0.05
+    spacing: float = 0.008
     longest: float = 3600.0

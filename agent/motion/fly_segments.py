@@ -16,13 +16,13 @@ from agent.motion.path_segments import (
     JointSegment,
     Line,
     Segment,
-    WristSegment,
     arc_through,
     euler_angles,
     single_axis,
 )
-from agent.motion.path_solve import motion_error, solve_cartesian
+from agent.motion.path_solve import motion_error, solve_cartesian, wrist_segment
 from agent.motion.program import (
+    CartesianTarget,
     JointTarget,
     MotionSettings,
     Move,
@@ -109,7 +109,9 @@ class SegmentMaker:
         else:
             along = isinstance(curve, Arc) and style is OrientationType.RS_TRAJ
             turn = single_axis(start_turn, end_turn, curve if along else None)
-        segment = CartesianSegment(index, label, move.settings, kinematics, curve, turn)
+        careful = move.settings.configuration_care or move.settings.turn_care
+        flags = move.target.configuration if careful and isinstance(move.target, CartesianTarget) else ""
+        segment = CartesianSegment(index, label, move.settings, kinematics, curve, turn, flags)
         return None if segment.length < _NOTHING and segment.angle < _NOTHING else segment
 
     def _arc(
@@ -144,13 +146,14 @@ class SegmentMaker:
             raise InputError(f"{label}: $ORNT_TYPE WRIST_JNT needs an arm of 6 joints; {self.robot.name} has another")
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rotation.to_matrix(end_turn), end
+        flags = move.target.configuration if isinstance(move.target, CartesianTarget) else ""
         try:
-            target = kinematics.solve(pose, start)
+            target = kinematics.solve_configuration(pose, flags) if flags else kinematics.solve(pose, start)
         except KinematicsError as error:
             raise motion_error(error, index, label) from None
         if curve.length < _NOTHING and np.max(np.abs(target - start)) < _NOTHING:
             return None
-        return WristSegment(index, label, move.settings, kinematics, curve, start, target)
+        return wrist_segment(index, label, move.settings, kinematics, curve, np.array([start, target]))
 
     def _joints(self, index: int, label: str, move: Move, kinematics: Kinematics, start: np.ndarray) -> np.ndarray:
         if isinstance(move.target, JointTarget):
@@ -219,11 +222,20 @@ def _end_joints(pending: Sequence[Segment], rest: np.ndarray) -> np.ndarray:
     first = len(pending) - len(trailing)
     q = rest if first == 0 else pending[first - 1].end  # type: ignore[union-attr]
     for segment in trailing:
-        count = int(np.clip((segment.length + segment.angle) / _SWEEP, 2, 2000)) + 1
-        sigma = np.linspace(0.0, 1.0, count)
-        move = np.full(count, segment.move)
-        q = solve_cartesian([segment], move, segment.curve.position(sigma), segment.turn.orientation(sigma), q)[-1]
+        try:
+            q = _swept(segment, q, _SWEEP)
+        except MotionError as error:
+            if error.limit != "branch":
+                raise
+            q = _swept(segment, q, 0.1 * _SWEEP)  # joints may turn fast near a singularity without crossing it
     return q
+
+
+def _swept(segment: CartesianSegment, q: np.ndarray, step: float) -> np.ndarray:
+    count = int(np.clip((segment.length + segment.angle) / step, 2, 5000)) + 1
+    sigma = np.linspace(0.0, 1.0, count)
+    move = np.full(count, segment.move)
+    return solve_cartesian([segment], move, segment.curve.position(sigma), segment.turn.orientation(sigma), q)[-1]
 
 
 def _label(index: int, move: Move) -> str:

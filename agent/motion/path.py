@@ -58,14 +58,16 @@ def build_path(
     start: np.ndarray,
     speeds: np.ndarray,
     parameters: FlyParameters,
+    fineness: float = 1.0,
 ) -> Path:
     """The path over `segments` blended at `corners` (one fewer), from `start` (n,) at standstill to standstill.
 
-    `speeds` (n,) are the joint speed limits.
+    `speeds` (n,) are the joint speed limits; `fineness` takes so many times more knots.
 
     Raises:
         MotionError: out of reach, through a singularity, or not on one branch of the arm.
     """
+    corners = [corner.refined(fineness) for corner in corners]
     stretches: list[_Stretch] = []
     deviations = [0.0] * len(corners)
     q, first = np.asarray(start, dtype=float), 0
@@ -77,7 +79,7 @@ def build_path(
         lead = corners[first - 1] if first > 0 else None
         trail = corners[last] if last < len(corners) else None
         unit = segments[first : last + 1]
-        body = _body(unit, corners[first:last], lead, trail, parameters)
+        body = _body(unit, corners[first:last], lead, trail, parameters, fineness)
         head, solved, tail = _solve(unit, body, lead, trail, q)
         if lead is not None:
             stretches.append(_joint_corner(segments[first - 1], unit[0], lead, running_out, head, speeds, parameters))
@@ -96,6 +98,7 @@ def _body(
     lead: Corner | None,
     trail: Corner | None,
     parameters: FlyParameters,
+    fineness: float,
 ) -> list[_Stretch]:
     """Knots of the moves of one unit outside joint-space corners; the first stretch has the first knot, step 0."""
     corners = (lead, *inner, trail)
@@ -108,7 +111,7 @@ def _body(
             None if corner is None else 2.0 * part * segment.metric / corner.cells
             for corner, part in ((before, begin), (after, 1.0 - end))
         ]
-        travel = _cells((end - begin) * segment.metric, edges[0], edges[1], _spacing(segment, parameters))
+        travel = _cells((end - begin) * segment.metric, edges[0], edges[1], _spacing(segment, parameters) / fineness)
         sigma = begin + travel / segment.metric
         skip = 0 if k == 0 else 1
         body.append(_on_segment(segment, sigma[skip:], np.diff(travel, prepend=0.0)[skip:]))

@@ -75,6 +75,10 @@ class Corner:
         """The same blend, smaller."""
         return replace(self, before=factor * self.before, after=factor * self.after)
 
+    def refined(self, fineness: float) -> Corner:
+        """The same blend, sampled so many times finer."""
+        return replace(self, cells=2 * round(0.5 * fineness * self.cells))
+
     def rate(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Their derivatives by τ."""
         value = self.step.value(tau)
@@ -104,8 +108,8 @@ def corner_between(before: Segment, after: Segment, parameters: FlyParameters) -
     step = BlendStep(parameters.blend_shape)
     sizes = before.extent, after.extent
     half = 0.5 * min(sizes)
-    through = settings.fly_trajectory is FlyTrajectory.FLY_PASS
     overlap = settings.fly_type is FlyType.FLY_NORM
+    through = settings.fly_trajectory is FlyTrajectory.FLY_PASS
     turn = 0.5 * np.pi if joint else _deflection(before, after)
     if turn > parameters.stop_angle:
         return None

@@ -7,17 +7,14 @@ import numpy as np
 
 def multiply(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """(S, 4) Hamilton product; either side may be one quaternion (4,)."""
-    w1, x1, y1, z1 = np.moveaxis(left, -1, 0)
-    w2, x2, y2, z2 = np.moveaxis(right, -1, 0)
-    return np.stack(
-        (
-            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
-            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
-            w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
-            w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
-        ),
-        axis=-1,
-    )
+    w1, x1, y1, z1 = left.T
+    w2, x2, y2, z2 = right.T
+    product = np.empty(np.broadcast_shapes(left.shape, right.shape))
+    product[..., 0] = w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2
+    product[..., 1] = w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2
+    product[..., 2] = w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2
+    product[..., 3] = w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2
+    return product
 
 
 def conjugate(quaternion: np.ndarray) -> np.ndarray:
@@ -28,7 +25,10 @@ def conjugate(quaternion: np.ndarray) -> np.ndarray:
 def about(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """(S, 4) rotations about one unit axis (3,) by angles (S,) [rad]."""
     half = 0.5 * np.asarray(angle)
-    return np.concatenate((np.cos(half)[..., None], np.sin(half)[..., None] * axis), axis=-1)
+    quaternion = np.empty((*half.shape, 4))
+    quaternion[..., 0] = np.cos(half)
+    quaternion[..., 1:] = np.sin(half)[..., None] * axis
+    return quaternion
 
 
 def from_matrices(rotations: np.ndarray) -> np.ndarray:
@@ -54,7 +54,7 @@ def from_matrix(rotation: np.ndarray) -> np.ndarray:
 
 def to_matrix(quaternion: np.ndarray) -> np.ndarray:
     """(S, 3, 3) rotation matrices of unit quaternions (S, 4)."""
-    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    w, x, y, z = quaternion.T
     matrix = np.empty((*np.shape(w), 3, 3))
     matrix[..., 0, 0] = 1.0 - 2.0 * (y * y + z * z)
     matrix[..., 0, 1] = 2.0 * (x * y - w * z)
@@ -78,9 +78,12 @@ def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
 
 
 def from_rotation_vector(vector: np.ndarray) -> np.ndarray:
-    """(S, 4) unit quaternions of rotation vectors (S, 3) [rad]."""
-    angle = np.linalg.norm(vector, axis=-1, keepdims=True)
-    return np.concatenate((np.cos(0.5 * angle), 0.5 * np.sinc(0.5 * angle / np.pi) * vector), axis=-1)
+    """(S, 4) unit quaternions of rotation vectors (S, 3) [rad]; (4,) of one."""
+    half = 0.5 * np.sqrt(np.einsum("...i,...i->...", vector, vector))
+    quaternion = np.empty((*half.shape, 4))
+    quaternion[..., 0] = np.cos(half)
+    quaternion[..., 1:] = (0.5 * np.sinc(half / np.pi))[..., None] * vector
+    return quaternion
 
 
 def continuous(quaternions: np.ndarray) -> np.ndarray:
@@ -91,7 +94,7 @@ def continuous(quaternions: np.ndarray) -> np.ndarray:
 
 def from_euler(angles: np.ndarray) -> np.ndarray:
     """(S, 4) quaternions of Euler ZYZ angles a, e, r (S, 3) [rad]: Rz(a) Ry(e) Rz(r)."""
-    a, e, r = np.moveaxis(np.asarray(angles, dtype=float), -1, 0)
+    a, e, r = np.asarray(angles, dtype=float).T
     y, z = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
     return multiply(multiply(about(z, a), about(y, e)), about(z, r))
 

@@ -87,15 +87,19 @@ def arc_through(start: np.ndarray, via: np.ndarray, end: np.ndarray) -> Arc | No
 
 @dataclass(frozen=True, eq=False)
 class SingleAxis:
-    """$ORNT_TYPE RS_WORLD and RS_TRAJ: rotation about one axis, in the world or relative to the path's tangent."""
+    """$ORNT_TYPE RS_WORLD and RS_TRAJ: rotation about one axis (3,) by `angle` [rad], from `start` (4,).
+
+    In the world, or with a `curve` relative to the tangent of that path.
+    """
 
     start: np.ndarray
-    vector: np.ndarray
+    axis: np.ndarray
+    angle: float
     curve: Line | Arc | None = None
 
     def orientation(self, sigma: np.ndarray) -> np.ndarray:
         """(S, 4) unit quaternions."""
-        turned = rotation.multiply(rotation.from_rotation_vector(sigma[:, None] * self.vector), self.start)
+        turned = rotation.multiply(rotation.about(self.axis, sigma * self.angle), self.start)
         return turned if self.curve is None else rotation.multiply(self.curve.path_frame(sigma), turned)
 
 
@@ -116,7 +120,9 @@ def single_axis(start: np.ndarray, end: np.ndarray, curve: Line | Arc | None = N
     """Rotation between two quaternions (4,); `curve` makes it relative to that path's tangent."""
     if curve is not None:
         end = rotation.multiply(rotation.conjugate(curve.path_frame(np.ones(1))[0]), end)
-    return SingleAxis(start, rotation.rotation_vector(rotation.multiply(end, rotation.conjugate(start))), curve)
+    vector = rotation.rotation_vector(rotation.multiply(end, rotation.conjugate(start)))
+    angle = float(np.linalg.norm(vector))
+    return SingleAxis(start, vector / angle if angle > 0 else vector, angle, curve)
 
 
 def euler_angles(start: np.ndarray, end: np.ndarray, world: np.ndarray) -> EulerAngles:
@@ -135,7 +141,10 @@ def euler_angles(start: np.ndarray, end: np.ndarray, world: np.ndarray) -> Euler
 
 @dataclass(frozen=True, eq=False)
 class CartesianSegment:
-    """A LINEAR or CIRCULAR move with a prescribed orientation. `move` indexes its statement, `label` names it."""
+    """A LINEAR or CIRCULAR move with a prescribed orientation. `move` indexes its statement, `label` names it.
+
+    `configuration` is what $CNFG_CARE and $TURN_CARE ask for at the target, empty where they ask for nothing.
+    """
 
     move: int
     label: str
@@ -143,6 +152,7 @@ class CartesianSegment:
     kinematics: Any
     curve: Line | Arc
     turn: SingleAxis | EulerAngles
+    configuration: str = ""
 
     @cached_property
     def length(self) -> float:
@@ -153,7 +163,7 @@ class CartesianSegment:
     def angle(self) -> float:
         """Angle that the orientation covers [rad]."""
         if isinstance(self.turn, SingleAxis) and self.turn.curve is None:
-            return float(np.linalg.norm(self.turn.vector))
+            return self.turn.angle
         q = self.turn.orientation(np.linspace(0.0, 1.0, 9))
         cosines = np.abs(np.einsum("si,si->s", q[1:], q[:-1]))
         return float(2.0 * np.sum(np.arccos(np.minimum(cosines, 1.0))))
@@ -176,7 +186,10 @@ class CartesianSegment:
 
 @dataclass(frozen=True, eq=False)
 class WristSegment:
-    """A LINEAR or CIRCULAR move with $ORNT_TYPE WRIST_JNT: joints from the fourth on change in proportion."""
+    """A LINEAR or CIRCULAR move with $ORNT_TYPE WRIST_JNT: joints from the fourth on change in proportion.
+
+    start, end (6,); `arm` (M, 3) roughly the first three joints at M places, equally spaced from σ = 0 to 1.
+    """
 
     move: int
     label: str
@@ -185,6 +198,7 @@ class WristSegment:
     curve: Line | Arc
     start: np.ndarray
     end: np.ndarray
+    arm: np.ndarray
 
     @cached_property
     def length(self) -> float:

@@ -9,9 +9,12 @@ import numpy as np
 
 from agent.motion import path_rotation as rotation
 from agent.motion.interpolator import MotionError
-from agent.motion.path_segments import Segment, WristSegment
+from agent.motion.path_segments import Arc, Line, Segment, WristSegment
+from agent.motion.program import MotionSettings
 from agent.robot.kinematics import Kinematics, KinematicsError
 
+#: WRIST_JNT: steps in which the arm is followed [m], and how near the TCP has to come to its path [m].
+_WRIST_STEP, _PLACED = 0.03, 1e-9
 _LIMITS = {"unreachable": "reach", "singular": "singularity", "branch": "branch"}
 
 
@@ -50,43 +53,77 @@ def solve_cartesian(
         raise motion_error(error, culprit, label) from None
 
 
-def solve_wrist(segment: WristSegment, sigma: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """(S, 6) joints of a WRIST_JNT move: the wrist is given by σ (S,), the first three joints put the TCP on its path.
+def wrist_segment(
+    move: int, label: str, settings: MotionSettings, kinematics: Kinematics, curve: Line | Arc, ends: np.ndarray
+) -> WristSegment:
+    """A WRIST_JNT move between joints `ends` (2, 6): the arm is followed along the curve in small steps from its start.
 
-    Newton's method on all samples at once, from the straight line between both ends in joint space.
+    Raises:
+        MotionError: the arm cannot put the TCP on the curve with the wrist turned so, or arrives on another branch.
+    """
+    turned = float(np.max(np.abs(ends[1] - ends[0])))
+    count = int(np.clip(np.ceil(max(curve.length / _WRIST_STEP, turned / (2.0 * _WRIST_STEP))), 4, 400)) + 1
+    sigma = np.linspace(0.0, 1.0, count)
+    position = curve.position(sigma)
+    q = ends[0] + sigma[:, None] * (ends[1] - ends[0])
+    for k in range(1, count):
+        q[k, :3] = q[k - 1, :3] if k == 1 else 2.0 * q[k - 1, :3] - q[k - 2, :3]
+        q[k], error = _placed(kinematics, q[k : k + 1], position[k : k + 1])
+        if error > _PLACED:
+            _refuse_wrist(move, label, error, max(curve.length, 0.1), "reach")
+    away = float(np.max(np.abs(q[-1] - ends[1])))
+    if away > 1e-6:
+        _refuse_wrist(move, label, away, 1.0, "branch")
+    return WristSegment(move, label, settings, kinematics, curve, ends[0], ends[1], q[:, :3])
+
+
+def solve_wrist(segment: WristSegment, sigma: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """(S, 6) joints of a WRIST_JNT move: the wrist is given by σ (S,), the first three joints put the TCP at (S, 3).
 
     Raises:
         MotionError: the arm cannot put the TCP there with the wrist turned so.
     """
     q = segment.start + sigma[:, None] * (segment.end - segment.start)
-    kinematics: Kinematics = segment.kinematics
     if len(sigma) == 0:
         return q
+    places = np.linspace(0.0, 1.0, len(segment.arm))
+    for joint in range(3):
+        q[:, joint] = np.interp(sigma, places, segment.arm[:, joint])
+    q, error = _placed(segment.kinematics, q, position)
+    if error > _PLACED:
+        _refuse_wrist(segment.move, segment.label, error, max(segment.length, 0.1), "reach")
+    return q
+
+
+def _placed(kinematics: Kinematics, q: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, float]:
+    """q (S, 6) with the first three joints changed so that the TCP is at position (S, 3), and the largest error [m].
+
+    Newton's method on all samples at once.
+    """
+    q = q.copy()
     for _ in range(20):
         missing = position - kinematics.forward(q)[:, :3, 3]
-        if np.max(np.abs(missing)) < 1e-11:
+        error = float(np.max(np.abs(missing)))
+        if error < 1e-12:
             break
         jacobian = kinematics.jacobian(q)[:, :3, :3]
         # Damping keeps a step finite where the arm is stretched; it vanishes with the error.
-        damping = 1e-3 * np.einsum("si,si->s", missing, missing)
-        normal = jacobian @ jacobian.transpose(0, 2, 1) + damping[:, None, None] * np.eye(3) + 1e-15 * np.eye(3)
-        step = np.einsum("sij,si->sj", jacobian, np.linalg.solve(normal, missing[:, :, None])[:, :, 0])
+        damping = 1e-3 * np.einsum("si,si->s", missing, missing) + 1e-15
+        normal = jacobian @ jacobian.transpose(0, 2, 1) + damping[:, None, None] * np.eye(3)
+        step = np.einsum("sji,sj->si", jacobian, np.linalg.solve(normal, missing[:, :, None])[:, :, 0])
         q[:, :3] += np.clip(step, -0.3, 0.3)
-    error = np.linalg.norm(position - kinematics.forward(q)[:, :3, 3], axis=1)
-    if np.max(error) > 1e-9:
-        raise MotionError(
-            f"{segment.label}: with the wrist turned as WRIST_JNT asks the TCP stays {1e3 * np.max(error):.3g} mm away "
-            "from its path; choose another $ORNT_TYPE or nearer points",
-            segment.move,
-            "reach",
-            float(np.max(error)) / max(segment.length, 0.1),
-        )
-    jump = float(np.max(np.abs(np.diff(q, axis=0)), initial=0.0))
-    if jump > 0.5:
-        raise MotionError(
-            f"{segment.label}: a joint would jump by {np.degrees(jump):.0f} degrees at one point of its path",
-            segment.move,
-            "branch",
-            jump,
-        )
-    return q
+    return q, error
+
+
+def _refuse_wrist(move: int, label: str, amount: float, scale: float, limit: str) -> None:
+    what = (
+        f"the TCP stays {1e3 * amount:.3g} mm away from its path"
+        if limit == "reach"
+        else f"the arm arrives {np.degrees(amount):.0f} degrees away from where it should, on another branch"
+    )
+    raise MotionError(
+        f"{label}: with the wrist turned as WRIST_JNT asks, {what}; choose another $ORNT_TYPE or nearer points",
+        move,
+        limit,
+        amount / scale,
+    )

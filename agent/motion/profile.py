@@ -20,6 +20,8 @@ from agent.motion.path import Path
 from agent.robot.description import CartesianLimits, RobotDescription
 
 _PASSES = 20
+#: [rad] of a joint between two knots of the path.
+_TOLERATED = 3e-6
 _LEAST_WEIGHT = 1e-10
 
 
@@ -45,13 +47,14 @@ class ArmLimits:
 
 @dataclass(frozen=True, eq=False)
 class PathShape:
-    """The path as a spline over s with derivatives at the knots, knots last: q1, q2, q3 (n, K), of the TCP's length
+    """The path as a cubic spline over s, and its derivatives at the knots.
 
-    `travel` (K,) = |dp/ds|, its curve `bend` (K,) = the part of d²p/ds² across the path, and the same for rotation:
-    `turn` (K,), `turn_bend` (K,); `curve` is the spline of q, p and the quaternion side by side.
+    coefficients (K - 1, 4, n + 7): of the cell from each knot on, highest power first, columns q, p and the quaternion.
+    Knots last: q1, q2, q3 (n, K); `travel` (K,) = |dp/ds| and `bend` (K,), the part of d²p/ds² across the path; `turn`
+    and `turn_bend` (K,) the same for the rotation.
     """
 
-    curve: object
+    coefficients: np.ndarray
     q1: np.ndarray
     q2: np.ndarray
     q3: np.ndarray
@@ -60,30 +63,50 @@ class PathShape:
     turn: np.ndarray
     turn_bend: np.ndarray
 
+    def roughness(self, path: Path) -> float:
+        """How far joints between knots may be from the true path, in units of what is tolerated.
+
+        A cubic spline errs by h⁴/384 times the fourth derivative, which is the change of the third over h.
+        """
+        return float(np.max(self._errors(path), initial=0.0)) / _TOLERATED
+
+    def roughest(self, path: Path) -> int:
+        """The knot where that error is largest."""
+        return 1 + int(np.argmax(self._errors(path)))
+
+    def _errors(self, path: Path) -> np.ndarray:
+        change = 6.0 * np.abs(np.diff(self.coefficients[:, 0, : len(self.q1)], axis=0)).max(axis=1)
+        step = np.diff(path.s)
+        return change * np.maximum(step[1:], step[:-1]) ** 3 / 384.0
+
 
 def shape_of(path: Path) -> PathShape:
-    """Splines of a path and their derivatives at the knots."""
+    """The spline of a path and its derivatives at the knots."""
     from scipy.interpolate import CubicSpline  # heavy to import, needed only once something is planned
 
     n = path.q.shape[1]
-    curve = CubicSpline(path.s, np.concatenate((path.q, path.position, path.orientation), axis=1))
-    coefficients = curve.c
+    columns = np.concatenate((path.q, path.position, path.orientation), axis=1)
+    coefficients = np.ascontiguousarray(CubicSpline(path.s, columns).c.transpose(1, 0, 2))
     step = path.s[-1] - path.s[-2]
-    third = np.concatenate((6.0 * coefficients[0], 6.0 * coefficients[0][-1:]))
-    second = np.concatenate((2.0 * coefficients[1], 2.0 * coefficients[1][-1:] + step * third[-1:]))
-    last = coefficients[2][-1] + step * (second[-2] + 0.5 * step * third[-1])
-    first = np.concatenate((coefficients[2], last[None]))
+    end = coefficients[-1]
+    third = np.empty_like(columns)
+    third[:-1], third[-1] = 6.0 * coefficients[:, 0], 6.0 * end[0]
+    second = np.empty_like(columns)
+    second[:-1], second[-1] = 2.0 * coefficients[:, 1], 2.0 * end[1] + 6.0 * step * end[0]
+    first = np.empty_like(columns)
+    first[:-1], first[-1] = coefficients[:, 2], end[2] + step * (2.0 * end[1] + 3.0 * step * end[0])
     third[1:-1] = np.where(np.abs(third[1:-1]) > np.abs(third[:-2]), third[1:-1], third[:-2])
     travel, bend = _along_and_across(first[:, n : n + 3], second[:, n : n + 3])
+    # The angular velocity over s is 2 Q' Q*, its derivative 2 Q'' Q* but for a scalar part; Q' is across Q.
     inverse = rotation.conjugate(path.orientation)
     turning = 2.0 * rotation.multiply(first[:, n + 3 :], inverse)[:, 1:]
     turn, turn_bend = _along_and_across(turning, 2.0 * rotation.multiply(second[:, n + 3 :], inverse)[:, 1:])
-    columns = [np.ascontiguousarray(part[:, :n].T) for part in (first, second, third)]
-    return PathShape(curve, *columns, travel, bend, turn, turn_bend)
+    joints = [np.ascontiguousarray(part[:, :n].T) for part in (first, second, third)]
+    return PathShape(coefficients, *joints, travel, bend, turn, turn_bend)
 
 
 def _along_and_across(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    size = np.linalg.norm(first, axis=1)
+    size = np.sqrt(np.einsum("ki,ki->k", first, first))
     along = np.einsum("ki,ki->k", first, second) / np.maximum(size, 1e-9)
     return size, np.sqrt(np.maximum(np.einsum("ki,ki->k", second, second) - along**2, 0.0))
 
