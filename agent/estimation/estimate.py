@@ -10,6 +10,7 @@ import numpy as np
 
 from agent.errors import InputError
 from agent.estimation.blocks import Partition, partition
+from agent.estimation.choice import choose
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.friction_terms import FrictionTerm, Reversal
 from agent.estimation.least_squares import ordinary, reweighted, weighted
@@ -47,6 +48,12 @@ def _consistent(problem: Problem) -> Estimate:
     return consistent(problem)
 
 
+def _instrumental(problem: Problem) -> Estimate:
+    from agent.estimation.instrumental import instrumental
+
+    return instrumental(problem)
+
+
 ESTIMATORS: dict[str, Callable[[Problem], Estimate]] = {
     "weighted": weighted,
     "ordinary": ordinary,
@@ -54,17 +61,23 @@ ESTIMATORS: dict[str, Callable[[Problem], Estimate]] = {
     "huber": _huber,
     "essential": _essential,
     "consistent": _consistent,
+    "instrumental": _instrumental,
 }
-METHODS = tuple(ESTIMATORS)
+METHODS = ("auto", *ESTIMATORS)
+_AUTO = ("weighted", "huber", "essential", "consistent")
 _TRUSTS = (1.0, 3.0, 10.0, 30.0, 100.0)
 
 
 @dataclass(frozen=True)
 class EstimationSettings:
-    """How to estimate. friction: "ladder" (terms by held-out error) or "paper" (its three terms, nothing else)."""
+    """How to estimate.
+
+    method: one of METHODS; "auto" is decided by held-out error. friction: "ladder" (terms by held-out error) or
+    "paper" (its three terms, nothing else).
+    """
 
     filter: FilterSettings = field(default_factory=FilterSettings)
-    method: str = "weighted"
+    method: str = "auto"
     friction: str = "ladder"
 
     @classmethod
@@ -102,8 +115,11 @@ def estimate(
     else:
         problem = pose(observation, cells, paper_terms([Reversal()] * robot.dof))
     problem = trust_prior(problem.with_own_trust())
-    found = ESTIMATORS[settings.method](problem)
-    return build_model(problem, found, settings.method, names, combinations, logs)
+    if settings.method == "auto":
+        method, found = choose(problem, {name: ESTIMATORS[name] for name in _AUTO})
+    else:
+        method, found = settings.method, ESTIMATORS[settings.method](problem)
+    return build_model(problem, found, method, names, combinations, logs)
 
 
 def rigid_bodies(

@@ -48,8 +48,8 @@ class Motion:
     """One stretch of a log without gaps, on an even grid. S samples, n joints, joint side, SI.
 
     time (S,) [s] of the log; q, qd, qdd (S, n) smoothed up to `pass_edge` [Hz]; torque (S, n) before the filter, or
-    None; `cutoff` [Hz], `order`, `edge` (samples dropped at either end) and `step` belong to `low_pass`; `log` is the
-    file's name, `cycle_starts` [s] are the log's.
+    None; set_points (S, n) of the controller, smoothed alike, or None; `cutoff` [Hz], `order`, `edge` (samples dropped
+    at either end) and `step` belong to `low_pass`; `log` is the file's name, `cycle_starts` [s] are the log's.
     """
 
     log: str
@@ -58,6 +58,7 @@ class Motion:
     qd: np.ndarray
     qdd: np.ndarray
     torque: np.ndarray | None
+    set_points: np.ndarray | None
     cycle_starts: tuple[float, ...]
     rate: float
     cutoff: float
@@ -101,13 +102,15 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
             f"needs {needed:.2f} s. Record longer, or raise the cut-off"
         )
     for first, last in long_enough:
-        time, position, torque = _even(log, first, last)
+        time, position, torque, set_points = _even(log, first, last)
         rate = (len(time) - 1) / (time[-1] - time[0])
         every = max(1, int(rate / (16 * cutoff))) if reduce else 1
         working = rate / every
         q, qd, qdd = smooth_and_differentiate(position, rate, flat, stop, every)
         if torque is not None and every > 1:
             torque = smooth_and_differentiate(torque, rate, flat, stop, every)[0]
+        if set_points is not None:
+            set_points = smooth_and_differentiate(set_points, rate, flat, stop, every)[0]
         time = time[::every]
         margin = int(np.ceil(edge * working))
         step = max(1, int(working / (4 * cutoff))) if reduce else 1
@@ -119,6 +122,7 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
                 qd=qd[piece],
                 qdd=qdd[piece],
                 torque=None if torque is None else torque[piece],
+                set_points=None if set_points is None else set_points[piece],
                 cycle_starts=log.cycle_starts,
                 rate=working,
                 cutoff=cutoff,
@@ -229,21 +233,24 @@ def _edge_time(cutoff: float, pass_edge: float, stop_edge: float) -> float:
     return 2.5 * spread + 4 / cutoff
 
 
-def _even(log: Log, start: int, stop: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Time, position and torque of one stretch on an even grid, single missing samples filled in.
+def _even(log: Log, start: int, stop: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """Time, position, torque and set-points of one stretch on an even grid, single missing samples filled in.
 
     Uneven stamps mean either an uneven sampling or a late stamp on an even one. The position tells: sampled evenly it
     is smooth in the sample number, else it is smooth in the stamps.
     """
     stamps, position = log.t[start:stop], log.position[start:stop]
     torque = None if log.effort is None else log.effort[start:stop]
+    set_points = None if log.reference_position is None else log.reference_position[start:stop]
+    if set_points is not None and not np.all(np.isfinite(set_points)):
+        set_points = None
     number = np.round((stamps - stamps[0]) * log.sample_rate)
     slope, intercept = np.polyfit(number, stamps, 1)
     grid = intercept + slope * np.arange(number[-1] + 1)
     clock = intercept + slope * number
     uneven = np.max(np.abs(stamps - clock)) > 1e-3 * slope
     if not uneven and len(grid) == len(stamps):
-        return grid, position, torque
+        return grid, position, torque, set_points
     from scipy.interpolate import CubicSpline, PchipInterpolator
 
     knots = stamps
@@ -256,6 +263,7 @@ def _even(log: Log, start: int, stop: int) -> tuple[np.ndarray, np.ndarray, np.n
         grid,
         CubicSpline(knots, position)(inside),
         None if torque is None else PchipInterpolator(knots, torque)(inside),
+        None if set_points is None else CubicSpline(knots, set_points)(inside),
     )
 
 

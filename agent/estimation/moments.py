@@ -6,13 +6,14 @@ is arithmetic on small matrices, whatever the length of the logs.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from agent.estimation.blocks import Partition
 from agent.estimation.friction_terms import FrictionTerm
-from agent.estimation.observation import Observation
+from agent.estimation.observation import Observation, Stretch
 
 _STANDSTILL = 0.005  # of the highest speed seen on the joint
 
@@ -82,11 +83,13 @@ def collect(
     partition: Partition,
     terms: tuple[FrictionTerm, ...],
     rigid_parameters: np.ndarray | None = None,
-    trusted: list[np.ndarray] | None = None,
+    trusted: Sequence[np.ndarray] | None = None,
+    instruments: Sequence[Stretch] | None = None,
 ) -> Moments:
     """Moments of the base parameters and these friction terms; `rigid_parameters` as in `joint_columns`.
 
-    `trusted`, per stretch (S', n), weights single rows between 0 and 1.
+    `trusted`, per stretch (S', n), weights single rows between 0 and 1. With `instruments` the sums are Wᵀ Z, W the
+    same columns of other stretches: what instrumental variables solve with, but no squares for `energy`.
     """
     n = observation.robot.dof
     cells = len(partition.cluster)
@@ -96,6 +99,9 @@ def collect(
     still = standstill(observation)
     for number, stretch in enumerate(observation.stretches):
         labels, stopped = partition.labels[number], still[number]
+        others = None
+        if instruments is not None:
+            others = observation.joint_columns(instruments[number], terms, rigid_parameters)
         for joint, (acting, columns) in enumerate(observation.joint_columns(stretch, terms, rigid_parameters)):
             block = np.column_stack([columns, stretch.torque[:, joint]])
             if len(sums) == joint:
@@ -103,12 +109,14 @@ def collect(
                 sums.append(np.zeros((cells, 2, block.shape[1], block.shape[1])))
             if trusted is not None:
                 block *= np.sqrt(trusted[number][:, joint, None])
+            left = block
+            if others is not None:
+                left = np.column_stack([others[joint][1], stretch.torque[:, joint]])
             keys = 2 * labels + stopped[:, joint]
             order = np.argsort(keys, kind="stable")
             found, first = np.unique(keys[order], return_index=True)
             for key, part in zip(found, np.split(order, first[1:]), strict=True):
-                chosen = block[part]
-                sums[joint][key // 2, key % 2] += chosen.T @ chosen
+                sums[joint][key // 2, key % 2] += left[part].T @ block[part]
                 rows[key // 2, key % 2, joint] += len(part)
     return Moments(observation.rigid.count + len(terms), tuple(index), tuple(sums), rows)
 

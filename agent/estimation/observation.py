@@ -123,27 +123,28 @@ def observe(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -
     Raises:
         InputError: a log without torque, with other joints than the robot, or too short for the filter.
     """
-    robot = rigid.robot
     stretches = []
     for index, log in enumerate(logs):
-        check_log(robot, log)
-        for motion in motions(log, settings):
-            columns = rigid.columns(motion.q, motion.qd, motion.qdd)
-            narrow = np.concatenate([columns[:, i, support] for i, support in enumerate(rigid.support)], axis=1)
-            filtered = motion.low_pass(np.hstack([narrow, motion.torque, motion.qd]))
-            borders = np.cumsum([len(support) for support in rigid.support])
-            *per_joint, rest = np.split(filtered, borders, axis=1)
-            stretches.append(
-                Stretch(
-                    log_index=index,
-                    motion=motion,
-                    time=motion.time[motion.kept],
-                    speed=rest[:, robot.dof :],
-                    torque=rest[:, : robot.dof],
-                    rigid=tuple(np.ascontiguousarray(block) for block in per_joint),
-                )
-            )
-    return Observation(robot, rigid, tuple(stretches))
+        check_log(rigid.robot, log)
+        stretches += [filtered(rigid, index, motion) for motion in motions(log, settings)]
+    return Observation(rigid.robot, rigid, tuple(stretches))
+
+
+def filtered(rigid: RigidBodies, log_index: int, motion: Motion) -> Stretch:
+    """Regressor columns of one motion and its torque, through the same filter."""
+    assert motion.torque is not None
+    columns = rigid.columns(motion.q, motion.qd, motion.qdd)
+    narrow = [columns[:, joint, support] for joint, support in enumerate(rigid.support)]
+    blocks = motion.low_pass(np.hstack([*narrow, motion.torque, motion.qd]))
+    *per_joint, torque, speed = np.split(blocks, np.cumsum([b.shape[1] for b in (*narrow, motion.torque)]), axis=1)
+    return Stretch(
+        log_index=log_index,
+        motion=motion,
+        time=motion.time[motion.kept],
+        speed=speed,
+        torque=torque,
+        rigid=tuple(np.ascontiguousarray(block) for block in per_joint),
+    )
 
 
 def check_log(robot: RobotDescription, log: Log) -> None:
