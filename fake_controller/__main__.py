@@ -34,9 +34,9 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"fake controller: cannot listen at {where}: {error.strerror}; is the port taken?", file=sys.stderr)
         return 2
     try:
-        print(f"fake controller: {controller.robot.name} at {server.address}, clock {options.clock}", flush=True)
         if options.ready_file is not None:
             _write_whole(options.ready_file, server.address + "\n")
+        print(f"fake controller: {controller.robot.name} at {server.address}, clock {options.clock}", flush=True)
         done.wait()
     except OSError as error:
         print(f"fake controller: {options.ready_file}: {error.strerror}", file=sys.stderr)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from agent.motion.fly import FlyInterpolator
-from agent.motion.fly_parameters import FlyParameters
+from agent.motion import FlyInterpolator, FlyParameters
 from agent.robot import load_robot
 from agent.robot.kinematics import kinematics_for
 from fake_controller.clock import CLOCKS

@@ -128,6 +128,15 @@ def test_the_same_seed_gives_the_same_samples(arm):
     np.testing.assert_array_equal(*runs)
 
 
+def test_in_real_time(arm):
+    with closing(TcpServer(build_controller(arm, 3, "real"))) as server, closing(TcpDriver(server.address)) as driver:
+        driver.connect()
+        blocks = run(driver, program("  MOVE JOINT TO {2, -3}"))
+    assert max(len(block) for block in blocks) == 10
+    np.testing.assert_allclose(blocks[-1].reference_position[-1], np.radians([2, -3]), rtol=1e-9)
+    assert driver.gaps == ()
+
+
 def test_a_syntax_error_is_refused_with_its_place(driver):
     with pytest.raises(RefusedError, match=r"syntax, line 5 column \d+.*FLIP"):
         driver.upload("p", program("  FLIP TO {20, -30}"))

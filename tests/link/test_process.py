@@ -1,0 +1,68 @@
+"""The fake controller as a process of its own, as a user starts it."""
+
+import os
+import signal
+import subprocess
+import sys
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.errors import DriverError
+from drivers.tcp import TcpDriver
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@contextmanager
+def process(*options):
+    command = [sys.executable, "-m", "fake_controller", *options]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(
+        command, cwd=ROOT, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as running:
+        try:
+            yield running
+        finally:
+            running.kill()
+
+
+def test_it_says_where_it_listens_and_ends_on_sigterm(tmp_path):
+    ready = tmp_path / "ready"
+    with process("--port", "0", "--seed", "7", "--clock", "fast", "--ready-file", str(ready)) as running:
+        line = running.stdout.readline()
+        start, address = "fake controller: comau_ns16 at 127.0.0.1:", ready.read_text().strip()
+        assert line == f"{start}{address.rpartition(':')[2]}, clock fast\n"
+        with closing(TcpDriver(address)) as driver:
+            driver.connect()
+            assert driver.identify().robot == "comau_ns16"
+            np.testing.assert_allclose(driver.status().position, np.radians([0, 0, -90, 0, 0, 0]), atol=1e-3)
+            text = "PROGRAM p HOLD, PROG_ARM=1\nBEGIN CYCLE\n  MOVE JOINT TO {20,0,-90,0,0,0}\n" + (
+                "  MOVE JOINT TO {0,0,-90,0,0,0}\nEND p\n"
+            )
+            driver.start("p", driver.upload("p", text))
+            received = driver.samples()
+            next(received)
+            running.send_signal(signal.SIGTERM)
+            blocks = []
+            with pytest.raises(DriverError, match="switched off"):
+                blocks.extend(received)
+        np.testing.assert_allclose(blocks[-1].reference_velocity[-1], 0, atol=1e-9)
+        assert running.wait(20) == 0
+        assert running.stderr.read() == ""
+
+
+def test_a_port_that_is_taken():
+    with process("--port", "0", "--clock", "fast") as first:
+        port = first.stdout.readline().split(":")[2].split(",")[0]
+        with process("--port", port) as second:
+            assert second.wait(60) == 2
+            assert f"cannot listen at 127.0.0.1:{port}" in second.stderr.read()
+
+
+def test_an_unknown_robot():
+    with process("--robot", "no_such_robot") as running:
+        assert running.wait(60) == 2
+        assert "no_such_robot" in running.stderr.read()
