@@ -83,7 +83,7 @@ def plan(
 ) -> None:
     """Search for the via-points only: trajectory, margins to every limit, the .pdl. Opens no port."""
     from agent.console import print_json
-    from agent.planning import plan_recipe
+    from agent.plan_files import plan_recipe
     from agent.recipe import load_recipe
 
     loaded = load_recipe(recipe)

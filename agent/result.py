@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from agent.plan_files import describe, motion_data
 from agent.planning import Plan
 from agent.recipe import Recipe
 from agent.record import Recording
@@ -43,7 +44,7 @@ def build_result(
             "seed": recipe.search.seed,
             "fitness": plan.search["fitness"],
             "evaluations": plan.search["evaluated"],
-            "motion": _describe(recipe, plan),
+            "motion": describe(recipe, plan.excitation),
         },
         "estimation": {
             "method": model.method,
@@ -83,23 +84,11 @@ def run_data(
     predictions: Sequence[Prediction],
 ) -> RunData:
     """What the report shows of a run."""
-    loop = plan.excitation.loop
-    trajectory = loop.trajectory
     typical = predictions[_typical(predictions)]
     every = max(1, len(typical.time) // 1500)
-    history = plan.search["history"]
-    boxes = {box.name: (np.array(box.minimum), np.array(box.maximum)) for box in recipe.cell.keep_out}
     return RunData(
         result=result,
-        path=trajectory.tcp[:, :3, 3],
-        via_points=loop.poses[:, :3, 3],
-        keep_out=boxes,
-        t=trajectory.t[::5],
-        speed=trajectory.path_speed[::5],
-        programmed_speed=recipe.motion.speed,
-        limit_use={name: values[::5] for name, values in limit_use(recipe, trajectory).items()},
-        best=np.array(history["best"], dtype=float),
-        mean=np.array(history["mean"], dtype=float),
+        motion=motion_data(recipe, plan.excitation, plan.search),
         parameter_rows=model.rows(),
         normalised_rmse=np.array([p.normalised_rmse(moving=True) for p in predictions]),
         prediction=(
@@ -111,33 +100,10 @@ def run_data(
     )
 
 
-def limit_use(recipe: Recipe, trajectory: Any) -> dict[str, np.ndarray]:
-    """{kind: (S, n)} how much of each joint limit a trajectory uses; 1 is all of it."""
-    robot = recipe.robot
-    lower, upper = robot.position_limits
-    bounded = np.isfinite(lower) & np.isfinite(upper)
-    centre, half = np.where(bounded, (lower + upper) / 2, 0.0), np.where(bounded, (upper - lower) / 2, np.inf)
-    return {
-        "position": np.abs(trajectory.q - centre) / half,
-        "speed": np.abs(trajectory.qd) / robot.max_velocity,
-        "acceleration": np.abs(trajectory.qdd) / robot.max_acceleration,
-    }
-
-
 def _typical(predictions: Sequence[Prediction]) -> int:
     """The motion in the middle of the field, so that the plot flatters nobody."""
     worst = [float(np.nanmax(p.normalised_rmse(moving=True))) for p in predictions]
     return int(np.argsort(worst)[len(worst) // 2])
-
-
-def _describe(recipe: Recipe, plan: Plan) -> str:
-    loop, settings = plan.excitation.loop, recipe.motion.settings
-    binding = sorted({limit.limit for limit in loop.trajectory.binding})
-    slowed = f"; slowed down by {', '.join(binding)}" if binding else ""
-    return (
-        f"{len(loop.poses)} via-points, {loop.trajectory.duration:.1f} s a cycle, {plan.excitation.cycles} cycles at "
-        f"{plan.excitation.speed:g} m/s, {settings.fly_type.value} within {1000 * settings.fly_distance:g} mm{slowed}."
-    )
 
 
 def provenance(run_path: Path, state: dict[str, Any], logs: Sequence[Path]) -> dict[str, str]:

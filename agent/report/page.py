@@ -36,11 +36,12 @@ class Scene:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, paragraphs, and what belongs under them, in order."""
+    """A heading, paragraphs, what belongs under them in order, and a listing of program text."""
 
     title: str
     text: Sequence[str] = ()
     parts: Sequence[Table | Figure | Scene] = ()
+    listing: str = ""
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,12 @@ def render(page: Page) -> str:
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     template = environment.from_string(_asset("page.html"))
     sections = [
-        {"title": section.title, "text": section.text, "parts": [_part(part) for part in section.parts]}
+        {
+            "title": section.title,
+            "text": section.text,
+            "parts": [_part(part) for part in section.parts],
+            "listing": section.listing,
+        }
         for section in page.sections
     ]
     scenes = any(part["kind"] == "scene" for section in sections for part in section["parts"])

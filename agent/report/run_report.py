@@ -8,36 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from agent.report.figures import (
-    limit_margins,
-    motion_box_plot,
-    search_history,
-    speed_profile,
-    torque_prediction,
-)
-from agent.report.page import Page, Scene, Section, Table, render
+from agent.report.figures import motion_box_plot, torque_prediction
+from agent.report.motion_sections import MotionData, motion_sections
+from agent.report.page import Page, Section, Table, render
 
 
 @dataclass(frozen=True, eq=False)
 class RunData:
     """What the report of a run shows.
 
-    result: the content of `result.json`; path (S, 3) of the TCP [m], via_points (K, 3), t (S,) and speed (S,) of one
-    cycle; limit_use {kind: (S, n)} as fractions; best, mean (G,) of the search; parameter_rows: the table of the
-    model, header first; normalised_rmse (motions, n) on moving samples; one unseen motion's time, measured,
-    predicted and half width of the bounds (S, n).
+    result: the content of `result.json`; parameter_rows: the table of the model, header first; normalised_rmse
+    (motions, n) on moving samples; one unseen motion's time, measured, predicted and half width of the bounds (S, n).
     """
 
     result: dict[str, Any]
-    path: np.ndarray
-    via_points: np.ndarray
-    keep_out: dict[str, tuple[np.ndarray, np.ndarray]]
-    t: np.ndarray
-    speed: np.ndarray
-    programmed_speed: float
-    limit_use: dict[str, np.ndarray]
-    best: np.ndarray
-    mean: np.ndarray
+    motion: MotionData
     parameter_rows: Sequence[Sequence[str]]
     normalised_rmse: np.ndarray
     prediction: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]
@@ -52,7 +37,7 @@ def run_report(data: RunData) -> str:
         f"{'Accepted' if accepted else 'Rejected'}: the worst axis predicts unseen motions in the sub-region to "
         f"{100 * worst:.2f} % of its nominal torque; the gate is {100 * result['gate']['normalised_rmse']:.1f} %."
     )
-    sections = (_validation(data), _motion(data), _search(data), _parameters(data), _health(data), _provenance(data))
+    sections = (_validation(data), *motion_sections(data.motion), _parameters(data), _health(data), _provenance(data))
     title = f"Calibration of {result['robot']}"
     return render(Page(title, headline, "good" if accepted else "bad", sections))
 
@@ -81,31 +66,6 @@ def _validation(data: RunData) -> Section:
         torque_prediction(*data.prediction, names),
     )
     return Section("Prediction of unseen motions", text, parts)
-
-
-def _motion(data: RunData) -> Section:
-    scene = Scene(
-        "path",
-        "The loop and its via-points, base frame.",
-        lines={"loop": data.path[:: max(1, len(data.path) // 800)]},
-        points={"via-points": data.via_points},
-        boxes={f"keep-out: {name}": box for name, box in data.keep_out.items()},
-    )
-    names = tuple(data.result["validation"]["joints"])
-    parts = (
-        scene,
-        speed_profile(data.t, data.speed, data.programmed_speed),
-        limit_margins(data.t, data.limit_use, names),
-    )
-    return Section("Motion", (data.result["search"]["motion"],), parts)
-
-
-def _search(data: RunData) -> Section:
-    search = data.result["search"]
-    text = (
-        f"Fitness {search['fitness']:.2f} after {search['evaluations']} candidates, each run through the interpolator.",
-    )
-    return Section("Search", text, (search_history(data.best, data.mean),))
 
 
 def _parameters(data: RunData) -> Section:

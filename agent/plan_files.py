@@ -1,0 +1,137 @@
+"""`agent plan`: the loop, its margins and its program, written before anything moves."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agent.console import Console, finite
+from agent.errors import InputError
+from agent.planning import PlannedMotion, check_cell, program_text, search_loop
+from agent.recipe import Recipe, ViaBox, ViaPointList
+from agent.run import write_atomically
+
+if TYPE_CHECKING:
+    from agent.motion.trajectory import Trajectory
+    from agent.report import MotionData
+
+
+@dataclass(frozen=True, eq=False)
+class PlanFiles:
+    """What `agent plan` wrote: the folder, and what it says of the loop."""
+
+    folder: Path
+    motion: PlannedMotion
+    search: dict[str, Any]
+    description: str
+    limit_use: dict[str, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "schema": "plan/1",
+            "folder": str(self.folder),
+            "fitness": self.search["fitness"],
+            "cycle_s": self.motion.loop.trajectory.duration,
+            "description": self.description,
+            "largest_use_of_limits": self.limit_use,
+            "files": ["program.pdl", "plan.json", "plan.html"],
+        }
+
+    def text(self) -> str:
+        """A few lines for people."""
+        use = ", ".join(f"{kind} {100 * value:.0f} %" for kind, value in self.limit_use.items())
+        lines = [f"fitness {self.search['fitness']:.2f}", self.description, f"largest use of the joint limits: {use}"]
+        return "\n".join([*lines, *(str(self.folder / name) for name in ("program.pdl", "plan.html"))])
+
+
+def plan_recipe(recipe: Recipe, folder: Path, console: Console) -> PlanFiles:
+    """Search, check the cell, and write program, page and data into a new folder. Opens no port.
+
+    Raises:
+        InputError: as in `plan_once`, or the folder holds a plan already.
+    """
+    from agent.report import plan_report
+
+    if (folder / "plan.json").exists():
+        raise InputError(f"{folder}: holds a plan already; name another folder with -o, or move it away")
+    motion, found = search_loop(recipe, console)
+    check_cell(recipe, motion.loop.trajectory)
+    text, data = program_text(recipe, motion), motion_data(recipe, motion, found)
+    files = PlanFiles(
+        folder,
+        motion,
+        found,
+        describe(recipe, motion),
+        {kind: float(values.max()) for kind, values in data.limit_use.items()},
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(folder / "program.pdl", text)
+    write_atomically(folder / "plan.html", plan_report(data, text))
+    write_atomically(folder / "plan.json", json.dumps(finite({**files.to_dict(), "search": found}), indent=2) + "\n")
+    return files
+
+
+def motion_data(recipe: Recipe, motion: PlannedMotion, found: dict[str, Any]) -> MotionData:
+    """What a report shows of a planned loop; `found` is how it was found."""
+    from agent.report import MotionData
+
+    trajectory, history = motion.loop.trajectory, found["history"]
+    return MotionData(
+        robot=recipe.robot.name,
+        joints=recipe.robot.joint_names,
+        description=(describe(recipe, motion),),
+        path=trajectory.tcp[:, :3, 3],
+        via_points=motion.loop.poses[:, :3, 3],
+        boxes=_boxes(recipe),
+        t=trajectory.t[::5],
+        speed=trajectory.path_speed[::5],
+        programmed_speed=motion.speed,
+        limit_use={name: values[::5] for name, values in limit_use(recipe, trajectory).items()},
+        best=np.array(history["best"], dtype=float),
+        mean=np.array(history["mean"], dtype=float),
+        fitness=found["fitness"],
+        evaluations=found["evaluated"],
+    )
+
+
+def _boxes(recipe: Recipe) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Opposite corners of what surrounds the loop: where via-points may lie, and where the arm must not be."""
+    via = recipe.motion.via_points
+    boxes = {f"keep-out: {box.name}": (np.array(box.minimum), np.array(box.maximum)) for box in recipe.cell.keep_out}
+    if isinstance(via, ViaBox):
+        half = np.array(via.size) / 2
+        boxes["sub-region"] = (np.array(via.centre) - half, np.array(via.centre) + half)
+    elif isinstance(via, ViaPointList):
+        for k, point in enumerate(via.points):
+            middle, spread = np.array(point.pose[:3]), np.array(point.range[:3])
+            boxes[f"region {k + 1}"] = (middle - spread, middle + spread)
+    return boxes
+
+
+def limit_use(recipe: Recipe, trajectory: Trajectory) -> dict[str, np.ndarray]:
+    """{kind: (S, n)} how much of each joint limit a trajectory uses; 1 is all of it."""
+    robot = recipe.robot
+    lower, upper = robot.position_limits
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    centre, half = np.where(bounded, (lower + upper) / 2, 0.0), np.where(bounded, (upper - lower) / 2, np.inf)
+    return {
+        "position": np.abs(trajectory.q - centre) / half,
+        "speed": np.abs(trajectory.qd) / robot.max_velocity,
+        "acceleration": np.abs(trajectory.qdd) / robot.max_acceleration,
+    }
+
+
+def describe(recipe: Recipe, motion: PlannedMotion) -> str:
+    """A planned loop in one sentence."""
+    trajectory, settings = motion.loop.trajectory, recipe.motion.settings
+    binding = sorted({limit.limit for limit in trajectory.binding})
+    slowed = f"; slowed down by {', '.join(binding)}" if binding else ""
+    return (
+        f"{len(motion.loop.poses)} via-points, {trajectory.duration:.1f} s a cycle, {motion.cycles} cycles at "
+        f"{motion.speed:g} m/s, {settings.fly_type.value} within {1000 * settings.fly_distance:g} mm{slowed}."
+    )

@@ -1,0 +1,61 @@
+"""The loop and its search, as sections of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.report.figures import limit_margins, search_history, speed_profile
+from agent.report.page import Page, Scene, Section, render
+
+
+@dataclass(frozen=True, eq=False)
+class MotionData:
+    """A planned loop.
+
+    path (S, 3) of the TCP [m], via_points (K, 3), boxes {name: (min, max)} of sub-region and keep-out; of one cycle
+    t (S',) [s], speed (S',) [m/s], limit_use {kind: (S', n)} as fractions; best, mean (G,) of the search and its fitness.
+    """
+
+    robot: str
+    joints: tuple[str, ...]
+    description: Sequence[str]
+    path: np.ndarray
+    via_points: np.ndarray
+    boxes: dict[str, tuple[np.ndarray, np.ndarray]]
+    t: np.ndarray
+    speed: np.ndarray
+    programmed_speed: float
+    limit_use: dict[str, np.ndarray]
+    best: np.ndarray
+    mean: np.ndarray
+    fitness: float
+    evaluations: int
+
+
+def motion_sections(data: MotionData) -> tuple[Section, Section]:
+    """Path, speed, use of the limits; then the search."""
+    scene = Scene(
+        "path",
+        "The loop and its via-points, base frame.",
+        lines={"loop": data.path[:: max(1, len(data.path) // 800)]},
+        points={"via-points": data.via_points},
+        boxes=data.boxes,
+    )
+    speed = speed_profile(data.t, data.speed, data.programmed_speed)
+    margins = limit_margins(data.t, data.limit_use, data.joints)
+    found = f"Fitness {data.fitness:.2f} after {data.evaluations} candidates, each run through the interpolator."
+    return (
+        Section("Motion", data.description, (scene, speed, margins)),
+        Section("Search", (found,), (search_history(data.best, data.mean),)),
+    )
+
+
+def plan_report(data: MotionData, program: str) -> str:
+    """HTML text of a plan, before anything moves."""
+    headline = f"One cycle takes {data.t[-1]:.1f} s; fitness {data.fitness:.2f}."
+    listing = Section("Program", ("What the controller will be sent.",), (), program)
+    page = Page(f"Plan for {data.robot}", headline, "plain", (*motion_sections(data), listing))
+    return render(page)

@@ -1,0 +1,120 @@
+"""The fake controller as a process, as users meet it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+RECIPE = """
+robot: comau_ns16
+controller: {{driver: tcp, address: "{address}"}}
+motion:
+  speed: 1 m/s
+  fly: {{type: FLY_CART, trajectory: FLY_TOL, distance: 20 mm}}
+  via_points:
+    count: 6
+    box:
+      centre: [1.0 m, 0 m, 0.8 m]
+      size: [500 mm, 600 mm, 400 mm]
+      orientation: [0 deg, 180 deg, 0 deg]
+      cone: 30 deg
+search: {{population: 8, generations: 3, seed: 1}}
+record: {{rate: 500 Hz, cycles: {cycles}}}
+validate: {{motions: {motions}, speed: {speed}, seed: 2}}
+gate: {{normalised_rmse: {gate}}}
+"""
+
+
+class Controller:
+    """A running fake controller."""
+
+    def __init__(self, *options: str):
+        command = [sys.executable, "-m", "fake_controller", "--robot", "comau_ns16", "--port", "0", "--seed", "7"]
+        self.process = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True, cwd=ROOT)
+        assert self.process.stdout is not None
+        self.greeting = self.process.stdout.readline()
+        self.address = self.greeting.split(" at ")[1].split(",")[0]
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+
+@pytest.fixture
+def start_controller() -> Iterator[Callable[..., Controller]]:
+    """Starts fake controllers with more options; all end with the test."""
+    running: list[Controller] = []
+
+    def start(*options: str) -> Controller:
+        running.append(Controller(*options))
+        return running[-1]
+
+    yield start
+    for controller in running:
+        controller.end()
+
+
+@pytest.fixture
+def controller(start_controller: Callable[..., Controller]) -> Controller:
+    """A fake controller that runs as fast as it can."""
+    return start_controller("--clock", "fast")
+
+
+@pytest.fixture
+def write_recipe(tmp_path: Path) -> Callable[..., Path]:
+    """Writes a small recipe into the test's folder; keyword arguments: cycles, motions, speed, gate."""
+
+    def write(address: str, **values: object) -> Path:
+        chosen = {"cycles": 2, "motions": 2, "speed": "0.2 m/s", "gate": 0.03, **values}
+        path = tmp_path / "recipe.yaml"
+        path.write_text(RECIPE.format(address=address, **chosen), encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.fixture
+def start_agent(tmp_path: Path) -> Callable[..., subprocess.Popen[str]]:
+    """Starts the command line, off a terminal, in the test's folder."""
+
+    def start(*arguments: str | Path) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [sys.executable, "-m", "agent", *map(str, arguments)],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    return start
+
+
+@pytest.fixture
+def run_agent(start_agent: Callable[..., subprocess.Popen[str]]) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Runs the command line to its end."""
+
+    def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+        process = start_agent(*arguments)
+        output, errors = process.communicate()
+        return subprocess.CompletedProcess(process.args, process.returncode, output, errors)
+
+    return run
+
+
+@pytest.fixture
+def wait_for_motion() -> Callable[[subprocess.Popen[str]], None]:
+    """Reads an agent's progress until the arm moves."""
+
+    def wait(process: subprocess.Popen[str]) -> None:
+        assert process.stderr is not None
+        assert any("of motion" in line for line in process.stderr), "the agent ended before anything moved"
+
+    return wait

@@ -1,0 +1,138 @@
+"""The whole job over a real socket, and what is left when it is cut short."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.estimation import IdentifiedModel
+from agent.recording import read_log
+from agent.robot import load_robot
+from drivers.tcp import TcpDriver
+
+
+def test_the_whole_job(controller, write_recipe, run_agent, tmp_path: Path):
+    recipe = write_recipe(controller.address)
+    run = run_agent("calibrate", recipe)
+    assert run.returncode == 0, run.stderr
+    folder = tmp_path / run.stdout.strip()
+    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    assert result["accepted"]
+    assert max(result["validation"]["normalised_rmse"]) <= 0.02
+    assert result["validation"]["motions"] == 2
+    assert [entry["lost"] for entry in result["recordings"]] == [0, 0, 0]
+    for name in ("fitness", "condition number", "prediction error", "accepted", "report.html"):
+        assert name in run.stderr
+
+    model = IdentifiedModel.load(folder / "model.json")
+    assert len(model.base_values) == 40
+    assert np.isfinite(model.standard_deviations).all()
+    log = read_log(folder / "excitation.mcap", load_robot("comau_ns16"))
+    assert log.metadata["motion"] == "excitation"
+    assert len(log.cycle_starts) == 2
+    planned = np.isfinite(log.planned_position).all(axis=1)
+    assert planned.any()
+    gap = np.sqrt(np.mean((log.planned_position - log.reference_position)[planned] ** 2))
+    assert 1e-6 < gap < 0.2, "the controller's interpolator is near ours, not ours"
+    assert "<html" in (folder / "report.html").read_text(encoding="utf-8")
+
+    again = run_agent("calibrate", recipe, "-q")
+    assert again.returncode == 0, again.stderr
+    assert again.stdout.strip() != run.stdout.strip()
+    kept = run_agent("trajectories", "--json")
+    assert len(json.loads(kept.stdout)["trajectories"]) == 1, "the same search finds the same loop"
+
+
+def test_a_gate_that_is_missed_is_exit_3_and_keeps_everything(controller, write_recipe, run_agent, tmp_path: Path):
+    recipe = write_recipe(controller.address, motions=1, gate=1e-5)
+    run = run_agent("calibrate", recipe, "--json")
+    assert run.returncode == 3
+    assert json.loads(run.stdout)["accepted"] is False
+    (folder,) = (tmp_path / "logs").iterdir()
+    assert json.loads((folder / "state.json").read_text(encoding="utf-8"))["status"] == "rejected"
+    assert (folder / "report.html").exists()
+
+
+@pytest.mark.parametrize(("kill", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupted_run_stops_the_arm_and_says_where(
+    start_controller,
+    write_recipe,
+    start_agent,
+    wait_for_motion,
+    run_agent,
+    tmp_path: Path,
+    kill: signal.Signals,
+    code: int,
+):
+    controller = start_controller("--clock", "real")
+    recipe = write_recipe(controller.address, motions=1, speed="1 m/s", cycles=1)
+    process = start_agent("calibrate", recipe)
+    wait_for_motion(process)
+    process.send_signal(kill)
+    _, errors = process.communicate()
+    assert process.returncode == code, errors
+    assert "Traceback" not in errors
+    (folder,) = (tmp_path / "logs").iterdir()
+    state = json.loads((folder / "state.json").read_text(encoding="utf-8"))
+    assert (state["status"], state["stopped"]["step"]) == ("stopped", "record")
+    assert len(read_log(folder / "excitation.mcap").t) > 0
+    driver = TcpDriver(controller.address)
+    driver.connect()
+    assert not driver.status().moving
+    driver.close()
+
+    recipe.write_text(recipe.read_text(encoding="utf-8").replace("cycles: 1", "cycles: 2"), encoding="utf-8")
+    other = run_agent("calibrate", recipe, "--resume", folder)
+    assert other.returncode == 2
+    assert "another recipe" in other.stderr
+
+
+def test_a_stopped_run_goes_on(start_controller, write_recipe, start_agent, wait_for_motion, run_agent, tmp_path: Path):
+    slow = start_controller("--clock", "real")
+    recipe = write_recipe(slow.address, motions=1, cycles=1)
+    process = start_agent("calibrate", recipe)
+    wait_for_motion(process)
+    process.kill()
+    process.communicate()
+    slow.end()
+    (folder,) = (tmp_path / "logs").iterdir()
+    port = slow.address.rsplit(":", 1)[1]
+    start_controller("--clock", "fast", "--port", port)
+    run = run_agent("calibrate", recipe, "--resume", folder)
+    assert run.returncode == 0, run.stderr
+    assert "search" not in run.stderr.split("fitness")[0], "the plan was finished and is not searched again"
+    assert (folder / "excitation.stopped1.mcap").exists()
+    assert json.loads((folder / "state.json").read_text(encoding="utf-8"))["status"] == "finished"
+
+
+def test_a_controller_killed_in_mid_motion(
+    start_controller, write_recipe, start_agent, wait_for_motion, tmp_path: Path
+):
+    controller = start_controller("--clock", "real")
+    process = start_agent("calibrate", write_recipe(controller.address, motions=1, cycles=1))
+    wait_for_motion(process)
+    controller.end()
+    _, errors = process.communicate()
+    assert process.returncode == 4, errors
+    assert "Traceback" not in errors
+    (folder,) = (tmp_path / "logs").iterdir()
+    assert len(read_log(folder / "excitation.mcap").t) > 0
+    assert json.loads((folder / "state.json").read_text(encoding="utf-8"))["stopped"]["step"] == "record"
+
+
+def test_a_second_agent_on_the_same_robot_is_told_that_it_is_busy(
+    start_controller, write_recipe, start_agent, wait_for_motion, run_agent
+):
+    controller = start_controller("--clock", "real")
+    recipe = write_recipe(controller.address, motions=1, cycles=1)
+    first = start_agent("calibrate", recipe)
+    wait_for_motion(first)
+    second = run_agent("calibrate", recipe)
+    first.kill()
+    first.communicate()
+    assert second.returncode == 75
+    assert "another run holds this robot" in second.stderr

@@ -1,0 +1,103 @@
+"""The command line as a user meets it: help, refusals, exit codes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from agent.cli import NOT_YET
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_help_loads_nothing_heavy():
+    script = (
+        "import sys; sys.argv = ['agent', '--help']\n"
+        "from agent.cli import main\n"
+        "try: main()\nexcept SystemExit as end: assert not end.code\n"
+        "heavy = {'numpy', 'scipy', 'pinocchio', 'matplotlib', 'pydantic', 'mcap', 'lark'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    run = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert "calibrate" in run.stdout
+
+
+@pytest.mark.parametrize("command", NOT_YET)
+def test_a_command_that_is_not_there_says_so_and_is_not_listed(run_agent, command: str):
+    run = run_agent(command, "anything")
+    assert run.returncode == 2
+    assert run.stderr.strip() == f"agent {command}: this command is not there yet in this version"
+    listed = [line.split()[0] for line in run_agent("--help").stdout.splitlines() if line.split()]
+    assert command not in listed
+
+
+def test_unknown_command_is_usage(run_agent):
+    run = run_agent("calibrat")
+    assert run.returncode == 2
+    assert "calibrat" in run.stderr
+    assert "Traceback" not in run.stderr
+
+
+def test_a_recipe_from_init_passes_the_offline_part_of_check(run_agent, tmp_path: Path):
+    assert run_agent("init", "mine.yaml").returncode == 0
+    again = run_agent("init", "mine.yaml")
+    assert again.returncode == 2
+    assert "exists already" in again.stderr
+    text = (tmp_path / "mine.yaml").read_text(encoding="utf-8").replace("127.0.0.1:9100", "127.0.0.1:1")
+    (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
+    run = run_agent("check", "mine.yaml", "--json")
+    findings = {entry["subject"]: entry for entry in json.loads(run.stdout)["findings"]}
+    assert run.returncode == 4
+    assert [name for name, entry in findings.items() if not entry["ok"]] == ["controller"]
+    assert "no controller answers at 127.0.0.1:1" in findings["controller"]["message"]
+
+
+def test_check_tells_all_problems_at_once(write_recipe, run_agent):
+    path = write_recipe("127.0.0.1:1")
+    path.write_text(path.read_text(encoding="utf-8").replace("[1.0 m, 0 m, 0.8 m]", "[2.4 m, 0 m, 0.8 m]"))
+    run = run_agent("check", path)
+    assert run.returncode == 2
+    problems = [line for line in run.stdout.splitlines() if line.startswith("PROBLEM")]
+    assert any("sub-region" in line and "out of reach" in line for line in problems)
+    assert any("controller" in line for line in problems)
+
+
+def test_recipe_faults_name_line_and_key(write_recipe, run_agent, tmp_path: Path):
+    path = write_recipe("127.0.0.1:1", speed="0.2 kg")
+    text = path.read_text(encoding="utf-8").replace("population", "populaton")
+    path.write_text(text, encoding="utf-8")
+    run = run_agent("calibrate", path)
+    assert run.returncode == 2
+    line = {
+        key: number for number, row in enumerate(text.splitlines(), 1) for key in ("populaton", "0.2 kg") if key in row
+    }
+    assert f"recipe.yaml:{line['populaton']}: search.populaton: unknown key" in run.stderr
+    assert f"recipe.yaml:{line['0.2 kg']}: validate.speed" in run.stderr
+    assert not (tmp_path / "logs").exists()
+
+
+def test_nobody_at_the_address_is_exit_4_and_the_run_says_where_it_stopped(write_recipe, run_agent, tmp_path: Path):
+    path = write_recipe("127.0.0.1:1", motions=1)
+    run = run_agent("calibrate", path)
+    assert run.returncode == 4
+    assert "no controller answers at 127.0.0.1:1" in run.stderr
+    (folder,) = (tmp_path / "logs").iterdir()
+    state = json.loads((folder / "state.json").read_text(encoding="utf-8"))
+    assert state["status"] == "stopped"
+    assert state["stopped"]["step"] == "record"
+
+
+def test_an_existing_output_is_never_overwritten(run_agent, tmp_path: Path):
+    table, log = tmp_path / "table.csv", tmp_path / "log.mcap"
+    table.write_text("t\n0\n", encoding="utf-8")
+    log.write_bytes(b"precious")
+    mapping = tmp_path / "map.yaml"
+    mapping.write_text("rate: 500 Hz\n", encoding="utf-8")
+    run = run_agent("import", "--robot", "comau_ns16", "--map", mapping, table, log)
+    assert run.returncode == 2
+    assert log.read_bytes() == b"precious"

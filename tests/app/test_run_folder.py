@@ -1,0 +1,137 @@
+"""Run folders, alignment of plan and execution, and the conditions before motion."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.errors import AgentError, ControllerError, InputError, SafetyError
+from agent.record import moving_stretches
+from agent.run import RunFolder, sha256_text, write_atomically
+from agent.safety.preconditions import check_ready, is_loopback, needs_person
+from drivers.protocol import Status
+
+READY = Status(
+    drives_on=True,
+    mode="auto",
+    emergency_stop=False,
+    alarms=(),
+    override=1.0,
+    cell_closed=True,
+    moving=False,
+    program="p",
+    checksum="c",
+    position=np.zeros(6),
+)
+
+
+@pytest.fixture
+def recipe(tmp_path: Path) -> Path:
+    path = tmp_path / "recipe.yaml"
+    path.write_text("robot: comau_ns16\n", encoding="utf-8")
+    return path
+
+
+def test_two_runs_in_one_second_are_two_folders(recipe: Path, tmp_path: Path):
+    now = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+    first = RunFolder.create(tmp_path / "logs", "arm", recipe, now)
+    second = RunFolder.create(tmp_path / "logs", "arm", recipe, now)
+    assert first.path.name == "20260102T030405Z_arm"
+    assert first.path != second.path
+
+
+def test_a_stopped_run_goes_on_with_what_it_finished(recipe: Path, tmp_path: Path):
+    run = RunFolder.create(tmp_path / "logs", "arm", recipe)
+    run.finish("plan", found=np.array([1.0, np.nan]))
+    run.stopped("record", "cable pulled")
+    again = RunFolder.open(run.path, sha256_text(recipe.read_text(encoding="utf-8")))
+    assert again.finished("plan")["found"] == [1.0, None]
+    assert again.finished("record") is None
+    assert again.state["status"] == "running"
+
+
+def test_a_run_of_another_recipe_or_a_complete_one_is_refused(recipe: Path, tmp_path: Path):
+    run = RunFolder.create(tmp_path / "logs", "arm", recipe)
+    with pytest.raises(InputError, match="another recipe"):
+        RunFolder.open(run.path, sha256_text("robot: other\n"))
+    run.complete(accepted=True)
+    with pytest.raises(InputError, match="complete"):
+        RunFolder.open(run.path, sha256_text(recipe.read_text(encoding="utf-8")))
+    with pytest.raises(InputError, match="not a run folder"):
+        RunFolder.open(tmp_path, "")
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = write_atomically(tmp_path / "model.json", "old")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("agent.run.os.fsync", full)
+    with pytest.raises(AgentError, match="No space left"):
+        write_atomically(path, "new")
+    assert path.read_text(encoding="utf-8") == "old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["model.json"]
+
+
+def test_state_is_json_without_nan(recipe: Path, tmp_path: Path):
+    run = RunFolder.create(tmp_path / "logs", "arm", recipe)
+    run.finish("estimate", value=float("inf"))
+    json.loads((run.path / "state.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
+
+
+@given(
+    lengths=st.lists(st.tuples(st.integers(4, 60), st.integers(2, 50)), min_size=1, max_size=5),
+    rest=st.integers(4, 20),
+)
+def test_moving_stretches_are_found_where_they_were_put(lengths: list[tuple[int, int]], rest: int):
+    reference, expected, here = [0.0] * rest, [], 0.0
+    for pause, moving in lengths:
+        expected.append((len(reference) - 1, len(reference) + moving))
+        reference += [here + 0.01 * (k + 1) for k in range(moving)]
+        here = reference[-1]
+        reference += [here] * (rest + pause)
+    found = moving_stretches(np.array(reference)[:, None], rest - 1)
+    assert found == expected
+
+
+def test_nothing_that_moves_has_no_stretches():
+    assert moving_stretches(np.ones((100, 6)), 3) == []
+    assert moving_stretches(np.ones((1, 6)), 3) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "said"),
+    [
+        ({"emergency_stop": True}, SafetyError, "emergency stop"),
+        ({"mode": "teach"}, ControllerError, "auto"),
+        ({"drives_on": False}, ControllerError, "drives"),
+        ({"alarms": ("4711",)}, ControllerError, "4711"),
+        ({"cell_closed": False}, ControllerError, "gate"),
+        ({"override": 0.5}, ControllerError, "50 %"),
+        ({"moving": True}, ControllerError, "moving"),
+        ({"checksum": "other"}, ControllerError, "stored program"),
+        ({"program": "other"}, ControllerError, "other"),
+    ],
+)
+def test_every_condition_stops_the_start(change: dict, error: type[AgentError], said: str):
+    check_ready(READY, "here", "p", "c")
+    with pytest.raises(error, match=said):
+        check_ready(replace(READY, **change), "here", "p", "c")
+
+
+@pytest.mark.parametrize(
+    ("address", "local"),
+    [("127.0.0.1:9100", True), ("localhost:1", True), ("[::1]:1", True), ("10.0.0.3:9100", False), ("robot:1", False)],
+)
+def test_only_an_emulator_on_this_machine_moves_unasked(address: str, local: bool):
+    assert is_loopback(address) is local
+    assert needs_person(READY, address)
+    assert needs_person(replace(READY, emulator=True), address) is not local
