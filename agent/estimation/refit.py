@@ -1,0 +1,144 @@
+"""Estimating again from fresh logs what an earlier model says: its friction alone, or everything.
+
+The structure stays that of the earlier model (its base parameters, its friction terms with their reversals), so that
+parameters of one loop can be compared over the years. Its friction values are no prior: each estimate stands on its own
+data, else a drift would be found late and too small.
+
+Friction alone: base parameters β stay where they are, the friction φ minimises Σ w_g |y_g - B_g β - F_g φ|² + k φᵀ Λ φ.
+What β may be off goes on into φ by G = ∂φ/∂β = -(A_φφ + k Λ)⁻¹ A_φβ, so with S the covariance of φ at given β
+
+    cov = [[Σ_β, Σ_β Gᵀ], [G Σ_β, S + G Σ_β Gᵀ]].
+
+Two models that share β differ by what S says, which `conditional_covariance` gets back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.errors import InputError
+from agent.estimation.blocks import partition
+from agent.estimation.estimate import ESTIMATORS, rigid_bodies, trust_prior
+from agent.estimation.filtering import FilterSettings
+from agent.estimation.model import IdentifiedModel
+from agent.estimation.moments import collect
+from agent.estimation.observation import Observation, observe
+from agent.estimation.prior import physical_prior
+from agent.estimation.problem import Estimate, Problem, cross_validate
+from agent.estimation.solving import autocorrelation_time, reweight, solve_scaled
+from agent.estimation.summary import build_model
+from agent.recording.log import Log
+
+if TYPE_CHECKING:
+    from agent.robot.dynamics import Tool
+
+_ROUNDS = 4
+
+
+def refit(
+    model: IdentifiedModel, logs: Sequence[Log], parameters: str = "friction", tool: Tool | None = None
+) -> IdentifiedModel:
+    """Estimate `parameters` ("friction" or "all") of a model again from logs that it has not seen.
+
+    Raises:
+        InputError: logs that cannot be used, or a model whose base parameters are not this version's.
+    """
+    rigid, names, combinations = rigid_bodies(model.robot, tool)
+    if not np.array_equal(rigid.independent, model.independent):
+        raise InputError("the earlier model has other base parameters than this version identifies; calibrate anew")
+    observation = observe(rigid, logs, FilterSettings(model.cutoff, model.order))
+    observation = _without_effects(observation, model)
+    cells = partition(observation.stretches)
+    prior = physical_prior(observation, model.terms)
+    load = model.base_values
+    moments = collect(observation, cells, model.terms, load)
+    problem = Problem(observation, cells, model.terms, load, moments, prior, 1.0)
+    if parameters == "all":
+        problem = trust_prior(problem.with_own_trust())
+        found = ESTIMATORS[model.method](problem)
+        fresh = build_model(problem, found, model.method, names, combinations, logs)
+        return replace(fresh, effects=model.effects)
+    problem = replace(problem, trust=float(np.median(_times(problem, _friction(problem, model).parameters))))
+    found = _friction(problem, model)
+    fresh = build_model(problem, found, model.method, names, combinations, logs)
+    notes = (fresh.notes[0], "Friction estimated again; base parameters are those of the model before.")
+    return replace(
+        fresh,
+        covariance=_covariance(problem, found, model),
+        condition_number=model.condition_number,
+        effects=model.effects,
+        notes=notes,
+    )
+
+
+def conditional_covariance(model: IdentifiedModel) -> np.ndarray:
+    """(T, T) covariance of the friction terms if the base parameters were exactly the model's."""
+    b = len(model.independent)
+    cross = model.covariance[b:, :b]
+    base = model.covariance[:b, :b]
+    scale = 1 / np.sqrt(np.maximum(np.diag(base), 1e-300))
+    known = np.linalg.lstsq(base * np.outer(scale, scale), scale[:, None] * cross.T, rcond=1e-12)[0]
+    conditional = model.covariance[b:, b:] - cross @ (scale[:, None] * known)
+    # round-off may take a little more than there is
+    return conditional + np.diag(np.maximum(0.0, 1e-12 * np.diag(model.covariance[b:, b:]) - np.diag(conditional)))
+
+
+def _friction(problem: Problem, model: IdentifiedModel) -> Estimate:
+    base = len(model.independent)
+    moments, precision = problem.moments, problem.trust * problem.prior.precision[base:, base:]
+
+    def solver(total: np.ndarray) -> np.ndarray:
+        right = total[base:-1, -1] - total[base:-1, :base] @ model.base_values
+        friction = solve_scaled(total[base:-1, base:-1] + precision, right)
+        return np.append(model.base_values, friction)
+
+    parameters = model.values
+    for _ in range(_ROUNDS):
+        weights = reweight(moments, parameters)
+        parameters = solver(moments.weighted(weights))
+    held_out = cross_validate(problem, moments, weights, solver)
+    return Estimate(parameters, weights, moments, held_out, solver, "", model.standard)
+
+
+def _covariance(problem: Problem, found: Estimate, model: IdentifiedModel) -> np.ndarray:
+    base = len(model.independent)
+    times = _times(problem, found.parameters)
+    moments, precision = problem.moments, problem.prior.precision[base:, base:]
+    stationary = np.linalg.inv(moments.weighted(found.weights / times)[base:-1, base:-1] + precision)
+    total = moments.weighted(found.weights)
+    cells = problem.partition
+    estimates = np.array(
+        [
+            found.solver(total - moments.weighted(found.weights, cells.cluster == cluster))[base:]
+            for cluster in range(cells.clusters)
+        ]
+    )
+    count = len(estimates)
+    jackknife = (count - 1) / count * np.sum((estimates - estimates.mean(axis=0)) ** 2, axis=0)
+    widen = np.sqrt(np.maximum(1.0, jackknife / np.diag(stationary))) if count > 1 else np.ones(len(stationary))
+    own = stationary * np.outer(widen, widen)
+    gain = -np.linalg.solve(total[base:-1, base:-1] + problem.trust * precision, total[base:-1, :base])
+    of_base = model.covariance[:base, :base]
+    passed_on = gain @ of_base
+    return np.block([[of_base, passed_on.T], [passed_on, own + passed_on @ gain.T]])
+
+
+def _times(problem: Problem, parameters: np.ndarray) -> np.ndarray:
+    return autocorrelation_time(problem.residuals(parameters))
+
+
+def _without_effects(observation: Observation, model: IdentifiedModel) -> Observation:
+    """What the model's effects explain is no friction: it is taken off the measured torque."""
+    if not model.effects:
+        return observation
+    bare = replace(model, effects=())
+    stretches = []
+    for stretch in observation.stretches:
+        m = stretch.motion
+        added = model.predict(m.q, m.qd, m.qdd, m.time) - bare.predict(m.q, m.qd, m.qdd, m.time)
+        stretches.append(replace(stretch, torque=stretch.torque - m.low_pass(added)))
+    return replace(observation, stretches=tuple(stretches))

@@ -1,0 +1,288 @@
+"""Past runs in one SQLite file beside their folders: what was found, how sure it is, under which conditions.
+
+The file is an index: all of it is read from the run folders, so it may be deleted, and folders that were copied here
+turn up by themselves. Nothing heavy is imported, so that listing a thousand runs is quick.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sqlite3
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from agent.errors import AgentError, InputError
+
+FILE = "history.sqlite"
+_VERSION = 1
+_TABLES = """
+CREATE TABLE runs (
+    run TEXT PRIMARY KEY, changed INTEGER, robot TEXT, serial TEXT, kind TEXT, started TEXT, status TEXT,
+    controller TEXT, loop TEXT, program TEXT, reference TEXT, reason TEXT, worst REAL, data TEXT);
+CREATE TABLE parameters (
+    run TEXT REFERENCES runs(run) ON DELETE CASCADE, place INTEGER, name TEXT, unit TEXT, value REAL, deviation REAL,
+    PRIMARY KEY (run, place)) WITHOUT ROWID;
+CREATE INDEX by_robot ON runs (robot, serial, started);
+"""
+
+
+@dataclass(frozen=True)
+class PastRun:
+    """One run folder.
+
+    `kind` is `calibrate` or `recalibrate`; `status` that of the run folder (`finished` is accepted, `rejected` is the
+    gate's word); `loop` the key of its stored loop, `program` the SHA-256 of its program, `reference` the run whose
+    model it was compared with, `reason` why it was rejected or stopped; `worst` the largest normalised RMSE of any
+    axis. `data` holds joints, normalised_rmse, gate, and the conditions of the run.
+    """
+
+    run: str
+    robot: str
+    serial: str
+    kind: str
+    started: str
+    status: str
+    controller: str
+    loop: str
+    program: str
+    reference: str
+    reason: str
+    worst: float | None
+    data: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def accepted(self) -> bool:
+        """Whether its gate let it through."""
+        return self.status == "finished"
+
+
+@dataclass(frozen=True)
+class PastParameter:
+    """A parameter as one run found it."""
+
+    name: str
+    unit: str
+    value: float
+    deviation: float
+
+
+class History:
+    """The runs of one folder; opened by `open_history`."""
+
+    def __init__(self, folder: Path, connection: sqlite3.Connection):
+        self.folder = folder
+        self._connection = connection
+
+    def runs(self, robot: str | None = None, serial: str | None = None) -> list[PastRun]:
+        """All runs, oldest first."""
+        wanted = {"robot": robot, "serial": serial}
+        wanted = {key: value for key, value in wanted.items() if value is not None}
+        where = " AND ".join(f"{key} = ?" for key in wanted) or "1"
+        columns = "run, robot, serial, kind, started, status, controller, loop, program, reference, reason, worst, data"
+        rows = self._connection.execute(
+            f"SELECT {columns} FROM runs WHERE {where} ORDER BY started, run", tuple(wanted.values())
+        )
+        return [PastRun(*row[:-1], json.loads(row[-1])) for row in rows]
+
+    def parameters(self, runs: Iterable[str] | None = None) -> dict[str, list[PastParameter]]:
+        """Parameters by run, of all or of some, in the model's order."""
+        chosen = None if runs is None else set(runs)
+        found: dict[str, list[PastParameter]] = {}
+        for run, *values in self._connection.execute(
+            "SELECT run, name, unit, value, deviation FROM parameters ORDER BY run, place"
+        ):
+            if chosen is None or run in chosen:
+                found.setdefault(run, []).append(PastParameter(*values))
+        return found
+
+    def last_accepted(self, robot: str, loop: str, controller: str) -> PastRun | None:
+        """The newest accepted run of a loop: of the robot at this controller if there is one, else of any."""
+        accepted = [run for run in self.runs(robot) if run.accepted and run.loop == loop]
+        here = [run for run in accepted if run.controller == controller]
+        return (here or accepted or [None])[-1]
+
+    def update(self) -> None:
+        """Take in run folders that are new or have changed, and forget those that are gone."""
+        known = dict(self._connection.execute("SELECT run, changed FROM runs"))
+        present = {name: changed for name, changed in _folders(self.folder)}
+        stale = [name for name in known if name not in present]
+        fresh = [name for name, changed in present.items() if known.get(name) != changed]
+        with self._connection:
+            self._connection.executemany("DELETE FROM runs WHERE run = ?", [(name,) for name in [*stale, *fresh]])
+            for name in fresh:
+                self._add(name, present[name])
+
+    def _add(self, name: str, changed: int) -> None:
+        try:
+            run, parameters = read_run(self.folder / name)
+        except (OSError, ValueError, KeyError, TypeError):
+            return  # a folder that is being written, or is no run; it is looked at again next time
+        row = (name, changed, run.robot, run.serial, run.kind, run.started, run.status, run.controller, run.loop)
+        row += (run.program, run.reference, run.reason, run.worst, json.dumps(run.data))
+        self._connection.execute(f"INSERT INTO runs VALUES ({', '.join('?' * len(row))})", row)
+        self._connection.executemany(
+            "INSERT INTO parameters VALUES (?, ?, ?, ?, ?, ?)",
+            [(name, place, p.name, p.unit, p.value, p.deviation) for place, p in enumerate(parameters)],
+        )
+
+
+@contextlib.contextmanager
+def open_history(folder: Path) -> Iterator[History]:
+    """The history of a folder of runs, brought up to date with it.
+
+    Raises:
+        InputError: there is no such folder.
+        AgentError: the file cannot be written.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no runs are kept there; name the folder with --logs")
+    path = folder / FILE
+    try:
+        connection = _connect(path)
+    except sqlite3.DatabaseError as error:
+        if isinstance(error, sqlite3.OperationalError):
+            raise _unwritable(path, error) from None
+        path.replace(path.with_suffix(".damaged"))  # the folders have all that was in it
+        connection = _connect(path)
+    try:
+        history = History(folder, connection)
+        history.update()
+        yield history
+    except sqlite3.OperationalError as error:
+        raise _unwritable(path, error) from None
+    finally:
+        connection.close()
+
+
+def find_run(logs: Path, name: str) -> Path:
+    """The folder of a run, named by its path or, in the folder of the runs, by its name.
+
+    Raises:
+        InputError: there is no such run.
+    """
+    for path in (Path(name), logs / name):
+        if (path / "state.json").is_file():
+            return path
+    raise InputError(f"{name}: no such run here or in {logs}; `agent history` lists them")
+
+
+def read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
+    """What a run folder says.
+
+    Raises:
+        OSError, ValueError, KeyError, TypeError: it is no run folder, or is being written.
+    """
+    state = _read_json(path / "state.json")
+    result = _read_json(path / "result.json") if (path / "result.json").exists() else {}
+    validation = result.get("validation", {})
+    figures = validation.get("normalised_rmse", [])
+    known = [value for value in figures if value is not None]
+    data = {
+        "joints": validation.get("joints", []),
+        "normalised_rmse": figures,
+        "gate": result.get("gate", {}).get("normalised_rmse"),
+        "conditions": result.get("conditions", {}),
+    }
+    run = PastRun(
+        run=path.name,
+        robot=state["robot"],
+        serial=state.get("serial", ""),
+        kind=state.get("kind", "calibrate"),
+        started=state["started"],
+        status=state["status"],
+        controller=state.get("controller", ""),
+        loop=state.get("loop", ""),
+        program=state.get("program", ""),
+        reference=state.get("reference", ""),
+        reason=result.get("reason", "") or state.get("stopped", {}).get("reason", ""),
+        worst=max(known, default=None),
+        data=data,
+    )
+    model = _read_json(path / "model.json") if (path / "model.json").exists() else {}
+    rows = [*model.get("base_parameters", []), *model.get("friction", [])]
+    return run, [PastParameter(p["name"], p["unit"], p["value"], p["standard_deviation"]) for p in rows]
+
+
+def history_table(runs: Sequence[PastRun]) -> str:
+    """A line a run, newest last."""
+    header = ("run", "serial", "kind", "result", "worst axis", "cycles")
+    rows = [header] + [
+        (
+            run.run,
+            run.serial or "-",
+            run.kind,
+            {"finished": "accepted"}.get(run.status, run.status),
+            "-" if run.worst is None else f"{100 * run.worst:.2f} %",
+            str(run.data.get("conditions", {}).get("cycles", "-")),
+        )
+        for run in runs
+    ]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
+    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+
+
+def history_json(history: History, runs: Sequence[PastRun]) -> dict[str, Any]:
+    """Everything the history knows of these runs, as plain data."""
+    parameters = history.parameters(run.run for run in runs)
+    return {
+        "schema": "history/1",
+        "runs": [
+            {
+                "run": run.run,
+                "robot": run.robot,
+                "serial": run.serial,
+                "kind": run.kind,
+                "started": run.started,
+                "status": run.status,
+                "accepted": run.accepted,
+                "reason": run.reason,
+                "reference": run.reference,
+                "program_sha256": run.program,
+                "joints": run.data["joints"],
+                "normalised_rmse": run.data["normalised_rmse"],
+                "gate": run.data["gate"],
+                "conditions": run.data["conditions"],
+                "parameters": [
+                    {"name": p.name, "unit": p.unit, "value": p.value, "standard_deviation": p.deviation}
+                    for p in parameters.get(run.run, [])
+                ],
+            }
+            for run in runs
+        ],
+    }
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    connection = sqlite3.connect(path, timeout=30.0)
+    try:
+        connection.execute("PRAGMA foreign_keys = ON")
+        version = connection.execute("PRAGMA user_version").fetchone()[0]
+        if version != _VERSION:
+            with connection:
+                connection.executescript(
+                    "BEGIN; DROP TABLE IF EXISTS parameters; DROP TABLE IF EXISTS runs;"
+                    f"{_TABLES} PRAGMA user_version = {_VERSION}; COMMIT;"
+                )
+    except sqlite3.DatabaseError:
+        connection.close()
+        raise
+    return connection
+
+
+def _folders(folder: Path) -> Iterator[tuple[str, int]]:
+    """Names of run folders, and when each last finished a step [ns]."""
+    for entry in os.scandir(folder):
+        with contextlib.suppress(OSError):
+            yield entry.name, os.stat(f"{entry.path}/state.json").st_mtime_ns
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _unwritable(path: Path, error: sqlite3.Error) -> AgentError:
+    return AgentError(f"{path}: the history cannot be kept there: {error}; free space or rights?")
