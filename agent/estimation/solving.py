@@ -28,6 +28,12 @@ def solve_scaled(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     return scale * np.linalg.solve(matrix * np.outer(scale, scale), scale * right)
 
 
+def inverse(matrix: np.ndarray) -> np.ndarray:
+    """Inverse of a matrix whose unknowns have units of their own."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
+
+
 def reweight(moments: Moments, parameters: np.ndarray) -> np.ndarray:
     """(2, n) inverse residual variance of each group at parameters (p,)."""
     rows = moments.rows.sum(axis=0)

@@ -41,7 +41,7 @@ def build_model(
         combinations=combinations,
         terms=problem.terms,
         values=found.parameters,
-        covariance=covariance(problem, found, times),
+        covariance=covariance(problem, found),
         cutoff=first.cutoff,
         order=first.order,
         method=method,

@@ -1,12 +1,15 @@
 """How far the parameters may be off, honestly.
 
-Two views, of which the wider one counts for each parameter:
+The estimate is θ̂ = A⁻¹ (Xᵀ W y + k Λ θ₀) with A = Xᵀ W X + k Λ, so its covariance is A⁻¹ (M + k² Λ) A⁻¹ with
+M = Xᵀ W E[e eᵀ] W X: the second term is what the prior may be wrong by, M what the noise does. Two views of M:
 
-* Residuals of a model are autocorrelated, so S samples are worth S / T independent ones, T the integrated
-  autocorrelation time of the joint's residual. The covariance is the inverse of Σ w_g / T_g X_gᵀ X_g + Λ.
+* Residuals are autocorrelated. With their power spectrum S(f), M = Σ_f S(f) X(f)ᴴ X(f): what counts for a parameter is
+  the noise at the frequencies its column has. A fit has eaten part of the noise in its own residuals and adds as much
+  on rows held out, so S is scaled by the geometric mean of both over the former.
 * What the model gets wrong repeats with the place in the motion rather than with time. The delete-one jackknife over
   clusters (stretches of the motion, all cycles together) sees it: (C - 1) / C Σ (θ₍c₎ - θ̄)², whatever the form of the
-  residuals (Efron and Stein, Annals of Statistics 9, 1981).
+  residuals (Efron and Stein, Annals of Statistics 9, 1981). Deviations are widened to it where it is larger by more
+  than its own scatter.
 """
 
 from __future__ import annotations
@@ -14,19 +17,20 @@ from __future__ import annotations
 import numpy as np
 
 from agent.estimation.blocks import Partition
-from agent.estimation.moments import Moments
+from agent.estimation.moments import Moments, standstill
 from agent.estimation.prior import Prior
 from agent.estimation.problem import Estimate, Problem
-from agent.estimation.solving import solve_sum
+from agent.estimation.solving import inverse, solve_sum
+
+_SPECTRUM = 256  # rows in one piece of the estimate of a spectrum
 
 
-def covariance(problem: Problem, found: Estimate, times: np.ndarray) -> np.ndarray:
-    """(p, p) covariance of an estimate whose residuals have autocorrelation times (n,)."""
+def covariance(problem: Problem, found: Estimate) -> np.ndarray:
+    """(p, p) covariance of an estimate."""
     prior, partition = problem.prior, problem.partition
-    information = problem.moments.weighted(found.weights / times)[:-1, :-1] + prior.precision
-    scale = 1 / np.sqrt(np.diag(information))
-    stationary = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
     total = found.moments.weighted(found.weights)
+    bread = inverse(total[:-1, :-1] + problem.trust * prior.precision)
+    stationary = bread @ (_noise(problem, found) + problem.trust**2 * prior.precision) @ bread.T
     estimates = np.array(
         [
             found.solver(total - found.moments.weighted(found.weights, partition.cluster == cluster))
@@ -34,9 +38,46 @@ def covariance(problem: Problem, found: Estimate, times: np.ndarray) -> np.ndarr
         ]
     )
     count = len(estimates)
+    if count < 2:
+        return stationary
     jackknife = (count - 1) / count * np.sum((estimates - estimates.mean(axis=0)) ** 2, axis=0)
-    widen = np.sqrt(np.maximum(1.0, jackknife / np.diag(stationary))) if count > 1 else np.ones(len(scale))
+    ratio = jackknife / np.diag(stationary)
+    widen = np.sqrt(np.where(ratio > 1 + 2 * np.sqrt(2 / (count - 1)), ratio, 1.0))
     return stationary * np.outer(widen, widen)
+
+
+def _noise(problem: Problem, found: Estimate) -> np.ndarray:
+    """(p, p) M = Xᵀ W E[e eᵀ] W X for stationary noise with the spectrum of the residuals."""
+    observation = problem.observation
+    joints = np.arange(observation.robot.dof)
+    root = [np.sqrt(found.weights)[still.astype(int), joints] for still in standstill(observation)]
+    scaled = [rows * scale for rows, scale in zip(problem.residuals(found.parameters), root, strict=True)]
+    spectra = _spectra(scaled)
+    within = np.sum(found.weights * problem.moments.energy(found.parameters), axis=0)
+    without = np.sum(found.weights * found.held_out.sum(axis=0), axis=0)
+    spectra = spectra * np.sqrt(np.maximum(without / np.maximum(within, 1e-300), 1.0))
+    total = np.zeros((problem.moments.parameters,) * 2)
+    for stretch, scale in zip(observation.stretches, root, strict=True):
+        size = len(stretch.time)
+        grid = np.linspace(0, len(spectra) - 1, size // 2 + 1)
+        for joint, (index, columns) in enumerate(observation.joint_columns(stretch, problem.terms, problem.load)):
+            density = np.interp(grid, np.arange(len(spectra)), spectra[:, joint])
+            spectrum = np.fft.rfft(columns * scale[:, joint, None], axis=0) * np.sqrt(density)[:, None]
+            coloured = np.fft.irfft(spectrum, size, axis=0)
+            total[np.ix_(index, index)] += coloured.T @ coloured
+    return total
+
+
+def _spectra(rows: list[np.ndarray]) -> np.ndarray:
+    """(F, n) power spectrum of (S', n) series, 1 at all frequencies for independent rows of variance 1 (Welch's)."""
+    length = min(_SPECTRUM, min(len(part) for part in rows))
+    window = np.hanning(length + 2)[1:-1, None]
+    pieces = [
+        np.abs(np.fft.rfft(part[first : first + length] * window, axis=0)) ** 2
+        for part in rows
+        for first in range(0, len(part) - length + 1, max(1, length // 2))
+    ]
+    return np.mean(pieces, axis=0) / np.sum(window**2)
 
 
 def held_out_energy(

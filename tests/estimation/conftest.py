@@ -1,0 +1,89 @@
+"""Arms and motions made for the tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.recording.log import Log
+from agent.robot import Joint, RobotDescription
+
+
+def _arm(dof: int, prismatic: Sequence[int] = (), coupling: np.ndarray | None = None, seed: int = 0) -> RobotDescription:
+    """A serial arm with axes in turn about z, y, x, links of a few kilograms, gears of about a hundred."""
+    rng = np.random.default_rng(seed)
+    axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0", "0 0 1")
+    text = ['<robot name="arm"><link name="base"/>']
+    joints = []
+    for k in range(dof):
+        mass = 12.0 / (k + 1)
+        size = 0.02 * mass
+        centre = " ".join(f"{value:.3f}" for value in rng.uniform(-0.1, 0.1, 3))
+        kind = "prismatic" if k in prismatic else "revolute"
+        text.append(
+            f'<link name="link_{k + 1}"><inertial><origin xyz="{centre}"/><mass value="{mass}"/>'
+            f'<inertia ixx="{size}" iyy="{size}" izz="{0.6 * size}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+            f'<joint name="joint_{k + 1}" type="{kind}"><parent link="{"base" if k == 0 else f"link_{k}"}"/>'
+            f'<child link="link_{k + 1}"/><origin xyz="0.05 0.02 {0.3 if k else 0.4}"/><axis xyz="{axes[k]}"/>'
+            '<limit lower="-3" upper="3" velocity="4" effort="1000"/></joint>'
+        )
+        gear = (-1.0) ** k * (100.0 - 8.0 * k)
+        joints.append(
+            Joint(f"joint_{k + 1}", kind == "prismatic", gear, 1.0, 3.0, 20.0, None, 1e-4, None, None, -3.0, 3.0)
+        )
+    matrix = np.eye(dof) if coupling is None else coupling
+    rows = tuple(tuple(float(value) for value in row) for row in matrix)
+    urdf = "".join([*text, "</robot>"])
+    return RobotDescription("arm", urdf, f"link_{dof}", (0.0, 0.0, -9.80665), None, tuple(joints), rows)
+
+
+def _multisine(dof: int, t: np.ndarray, seed: int = 0, speed: float = 1.5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """q, q̇, q̈ (S, n) of eight sines a joint below 2 Hz, at most `speed` fast; a formula, so there is no error in it."""
+    rng = np.random.default_rng(seed)
+    omega = 2 * np.pi * rng.uniform(0.1, 2.0, (8, dof))
+    size = rng.normal(size=(8, dof)) / omega
+    size *= speed / np.abs(size * omega).sum(axis=0)
+    phase = omega * t[:, None, None] + rng.uniform(0, 2 * np.pi, (8, dof))
+    centre = rng.uniform(-0.5, 0.5, dof)
+    q = centre + np.sum(size * np.sin(phase), axis=1)
+    return q, np.sum(size * omega * np.cos(phase), axis=1), -np.sum(size * omega**2 * np.sin(phase), axis=1)
+
+
+def _log(
+    robot: RobotDescription, t: np.ndarray, q: np.ndarray, torque: np.ndarray | None, name: str = "a.mcap", **more
+) -> Log:
+    rate = more.pop("rate", 1 / float(np.median(np.diff(t))))
+    segments = more.pop("segments", ((0, len(t)),))
+    more = {"velocity": None, "reference_position": None, "planned_position": None, **more}
+    return Log(
+        path=Path(name),
+        joint_names=robot.joint_names,
+        t=t,
+        position=q,
+        effort=torque,
+        sample_rate=rate,
+        stamp=0.0,
+        segments=segments,
+        **more,
+    )
+
+
+@pytest.fixture(scope="session")
+def arm() -> Callable[..., RobotDescription]:
+    """`arm(dof, prismatic=(), coupling=None, seed=0)`."""
+    return _arm
+
+
+@pytest.fixture(scope="session")
+def multisine() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """`multisine(dof, t, seed=0, speed=1.5)` → q, q̇, q̈ exactly."""
+    return _multisine
+
+
+@pytest.fixture(scope="session")
+def make_log() -> Callable[..., Log]:
+    """`make_log(robot, t, q, torque, name="a.mcap", **fields)`."""
+    return _log
