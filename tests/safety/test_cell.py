@@ -1,0 +1,250 @@
+"""What the check finds on motions, and that it misses nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agent.errors import InputError
+from agent.robot.collision import Box
+from agent.robot.description import Capsule, load_robot
+from agent.robot.dynamics import Dynamics, Tool
+from agent.safety.cell import Cell
+
+ROBOT = load_robot("comau_ns16")
+REACHING = np.radians([0.0, 20.0, -90.0, 0.0, 70.0, 0.0])
+#: From there the second joint alone takes the tool from 0.96 m down to 0.23 m, into the table.
+DOWN = REACHING + np.radians([0.0, 45.0, 0.0, 0.0, 0.0, 0.0])
+TABLE = Box("table", (0.4, -1.0, 0.0), (1.6, 1.0, 0.3))
+
+
+def tool(length: float = 0.12) -> Tool:
+    frame = np.eye(4)
+    frame[2, 3] = length
+    return Tool(frame, mass=2.0)
+
+
+def brute_force(cell: Cell, q: np.ndarray, fine: int = 4) -> np.ndarray:
+    """(S, pairs) all distances on a grid finer than the samples."""
+    u = np.linspace(0, len(q) - 1, fine * (len(q) - 1) + 1)
+    dense = np.column_stack([np.interp(u, np.arange(len(q)), joint) for joint in q.T])
+    return cell._model.distances(dense)
+
+
+def test_a_clear_motion_is_clear_and_its_clearance_is_found(trajectory_through):
+    cell = Cell(ROBOT, tool(), [TABLE])
+    motion = trajectory_through([REACHING, REACHING + 0.2, REACHING - [0.5, 0, 0, 0, 0.3, 0]])
+    report = cell.check(motion, margin=0.02)
+    assert report.collision is None
+    assert report.depth == 0
+    everything = brute_force(cell, motion.q)
+    assert report.clearance == pytest.approx(everything.min(), abs=1e-3)
+    for pair, column in zip(report.pairs, everything.T, strict=True):
+        assert pair.at_least <= column.min() + 1e-5
+        assert column.min() - 1e-5 <= pair.clearance
+        assert pair.clearance - pair.at_least <= max(0.001, 0.25 * abs(pair.clearance - 0.02)) + 1e-9
+    np.testing.assert_allclose(report.joint_margins[0], np.pi - np.abs(motion.q[:, 0]).max())
+
+
+def test_the_first_collision_is_named_with_its_time_and_depth(trajectory_through):
+    """The arm bends down onto a table that it has already reached past."""
+    cell = Cell(ROBOT, tool(), [TABLE])
+    motion = trajectory_through([REACHING, DOWN, REACHING])
+    report = cell.check(motion)
+    distances = brute_force(cell, motion.q, fine=1)
+    first = int(np.argmax(distances.min(axis=1) < 0))
+    assert (report.collision.first, report.collision.second) == ("tool", "keep-out table")
+    assert report.collision.index == pytest.approx(first, abs=5)
+    assert report.collision.time == pytest.approx(motion.t[first], abs=0.01)
+    assert report.depth == pytest.approx(-distances.min(), abs=0.25 * report.depth)
+    assert not report.collision.stopping
+    text = str(report.collision)
+    assert "tool and keep-out table are in collision" in text
+    assert f"{1000 * report.collision.depth:.1f} mm deep" in text
+
+
+def test_joint_positions_alone_are_a_motion_without_times():
+    report = Cell(ROBOT, tool(), [TABLE]).check(np.array([REACHING, DOWN]))
+    assert report.collision.time is None
+    assert report.collision.index == 0
+    assert "at sample 0 tool" in str(report.collision)
+
+
+def test_a_collision_between_two_samples_is_found():
+    """Both samples are clear, on either side of a thin wall."""
+    wall = Box("wall", (0.5, -0.01, 0.0), (2.0, 0.01, 2.0))
+    cell = Cell(ROBOT, None, [wall])
+    q = np.array([REACHING - [1.2, 0, 0, 0, 0, 0], REACHING + [1.2, 0, 0, 0, 0, 0]])
+    assert cell.check(q[:1]).collision is None
+    assert cell.check(q[1:]).collision is None
+    assert cell.check(q).collision.second == "keep-out wall"
+
+
+def test_depth_grows_with_the_table(trajectory_through):
+    motion = trajectory_through([REACHING, REACHING + np.radians([10, 25, 0, 0, 0, 0])])
+    depths = [
+        Cell(ROBOT, tool(), [Box("t", (0.4, -1.0, 0.0), (1.6, 1.0, top))]).check(motion).depth
+        for top in (0.3, 0.6, 0.65, 0.7, 0.75)
+    ]
+    assert depths[0] == 0
+    assert depths[-1] > 0.1
+    assert np.all(np.diff(depths[1:]) > 0.01)
+
+
+def test_the_margin_is_added(trajectory_through):
+    motion = trajectory_through([REACHING, REACHING + np.radians([0, 10, 0, 0, 0, 0])])
+    cell = Cell(ROBOT, tool(), [TABLE])
+    free = cell.check(motion).pairs
+    gap = next(pair.clearance for pair in free if (pair.first, pair.second) == ("tool", "keep-out table"))
+    wider = next(pair.clearance for pair in free if (pair.first, pair.second) == ("link_2", "link_4"))
+    assert 0 < wider
+    table_only = Cell(replace(ROBOT, bodies={"link_6": ROBOT.bodies["link_6"]}), tool(), [TABLE])
+    assert table_only.check(motion, margin=0.8 * gap).collision is None
+    report = table_only.check(motion, margin=gap + 0.03)
+    assert report.depth == pytest.approx(0.03, abs=0.012)
+    assert "nearer than the margin" in str(report.collision)
+
+
+def test_the_arm_does_not_run_into_itself():
+    """Folded back, the hand meets the upper arm."""
+    cell = Cell(ROBOT, tool(0.3))
+    folded = np.radians([0, 0, 105, 0, 100, 0])
+    report = cell.check(np.linspace(REACHING, folded, 50))
+    assert report.collision is not None
+    assert not report.collision.second.startswith("keep-out")
+
+
+def test_a_stop_needs_room(trajectory_through):
+    """A motion that turns round just before a wall: fast, it could not stop before it, slow it could."""
+    out = REACHING - np.radians([40, 0, 0, 0, 0, 0])
+    dynamics = Dynamics(ROBOT, tool())
+    reached = dynamics.tcp_pose(out[None])[0, 1, 3]
+    wall = Box("wall", (-0.5, reached + 0.12, 0.0), (2.0, reached + 1.0, 2.0))
+    cell = Cell(ROBOT, tool(), [wall])
+    fast = trajectory_through([REACHING + np.radians([40, 0, 0, 0, 0, 0]), out], duration=1.0)
+    slow = trajectory_through([REACHING + np.radians([40, 0, 0, 0, 0, 0]), out], duration=8.0)
+    assert cell.check(fast).collision is None
+    assert cell.check_with_stopping(slow).collision is None
+    report = cell.check_with_stopping(fast)
+    assert report.collision.stopping
+    assert report.collision.second == "keep-out wall"
+    assert "on the way to a stop from 0." in str(report.collision)
+    assert fast.t[0] < report.collision.time < fast.t[-1]
+    assert cell.check_with_stopping(fast, deceleration=100 * ROBOT.max_acceleration).collision is None
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.03]))
+@settings(max_examples=20, deadline=None)
+def test_nothing_deeper_than_the_tolerance_is_missed(trajectory_through, seed, margin):
+    rng = np.random.default_rng(seed)
+    endless = tuple(replace(joint, lower=-np.inf, upper=np.inf) for joint in ROBOT.joints)
+    robot = replace(ROBOT, joints=endless)
+    knots = REACHING + rng.uniform(-0.8, 0.8, (4, 6))
+    motion = trajectory_through(knots, duration=2.0)
+    corner = rng.uniform([0.3, -1.0, 0.0], [1.5, 1.0, 1.5])
+    cell = Cell(robot, tool(), [Box("box", tuple(corner), tuple(corner + rng.uniform(0.02, 0.4, 3)))])
+    report = cell.check(motion, margin)
+    check_against(report, brute_force(cell, motion.q, fine=2), margin, fine=2)
+    stopping = cell.check_with_stopping(motion, margin)
+    stop = motion.qd * np.abs(motion.qd) / (2 * ROBOT.max_acceleration)
+    swept = np.array([cell._model.distances(motion.q + part * stop) for part in np.linspace(0, 1, 7)]).min(axis=0)
+    check_against(stopping, swept, margin, fine=1)
+
+
+def check_against(report, distances, margin, fine):
+    violated = distances < margin - 0.001
+    if violated.any():
+        assert report.collision is not None
+        assert report.collision.index <= np.argmax(violated.any(axis=1)) / fine + 1e-9
+    if report.collision is not None:
+        assert report.clearance < margin + 1e-9
+        assert report.depth == pytest.approx(margin - report.clearance)
+    for pair, column in zip(report.pairs, distances.T, strict=True):
+        assert pair.at_least <= column.min() + 2e-5
+
+
+def test_joint_ranges_narrower_than_the_joints_own(trajectory_through):
+    motion = trajectory_through([REACHING, REACHING + [0, 0, 0, 3.0, 0, 0]])
+    cable = {"joint_4": (-2.5, 2.5), "joint_6": (-3.0, 3.0)}
+    report = Cell(ROBOT, joint_ranges=cable).check(motion)
+    assert (report.collision.first, report.collision.second) == ("joint_4", "")
+    assert report.collision.index == int(np.argmax(motion.q[:, 3] > 2.5))
+    assert report.depth == pytest.approx(0.5)
+    assert report.joint_margins[3] == pytest.approx(-0.5)
+    assert report.joint_margins[5] == pytest.approx(3.0)
+    assert "joint_4 leaves its range, by 0.5" in str(report.collision)
+    assert Cell(ROBOT).check(motion).collision is None
+
+
+def test_the_way_to_a_stop_stays_in_range_too(trajectory_through):
+    motion = trajectory_through([REACHING, REACHING + [2.9, 0, 0, 0, 0, 0]], duration=1.5)
+    cell = Cell(ROBOT)
+    assert cell.check(motion).collision is None
+    report = cell.check_with_stopping(motion)
+    assert report.collision.stopping
+    assert report.collision.first == "joint_1"
+
+
+@pytest.mark.parametrize(
+    ("ranges", "reason"),
+    [({"joint_7": (-1, 1)}, "joint range of joint_7"), ({"joint_4": (1, -1)}, "nothing is left")],
+)
+def test_impossible_joint_ranges_are_refused(ranges, reason):
+    with pytest.raises(InputError, match=reason):
+        Cell(ROBOT, joint_ranges=ranges)
+
+
+def test_bodies_that_touch_in_every_posture_are_left_out_and_named():
+    fat = (Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.1), 1.0),)
+    cell = Cell(replace(ROBOT, bodies={**ROBOT.bodies, "link_3": fat}))
+    assert ("link_3", "link_5") in cell.left_out
+    assert ("link_3", "link_5") not in cell.pairs
+    assert Cell(ROBOT).left_out == ()
+    assert Cell(ROBOT).check(np.zeros((1, 6))).collision is None
+
+
+def test_an_arm_without_bodies_is_checked_against_boxes_by_its_skeleton():
+    bare = replace(ROBOT, bodies={})
+    assert Cell(bare).pairs == ()
+    assert Cell(bare).check(REACHING[None]).clearance == np.inf
+    cell = Cell(bare, tool(), [TABLE])
+    assert all(second == "keep-out table" for _, second in cell.pairs)
+    assert {"link of joint_4", "tool"} <= {first for first, _ in cell.pairs}
+    assert cell.check(REACHING[None]).collision is None
+    assert cell.check(DOWN[None]).collision is not None
+
+
+def test_clearance_over_time(trajectory_through):
+    cell = Cell(ROBOT, tool(), [TABLE])
+    motion = trajectory_through([REACHING, REACHING + 0.3])
+    curve = cell.clearance(motion.q[::50])
+    assert curve.shape == (len(motion.q[::50]),)
+    assert curve.min() >= cell.check(motion).clearance - 1e-3
+
+
+def test_a_motion_that_is_not_finite_is_not_called_clear():
+    with pytest.raises(ValueError, match="finite"):
+        Cell(ROBOT).check(np.full((3, 6), np.nan))
+
+
+def test_cost_follows_what_can_happen_not_the_number_of_samples(trajectory_through, monkeypatch):
+    """Counted in postures looked at, which is what the time goes into."""
+    cell = Cell(ROBOT, tool(), [TABLE])
+    looked_at = []
+    distances = cell._model.distances
+
+    def counting(q, *wanted):
+        looked_at.append(len(q))
+        return distances(q, *wanted)
+
+    monkeypatch.setattr(cell._model, "distances", counting)
+    knots = REACHING + np.random.default_rng(0).uniform(-0.25, 0.25, (6, 6))
+    cell.check(trajectory_through(knots, duration=10.0), margin=0.02)
+    coarse = sum(looked_at)
+    looked_at.clear()
+    motion = trajectory_through(knots, duration=10.0)
+    cell.check(replace(motion, q=np.repeat(motion.q, 4, axis=0), t=np.arange(4.0 * len(motion.t))), margin=0.02)
+    assert coarse < 800
+    assert sum(looked_at) < 1.2 * coarse
