@@ -120,7 +120,7 @@ Target = CartesianTarget | JointTarget
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """One MOVE or (`fly`) MOVEFLY. `via` belongs to CIRCULAR. `name` is the variable of the target, `line` its place."""
+    """One MOVE or (`fly`) MOVEFLY. `via` belongs to CIRCULAR; `name` is the target's variable, `line` its place."""
 
     type: MoveType
     target: Target

@@ -16,7 +16,7 @@ class MotionData:
     """A planned loop.
 
     path (S, 3) of the TCP [m], via_points (K, 3), boxes {name: (min, max)} of sub-region and keep-out; of one cycle
-    t (S',) [s], speed (S',) [m/s], limit_use {kind: (S', n)} as fractions; best, mean (G,) of the search and its fitness.
+    t (S',) [s], speed (S',) [m/s], limit_use {kind: (S', n)} as fractions; best, mean (G,) and fitness of the search.
     """
 
     robot: str
