@@ -31,12 +31,11 @@ def binding_limits(
     rule = path.rules[knot]
     with np.errstate(divide="ignore", invalid="ignore"):
         joint_full = np.max(np.abs(run.shape.q1[:, knot]) / limits.speed[:, None], axis=0)
-        programmed = np.minimum(
-            np.minimum(
-                rule[:, rules.LINEAR] / run.shape.travel[knot], rule[:, rules.ROTATIONAL] / run.shape.turn[knot]
-            ),
-            np.where(rule[:, rules.JOINT] < 1.0, rule[:, rules.JOINT] / joint_full, np.inf),
-        )
+        turning = rule[:, rules.ROTATIONAL] / run.shape.turn[knot]
+        programmed = rule[:, rules.LINEAR] / run.shape.travel[knot]
+        programmed = np.where(np.isfinite(programmed), programmed, turning)
+        joint = np.where(rule[:, rules.JOINT] < 1.0, rule[:, rules.JOINT] / joint_full, np.inf)
+        programmed = np.minimum(programmed, joint)
     allowed = rule[:, rules.STRESS] * np.maximum(rule[:, rules.ACCELERATION], rule[:, rules.DECELERATION])
     jerk = np.zeros_like(samples.qdd[pick])
     jerk[1:] = (samples.qdd[pick][1:] - samples.qdd[_EVERY - 1 :: _EVERY][: len(jerk) - 1]) / period
@@ -55,17 +54,23 @@ def binding_limits(
             (np.abs(jerk) / limits.jerk).T,
             rates / (np.stack([np.broadcast_to(ceiling, len(s)) for ceiling in ceilings]) * rule[:, rules.CARTESIAN]),
             np.where(path.overlap[knot] < 0.999, speed / np.maximum(programmed * path.overlap[knot], 1e-12), 0.0)[None],
+            (speed / turning)[None],
         )
     )
     names = [f"{name} {what}" for what in ("speed", "acceleration", "jerk") for name in joint_names]
     names += ["linear speed", "rotational speed", "linear acceleration", "rotational acceleration", "FLY_NORM overlap"]
+    names += ["programmed rotational speed"]
     slowed = speed < _REACHED * programmed
     slowed[[0, -1]] = len(s) > 2 and slowed[1], len(s) > 2 and slowed[-2]
-    # Between two limits, where the acceleration changes its sign, none is full: what was in force last still is.
-    certain = slowed & (full.max(axis=0) > _FULL)
-    last = np.maximum.accumulate(np.where(certain, np.arange(len(s)), -1))
-    first = np.argmax(certain) if certain.any() else 0
-    worst = np.where(slowed, np.argmax(full, axis=0)[np.where(last < 0, first, last)], -1)
+    # Between two limits, where the acceleration changes its sign, none is full: the nearest one that was counts.
+    certain = np.flatnonzero(slowed & (full.max(axis=0) > _FULL))
+    nearest = np.arange(len(s))
+    if len(certain):
+        after = np.minimum(np.searchsorted(certain, nearest), len(certain) - 1)
+        before = np.maximum(after - 1, 0)
+        nearer = nearest - certain[before] <= certain[after] - nearest
+        nearest = certain[np.where(nearer, before, after)]
+    worst = np.where(slowed, np.argmax(full, axis=0)[nearest], -1)
     edges = np.concatenate(([0], 1 + np.flatnonzero(np.diff(worst)), [len(worst)]))
     end = begin + (len(samples.s) - 1) * period
     return [

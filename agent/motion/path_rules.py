@@ -30,7 +30,7 @@ def segment_rules(segment: Segment) -> np.ndarray:
         by_rotation = option is SpeedOption.SPD_ROT and angle > 1e-6
         if not by_rotation:
             linear = settings.linear_speed * override
-        if by_rotation or option is SpeedOption.SPD_CONST or segment.extent > segment.length:
+        if by_rotation or option is SpeedOption.SPD_CONST or segment.length < 1e-6:
             rotational = settings.rotational_speed * override
     return np.array(
         [

@@ -20,7 +20,7 @@ from agent.motion.path import Path
 from agent.robot.description import CartesianLimits, RobotDescription
 
 _PASSES = 20
-#: [rad] of a joint between two knots of the path.
+#: [rad, m] of error between two knots of the path.
 _TOLERATED = 3e-6
 _LEAST_WEIGHT = 1e-10
 
@@ -64,7 +64,7 @@ class PathShape:
     turn_bend: np.ndarray
 
     def roughness(self, path: Path) -> float:
-        """How far joints between knots may be from the true path, in units of what is tolerated.
+        """How far joints and TCP may be from the true path between knots, in units of what is tolerated.
 
         A cubic spline errs by h⁴/384 times the fourth derivative, which is the change of the third over h.
         """
@@ -75,9 +75,12 @@ class PathShape:
         return 1 + int(np.argmax(self._errors(path)))
 
     def _errors(self, path: Path) -> np.ndarray:
-        change = 6.0 * np.abs(np.diff(self.coefficients[:, 0, : len(self.q1)], axis=0)).max(axis=1)
+        change = 6.0 * np.abs(np.diff(self.coefficients[:, 0], axis=0)).max(axis=1)
         step = np.diff(path.s)
-        return change * np.maximum(step[1:], step[:-1]) ** 3 / 384.0
+        errors = change * np.maximum(step[1:], step[:-1]) ** 3 / 384.0
+        # At its ends the spline has one cubic for two cells, and errs about ten times as much.
+        errors[[0, 1, -2, -1]] *= 10.0
+        return errors
 
 
 def shape_of(path: Path) -> PathShape:
