@@ -144,6 +144,10 @@ def estimate(
     out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL", help="model file to write")],
     cutoff: Cutoff = None,
     method: Annotated[str | None, typer.Option("--method", help="estimator; chosen on held-out data if absent")] = None,
+    export: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="also write URDF, MuJoCo model and friction file (of a consistent fit)"),
+    ] = None,
     as_json: AsJson = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
@@ -152,7 +156,7 @@ def estimate(
     from agent.console import print_json
     from agent.identify import estimate_files
 
-    model, text = estimate_files(robot, logs, out, cutoff, method, _console(verbose, quiet))
+    model, text = estimate_files(robot, logs, out, cutoff, method, _console(verbose, quiet), export)
     if as_json:
         print_json(model)
     else:

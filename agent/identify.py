@@ -37,16 +37,33 @@ def read_logs(paths: list[Path], robot: Any, console: Console) -> list[Any]:
 
 
 def estimate_files(
-    robot: str, paths: list[Path], out: Path, cutoff: float | None, method: str | None, console: Console
+    robot: str,
+    paths: list[Path],
+    out: Path,
+    cutoff: float | None,
+    method: str | None,
+    console: Console,
+    export: Path | None = None,
 ) -> tuple[dict[str, Any], str]:
-    """Fit a model to logs and write its file; returns its content and a table for people."""
+    """Fit a model to logs and write its file; returns its content and a table for people.
+
+    With a folder to `export` to, the links have to be bodies that could exist: the method is then `consistent` unless
+    another is named.
+    """
     from agent.estimation import EstimationSettings, estimate
 
     description = load_robot(robot)
     logs = read_logs(paths, description, console)
+    if export is not None and method is None:
+        method = "consistent"
     model = estimate(description, logs, EstimationSettings.create(cutoff=cutoff, method=method))
     model.save(out)
-    return model.to_dict(), f"{model.text()}\n{out}"
+    written = [out]
+    if export is not None:
+        from agent.export import export_model
+
+        written += export_model(model, export)
+    return model.to_dict(), "\n".join([model.text(), *(str(path) for path in written)])
 
 
 def validate_files(model_path: Path, paths: list[Path], cutoff: float | None, console: Console) -> dict[str, Any]:
