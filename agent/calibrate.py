@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from agent import planning
+from agent.apply import origin, remember
 from agent.console import Console
 from agent.recipe import Recipe
 from agent.record import Recording, open_link, report_losses
 from agent.result import build_result, provenance, run_data
 from agent.run import RunFolder, sha256_file
 
-_EXCITATION = "excitation.mcap"
+EXCITATION = "excitation.mcap"
 
 
 @dataclass(frozen=True)
@@ -57,30 +58,35 @@ def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None,
     """
     if resume is None:
         run = RunFolder.create(logs, recipe.robot.name, recipe.path)
+        run.note(kind="calibrate", **origin(recipe))
     else:
         run = RunFolder.open(resume, recipe.sha256)
     console.say(f"run {run.path}")
 
-    with _step(run, "plan"):
+    with step(run, "plan"):
         plan = planning.plan_once(recipe, run, console)
-    with _step(run, "record"):
+        run.note(program=sha256_file(run.file("program.pdl")))
+    with step(run, "record"):
         recordings = _record(recipe, plan, run, console, yes)
-    with _step(run, "estimate"):
+    with step(run, "estimate"):
         model = _estimate(recipe, run, console)
-    with _step(run, "validate"):
+    with step(run, "validate"):
         validation = _validate(recipe, run, model, console)
-    with _step(run, "report"):
-        return _report(recipe, plan, run, recordings, model, validation)
+    with step(run, "report"):
+        outcome = _report(recipe, plan, run, recordings, model, validation)
+    remember(run, console)
+    return outcome
 
 
 def _record(recipe: Recipe, plan: planning.Plan, run: RunFolder, console: Console, yes: bool) -> list[Recording]:
     """Excitation, then validation motions; a finished log is kept, one that was cut is moved aside and run again."""
-    motions = {_EXCITATION: plan.excitation}
+    motions = {EXCITATION: plan.excitation}
     motions |= {f"validation_{k + 1:02d}.mcap": motion for k, motion in enumerate(plan.validation)}
     done = {name: found for name in motions if (found := _recorded(run, name))}
     missing = {name: motion for name, motion in motions.items() if name not in done}
     if missing:
         with open_link(recipe, recipe.robot, console, yes) as link:
+            run.note(serial=link.identity.serial)
             ready = planning.programs(recipe, list(missing.values()), link.position())
             console.step(f"recording {len(missing)} motions, {sum(total for *_, total in ready):.0f} s of them")
             for (name, motion), (text, chains, total) in zip(missing.items(), ready, strict=True):
@@ -112,7 +118,7 @@ def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
     from agent.identify import read_logs
 
     console.step("estimating")
-    logs = read_logs([run.file(_EXCITATION)], recipe.robot, console)
+    logs = read_logs([run.file(EXCITATION)], recipe.robot, console)
     model = estimate(
         recipe.robot,
         logs,
@@ -141,18 +147,22 @@ def _validation_logs(run: RunFolder) -> list[Path]:
 def _report(
     recipe: Recipe, plan: planning.Plan, run: RunFolder, recordings: list[Recording], model: Any, predictions: list[Any]
 ) -> Outcome:
+    from agent.conditions import conditions
+    from agent.recording import read_log
     from agent.report import run_report
 
-    origin = provenance(run.path, run.state, [run.file(_EXCITATION), *_validation_logs(run)])
-    result = build_result(recipe, plan, recordings, model, predictions, origin)
+    sources = provenance(run.path, run.state, [run.file(EXCITATION), *_validation_logs(run)])
+    result = build_result(recipe, plan, recordings, model, predictions, sources)
+    result["conditions"] = conditions(model, read_log(run.file(EXCITATION), recipe.robot))
     run.write_json("result.json", result)
     run.write_text("report.html", run_report(run_data(recipe, plan, result, model, predictions)))
+    run.note(model_sha256=sha256_file(run.file("model.json")))
     run.complete(result["accepted"])
     return Outcome(run.path, result, result["accepted"])
 
 
 @contextmanager
-def _step(run: RunFolder, name: str) -> Iterator[None]:
+def step(run: RunFolder, name: str) -> Iterator[None]:
     """Whatever ends the run inside is noted in the run folder."""
     try:
         yield

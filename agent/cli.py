@@ -23,7 +23,7 @@ app = typer.Typer(
 )
 
 #: Commands of the contract that this version does not have yet.
-NOT_YET = ("diagnose", "blind-check", "recalibrate", "schedule", "history", "compare", "apply")
+NOT_YET = ("diagnose", "blind-check")
 
 RecipePath = Annotated[Path, typer.Argument(metavar="RECIPE", help="recipe file (YAML)")]
 Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="more messages")]
@@ -33,6 +33,11 @@ AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on stdout"
 RobotOption = Annotated[str, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")]
 Cutoff = Annotated[float | None, typer.Option("--cutoff", metavar="HZ", help="cut-off of the torque filter")]
 RunsFolder = Annotated[Path, typer.Option("--logs", metavar="DIR", help="where runs are kept")]
+RunArgument = Annotated[str, typer.Argument(metavar="RUN", help="run folder, or its name")]
+Serial = Annotated[str | None, typer.Option("--serial", metavar="S", help="serial of one machine")]
+Authorised = Annotated[
+    Path | None, typer.Option("--authorisation", metavar="FILE", help="a person's word that allows unattended motion")
+]
 Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="MCAP logs")]
 
 
@@ -197,6 +202,122 @@ def trajectories(as_json: AsJson = False) -> None:
         print(loop.line())
     if not loops:
         print("no stored loops yet: `agent plan` and `agent calibrate` keep what they find", file=sys.stderr)
+
+
+@app.command()
+def recalibrate(
+    recipe: RecipePath,
+    logs: RunsFolder = Path("logs"),
+    authorisation: Authorised = None,
+    yes: Yes = False,
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """For cron and timers: run the stored loop again, re-estimate, judge, and keep what is accepted. No search."""
+    from agent.console import print_json
+    from agent.recalibrate import recalibrate as run_job
+    from agent.recipe import load_recipe
+    from agent.safety.authorisation import load_authorisation
+
+    allowed = None if authorisation is None else load_authorisation(authorisation)
+    outcome = run_job(load_recipe(recipe), _console(verbose, quiet), logs, yes, allowed)
+    if as_json:
+        print_json(outcome.result or {"schema": "recalibration/1", "skipped": outcome.skipped})
+    else:
+        print(outcome.summary(), file=sys.stderr)
+        print(outcome.run if outcome.run else outcome.summary())
+    raise typer.Exit(0 if outcome.accepted else 3)
+
+
+@app.command()
+def schedule(
+    recipe: RecipePath,
+    logs: RunsFolder = Path("logs"),
+    at: Annotated[str, typer.Option("--at", metavar="HH:MM", help="time of day")] = "02:00",
+    authorisation: Authorised = None,
+    install: Annotated[bool, typer.Option("--install", help="write the systemd units of this user")] = False,
+) -> None:
+    """Print (or install) a systemd service and timer, and a crontab line, that recalibrate by the clock."""
+    from agent.recipe import load_recipe
+    from agent.safety.authorisation import load_authorisation
+    from agent.schedule import install as write_units
+    from agent.schedule import make_schedule, next_steps
+
+    if authorisation is not None:
+        load_authorisation(authorisation)
+    made = make_schedule(load_recipe(recipe), logs, Path.cwd(), at, authorisation)
+    if not install:
+        print(made.text(), end="")
+        return
+    for path in write_units(made):
+        print(path)
+    print(next_steps(made), file=sys.stderr)
+
+
+@app.command()
+def history(
+    logs: RunsFolder = Path("logs"),
+    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="runs of this robot only")] = None,
+    serial: Serial = None,
+    as_json: AsJson = False,
+) -> None:
+    """Past runs: what they found, and what the gate said."""
+    from agent.history import history_json, history_table, open_history
+
+    with open_history(logs) as past:
+        runs = past.runs(robot, serial)
+        if as_json:
+            import json
+
+            print(json.dumps(history_json(past, runs)))
+            return
+    print(history_table(runs))
+
+
+@app.command()
+def compare(
+    before: RunArgument,
+    after: RunArgument,
+    logs: RunsFolder = Path("logs"),
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Which parameters moved between two runs by more than their uncertainty, and what that does to torque."""
+    from agent.compare import compare_runs
+    from agent.console import print_json
+    from agent.history import find_run
+
+    result = compare_runs(find_run(logs, before), find_run(logs, after), _console(verbose, quiet))
+    if as_json:
+        print_json(result.to_dict())
+    else:
+        print(result.text())
+
+
+@app.command()
+def apply(
+    run: Annotated[str | None, typer.Argument(metavar="[RUN]", help="run folder, or its name")] = None,
+    previous: Annotated[bool, typer.Option("--previous", help="back to the model before")] = False,
+    logs: RunsFolder = Path("logs"),
+    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="with --previous: of this robot")] = None,
+    serial: Serial = None,
+    as_json: AsJson = False,
+) -> None:
+    """Make a run's model the robot's current one. Writes to no controller."""
+    from agent.apply import apply_previous, apply_run
+    from agent.console import print_json
+    from agent.history import find_run
+
+    if (run is None) == (not previous):
+        raise InputError("apply: name the run whose model shall be current, or give --previous")
+    applied = apply_previous(logs, robot, serial) if run is None else apply_run(logs, find_run(logs, run))
+    if as_json:
+        print_json(applied.to_dict())
+    else:
+        print(f"{applied.robot} {applied.serial}: the current model is that of {applied.run}", file=sys.stderr)
+        print(applied.model)
 
 
 @app.command("import")

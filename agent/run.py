@@ -96,6 +96,11 @@ class RunFolder:
         self._save()
         return self.state["steps"][step]
 
+    def note(self, **facts: Any) -> None:
+        """Add facts about the whole run to its state, e.g. the robot's serial."""
+        self.state |= finite(facts)
+        self._save()
+
     def stopped(self, step: str, reason: str) -> None:
         """Note where and why the run ended before its end."""
         self.state["status"] = "stopped"

@@ -15,7 +15,7 @@ Two models that share β differ by what S says, which `conditional_covariance` g
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,9 +39,20 @@ if TYPE_CHECKING:
 _ROUNDS = 4
 
 
-def refit(
-    model: IdentifiedModel, logs: Sequence[Log], parameters: str = "friction", tool: Tool | None = None
-) -> IdentifiedModel:
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """The model estimated again, and RMSE (n,) [N·m] over samples in which the joint moves.
+
+    `held_out` is the new model's, each fold predicted by a fit to the others; `before` the earlier model's on the same
+    rows, none of which it has seen.
+    """
+
+    model: IdentifiedModel
+    held_out: np.ndarray
+    before: np.ndarray
+
+
+def refit(model: IdentifiedModel, logs: Sequence[Log], parameters: str = "friction", tool: Tool | None = None) -> Refit:
     """Estimate `parameters` ("friction" or "all") of a model again from logs that it has not seen.
 
     Raises:
@@ -61,18 +72,19 @@ def refit(
         problem = trust_prior(problem.with_own_trust())
         found = ESTIMATORS[model.method](problem)
         fresh = build_model(problem, found, model.method, names, combinations, logs)
-        return replace(fresh, effects=model.effects)
+        return _judged(problem, found, replace(fresh, effects=model.effects), model)
     problem = replace(problem, trust=float(np.median(_times(problem, _friction(problem, model).parameters))))
     found = _friction(problem, model)
     fresh = build_model(problem, found, model.method, names, combinations, logs)
     notes = (fresh.notes[0], "Friction estimated again; base parameters are those of the model before.")
-    return replace(
+    fresh = replace(
         fresh,
         covariance=_covariance(problem, found, model),
         condition_number=model.condition_number,
         effects=model.effects,
         notes=notes,
     )
+    return _judged(problem, found, fresh, model)
 
 
 def conditional_covariance(model: IdentifiedModel) -> np.ndarray:
@@ -125,6 +137,13 @@ def _covariance(problem: Problem, found: Estimate, model: IdentifiedModel) -> np
     of_base = model.covariance[:base, :base]
     passed_on = gain @ of_base
     return np.block([[of_base, passed_on.T], [passed_on, own + passed_on @ gain.T]])
+
+
+def _judged(problem: Problem, found: Estimate, fresh: IdentifiedModel, model: IdentifiedModel) -> Refit:
+    moments = problem.moments
+    rows = np.maximum(1, moments.rows[:, 0].sum(axis=0))
+    held_out = np.sqrt(found.held_out[:, 0].sum(axis=0) / rows)
+    return Refit(fresh, held_out, np.sqrt(moments.energy(model.values)[0] / rows))
 
 
 def _times(problem: Problem, parameters: np.ndarray) -> np.ndarray:

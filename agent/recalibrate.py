@@ -1,0 +1,365 @@
+"""Calibrating again by the clock: the stored loop, the parameters that wear, a gate against the last accepted model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agent import planning
+from agent.apply import apply_run, current_model, origin, remember
+from agent.calibrate import EXCITATION, step
+from agent.console import Console
+from agent.errors import ControllerError, InputError
+from agent.history import PastRun, open_history
+from agent.recipe import Recipe
+from agent.record import Link, Recording, open_link, report_losses
+from agent.result import provenance
+from agent.run import RunFolder, sha256_file
+from agent.safety.authorisation import Authorisation
+
+if TYPE_CHECKING:
+    from agent.compare import Comparison
+    from agent.estimation import IdentifiedModel
+    from agent.estimation.refit import Refit
+    from agent.excitation.store import StoredLoop
+    from agent.recording.log import Log
+
+#: A run that is due within this part of its interval is due: a clock is never to the second.
+_EARLY = 0.01
+#: Held-out error may be this much above the last accepted model's, and this part of the nominal torque more.
+WORSE = 1.25
+FLOOR = 1e-3
+_SURE = 3.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of it: `skipped` says why nothing was done; else run folder, `result.json` and the gate's word."""
+
+    skipped: str = ""
+    run: Path | None = None
+    result: dict[str, Any] | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the gate let it through, or there was nothing to do."""
+        return self.result is None or bool(self.result["accepted"])
+
+    def summary(self) -> str:
+        """A few lines."""
+        if self.result is None:
+            return f"skipped: {self.skipped}"
+        validation = self.result["validation"]
+        axes = "  ".join(
+            f"{name} {_percent(value)} (was {_percent(before)})"
+            for name, value, before in zip(
+                validation["joints"], validation["normalised_rmse"], validation["normalised_rmse_before"], strict=True
+            )
+        )
+        lines = [f"prediction error    {axes}", f"parameters          {self.result['comparison']}"]
+        if self.result["diagnosis"]:
+            lines.append(f"diagnosis           {self.result['diagnosis']['summary']}")
+        word = "accepted; it is the current model now" if self.accepted else f"REJECTED: {self.result['reason']}"
+        return "\n".join([*lines, f"result              {word}", f"report              {self.run}/report.html"])
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """The last accepted run of the same loop, its model, and the loop."""
+
+    past: PastRun
+    model: IdentifiedModel
+    loop: StoredLoop
+
+
+def recalibrate(
+    recipe: Recipe,
+    console: Console,
+    logs: Path,
+    yes: bool = False,
+    authorisation: Authorisation | None = None,
+    now: datetime | None = None,
+) -> Outcome:
+    """Run the stored loop again, estimate, judge, record, and make the model current if it is accepted.
+
+    Raises:
+        InputError: never calibrated, no stored loop, or motion that nobody allowed.
+        AgentError, DriverError: as in `calibrate`, with their exit codes.
+    """
+    now = now or datetime.now(UTC)
+    past = _last_accepted(recipe, logs)
+    early = _too_early(recipe, past, now)
+    if early:
+        return Outcome(skipped=early)
+    reference = _reference(recipe, logs, past)
+    run = RunFolder.create(logs, recipe.robot.name, recipe.path)
+    run.note(
+        kind="recalibrate", reference=past.run, program=reference.loop.checksum, serial=past.serial, **origin(recipe)
+    )
+    console.say(f"run {run.path}")
+    with step(run, "record"):
+        recording = _record(recipe, reference, run, console, yes, authorisation)
+    with step(run, "estimate"):
+        log, found, comparison = _estimate(recipe, reference, run, console)
+    with step(run, "validate"):
+        result = _judge(recipe, reference, run, recording, log, found, comparison)
+        result["diagnosis"] = _diagnosis(recipe, reference, run, result, console)
+    with step(run, "report"):
+        _report(run, result, found, comparison, log)
+    remember(run, console)
+    if result["accepted"]:
+        apply_run(logs, run.path)
+    return Outcome(run=run.path, result=result)
+
+
+def _last_accepted(recipe: Recipe, logs: Path) -> PastRun:
+    key = origin(recipe)
+    missing = (
+        f"{recipe.path}: no accepted calibration with this robot, tool, sub-region and motion settings in {logs}: run "
+        f"`agent calibrate {recipe.path}` first, with somebody watching"
+    )
+    if not logs.is_dir():
+        raise InputError(missing)
+    with open_history(logs) as history:
+        past = history.last_accepted(recipe.robot.name, key["loop"], key["controller"])
+    if past is None:
+        raise InputError(missing)
+    return past
+
+
+def _too_early(recipe: Recipe, past: PastRun, now: datetime) -> str:
+    age = now - datetime.fromisoformat(past.started)
+    every = timedelta(seconds=recipe.recalibrate.every)
+    if age >= (1 - _EARLY) * every:
+        return ""
+    return (
+        f"the last accepted run, {past.run}, is {_time(age)} old; recalibrate.every is {_time(every)}, so the next is "
+        f"due in {_time(every - age)}"
+    )
+
+
+def _reference(recipe: Recipe, logs: Path, past: PastRun) -> Reference:
+    from agent.estimation import IdentifiedModel
+    from agent.excitation.store import find_loop, stored_loops
+
+    newest = find_loop(recipe)
+    same = [loop for loop in stored_loops() if newest and loop.key == newest.key and loop.checksum == past.program]
+    loop = same[0] if same else newest
+    if loop is None:
+        raise InputError(
+            f"{recipe.path}: no stored loop for this robot, tool, sub-region and motion settings in {Path.cwd()}/"
+            "trajectories; call from the folder where it was calibrated, or calibrate again"
+        )
+    current = current_model(logs, past.robot, past.serial)
+    applied = current is not None and current.run != past.run and _loop_of(logs, current.run) == past.loop
+    model = current.model if current is not None and applied else logs / past.run / "model.json"
+    return Reference(past, IdentifiedModel.load(model), loop)
+
+
+def _loop_of(logs: Path, run: str) -> str:
+    with open_history(logs) as history:
+        return next((past.loop for past in history.runs() if past.run == run), "")
+
+
+def _record(
+    recipe: Recipe, reference: Reference, run: RunFolder, console: Console, yes: bool, allowed: Authorisation | None
+) -> Recording:
+    loop = reference.loop
+    with open_link(recipe, recipe.robot, console, yes or allowed is not None) as link:
+        _check_machine(reference, link)
+        run.note(serial=link.identity.serial)
+        name, chains = planning.plan_statements(recipe, loop.program, f"{loop.program_name}.pdl", link.position())
+        for chain in {id(chain): chain for chain in chains}.values():
+            planning.check_cell(recipe, chain)
+        total = float(sum(chain.duration for chain in chains))
+        if allowed is not None:
+            fastest = max(float(np.max(chain.path_speed)) for chain in chains)
+            allowed.check(recipe.robot.name, link.identity.serial, loop.checksum, fastest, total)
+            if soon := allowed.ends_soon():
+                console.warn(soon)
+        run.write_text("program.pdl", loop.program)
+        console.step(f"recording the stored loop {loop.checksum[:12]}, {total:.0f} s of motion")
+        recording = link.run(name, loop.program, run.file(EXCITATION), "excitation", chains, total)
+    report_losses(recording, console)
+    run.finish(EXCITATION, **recording.to_dict(), sha256=sha256_file(recording.path))
+    return recording
+
+
+def _check_machine(reference: Reference, link: Link) -> None:
+    known, here = reference.past.serial, link.identity.serial
+    if known and known != here:
+        raise ControllerError(
+            f"{link.address}: this machine has serial {here}; the last accepted model is of {known}, another one of "
+            "the same type. Calibrate this one first: `agent calibrate`"
+        )
+
+
+def _estimate(recipe: Recipe, reference: Reference, run: RunFolder, console: Console) -> tuple[Log, Refit, Comparison]:
+    from agent.compare import compare_models
+    from agent.estimation.refit import refit
+    from agent.identify import read_logs
+
+    what = recipe.recalibrate.parameters
+    console.step("estimating friction again" if what == "friction" else "estimating all parameters again")
+    (log,) = read_logs([run.file(EXCITATION)], recipe.robot, console)
+    found = refit(reference.model, [log], what, recipe.tool)
+    found.model.save(run.file("model.json"))
+    run.note(model_sha256=sha256_file(run.file("model.json")))
+    return log, found, compare_models(reference.model, found.model, log, reference.past.run, run.path.name)
+
+
+def _judge(
+    recipe: Recipe,
+    reference: Reference,
+    run: RunFolder,
+    recording: Recording,
+    log: Log,
+    found: Refit,
+    comparison: Comparison,
+) -> dict[str, Any]:
+    """The content of `result.json`, with the gate's word and the reason if it is no."""
+    from agent.conditions import conditions
+
+    met = conditions(found.model, log)
+    faults = gate_faults(recipe.gate.normalised_rmse, reference.model, found, met, comparison)
+    nominal = found.model.robot.nominal_torque
+    moved = [change for change in comparison.changes if change.moved]
+    return {
+        "schema": "recalibration/1",
+        "robot": recipe.robot.name,
+        "serial": run.state["serial"],
+        "reference": reference.past.run,
+        "parameters": recipe.recalibrate.parameters,
+        "accepted": not faults,
+        "reason": "; ".join(faults),
+        "gate": {"normalised_rmse": recipe.gate.normalised_rmse},
+        "validation": {
+            "joints": list(recipe.robot.joint_names),
+            "rmse": found.held_out,
+            "normalised_rmse": found.held_out / nominal,
+            "normalised_rmse_before": found.before / nominal,
+            "worse_before": _worse(reference.model, found.before),
+        },
+        "comparison": (
+            f"{len(moved)} of {len(comparison.changes)} moved by more than their uncertainty"
+            + (f": {', '.join(change.name for change in moved)}" if moved else "")
+        ),
+        "conditions": met,
+        "recordings": [
+            {
+                "log": recording.path.name,
+                "samples": recording.samples,
+                "lost": recording.lost,
+                "duration": recording.duration,
+            }
+        ],
+        "provenance": provenance(run.path, run.state, [recording.path]),
+    }
+
+
+def gate_faults(
+    gate: float, last: IdentifiedModel, found: Refit, met: dict[str, Any], comparison: Comparison
+) -> list[str]:
+    """What speaks against making a refitted model the current one; nothing if it is accepted.
+
+    Args:
+        gate: largest normalised RMSE of any axis.
+        last: the last accepted model; `comparison` is of it with the new one.
+        met: the run's conditions, with the friction found.
+    """
+    robot = found.model.robot
+    faults = []
+    figures = found.held_out / robot.nominal_torque
+    for k in np.flatnonzero(figures > gate):
+        faults.append(f"{robot.joint_names[k]}: prediction error {_percent(figures[k])}, the gate is {_percent(gate)}")
+    for name in _worse(last, found.held_out):
+        k = robot.joint_names.index(name)
+        faults.append(
+            f"{name}: held-out error {found.held_out[k]:.3g} N·m, {last.held_out_rmse[k]:.3g} N·m at the last accepted "
+            "run: something has changed that these parameters do not describe"
+        )
+    for level in met["friction"]:
+        if level["value"] + _SURE * level["standard_deviation"] < 0:
+            faults.append(f"{level['joint']}: its friction at {level['speed']:.3g} rad/s comes out negative")
+    inertial = set(last.names[: len(last.independent)])
+    rigid = [c for c in comparison.changes if c.moved and c.name in inertial]
+    far = (comparison.torque_rmse > gate * robot.nominal_torque) & (
+        comparison.torque_rmse > _SURE * comparison.deviation
+    )
+    if rigid and np.any(far):
+        names = ", ".join(np.array(robot.joint_names)[far])
+        faults.append(
+            f"{names}: links or payload ({', '.join(c.name for c in rigid[:4])}) differ from the last accepted model "
+            "by more than the gate; links do not wear, look for another tool or load, then calibrate"
+        )
+    return faults
+
+
+def _worse(last: IdentifiedModel, rmse: np.ndarray) -> list[str]:
+    """Joints whose error (n,) [N·m] is above that of the last accepted model on its own data."""
+    nominal = np.nan_to_num(last.robot.nominal_torque)
+    limit = WORSE * last.held_out_rmse + FLOOR * nominal
+    return [name for name, above in zip(last.robot.joint_names, rmse > limit, strict=True) if above]
+
+
+def _diagnosis(
+    recipe: Recipe, reference: Reference, run: RunFolder, result: dict[str, Any], console: Console
+) -> dict[str, Any] | None:
+    """Where the last model predicts worse than it did: why. None where it does not."""
+    worse = result["validation"]["worse_before"]
+    if not worse:
+        return None
+    return {"summary": f"The last model predicts {', '.join(worse)} worse than it did."}
+
+
+def _report(run: RunFolder, result: dict[str, Any], found: Refit, comparison: Comparison, log: Log) -> None:
+    run.write_json("result.json", result)
+    run.write_json("comparison.json", comparison.to_dict())
+    run.write_text("report.html", recalibration_page(result, found.model, comparison, log))
+    run.complete(result["accepted"])
+
+
+def recalibration_page(result: dict[str, Any], model: IdentifiedModel, comparison: Comparison, log: Log) -> str:
+    """HTML of the run's report."""
+    from agent.report.comparison_sections import comparison_section
+    from agent.report.log_sections import log_section
+    from agent.report.recalibration_report import RecalibrationData, recalibration_report
+    from agent.report.residual_sections import residual_section
+    from agent.validation import predict_log
+
+    prediction = predict_log(model, log)
+    # one cycle from the middle of the run, so that the plot can be read
+    cycles = log.cycle_starts
+    middle = len(cycles) // 2
+    start, stop = (cycles[middle - 1], cycles[middle]) if len(cycles) > 1 else (0.0, log.t[-1])
+    chosen = np.flatnonzero((prediction.time >= start) & (prediction.time <= stop))
+    chosen = chosen[:: max(1, len(chosen) // 1500)]
+    shown = (prediction.time, prediction.measured, prediction.predicted, prediction.half_width)
+    return recalibration_report(
+        RecalibrationData(
+            result=result,
+            parameter_rows=model.rows(),
+            prediction=tuple(part[chosen] for part in shown),
+            sections=(
+                comparison_section(comparison),
+                residual_section([prediction], [log]),
+                log_section([log]),
+            ),
+        )
+    )
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None or not np.isfinite(value) else f"{100 * value:.2f} %"
+
+
+def _time(span: timedelta) -> str:
+    seconds = span.total_seconds()
+    for size, name in ((86_400, "d"), (3_600, "h"), (60, "min")):
+        if seconds >= size:
+            return f"{seconds / size:.1f} {name}"
+    return f"{seconds:.0f} s"

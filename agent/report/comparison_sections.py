@@ -1,0 +1,80 @@
+"""Parameters against the last accepted run, and what their change does to predicted torque."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.report.figures import SERIES, Figure, new_plot, to_figure
+from agent.report.page import Section, Table
+
+if TYPE_CHECKING:
+    from agent.compare import Comparison
+
+
+def comparison_section(comparison: Comparison) -> Section:
+    """Table of all parameters with their change in standard deviations, and the torque that it makes."""
+    moved = [change for change in comparison.changes if change.moved]
+    text = [
+        f"{comparison.before} against {comparison.after}: {len(moved)} of {len(comparison.changes)} parameters moved "
+        "by more than their uncertainty (3.3 standard deviations of a change, one in a thousand by chance).",
+        f"Torque is compared along {comparison.motion}.",
+    ]
+    for title, names in (("before", comparison.only_before), ("after", comparison.only_after)):
+        if names:
+            text.append(f"Only {title}: {', '.join(names)}.")
+    rows = [
+        (
+            change.name,
+            f"{change.before:.5g}",
+            f"{change.after:.5g}",
+            change.unit,
+            f"{change.deviation:.2g}",
+            f"{change.deviations:+.1f}",
+            "moved" if change.moved else "",
+        )
+        for change in comparison.changes
+    ]
+    header = ("parameter", "before", "after", "unit", "std. dev. of a change", "change [deviations]", "")
+    torque = [
+        (
+            joint,
+            f"{comparison.torque_rmse[k]:.3g}",
+            _percent(comparison.torque_rmse[k] / comparison.nominal[k]),
+            f"{comparison.torque_largest[k]:.3g}",
+            f"{comparison.deviation[k]:.2g}",
+        )
+        for k, joint in enumerate(comparison.joints)
+    ]
+    torque_header = ("axis", "RMS [N·m]", "of nominal [%]", "largest [N·m]", "uncertainty explains [N·m]")
+    parts = (
+        Table("torque-change", torque_header, torque),
+        changes_figure(comparison),
+        Table("parameter-changes", header, rows),
+    )
+    return Section("Against the last accepted run", text, parts)
+
+
+def changes_figure(comparison: Comparison) -> Figure:
+    """Change of every parameter in standard deviations of a change."""
+    from agent.compare import BEYOND
+
+    changes = comparison.changes
+    values = np.array([change.deviations for change in changes])
+    plot, axes = new_plot(height=2.6)
+    place = np.arange(len(changes))
+    colours = [SERIES[3] if change.moved else SERIES[0] for change in changes]
+    axes[0, 0].bar(place, np.clip(values, -1e6, 1e6), color=colours)
+    axes[0, 0].axhline(BEYOND, linestyle=":", color=SERIES[3])
+    axes[0, 0].axhline(-BEYOND, linestyle=":", color=SERIES[3])
+    axes[0, 0].set_yscale("symlog", linthresh=5.0)
+    axes[0, 0].set_xticks(place, [change.name for change in changes], rotation=90, fontsize=6)
+    axes[0, 0].set_ylabel("change [std. deviations]")
+    rows = np.column_stack([[c.before for c in changes], [c.after for c in changes], values])
+    caption = "Change of each parameter in standard deviations of a change; dotted: what chance does not do."
+    return to_figure("changes", caption, plot, ("before", "after", "deviations"), rows)
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.3f}" if np.isfinite(value) else "-"

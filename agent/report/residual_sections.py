@@ -1,0 +1,110 @@
+"""Where the model is off: residuals over joint and regime of motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.report.figures import Figure, new_plot, to_figure
+from agent.report.page import Section
+
+if TYPE_CHECKING:
+    from agent.recording.log import Log
+    from agent.validation import Prediction
+
+#: What a sample of a joint may be in; a sample is in several.
+REGIMES = ("standstill", "low speed", "high speed", "after a reversal", "high acceleration", "high load")
+_STILL = 0.005
+_REVERSAL = 0.1  # s
+
+
+def residual_section(predictions: Sequence[Prediction], logs: Sequence[Log]) -> Section:
+    """Heat map of the RMSE by joint and regime, as a share of nominal torque (N·m where there is none)."""
+    figures = residual_map(predictions, logs)
+    text = (
+        "Root mean square of what the model leaves, by what the joint does: where it is larger than elsewhere, "
+        "something acts that the model does not have.",
+    )
+    return Section("Residuals by joint and regime", text, (_heat_map(figures, predictions[0]),))
+
+
+def residual_map(predictions: Sequence[Prediction], logs: Sequence[Log]) -> np.ndarray:
+    """(n, regimes) RMSE over nominal torque, or [N·m] where a joint has none; NaN where a joint is never in one."""
+    n = predictions[0].error.shape[1]
+    total, count = np.zeros((n, len(REGIMES))), np.zeros((n, len(REGIMES)))
+    for prediction, log in zip(predictions, logs, strict=True):
+        inside = _regimes(prediction, log)
+        total += np.einsum("snr,sn->nr", inside, prediction.error**2)
+        count += inside.sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rmse = np.sqrt(total / count)
+    nominal = predictions[0].model.robot.nominal_torque
+    return rmse / np.where(np.isfinite(nominal), nominal, 1.0)[:, None]
+
+
+def _regimes(prediction: Prediction, log: Log) -> np.ndarray:
+    """(S, n, regimes) bool."""
+    speed = np.gradient(log.position, log.t, axis=0) if log.velocity is None else log.velocity
+    velocity = np.stack([np.interp(prediction.time, log.t, speed[:, k]) for k in range(speed.shape[1])], axis=1)
+    acceleration = np.gradient(velocity, prediction.time, axis=0)
+    size, top = np.abs(velocity), np.maximum(np.abs(velocity).max(axis=0), 1e-12)
+    still = size <= _STILL * top
+    load = np.abs(prediction.predicted)
+    return np.stack(
+        [
+            still,
+            ~still & (size < 0.15 * top),
+            size > 0.5 * top,
+            _after_reversal(velocity, still, prediction.time),
+            np.abs(acceleration) > 0.5 * np.quantile(np.abs(acceleration), 0.99, axis=0),
+            load > 0.7 * load.max(axis=0),
+        ],
+        axis=2,
+    )
+
+
+def _after_reversal(velocity: np.ndarray, still: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """(S, n): moving, and less than a tenth of a second since the direction changed or the joint stood."""
+    result = np.zeros(velocity.shape, dtype=bool)
+    for k in range(velocity.shape[1]):
+        direction = np.where(still[:, k], 0, np.sign(velocity[:, k]))
+        changes = np.flatnonzero(np.diff(direction) != 0) + 1
+        last = np.searchsorted(changes, np.arange(len(time)), side="right") - 1
+        known = last >= 0
+        since = np.full(len(time), np.inf)
+        since[known] = time[known] - time[changes[last[known]]]
+        result[:, k] = (since < _REVERSAL) & ~still[:, k]
+    return result
+
+
+def _heat_map(values: np.ndarray, prediction: Prediction) -> Figure:
+    names = prediction.model.robot.joint_names
+    shown = 100 * values
+    plot, axes = new_plot(height=0.45 * len(names) + 1.2)
+    axis = axes[0, 0]
+    axis.grid(False)
+    largest = np.nanmax(shown) if np.isfinite(shown).any() else 1.0
+    # the cells are marks with opacity, so that they read on light and on dark
+    for row in range(shown.shape[0]):
+        for column in range(shown.shape[1]):
+            value = shown[row, column]
+            if not np.isfinite(value):
+                axis.text(column, row, "-", ha="center", va="center")
+                continue
+            shade = 0.1 + 0.8 * value / largest
+            axis.add_patch(_cell(column, row, shade))
+            axis.text(column, row, f"{value:.2g}", ha="center", va="center")
+    axis.set_xlim(-0.5, len(REGIMES) - 0.5)
+    axis.set_ylim(len(names) - 0.5, -0.5)
+    axis.set_xticks(range(len(REGIMES)), REGIMES)
+    axis.set_yticks(range(len(names)), names)
+    caption = "RMSE by joint (rows) and regime (columns), in % of nominal joint torque."
+    return to_figure("residuals", caption, plot, REGIMES, values)
+
+
+def _cell(column: int, row: int, shade: float):
+    from matplotlib.patches import Rectangle
+
+    return Rectangle((column - 0.48, row - 0.46), 0.96, 0.92, facecolor="#d9822b", alpha=min(shade, 1.0), linewidth=0)

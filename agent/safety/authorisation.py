@@ -1,0 +1,138 @@
+"""Unattended motion: what a person has written down that may run while nobody is there.
+
+The file is read, never written, by the agent:
+
+    robot: comau_ns16
+    serial: NS16-0042
+    program: 3f1c…            # SHA-256 of the program, as `agent trajectories` shows it
+    limits: {speed: 1 m/s, duration: 20 min}
+    expires: 2027-03-31       # the last day, UTC
+    written_by: M. Rossi
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from agent.documents import load_document
+from agent.errors import InputError
+from agent.recipe.schema import Name, Speed, Time
+
+#: Nobody knows what a cell looks like in two years: a file that allows more is refused.
+LONGEST = timedelta(days=366)
+#: From so long before its end on, a run says that an authorisation ends.
+_SOON = timedelta(days=14)
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+
+
+class Limits(_Section):
+    """Highest speed of the tool centre point [m/s] and longest motion [s] that may run."""
+
+    speed: Annotated[Speed, Field(gt=0)]
+    duration: Annotated[Time, Field(gt=0)]
+
+
+class AuthorisationDocument(_Section):
+    """The file as it is written."""
+
+    robot: Name
+    serial: Name
+    program: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    limits: Limits
+    expires: date
+    written_by: Name
+
+
+@dataclass(frozen=True)
+class Authorisation:
+    """A person's word that one program may run on one machine, within limits, until the end of a day (UTC)."""
+
+    path: Path
+    robot: str
+    serial: str
+    program: str
+    speed: float
+    duration: float
+    expires: date
+    written_by: str
+
+    def check(
+        self, robot: str, serial: str, program: str, speed: float, duration: float, now: datetime | None = None
+    ) -> None:
+        """The motion that is about to start is the one that was authorised.
+
+        Args:
+            program: SHA-256 (hex) of the program as the controller stores it.
+            speed: highest planned speed of the tool centre point [m/s]; duration: of the whole motion [s].
+
+        Raises:
+            InputError: it is not; everything that differs is listed.
+        """
+        now = now or datetime.now(UTC)
+        faults = []
+        if robot != self.robot:
+            faults.append(f"it is for {self.robot}, the controller drives {robot}")
+        if serial != self.serial:
+            faults.append(f"it is for serial {self.serial}, this machine is {serial}")
+        if program != self.program:
+            faults.append(f"it is for program {self.program[:12]}…, what would run is {program}")
+        if speed > self.speed * (1 + 1e-9):
+            faults.append(f"the motion reaches {speed:.3f} m/s, {self.speed:g} m/s are allowed")
+        if duration > self.duration:
+            faults.append(f"the motion takes {duration:.0f} s, {self.duration:.0f} s are allowed")
+        if now.date() > self.expires:
+            faults.append(f"it ended on {self.expires}")
+        if faults:
+            raise InputError(
+                f"{self.path}: this authorisation does not cover the motion: {'; '.join(faults)}. Nothing was moved; "
+                "somebody who knows the cell has to write a new one"
+            )
+
+    def ends_soon(self, now: datetime | None = None) -> str | None:
+        """What to say where it ends within two weeks."""
+        left = self.expires - (now or datetime.now(UTC)).date()
+        return f"{self.path}: this authorisation ends on {self.expires}" if left <= _SOON else None
+
+
+def load_authorisation(path: Path, now: datetime | None = None) -> Authorisation:
+    """Read an authorisation.
+
+    Raises:
+        InputError: missing or wrong, writable by others than its owner, or valid for more than a year.
+    """
+    document = load_document(path, AuthorisationDocument)
+    if os.name == "posix" and stat.S_IMODE(path.stat().st_mode) & (stat.S_IWGRP | stat.S_IWOTH):
+        raise InputError(f"{path}: others than its owner can write this authorisation; chmod go-w {path}")
+    latest = ((now or datetime.now(UTC)) + LONGEST).date()
+    if document.expires > latest:
+        raise InputError(f"{path}: expires: {document.expires} is more than a year from now; {latest} is the latest")
+    return Authorisation(
+        path=path,
+        robot=document.robot,
+        serial=document.serial,
+        program=document.program,
+        speed=document.limits.speed,
+        duration=document.limits.duration,
+        expires=document.expires,
+        written_by=document.written_by,
+    )
+
+
+def not_authorised(address: str, robot: str, serial: str, program: str, speed: float, duration: float) -> InputError:
+    """The error where nobody is there and nothing was written down; it says what would have to be."""
+    return InputError(
+        f"{address}: nobody confirmed that the cell is clear, and no authorisation was given, so nothing was moved. "
+        "Give --yes while somebody watches, or --authorisation FILE, written by a person who knows the cell. This "
+        f"motion needs: robot {robot}, serial {serial}, program {program}, limits of at least {speed:.3f} m/s and "
+        f"{duration:.0f} s"
+    )
