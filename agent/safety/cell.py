@@ -219,6 +219,7 @@ class _Search:
 
     def run(self) -> None:
         edges = np.linspace(0.0, len(self.q) - 1.0, min(len(self.q), _FIRST_STRETCHES) + 1)
+        edges = np.concatenate([[0.0], edges])  # the start by itself: it may be where the arm stands now
         stretches = np.zeros((len(edges) - 1, 4))
         stretches[:, 0], stretches[:, 1] = edges[:-1], edges[1:]
         stretches[:, 3] = 0.0 if self.stop is None else 1.0
@@ -288,7 +289,7 @@ class _Search:
     def _undecided(self, stretches: np.ndarray, bounds: np.ndarray) -> np.ndarray:
         """(R, pairs) where there may be a smaller clearance worth knowing, or an earlier violation."""
         target = self.smallest - np.maximum(self.tolerance, RESOLUTION * np.abs(self.smallest - self.margin))
-        earlier = stretches[:, :1] < (np.inf if self.first is None else self.first[0])
+        earlier = stretches[:, :1] < (np.inf if self.first is None else self.first[0] - 1.0)  # to the sample
         return (bounds < target) | (earlier & (bounds < self.margin - self.tolerance))
 
 

@@ -65,10 +65,9 @@ def test_distances_are_those_of_the_capsules_and_boxes():
 
 def test_an_axis_inside_a_box_is_deeper_than_its_radius():
     inside = Box("all around", (-3, -3, -3), (3, 3, 3))
-    found = CollisionModel(ROBOT, BODIES, [inside]).distances(postures(2, 20))
-    names = [p.second for p in CollisionModel(ROBOT, BODIES, [inside]).pairs]
-    boxed = np.array([name == "keep-out all around" for name in names])
-    assert (found[:, boxed] < -0.5).all()
+    model = CollisionModel(ROBOT, BODIES, [inside])
+    boxed = np.array([pair.second == "keep-out all around" for pair in model.pairs])
+    assert (model.distances(postures(2, 20))[:, boxed] < -0.5).all()
 
 
 def test_neighbours_and_what_never_moves_are_not_paired():
@@ -112,7 +111,8 @@ def test_nor_by_one_joint_alone(q, joint, size):
     check_reach(ROBOT, MODEL, LOWER + q * (UPPER - LOWER), change)
 
 
-SLIDER = """<robot name="slider"><link name="base"/><link name="rail"/><link name="arm"/><link name="hand"/><link name="tip"/>
+SLIDER = """<robot name="slider">
+<link name="base"/><link name="rail"/><link name="arm"/><link name="hand"/><link name="tip"/>
 <joint name="slide" type="prismatic"><parent link="base"/><child link="rail"/><origin xyz="0 0 0.5"/>
   <axis xyz="1 0 0"/><limit lower="-2" upper="2" velocity="1" effort="1"/></joint>
 <joint name="swing" type="continuous"><parent link="rail"/><child link="arm"/><origin xyz="0 0.1 0" rpy="0.3 0 0"/>

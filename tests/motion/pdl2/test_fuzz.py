@@ -39,11 +39,8 @@ BEGIN CYCLE
   DELAY 100
 END loop
 """
-WORDS = [
-    *PROGRAM.replace("(", " ( ").replace(",", " , ").split(),
-    *r"' '' & ; -- := = <> { } [ ] 0 1e9 99999999999 $ ENDIF $FLY_PER -1 1.5. ** TRUE WAIT é ﬀ".split(),
-    *"\n\r\x00",
-]
+ODD_WORDS = """' '' & ; -- := = <> { } [ ] 0 1e9 99999999999 $ ENDIF $FLY_PER -1 1.5. ** TRUE WAIT é ﬀ"""
+WORDS = [*PROGRAM.replace("(", " ( ").replace(",", " , ").split(), *ODD_WORDS.split(), "\n", "\r", "\x00"]
 
 
 def outcome(text: str) -> None:
