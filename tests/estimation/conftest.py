@@ -12,7 +12,9 @@ from agent.recording.log import Log
 from agent.robot import Joint, RobotDescription
 
 
-def _arm(dof: int, prismatic: Sequence[int] = (), coupling: np.ndarray | None = None, seed: int = 0) -> RobotDescription:
+def _arm(
+    dof: int, prismatic: Sequence[int] = (), coupling: np.ndarray | None = None, seed: int = 0
+) -> RobotDescription:
     """A serial arm with axes in turn about z, y, x, links of a few kilograms, gears of about a hundred."""
     rng = np.random.default_rng(seed)
     axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0", "0 0 1")
@@ -40,16 +42,33 @@ def _arm(dof: int, prismatic: Sequence[int] = (), coupling: np.ndarray | None = 
     return RobotDescription("arm", urdf, f"link_{dof}", (0.0, 0.0, -9.80665), None, tuple(joints), rows)
 
 
-def _multisine(dof: int, t: np.ndarray, seed: int = 0, speed: float = 1.5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """q, q̇, q̈ (S, n) of eight sines a joint below 2 Hz, at most `speed` fast; a formula, so there is no error in it."""
+def _multisine(
+    dof: int, t: np.ndarray, seed: int = 0, speed: float = 1.5, rest: bool = False
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """q, q̇, q̈ (S, n): eight sines a joint below 2 Hz, about `speed` fast; with `rest`, from rest to rest.
+
+    A formula, so there is no error in it.
+    """
+    from scipy.special import erf
+
     rng = np.random.default_rng(seed)
     omega = 2 * np.pi * rng.uniform(0.1, 2.0, (8, dof))
     size = rng.normal(size=(8, dof)) / omega
     size *= speed / np.abs(size * omega).sum(axis=0)
     phase = omega * t[:, None, None] + rng.uniform(0, 2 * np.pi, (8, dof))
     centre = rng.uniform(-0.5, 0.5, dof)
-    q = centre + np.sum(size * np.sin(phase), axis=1)
-    return q, np.sum(size * omega * np.cos(phase), axis=1), -np.sum(size * omega**2 * np.sin(phase), axis=1)
+    s = np.sum(size * np.sin(phase), axis=1)
+    s1 = np.sum(size * omega * np.cos(phase), axis=1)
+    s2 = -np.sum(size * omega**2 * np.sin(phase), axis=1)
+    if not rest:
+        return centre + s, s1, s2
+    w, w1, w2 = np.ones((3, len(t), 1)) * [[[1]], [[0]], [[0]]]
+    for middle, sign in ((t[0] + 0.9, 1.0), (t[-1] - 0.9, -1.0)):
+        x = sign * (t[:, None] - middle) / 0.15
+        bell = sign * np.exp(-(x**2)) / np.sqrt(np.pi) / 0.15
+        ramp, ramp1, ramp2 = 0.5 * (1 + erf(x)), bell, -2 * sign * x / 0.15 * bell
+        w, w1, w2 = w * ramp, w1 * ramp + w * ramp1, w2 * ramp + 2 * w1 * ramp1 + w * ramp2
+    return centre + w * s, w1 * s + w * s1, w2 * s + 2 * w1 * s1 + w * s2
 
 
 def _log(
@@ -79,7 +98,7 @@ def arm() -> Callable[..., RobotDescription]:
 
 @pytest.fixture(scope="session")
 def multisine() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """`multisine(dof, t, seed=0, speed=1.5)` → q, q̇, q̈ exactly."""
+    """`multisine(dof, t, seed=0, speed=1.5, rest=False)` → q, q̇, q̈ exactly."""
     return _multisine
 
 
