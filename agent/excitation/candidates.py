@@ -32,8 +32,8 @@ CELL_SCALE = 0.1
 class LoopProblem:
     """What is searched for: a loop of via-points in `regions` that this arm can run. Plain data, so that it travels.
 
-    `settings` are those of the loop's moves, `period` [s] the controller's. From itself and from the boxes of `keep_out`
-    the arm stays away by the FLY distance of the settings: by so much the controller's blends may differ from ours.
+    `settings` are those of the loop's moves, `period` [s] the controller's. The arm stays away from itself and from the
+    boxes of `keep_out` by the FLY distance of the settings: by so much the controller's blends may differ from ours.
     """
 
     robot: RobotDescription

@@ -25,7 +25,7 @@ from agent.robot.drivetrain import rotor_regressor
 from agent.robot.dynamics import Dynamics, Tool
 from agent.robot.friction import PAPER_TERMS, friction_regressor
 
-#: A column of unit length of which less than this is left, once the others are taken out, is not excited by itself.
+#: Columns of unit length with a reciprocal condition number below this are not excited independently of each other.
 DEPENDENT = 1e-10
 
 
@@ -73,16 +73,17 @@ class Criterion:
 
 def log_determinant(matrix: np.ndarray, points: int) -> float:
     """log10 det(HᵀH / M) for H = `matrix` (rows, p) and M = `points`; -inf where H has not full column rank."""
-    from scipy.linalg.lapack import dgeqrf
+    from scipy.linalg.lapack import dgeqrf, dtrcon
 
     rows, columns = matrix.shape
     lengths = np.linalg.norm(matrix, axis=0)
     if rows < columns or not np.all(lengths > 0):
         return -np.inf
     factored, _, _, _ = dgeqrf(matrix / lengths, overwrite_a=True)
-    diagonal = np.abs(np.diag(factored))
-    if diagonal.min() <= DEPENDENT:
+    inverse_condition, _ = dtrcon(factored[:columns])
+    if not inverse_condition > DEPENDENT:
         return -np.inf
+    diagonal = np.abs(np.diag(factored))
     return float(2.0 * np.sum(np.log10(diagonal)) + 2.0 * np.sum(np.log10(lengths)) - columns * np.log10(points))
 
 

@@ -9,13 +9,13 @@ import numpy as np
 from agent.excitation.scoring import Score, ranking
 
 #: Candidates that pass into the next generation as they are.
-ELITE = 2
+ELITE = 1
 #: Candidates that are drawn for each parent; the best of them becomes it.
-TOURNAMENT = 3
+TOURNAMENT = 5
 #: Chance that two parents are recombined; else the child is the first one, mutated.
 RECOMBINATION = 0.9
 #: How far a recombined gene may lie outside its parents' interval, in parts of that interval (BLX-alpha).
-EXTENSION = 0.3
+EXTENSION = 0.5
 #: Mean number of mutated genes of a child.
 MUTATIONS = 2.0
 #: Standard deviation of a mutation in the first generation and in the last.
@@ -38,7 +38,7 @@ def genetic(
     note(genomes, scores)
     for generation in range(1, generations):
         order = ranking(scores)
-        elite = order[: min(ELITE, population - 1)]
+        elite = order[:ELITE]
         step = MUTATION_STEP[0] * (MUTATION_STEP[1] / MUTATION_STEP[0]) ** (generation / max(generations - 1, 1))
         children = offspring(genomes[order], population - len(elite), step, rng)
         scores = [*(scores[k] for k in elite), *evaluate(children)]
