@@ -11,8 +11,17 @@ from agent.errors import InputError
 from agent.motion.program import FlyTrajectory, FlyType
 from agent.units import Dimension, parse_quantity
 
-#: Estimators that `estimate.method` may name.
-ESTIMATION_METHODS = ("ordinary", "weighted", "reweighted", "huber", "instrumental", "essential", "consistent")
+#: Estimators that `estimate.method` may name; `auto` lets held-out error choose.
+ESTIMATION_METHODS = (
+    "auto",
+    "weighted",
+    "ordinary",
+    "reweighted",
+    "huber",
+    "essential",
+    "consistent",
+    "instrumental",
+)
 #: Searches that `search.method` may name.
 SEARCH_METHODS = ("genetic", "random")
 
@@ -207,7 +216,7 @@ class EstimateSection(Section):
     """How parameters are estimated."""
 
     filter: FilterSection = FilterSection()
-    method: Literal[ESTIMATION_METHODS] = "weighted"  # type: ignore[valid-type]
+    method: Literal[ESTIMATION_METHODS] = "auto"  # type: ignore[valid-type]
 
 
 class ValidateSection(Section):

@@ -60,7 +60,7 @@ record:
 
 estimate:
   filter: {{order: 8, cutoff: 30 Hz}}
-  method: weighted
+  method: weighted              # least squares weighted by each axis's noise; auto tries others on held-out data
 
 validate:                       # random motions in the sub-region that judge the model
   motions: 30

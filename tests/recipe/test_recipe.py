@@ -17,7 +17,7 @@ from pydantic import BaseModel
 from agent.errors import InputError
 from agent.motion.program import FlyTrajectory, FlyType
 from agent.recipe import ViaBox, ViaLike, ViaPointList, ViaTube, load_recipe, recipe_schema, template
-from agent.recipe.schema import RecipeDocument, ToolSection
+from agent.recipe.schema import ESTIMATION_METHODS, SEARCH_METHODS, RecipeDocument, ToolSection
 from agent.units import Dimension
 
 ROOT = Path(__file__).parents[2]
@@ -106,7 +106,7 @@ def test_what_is_left_out_has_the_contracts_values(recipe_file: Path) -> None:
     assert recipe.cell.keep_out == ()
     assert (recipe.motion.speed, recipe.motion.settings.fly_distance) == (1.0, 0.02)
     assert (recipe.search.population, recipe.search.generations, recipe.search.method) == (50, 40, "genetic")
-    assert (recipe.record.rate, recipe.record.cycles, recipe.estimate.method) == (500.0, 100, "weighted")
+    assert (recipe.record.rate, recipe.record.cycles, recipe.estimate.method) == (500.0, 100, "auto")
     assert (recipe.validate.motions, recipe.gate.normalised_rmse) == (30, 0.03)
 
 
@@ -251,6 +251,14 @@ def test_the_templates_commented_sections_are_valid(recipe_file: Path, marker: s
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_address_survives_the_template(recipe_file: Path, address: str) -> None:
     assert load_text(recipe_file, template(address=address)).controller.address == address
+
+
+def test_the_names_of_methods_are_those_that_exist() -> None:
+    from agent.estimation import METHODS
+    from agent.excitation.search import METHODS as SEARCHES
+
+    assert set(ESTIMATION_METHODS) == set(METHODS)
+    assert set(SEARCH_METHODS) == set(SEARCHES)
 
 
 def test_the_schema_knows_every_key() -> None:
