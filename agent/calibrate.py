@@ -14,7 +14,7 @@ from agent.console import Console
 from agent.recipe import Recipe
 from agent.record import Recording, open_link, report_losses
 from agent.result import build_result, provenance, run_data
-from agent.run import RunFolder, sha256_file
+from agent.run import RunFolder, robot_lock, sha256_file
 
 EXCITATION = "excitation.mcap"
 
@@ -56,26 +56,27 @@ def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None,
     Raises:
         AgentError, DriverError: with their exit codes; the run folder says where and why it stopped.
     """
-    if resume is None:
-        run = RunFolder.create(logs, recipe.robot.name, recipe.path)
-        run.note(kind="calibrate", **origin(recipe))
-    else:
-        run = RunFolder.open(resume, recipe.sha256)
-    console.say(f"run {run.path}")
+    with robot_lock(recipe.controller.driver, recipe.controller.address):
+        if resume is None:
+            run = RunFolder.create(logs, recipe.robot.name, recipe.path)
+            run.note(kind="calibrate", **origin(recipe))
+        else:
+            run = RunFolder.open(resume, recipe.sha256)
+        console.say(f"run {run.path}")
 
-    with step(run, "plan"):
-        plan = planning.plan_once(recipe, run, console)
-        run.note(program=sha256_file(run.file("program.pdl")))
-    with step(run, "record"):
-        recordings = _record(recipe, plan, run, console, yes)
-    with step(run, "estimate"):
-        model = _estimate(recipe, run, console)
-    with step(run, "validate"):
-        validation = _validate(recipe, run, model, console)
-    with step(run, "report"):
-        outcome = _report(recipe, plan, run, recordings, model, validation)
-    remember(run, console)
-    return outcome
+        with step(run, "plan"):
+            plan = planning.plan_once(recipe, run, console)
+            run.note(program=sha256_file(run.file("program.pdl")))
+        with step(run, "record"):
+            recordings = _record(recipe, plan, run, console, yes)
+        with step(run, "estimate"):
+            model = _estimate(recipe, run, console)
+        with step(run, "validate"):
+            validation = _validate(recipe, run, model, console)
+        with step(run, "report"):
+            outcome = _report(recipe, plan, run, recordings, model, validation)
+        remember(run, console)
+        return outcome
 
 
 def _record(recipe: Recipe, plan: planning.Plan, run: RunFolder, console: Console, yes: bool) -> list[Recording]:

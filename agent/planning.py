@@ -140,7 +140,7 @@ def plan_statements(recipe: Recipe, text: str, path: str, start: np.ndarray) -> 
     from agent.motion import create_interpolator
     from agent.motion.pdl2 import parse_program
 
-    program = parse_program(text, path)
+    program = parse_program(text, path, recipe.robot)
     interpolator = create_interpolator(
         recipe.search.interpolator, recipe.robot, recipe.tool, period=1.0 / recipe.record.rate
     )

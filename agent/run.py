@@ -151,13 +151,15 @@ def write_atomically(path: Path, text: str) -> Path:
 def robot_lock(driver: str, address: str) -> Iterator[None]:
     """Hold the lock of one controller for this machine, whatever folder the agent runs in.
 
+    A process that holds it may take it again.
+
     Raises:
         BusyError: another run holds it.
     """
     from filelock import FileLock, Timeout
 
     name = hashlib.sha256(f"{driver}|{address}".encode()).hexdigest()[:16]
-    lock = FileLock(Path(tempfile.gettempdir()) / f"calibration-agent-{name}.lock")
+    lock = FileLock(Path(tempfile.gettempdir()) / f"calibration-agent-{name}.lock", is_singleton=True)
     try:
         lock.acquire(timeout=0)
     except Timeout:
