@@ -2,362 +2,75 @@
 
 from __future__ import annotations
 
-import hashlib
-import threading
-import time
-import uuid
-from collections import deque
-from collections.abc import Iterator
-from typing import Any
+import socket
 
-import numpy as np
-
-from drivers.errors import DriverError, MotionStopped, ProtocolError, RefusedError
-from drivers.protocol import Gap, Identity, SampleBlock, Status
-from drivers.sequencer import Sequencer
-from drivers.tcp_link import Link, open_socket, parse_address
-from drivers.wire.reasons import SAFETY_ENDS, EndReason
-from drivers.wire.tcp import (
-    MAX_BATCH,
-    UPLOAD_BLOCK,
-    VERSION,
-    AskStatus,
-    Done,
-    End,
-    Fetch,
-    Hello,
-    Identify,
-    IdentityReply,
-    Refused,
-    Samples,
-    Start,
-    Started,
-    StatusReply,
-    Stop,
-    Stored,
-    UploadBegin,
-    UploadEnd,
-    Welcome,
-)
-from drivers.wire.tcp import UploadBlock as Block
-
-_MAX_HELD = 200_000  # samples waiting for earlier ones
+from drivers.errors import ConfigurationError, DriverError
+from drivers.frame_link import Link
+from drivers.frames import FrameDriver
+from drivers.wire.tcp import MAX_REPLY_PAYLOAD, Decoder, decode
 
 
-class TcpDriver:
-    """`drivers.protocol.Driver` over the binary TCP link.
-
-    Args:
-        address: `host:port`.
-        watchdog: silence [s] after which either end takes the other for gone; the controller may answer another one.
-        timeout: how long [s] to wait for an answer.
-        start_timeout: the same for `start`, where the controller plans first, and for the arm to rest after `stop`.
-        buffer_limit: bytes of samples kept for a consumer that is behind (the default: over an hour at 500 Hz and six
-            joints). Beyond it the motion is stopped; the link itself never waits for the consumer.
+class TcpDriver(FrameDriver):
+    """`drivers.protocol.Driver` over the binary TCP link; the address is `host:port`.
 
     Raises:
         ConfigurationError: not an address.
     """
 
-    def __init__(
-        self,
-        address: str,
-        *,
-        watchdog: float = 0.2,
-        timeout: float = 5.0,
-        start_timeout: float = 60.0,
-        buffer_limit: int = 512 * 1024 * 1024,
-    ) -> None:
+    def __init__(self, address: str, **options: float) -> None:
         parse_address(address)
-        self.address = address
-        self._watchdog = watchdog
-        self._timeout = timeout
-        self._start_timeout = start_timeout
-        self._buffer_limit = buffer_limit
-        self._link: Link | None = None
-        self._motion: _Motion | None = None
+        super().__init__(address, **options)
 
-    @property
-    def gaps(self) -> tuple[Gap, ...]:
-        """What is missing from the samples of the last motion although it was asked for again."""
-        return () if self._motion is None else self._motion.sequencer.gaps
-
-    @property
-    def duplicates(self) -> int:
-        """Samples of the last motion that came more than once."""
-        return 0 if self._motion is None else self._motion.sequencer.duplicates
-
-    @property
-    def watchdog(self) -> float:
-        """The watchdog in force [s]: the one asked for, once connected the one agreed on."""
-        return self._watchdog if self._link is None else self._link.watchdog
-
-    def connect(self) -> None:
-        """Open the link and agree on version and watchdog."""
-        self.close()
-        self._motion = None
+    def _open(self) -> Link:
         connection = open_socket(self.address, self._timeout)
-        link = Link(connection, self.address, self._on_message, self._on_failure, self._watchdog, self._timeout)
-        try:
-            hello = Hello(VERSION, round(self._watchdog * 1000), "calibration-agent")
-            welcome = link.request(hello, Welcome, self._timeout, "the greeting")
-            if welcome.version != VERSION:
-                raise ProtocolError(
-                    f"the controller at {self.address} speaks version {welcome.version} of the link, this driver "
-                    f"{VERSION}; update the older one"
-                )
-            if not 10 <= welcome.watchdog_ms <= 60_000:
-                raise ProtocolError(f"the controller at {self.address} wants a watchdog of {welcome.watchdog_ms} ms")
-        except BaseException:
-            link.close()
-            raise
-        link.watchdog = welcome.watchdog_ms / 1000
-        self._link = link
-
-    def identify(self) -> Identity:
-        """Ask the controller who it is."""
-        reply = self._connected().request(Identify(), IdentityReply, self._timeout, "identify")
-        return Identity(
-            reply.robot, reply.serial, reply.controller, reply.version, tuple(reply.joint_names), reply.period
+        connection.settimeout(self._timeout)
+        return Link(
+            connection,
+            self.address,
+            Decoder(MAX_REPLY_PAYLOAD),
+            decode,
+            self._on_message,
+            self._on_failure,
+            self._on_turn,
+            self._watchdog,
         )
 
-    def status(self) -> Status:
-        """Ask for the state."""
-        reply = self._connected().request(AskStatus(), StatusReply, self._timeout, "status")
-        values = {name: getattr(reply, name) for name, _ in StatusReply.LAYOUT}
-        return Status(**{**values, "position": np.array(reply.position)})
 
-    def upload(self, name: str, text: str) -> str:
-        """Store a program; returns the SHA-256 (hex) of the text as the controller stored it.
+def parse_address(address: str) -> tuple[str, int]:
+    """Host and port of `host:port`, `[IPv6]:port` included.
 
-        Raises:
-            RefusedError: not a program (with line and column), too large, no memory, or the arm is moving.
-        """
-        link = self._connected()
-        data = text.encode("utf-8")
-        what = f"the program {name}"
-        begin = UploadBegin(name, len(data), hashlib.sha256(data).hexdigest())
-        link.request(begin, Done, self._timeout, what)
-        for offset in range(0, len(data), UPLOAD_BLOCK):
-            link.request(Block(offset, data[offset : offset + UPLOAD_BLOCK]), Done, self._timeout, what)
-        return link.request(UploadEnd(), Stored, self._start_timeout, what).checksum
-
-    def start(self, name: str, checksum: str) -> None:
-        """Run the stored program once. Where the answer is lost the link is closed, so that the arm cannot go on."""
-        link = self._connected()
-        if self._motion is not None and not self._motion.over:
-            raise DriverError("the last motion is not over yet; read its samples to the end, or stop it")
-        motion = _Motion(self._buffer_limit)
-        motion_id = uuid.uuid4().bytes
-        self._motion = motion
-        link.guarded = True
-        try:
-            started = link.request(Start(name, checksum, motion_id), Started, self._start_timeout, f"start of {name}")
-            if started.motion_id != motion_id:
-                raise ProtocolError(f"the controller at {self.address} started another motion than it was asked to")
-        except RefusedError:
-            link.guarded = False
-            self._motion = None
-            raise
-        except BaseException:
-            self.close()
-            raise
-
-    def samples(self) -> Iterator[SampleBlock]:
-        """Samples of the motion, in order, each once; what arrived before an error is yielded before it is raised."""
-        motion = self._motion
-        if motion is None:
-            raise DriverError("there are no samples: nothing was started")
-        return motion.blocks()
-
-    def stop(self) -> None:
-        """Ask for a stop on the path and wait until the arm rests; nothing to do where nothing was started."""
-        link, motion = self._link, self._motion
-        if link is None or (link.failure is not None and (motion is None or motion.over)):
-            return
-        if motion is not None:
-            motion.stopping = True
-        link.request(Stop(), Done, self._timeout, "stop")
-        if motion is not None and not motion.wait(self._start_timeout):
-            raise DriverError(
-                f"the controller at {self.address} took the stop command, but does not report the arm at rest; "
-                "use the emergency stop"
-            )
-
-    def close(self) -> None:
-        """Close the link; a controller that still moves comes to rest by itself. Never raises."""
-        link, self._link = self._link, None
-        if link is not None:
-            link.close()
-
-    def _connected(self) -> Link:
-        if self._link is None:
-            raise DriverError(f"the link to {self.address} is not open; connect first")
-        return self._link
-
-    # From here on in the reader thread.
-
-    def _on_message(self, message: Any, request: int) -> None:
-        motion, link = self._motion, self._link
-        if motion is None or link is None or motion.over:
-            return
-        if isinstance(message, Samples):
-            motion.take(_block(message), request)
-        elif isinstance(message, End):
-            motion.ended(message)
-        elif isinstance(message, Refused):
-            motion.refetch_refused(request)
-        if motion.too_full:
-            link.post(Stop())
-            motion.finish(
-                DriverError(
-                    f"{motion.size >> 20} MiB of samples wait to be read; the motion was stopped: is the disk full?"
-                )
-            )
-        missing = motion.wanted()
-        if missing is not None:
-            first, count = missing
-            motion.fetching = link.post(Fetch(first, min(count, MAX_BATCH))), first
-        link.guarded = not motion.over
-
-    def _on_failure(self, error: DriverError) -> None:
-        if self._motion is not None:
-            self._motion.finish(error)
+    Raises:
+        ConfigurationError: anything else.
+    """
+    host, separator, port = str(address).rpartition(":")
+    host = host.removeprefix("[").removesuffix("]")
+    if not separator or not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65536:
+        raise ConfigurationError(f"address {address!r}: host:port is expected, like 192.168.0.10:9100")
+    return host, int(port)
 
 
-class _Motion:
-    """What arrived of one motion and was not read yet."""
+def open_socket(address: str, timeout: float) -> socket.socket:
+    """A connected socket.
 
-    def __init__(self, limit: int) -> None:
-        self.sequencer = Sequencer()
-        self.stopping = False
-        self.fetching: tuple[int, int] | None = None  # request id, first sequence number
-        self.size = 0
-        self._limit = limit
-        self._end: End | None = None
-        self._ready: deque[SampleBlock] = deque()
-        self._error: DriverError | None = None
-        self._changed = threading.Condition()
-        self.over = False
-
-    @property
-    def too_full(self) -> bool:
-        """The consumer is too far behind."""
-        return self.size > self._limit
-
-    def blocks(self) -> Iterator[SampleBlock]:
-        """Consumer's side."""
-        while True:
-            with self._changed:
-                while not self._ready and not self.over:
-                    self._changed.wait()
-                if not self._ready:
-                    if self._error is not None:
-                        raise self._error
-                    return
-                block = self._ready.popleft()
-                self.size -= _bytes(block)
-            yield block
-
-    def wait(self, timeout: float) -> bool:
-        """Wait for the end; False if it does not come in time."""
-        with self._changed:
-            return self._changed.wait_for(lambda: self.over, timeout)
-
-    def take(self, block: SampleBlock, request: int) -> None:
-        """Samples, asked for again where `request` says so."""
-        if self.fetching is not None and request == self.fetching[0]:
-            self._append(self.sequencer.give_up(int(block.sequence[0])))
-            self._append(self.sequencer.accept(block))
-            self._fetched()
-        else:
-            self._append(self.sequencer.accept(block))
-            if self.sequencer.held > _MAX_HELD:
-                self._give_up()
-        self._close_if_complete()
-
-    def refetch_refused(self, request: int) -> None:
-        """The controller does not have them any more."""
-        if self.fetching is not None and request == self.fetching[0]:
-            self._fetched()
-            self._close_if_complete()
-
-    def ended(self, end: End) -> None:
-        """The controller says that the motion is over; samples may still be missing."""
-        self._end = end
-        self._close_if_complete()
-
-    def wanted(self) -> tuple[int, int] | None:
-        """(first, count) to fetch now."""
-        if self.fetching is not None or self.over:
-            return None
-        return self._missing()
-
-    def finish(self, error: DriverError | None) -> None:
-        """No more samples; `error` is raised once those that came are read."""
-        with self._changed:
-            if not self.over:
-                self.over = True
-                self._error = error
-            self._changed.notify_all()
-
-    def _missing(self) -> tuple[int, int] | None:
-        return self.sequencer.missing(None if self._end is None else self._end.samples)
-
-    def _fetched(self) -> None:
-        assert self.fetching is not None
-        _, first = self.fetching
-        self.fetching = None
-        if self.sequencer.expected == first:  # asking again would bring no more
-            self._give_up()
-
-    def _give_up(self) -> None:
-        missing = self._missing()
-        if missing is not None:
-            self._append(self.sequencer.give_up(sum(missing)))
-
-    def _append(self, blocks: list[SampleBlock]) -> None:
-        if blocks:
-            with self._changed:
-                self._ready.extend(blocks)
-                self.size += sum(_bytes(block) for block in blocks)
-                self._changed.notify_all()
-
-    def _close_if_complete(self) -> None:
-        if self._end is not None and self._missing() is None:
-            self.finish(_end_error(self._end, self.stopping))
-
-
-def _end_error(end: End, stopping: bool) -> DriverError | None:
+    Raises:
+        DriverError: nobody there.
+        ConfigurationError: not an address.
+    """
+    host, port = parse_address(address)
     try:
-        reason = EndReason(end.reason)
-    except ValueError:
-        return ProtocolError(f"the motion ended for an unknown reason {end.reason}: {end.message}")
-    if reason is EndReason.DONE or (reason is EndReason.STOPPED and stopping):
-        return None
-    if reason in SAFETY_ENDS:
-        cause = reason.name.lower().replace("_", " ")
-        return MotionStopped(f"the controller stopped the arm ({cause}): {end.message}")
-    if reason is EndReason.STOPPED:
-        return MotionStopped(f"the motion was stopped at the controller: {end.message}")
-    if reason is EndReason.PROGRAM_ERROR:
-        return RefusedError(f"the controller cannot go on with the program: {end.message}")
-    return DriverError(f"the controller ended the motion: {end.message}")
-
-
-def _block(samples: Samples) -> SampleBlock:
-    count = len(samples.time_ns)
-    return SampleBlock(
-        sequence=np.arange(samples.first, samples.first + count),
-        time=samples.time_ns * 1e-9,
-        position=samples.position,
-        velocity=samples.velocity,
-        torque=samples.torque,
-        reference_position=samples.reference_position,
-        reference_velocity=samples.reference_velocity,
-        received=time.time(),
-    )
-
-
-def _bytes(block: SampleBlock) -> int:
-    return len(block) * 8 * (2 + 5 * block.position.shape[1])
+        connection = socket.create_connection((host, port), timeout)
+    except ConnectionRefusedError:
+        raise DriverError(
+            f"no controller answers at {address}: connection refused; is it on, is the address right?"
+        ) from None
+    except TimeoutError:
+        raise DriverError(
+            f"no controller answers at {address} within {timeout:g} s; is it on, is the address right, "
+            "does a firewall stand between?"
+        ) from None
+    except (socket.gaierror, UnicodeError):
+        raise DriverError(f"no controller at {address}: the host name {host!r} is not known; check it") from None
+    except OSError as error:
+        raise DriverError(f"no controller answers at {address}: {error.strerror or error}; check the network") from None
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return connection

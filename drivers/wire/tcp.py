@@ -291,6 +291,8 @@ class Decoder:
     A damaged stream cannot be trusted any further: after its first `ProtocolError` a decoder only repeats it.
     """
 
+    rejected = 0  # bytes that were in no frame; this decoder gives up at the first
+
     def __init__(self, max_payload: int) -> None:
         self._max_payload = max_payload
         self._buffer = bytearray()

@@ -1,4 +1,4 @@
-"""One connection of the binary link: requests and answers, heartbeats, and the thread that reads.
+"""One connection that carries frames: requests and answers, heartbeats, and the thread that reads.
 
 Nothing here waits for whoever consumes the samples, so neither a slow disk nor a busy search silences the heartbeat.
 """
@@ -9,85 +9,69 @@ import contextlib
 import itertools
 import queue
 import selectors
-import socket
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, TypeVar
+from socket import SHUT_RDWR
+from typing import Any, Protocol, TypeVar
 
-from drivers.errors import ConfigurationError, DriverError, ProtocolError, RefusedError
+from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.wire.reasons import Refusal
-from drivers.wire.tcp import MAX_REPLY_PAYLOAD, Decoder, Heartbeat, Refused, decode, encode
+from drivers.wire.tcp import Decoder, Frame, Heartbeat, Refused, encode
 
 Reply = TypeVar("Reply")
 _RECEIVE = 256 * 1024
 
 
-def parse_address(address: str) -> tuple[str, int]:
-    """Host and port of `host:port`, `[IPv6]:port` included.
+class Channel(Protocol):
+    """Bytes both ways; a connected socket is one. Errors are `OSError`, a write that takes too long `TimeoutError`."""
 
-    Raises:
-        ConfigurationError: anything else.
-    """
-    host, separator, port = str(address).rpartition(":")
-    host = host.removeprefix("[").removesuffix("]")
-    if not separator or not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65536:
-        raise ConfigurationError(f"address {address!r}: host:port is expected, like 192.168.0.10:9100")
-    return host, int(port)
+    def fileno(self) -> int:
+        """For a selector to wait on."""
 
+    def recv(self, size: int, /) -> bytes:
+        """What has come; nothing where the far end has closed."""
 
-def open_socket(address: str, timeout: float) -> socket.socket:
-    """A connected socket.
+    def sendall(self, data: bytes, /) -> None:
+        """Send, in the time the channel allows."""
 
-    Raises:
-        DriverError: nobody there.
-        ConfigurationError: not an address.
-    """
-    host, port = parse_address(address)
-    try:
-        connection = socket.create_connection((host, port), timeout)
-    except ConnectionRefusedError:
-        raise DriverError(
-            f"no controller answers at {address}: connection refused; is it on, is the address right?"
-        ) from None
-    except TimeoutError:
-        raise DriverError(
-            f"no controller answers at {address} within {timeout:g} s; is it on, is the address right, "
-            "does a firewall stand between?"
-        ) from None
-    except (socket.gaierror, UnicodeError):
-        raise DriverError(f"no controller at {address}: the host name {host!r} is not known; check it") from None
-    except OSError as error:
-        raise DriverError(f"no controller answers at {address}: {error.strerror or error}; check the network") from None
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return connection
+    def shutdown(self, how: int, /) -> None:
+        """Let nothing through any more; a reader that waits returns."""
+
+    def close(self) -> None:
+        """Give the handle back."""
 
 
 class Link:
-    """A connected socket and its reader thread.
+    """A channel and its reader thread.
 
-    `on_message(message, request)` gets, in the reader thread, what nobody waits for; `on_failure(error)` comes once,
-    as the last call, when the link ends for whatever reason. `watchdog` [s] may be set once it is agreed on; while
+    `decoder` and `decode` turn bytes into frames and frames into messages. `on_message(message, request)` gets, in the
+    reader thread, what nobody waits for; `on_failure(error)` comes once, as the last call, when the link ends for
+    whatever reason; `on_turn` is called a few times a watchdog. `watchdog` [s] may be set once it is agreed on; while
     `guarded`, so long a silence of the peer ends the link. Heartbeats are sent all the time, four to a watchdog.
     """
 
     def __init__(
         self,
-        connection: socket.socket,
+        channel: Channel,
         peer: str,
+        decoder: Decoder,
+        decode: Callable[[Frame], Any],
         on_message: Callable[[Any, int], None],
         on_failure: Callable[[DriverError], None],
+        on_turn: Callable[[], None],
         watchdog: float,
-        timeout: float,
     ) -> None:
         self.peer = peer
         self.watchdog = watchdog
         self.guarded = False
         self.failure: DriverError | None = None
-        self._socket = connection
-        self._socket.settimeout(timeout)
+        self._channel = channel
+        self._decoder = decoder
+        self._decode = decode
         self._on_message = on_message
         self._on_failure = on_failure
+        self._on_turn = on_turn
         self._waiting: dict[int, queue.SimpleQueue[Any]] = {}
         self._ids = itertools.count(1)
         self._lock = threading.Lock()
@@ -106,27 +90,19 @@ class Link:
         self._send(message, request)
         return request
 
-    def request(self, message: Any, reply: type[Reply], timeout: float, what: str) -> Reply:
-        """Send a request once and wait for its answer.
+    def request(self, message: Any, reply: type[Reply], timeout: float, what: str, attempts: int = 1) -> Reply:
+        """Send a request and wait for its answer; only what changes nothing may have more than one attempt.
 
         Raises:
             RefusedError: the controller refused; its reason is in the message.
             DriverError: no answer in time, or the link is down.
         """
-        request = next(self._ids)
-        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._waiting[request] = answers
-        try:
-            self._send(message, request)
-            answer = answers.get(timeout=timeout)
-        except queue.Empty:
-            spoke = "it sends, but" if self._heard else "it accepted the connection, but"
-            raise DriverError(
-                f"the controller at {self.peer} is silent: {spoke} did not answer {what} within {timeout:g} s; "
-                "is it the calibration server that listens there?"
-            ) from None
-        finally:
-            self._waiting.pop(request, None)
+        for _ in range(attempts):
+            answer = self._ask(message, timeout / attempts)
+            if answer is not None:
+                break
+        else:
+            raise self._silent(what, timeout)
         if isinstance(answer, DriverError):
             raise self._ended()
         if isinstance(answer, Refused):
@@ -141,11 +117,36 @@ class Link:
         self._hang_up()
         if threading.current_thread() is not self._thread:
             self._thread.join(5.0)
-        self._socket.close()
+        self._channel.close()
+
+    def _ask(self, message: Any, timeout: float) -> Any:
+        """The answer, or None."""
+        request = next(self._ids)
+        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._waiting[request] = answers
+        try:
+            self._send(message, request)
+            return answers.get(timeout=timeout)
+        except queue.Empty:
+            return None
+        finally:
+            self._waiting.pop(request, None)
+
+    def _silent(self, what: str, timeout: float) -> DriverError:
+        if self._decoder.rejected and not self._heard:
+            return ProtocolError(
+                f"what comes from {self.peer} is not the calibration link ({self._decoder.rejected} bytes without a "
+                "frame): is it the right line, and the baud rate that of the controller?"
+            )
+        spoke = "it sends, but" if self._heard else "it accepted the connection, but"
+        return DriverError(
+            f"the controller at {self.peer} is silent: {spoke} did not answer {what} within {timeout:g} s; "
+            "is it the calibration server that listens there?"
+        )
 
     def _hang_up(self) -> None:
         with contextlib.suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)
+            self._channel.shutdown(SHUT_RDWR)
 
     def _ended(self) -> DriverError:
         assert self.failure is not None
@@ -156,7 +157,7 @@ class Link:
             raise self._ended()
         try:
             with self._lock:
-                self._socket.sendall(encode(message, request))
+                self._channel.sendall(encode(message, request))
         except TimeoutError:
             raise DriverError(f"the controller at {self.peer} takes no data any more; the link is dead") from None
         except OSError as error:
@@ -181,10 +182,9 @@ class Link:
         self._on_failure(failure)
 
     def _read(self) -> None:
-        decoder = Decoder(MAX_REPLY_PAYLOAD)
         silence, beaten = 0.0, time.monotonic()
         with selectors.DefaultSelector() as selector:
-            selector.register(self._socket, selectors.EVENT_READ)
+            selector.register(self._channel, selectors.EVENT_READ)
             while not self._closing.is_set():
                 interval = self.watchdog / 4
                 began = time.monotonic()
@@ -194,18 +194,19 @@ class Link:
                     beaten = began
                 data = b""
                 if selector.select(interval):
-                    data = self._socket.recv(_RECEIVE)
+                    data = self._channel.recv(_RECEIVE)
                     if not data:
                         raise DriverError(f"the controller at {self.peer} closed the connection")
                 # A stall of this process is not the peer's silence: no turn counts for more than it should last.
                 silence += min(time.monotonic() - began, interval)
                 try:
-                    for frame in decoder.feed(data):
+                    for frame in self._decoder.feed(data):
                         silence = 0.0
                         self._heard = True
-                        self._deliver(decode(frame), frame.request)
+                        self._deliver(self._decode(frame), frame.request)
                 except ProtocolError as error:
                     raise ProtocolError(f"{self.peer}: {error}") from None
+                self._on_turn()
                 if self.guarded and silence >= self.watchdog:
                     raise DriverError(
                         f"the controller at {self.peer} fell silent: nothing for {self.watchdog * 1000:.0f} ms while "
