@@ -3,7 +3,8 @@
 `<robot>.urdf` is the robot's URDF with the inertials of its moving links replaced, the bodies fixed to a link being
 part of it, and with each joint's friction as `dynamics`: damping and friction are the line through the identified
 curve. `<robot>.xml` is the same for MuJoCo, where rotors are armature; what acts on an axle that several joints turn
-(motor coupling) is on a tendon. `friction.json` has what a URDF cannot say: rotor inertias, coupling, every friction term.
+(motor coupling) is on a tendon. `friction.json` has what a URDF cannot say: rotor inertias, coupling, every term of
+friction.
 
 Nothing is written that has not been read back and found to give the model's torques.
 """

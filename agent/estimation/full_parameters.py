@@ -24,7 +24,9 @@ _ROUNDS = 200
 _DECREMENT = 1e-9
 _SHORTEST_STEP = 1e-8
 _THINNEST = 1e-9  # smallest eigenvalue of a pseudo-inertia that counts as positive, in units of the link's own size
-_SMALLEST_LINK = 0.02  # of the arm's mass, for a link that the URDF gives no mass
+_WEIGHTLESS = 0.02  # of the arm's mass, for a link that the URDF gives no mass
+_WEIGHTLESS_RADIUS = 0.03  # of the reach: its size
+_LEAST_RADIUS = 0.001  # of the reach: the size of any other link, along its thinnest direction
 _USUAL_ROTOR = 0.5  # of the mean inertia about the joint, where the description has none
 
 
@@ -163,22 +165,24 @@ def _reference(model: IdentifiedModel) -> np.ndarray:
     q = np.random.default_rng(0).uniform(-3, 3, (50, n))
     reach = max(float(np.linalg.norm(dynamics.tip_pose(q)[:, :3, 3], axis=1).max()), 0.1)
     total = max(float(links[:, 0].sum()), float(np.abs(model.base_values).max()), 1e-3)
-    bodies = [_body(block, _SMALLEST_LINK * total, 0.03 * reach) for block in links]
+    bodies = [_body(block, _WEIGHTLESS * total, reach) for block in links]
     inertia = np.mean([np.diag(dynamics.mass_matrix(row)) for row in q], axis=0)
     inertia = np.maximum(inertia, bodies[-1][[4, 6, 9]].max()) / robot.gear_ratios**2
     rotors = [j.rotor_inertia or _USUAL_ROTOR * i for j, i in zip(robot.joints, inertia, strict=True)]
     return np.concatenate([*bodies, rotors])
 
 
-def _body(block: np.ndarray, mass: float, radius: float) -> np.ndarray:
-    """(10,) standard parameters near `block`, of at least this mass [kg] and radius of gyration [m]."""
-    matrix = pseudo_inertia(np.append(max(block[0], mass), block[1:]))
+def _body(block: np.ndarray, mass: float, reach: float) -> np.ndarray:
+    """(10,) standard parameters of the URDF where it is a body, else near them; of `mass` [kg] where it has none."""
+    weightless = block[0] <= 0
+    matrix = pseudo_inertia(np.append(mass, np.zeros(9)) if weightless else block)
     centre = matrix[:3, 3] / matrix[3, 3]
-    second = matrix[:3, :3] - matrix[3, 3] * np.outer(centre, centre)
-    values, axes = np.linalg.eigh(second)
-    second = (axes * np.maximum(values, matrix[3, 3] * radius**2 / 3)) @ axes.T
-    matrix[:3, :3] = second + matrix[3, 3] * np.outer(centre, centre)
-    inertia = np.trace(matrix[:3, :3]) * np.eye(3) - matrix[:3, :3]
+    values, axes = np.linalg.eigh(matrix[:3, :3] - matrix[3, 3] * np.outer(centre, centre))
+    thin = matrix[3, 3] * ((_WEIGHTLESS_RADIUS if weightless else _LEAST_RADIUS) * reach) ** 2
+    if values[0] >= thin:
+        return block
+    second = (axes * np.maximum(values, thin)) @ axes.T + matrix[3, 3] * np.outer(centre, centre)
+    inertia = np.trace(second) * np.eye(3) - second
     return np.array([matrix[3, 3], *matrix[:3, 3], *(inertia[i, j] for i, j in _INERTIA_ORDER)])
 
 

@@ -1,0 +1,227 @@
+"""From base parameters to bodies, and to files that other programs read."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agent.errors import RejectedError
+from agent.estimation import IdentifiedModel
+from agent.estimation.estimate import rigid_bodies
+from agent.estimation.friction_terms import FrictionTerm, Reversal
+from agent.estimation.full_parameters import check_physical, full_parameters, pseudo_inertia
+from agent.export import export_model
+from agent.robot import RobotDescription, load_robot
+
+WRIST = ((1, 0, 0, 0, 0, 0), (0, 1, 0, 0, 0, 0), (0, 0, 1, 0, 0, 0), (0, 0, 0, 1, 0, 0), (0, 0, 0, 0, 1, 0))
+COUPLED = (*(tuple(map(float, row)) for row in WRIST), (0.0, 0.0, 0.0, 0.0, 1.0, 1.0))
+
+
+@pytest.fixture(scope="module")
+def ns16() -> RobotDescription:
+    return load_robot("comau_ns16")
+
+
+def bodies(robot: RobotDescription, seed: int = 0, spread: float = 0.1) -> np.ndarray:
+    """(11 n,) physical parameters around the URDF's: each link scaled in mass and stretched."""
+    from agent.robot.dynamics import Dynamics
+
+    rng = np.random.default_rng(seed)
+    links = Dynamics(robot).standard_parameters().reshape(-1, 10).copy()
+    for block in links:
+        stretch = 1 + rng.uniform(-spread, spread)
+        block *= np.array([1, *[stretch] * 3, *[stretch**2] * 6]) * (1 + rng.uniform(-spread, spread))
+    rotors = np.array([joint.rotor_inertia or 1e-4 for joint in robot.joints])
+    return np.append(links.ravel(), rotors * (1 + rng.uniform(-spread, spread, robot.dof)))
+
+
+def model_of(robot: RobotDescription, standard: np.ndarray, known: bool) -> IdentifiedModel:
+    """A model with these bodies; `known`: the fit found the bodies themselves, not just base parameters."""
+    rigid, names, combinations = rigid_bodies(robot)
+    terms, friction = [], []
+    for axle in range(robot.dof):
+        sign = Reversal("speed", 1e-3)
+        terms += [FrictionTerm(axle, "coulomb", sign), FrictionTerm(axle, "viscous")]
+        friction += [10.0 + axle, 5.0 + axle]
+    base = rigid.projection @ standard
+    parameters = len(base) + len(terms)
+    n = robot.dof
+    return IdentifiedModel(
+        robot=robot,
+        independent=rigid.independent,
+        projection=rigid.projection,
+        standard_names=names,
+        combinations=combinations,
+        terms=tuple(terms),
+        values=np.append(base, friction),
+        covariance=np.eye(parameters),
+        cutoff=30.0,
+        order=8,
+        method="consistent" if known else "weighted",
+        weights=np.ones((2, n)),
+        residual_rmse=np.ones(n),
+        held_out_rmse=np.ones(n),
+        condition_number=10.0,
+        standard=standard if known else None,
+    )
+
+
+def states(robot: RobotDescription, count: int = 30) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(3)
+    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
+    q = rng.uniform(lower, upper, (count, robot.dof))
+    return q, rng.choice([-1, 1], q.shape) * rng.uniform(0.2, 1, q.shape) * robot.max_velocity, rng.normal(size=q.shape)
+
+
+def friction_torque(model: IdentifiedModel, qd: np.ndarray) -> np.ndarray:
+    speed = qd @ model.robot.coupling.T
+    values = model.values[len(model.independent) :].reshape(-1, 2)
+    return (values[:, 0] * np.sign(speed) + values[:, 1] * speed) @ model.robot.coupling
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000), spread=st.floats(0.0, 0.4))
+def test_bodies_behind_base_parameters_are_physical_and_have_them(
+    seed: int, spread: float, ns16: RobotDescription
+) -> None:
+    model = model_of(ns16, bodies(ns16, seed, spread), known=False)
+    standard = full_parameters(model)
+    check_physical(ns16, standard)
+    np.testing.assert_allclose(model.projection @ standard, model.base_values, rtol=1e-11, atol=1e-11)
+
+
+def test_bodies_stay_at_the_urdf_where_base_parameters_are_its_own(ns16: RobotDescription) -> None:
+    standard = bodies(ns16, spread=0.0)
+    np.testing.assert_allclose(full_parameters(model_of(ns16, standard, known=False)), standard, rtol=1e-6, atol=1e-7)
+
+
+def test_base_parameters_of_no_body_are_refused(ns16: RobotDescription) -> None:
+    model = model_of(ns16, bodies(ns16), known=False)
+    values = model.values.copy()
+    values[[k for k, name in enumerate(model.names) if name == "J6"]] = -1e-4
+    with pytest.raises(RejectedError, match="consistent"):
+        full_parameters(replace(model, values=values))
+
+
+@pytest.mark.parametrize("fault", ["inertia", "rotor"])
+def test_export_refuses_bodies_that_cannot_exist(ns16: RobotDescription, tmp_path: Path, fault: str) -> None:
+    standard = bodies(ns16)
+    standard[{"inertia": 39, "rotor": 62}[fault]] *= -1
+    with pytest.raises(RejectedError, match="joint_4" if fault == "inertia" else "joint_3"):
+        export_model(model_of(ns16, standard, known=True), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_pseudo_inertia_is_the_second_moment_of_a_density() -> None:
+    rng = np.random.default_rng(0)
+    points, masses = rng.normal(size=(20, 3)), rng.uniform(0.1, 1, 20)
+    inertia = sum(m * (p @ p * np.eye(3) - np.outer(p, p)) for p, m in zip(points, masses, strict=True))
+    order = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+    block = np.array([masses.sum(), *(masses @ points), *(inertia[i, j] for i, j in order)])
+    homogeneous = np.column_stack([points, np.ones(20)])
+    np.testing.assert_allclose(pseudo_inertia(block), homogeneous.T @ (masses[:, None] * homogeneous), atol=1e-12)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_pinocchio_finds_the_torques_of_the_fit(ns16: RobotDescription, tmp_path: Path, known: bool) -> None:
+    model = model_of(ns16, bodies(ns16), known)
+    urdf, _, friction = export_model(model, tmp_path)
+    read = pin.buildModelFromUrdf(str(urdf))
+    data = read.createData()
+    drive = json.loads(friction.read_text())
+    read.gravity.linear = np.array(drive["gravity"])
+    read.armature = np.array([axle["armature"] for axle in drive["axles"]])
+    q, qd, qdd = states(ns16)
+    torque = np.array([pin.rnea(read, data, *state) for state in zip(q, qd, qdd, strict=True)])
+    np.testing.assert_allclose(torque, model.rigid.torque(q, qd, qdd, model.base_values), rtol=0, atol=1e-9)
+
+
+def test_friction_is_the_joints_dynamics(ns16: RobotDescription, tmp_path: Path) -> None:
+    model = model_of(ns16, bodies(ns16), known=True)
+    urdf, *_ = export_model(model, tmp_path)
+    joints = {joint.get("name"): joint for joint in ElementTree.parse(urdf).getroot().iter("joint")}
+    for k, name in enumerate(ns16.joint_names):
+        (dynamics,) = joints[name].findall("dynamics")
+        assert float(dynamics.get("friction")) == pytest.approx(10 + k)
+        assert float(dynamics.get("damping")) == pytest.approx(5 + k)
+
+
+def test_other_friction_is_the_line_through_its_curve(ns16: RobotDescription, tmp_path: Path) -> None:
+    model = model_of(ns16, bodies(ns16), known=True)
+    terms = (*model.terms, FrictionTerm(1, "quadratic"))
+    parameters = len(model.values) + 1
+    model = replace(model, terms=terms, values=np.append(model.values, -1.5), covariance=np.eye(parameters))
+    axle = json.loads(export_model(model, tmp_path)[2].read_text())["axles"][1]
+    speed = np.linspace(0, ns16.max_velocity[1], 20)
+    curve = 11 + 6 * speed - 1.5 * speed**2
+    assert np.abs(axle["friction"] + axle["damping"] * speed - curve).max() < 0.12 * curve.max()
+    assert [term["form"] for term in axle["terms"]] == ["coulomb", "viscous", "quadratic"]
+
+
+def test_bodies_fixed_to_a_link_become_part_of_it(tmp_path: Path) -> None:
+    urdf = """<robot name="r"><link name="base"/><link name="arm"><inertial><origin xyz="0.2 0 0"/><mass value="4"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+    <link name="plate"><inertial><mass value="2"/><inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/>
+    </inertial></link><link name="finger"><inertial><mass value="1"/>
+    <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+    <joint name="j" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/></joint>
+    <joint name="bolts" type="fixed"><parent link="arm"/><child link="plate"/>
+    <origin xyz="0.5 0 0" rpy="0 1 0"/></joint>
+    <joint name="grip" type="prismatic"><parent link="plate"/><child link="finger"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper="0.1" velocity="1" effort="1"/></joint></robot>"""
+    (tmp_path / "r.urdf").write_text(urdf)
+    (tmp_path / "robot.yaml").write_text(
+        "name: r\nurdf: r.urdf\ntip_frame: plate\njoints: [{name: j, max_velocity: 2, max_acceleration: 5}]\n"
+    )
+    robot = load_robot(tmp_path)
+    model = model_of(robot, bodies(robot, spread=0.0), known=True)
+    written, *_ = export_model(model, tmp_path / "out")
+    read = pin.buildModelFromUrdf(str(written))
+    assert read.nv == 1
+    assert read.inertias[1].mass == pytest.approx(7.0)
+    assert [link.get("name") for link in ElementTree.parse(written).getroot().iter("link") if len(link)] == ["arm"]
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+def test_mujoco_finds_the_torques_of_the_fit(ns16: RobotDescription, tmp_path: Path, coupled: bool) -> None:
+    mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed: pip install calibration-agent[mujoco]")
+    robot = replace(ns16, motor_coupling=COUPLED) if coupled else ns16
+    model = model_of(robot, bodies(robot), known=True)
+    read = mujoco.MjModel.from_xml_path(str(export_model(model, tmp_path)[1]))
+    read.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
+    data = mujoco.MjData(read)
+    q, qd, qdd = states(robot)
+    coulomb = np.array([10.0 + axle for axle in range(robot.dof)]) * np.sign(qd @ robot.coupling.T) @ robot.coupling
+    expected = model.rigid.torque(q, qd, qdd, model.base_values) + friction_torque(model, qd) - coulomb
+    torque = np.empty_like(expected)
+    for k in range(len(q)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], qd[k], qdd[k]
+        mujoco.mj_inverse(read, data)
+        torque[k] = data.qfrc_inverse
+    np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-9)
+
+
+def test_mujoco_reads_the_urdf_too(ns16: RobotDescription, tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed: pip install calibration-agent[mujoco]")
+    model = model_of(ns16, bodies(ns16), known=True)
+    urdf, _, friction = export_model(model, tmp_path)
+    read = mujoco.MjModel.from_xml_path(str(urdf))
+    assert read.opt.gravity[2] == ns16.gravity[2]
+    read.dof_armature[:] = [axle["armature"] for axle in json.loads(friction.read_text())["axles"]]
+    np.testing.assert_allclose(read.dof_frictionloss, [10.0 + k for k in range(6)])
+    read.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
+    data = mujoco.MjData(read)
+    q, _, qdd = states(ns16)
+    for k in range(len(q)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], 0, qdd[k]
+        mujoco.mj_inverse(read, data)
+        expected = model.rigid.torque(q[k : k + 1], np.zeros((1, 6)), qdd[k : k + 1], model.base_values)[0]
+        np.testing.assert_allclose(data.qfrc_inverse - data.qfrc_constraint, expected, rtol=0, atol=1e-9)
