@@ -213,14 +213,14 @@ def _respond(signals: np.ndarray, rate: float, responses: list, kept: slice) -> 
 def _bands(log: Log, cutoff: float, settings: FilterSettings) -> tuple[float, float]:
     """Up to where the smoothing is flat, and from where it passes nothing [Hz]."""
     if settings.smoothing is None:
-        stop = min(4.5 * cutoff, log.sample_rate / 2)
+        stop = min(4.5 * cutoff, 0.47 * log.sample_rate)
         return max(stop * 2 / 3, 1.15 * cutoff), stop
     if not 1.15 * cutoff <= settings.smoothing <= 0.4 * log.sample_rate:
         raise InputError(
             f"{log.path}: positions smoothed at {settings.smoothing:g} Hz: what is possible is between 1.15 times the "
             f"cut-off ({1.15 * cutoff:g} Hz) and 0.4 times the sampling rate ({0.4 * log.sample_rate:g} Hz)"
         )
-    return settings.smoothing, min(1.5 * settings.smoothing, log.sample_rate / 2)
+    return settings.smoothing, min(1.5 * settings.smoothing, 0.47 * log.sample_rate)
 
 
 def _edge_time(cutoff: float, pass_edge: float, stop_edge: float) -> float:

@@ -72,7 +72,7 @@ def _simulate(problem: Problem, start: Estimate, motion: Motion) -> Motion:
     position = np.roll(position, late, axis=0)
     position[:late] = position[late] if late > 0 else position[:late]
     position[late or len(position) :] = position[late - 1] if late < 0 else position[late or len(position) :]
-    stop = min(1.5 * motion.pass_edge, motion.rate / 2)
+    stop = min(1.5 * motion.pass_edge, 0.47 * motion.rate)
     q, qd, qdd = smooth_and_differentiate(position, motion.rate, min(motion.pass_edge, 0.8 * stop), stop)
     return replace(motion, q=q, qd=qd, qdd=qdd)
 

@@ -17,6 +17,7 @@ from agent.estimation.filtering import FilterSettings
 from agent.estimation.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns
 from agent.estimation.least_squares import weighted
 from agent.estimation.observation import observe
+from agent.estimation.prior import link_prior
 from agent.estimation.selection import paper_terms
 
 PAPER = EstimationSettings.create(method="weighted", friction="paper")
@@ -46,12 +47,14 @@ def test_any_parameters_are_recovered(arm, multisine, make_log, dof, seed, slide
     q, qd, qdd = multisine(dof, t, seed, 3.0, rest=True)
     rigid, _, _ = rigid_bodies(robot)
     terms = paper_terms([Reversal("speed", 0.05)] * dof)
-    values = rng.normal(size=rigid.count + len(terms))
-    values[: rigid.count][rigid.independent >= 10 * dof] *= 1e-4
+    start = observe(rigid, [make_log(robot, t, q, 10 * qd + 50)], FilterSettings())
+    mean, deviation = link_prior(start)
+    standard = rng.normal(mean, deviation)
+    values = np.append(rigid.projection @ standard, rng.normal(size=len(terms)))
     log = make_log(robot, t, q, torque_of(robot, rigid, terms, values, q, qd, qdd))
     observation = observe(rigid, [log], FilterSettings())
     found = weighted(pose(observation, partition(observation.stretches), terms))
-    scale = np.abs(values) + np.where(np.arange(len(values)) < rigid.count, 1e-4, 1.0)
+    scale = np.abs(values) + np.append(np.full(rigid.count, 1e-3), np.ones(len(terms)))
     assert np.max(np.abs(found.parameters - values) / scale) < 2e-6
 
 
