@@ -53,13 +53,14 @@ def init(
 ) -> None:
     """Write a commented recipe."""
     from agent.recipe import template
-    from agent.robot import load_robot
+    from agent.robot import builtin_robots, load_robot
     from agent.run import write_atomically
 
     load_robot(robot)
     if recipe.exists():
         raise InputError(f"{recipe}: exists already; name another file, or move it away")
-    write_atomically(recipe, template(robot=robot, address=controller))
+    named = robot if robot in builtin_robots() else os.path.relpath(robot, recipe.parent)
+    write_atomically(recipe, template(robot=named, address=controller))
     print(recipe)
 
 
