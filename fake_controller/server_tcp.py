@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import selectors
 import socket
 import threading
@@ -27,12 +26,9 @@ from drivers.wire.tcp import (
     Heartbeat,
     Hello,
     Identify,
-    IdentityReply,
     Refused,
-    Samples,
     Start,
     Started,
-    StatusReply,
     Stop,
     Stored,
     UploadBegin,
@@ -42,9 +38,9 @@ from drivers.wire.tcp import (
     decode,
     encode,
 )
-from fake_controller.controller import CONTROLLER, PERIOD, Controller, RefusedRequest
-from fake_controller.controller import VERSION as CONTROLLER_VERSION
+from fake_controller.controller import Controller, RefusedRequest
 from fake_controller.execution import Slice
+from fake_controller.replies import Upload, identity_reply, samples_message, status_reply
 
 MAX_CONNECTIONS = 8
 WATCHDOG_RANGE = (0.05, 5.0)  # s
@@ -60,13 +56,21 @@ class TcpServer:
     Args:
         controller: what is served.
         address, port: where to listen; port 0 takes a free one.
+        watchdog: the shortest [s] that a client is granted.
 
     Raises:
         OSError: the port is taken, or the address is not this machine's.
     """
 
-    def __init__(self, controller: Controller, address: str = "127.0.0.1", port: int = 0) -> None:
+    def __init__(
+        self,
+        controller: Controller,
+        address: str = "127.0.0.1",
+        port: int = 0,
+        watchdog: float = WATCHDOG_RANGE[0],
+    ) -> None:
         self.controller = controller
+        self.watchdog = watchdog
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
         self._listener = socket.create_server((address, port), family=family, backlog=MAX_CONNECTIONS)
         host, self.port = self._listener.getsockname()[:2]
@@ -146,7 +150,7 @@ class Session:
         self._closed = threading.Event()
         self._watchdog = IDLE_LIMIT
         self._greeted = False
-        self._upload: _Upload | None = None
+        self._upload: Upload | None = None
         self._driving = False  # this client's motion runs
         self._thread = threading.Thread(target=self._serve, name="session", daemon=True)
 
@@ -167,7 +171,7 @@ class Session:
     def on_samples(self, first: int, time_ns: np.ndarray, samples: Slice) -> None:
         """Stream what the arm just did; a client that is gone ends the motion."""
         for begin in range(0, len(samples), MAX_BATCH):
-            self._send_or_close(_samples(first + begin, time_ns, samples, slice(begin, begin + MAX_BATCH)))
+            self._send_or_close(samples_message(first + begin, time_ns, samples, slice(begin, begin + MAX_BATCH)))
 
     def on_end(self, reason: EndReason, samples: int, message: str) -> None:
         """Tell that the arm rests."""
@@ -243,12 +247,12 @@ class Session:
             raise RefusedRequest(Refusal.BAD_REQUEST, "the first message must be the greeting")
         match message:
             case Identify():
-                self._send(_identity(self._controller), request)
+                self._send(identity_reply(self._controller), request)
             case AskStatus():
-                self._send(_status(self._controller), request)
+                self._send(status_reply(self._controller), request)
             case UploadBegin(name, size, checksum):
                 self._controller.check_upload(name, size)
-                self._upload = _Upload(name, size, checksum)
+                self._upload = Upload(name, size, checksum)
                 self._send(Done(), request)
             case UploadBlock(offset, data):
                 self._current_upload().add(offset, data)
@@ -268,7 +272,7 @@ class Session:
                 self._controller.stop(EndReason.STOPPED, "stopped on command")
                 self._send(Done(), request)
             case Fetch(first, count):
-                self._send(_samples(*self._controller.fetch(first, min(count, MAX_BATCH))), request)
+                self._send(samples_message(*self._controller.fetch(first, min(count, MAX_BATCH))), request)
             case _:
                 raise RefusedRequest(Refusal.UNKNOWN_MESSAGE, f"{type(message).__name__} is not a request")
 
@@ -279,8 +283,7 @@ class Session:
             raise RefusedRequest(Refusal.UNSUPPORTED_VERSION, f"version {VERSION} of the link is spoken here")
         if not self._server.hold(self):
             raise RefusedRequest(Refusal.BUSY, "another client holds the controller; close it first")
-        low, high = WATCHDOG_RANGE
-        self._watchdog = min(max(hello.watchdog_ms / 1000, low), high)
+        self._watchdog = min(max(hello.watchdog_ms / 1000, self._server.watchdog), WATCHDOG_RANGE[1])
         self._greeted = True
         self._send(Welcome(VERSION, round(self._watchdog * 1000)), request)
         threading.Thread(target=self._beat, name="heartbeat", daemon=True).start()
@@ -289,7 +292,7 @@ class Session:
         while not self._closed.wait(self._watchdog / 4):
             self._send_or_close(Heartbeat())
 
-    def _current_upload(self) -> _Upload:
+    def _current_upload(self) -> Upload:
         if self._upload is None:
             raise RefusedRequest(Refusal.BAD_REQUEST, "no upload has begun")
         return self._upload
@@ -303,62 +306,3 @@ class Session:
     def _send(self, message: Any, request: int = 0) -> None:
         with self._send_lock:
             self._socket.sendall(encode(message, request))
-
-
-class _Upload:
-    """A program on its way in."""
-
-    def __init__(self, name: str, size: int, checksum: str) -> None:
-        self.name = name
-        self._size = size
-        self._checksum = checksum.lower()
-        self._data = bytearray()
-
-    def add(self, offset: int, data: bytes) -> None:
-        if offset != len(self._data):
-            raise RefusedRequest(Refusal.BAD_REQUEST, f"a block for byte {offset}, where {len(self._data)} comes next")
-        if offset + len(data) > self._size:
-            raise RefusedRequest(Refusal.TOO_LARGE, f"more than the {self._size} bytes that were announced")
-        self._data += data
-
-    def complete(self) -> bytes:
-        if len(self._data) != self._size:
-            raise RefusedRequest(Refusal.BAD_REQUEST, f"{len(self._data)} of {self._size} bytes came")
-        if hashlib.sha256(self._data).hexdigest() != self._checksum:
-            raise RefusedRequest(Refusal.CHECKSUM, "the bytes that came are not those of the checksum; send them again")
-        return bytes(self._data)
-
-
-def _identity(controller: Controller) -> IdentityReply:
-    robot = controller.robot
-    return IdentityReply(robot.name, controller.serial, CONTROLLER, CONTROLLER_VERSION, robot.joint_names, PERIOD)
-
-
-def _status(controller: Controller) -> StatusReply:
-    state = controller.state
-    name, checksum = controller.stored
-    return StatusReply(
-        drives_on=state.drives_on,
-        mode=state.mode,
-        emergency_stop=state.emergency_stop,
-        alarms=state.alarms,
-        override=state.override,
-        cell_closed=state.cell_closed,
-        moving=controller.moving,
-        program=name,
-        checksum=checksum,
-        position=tuple(controller.position),
-        emulator=True,
-    )
-
-
-def _samples(first: int, time_ns: np.ndarray, samples: Slice, chosen: slice = slice(None)) -> Samples:
-    return Samples(
-        first,
-        time_ns[chosen],
-        samples.position[chosen],
-        samples.velocity[chosen],
-        samples.torque[chosen],
-        samples.reference_position[chosen],
-        samples.reference_velocity[chosen],
-    )
