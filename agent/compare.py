@@ -45,7 +45,8 @@ class Change:
 class Comparison:
     """Two models of one robot.
 
-    `changes` are of parameters that both have and that were estimated in between; `only_before`, `only_after` name the others. `torque_rmse`,
+    `changes` are of parameters that both have and that were estimated in between; `only_before`, `only_after` name
+    those that one alone has. `torque_rmse`,
     `torque_largest`, `nominal` (n,) [N·m]: how far the predictions are apart along `motion`, a recorded motion in the
     sub-region, and the nominal torque (NaN where there is none). `deviation` (n,) is what the stated uncertainty of
     the models explains of `torque_rmse`.

@@ -121,5 +121,6 @@ def conditions(model: IdentifiedModel, log: Log) -> dict[str, Any]:
         "cycles": len(log.cycle_starts),
         "motion_s": float(log.t[-1] - log.t[0]),
         "warm_up": {"rate_per_s": found.rate.tolist(), "standard_deviation": found.deviation.tolist()},
+        "nominal_torque": [float(v) if np.isfinite(v) else None for v in model.robot.nominal_torque],
         "friction": [level.__dict__ for level in friction_levels(model, top)],
     }
