@@ -24,7 +24,7 @@ class FlyParameters:
     """
 
     blend_shape: float = 0.0
-    ramp: float = 2.0
+    ramp: float = 1.5
     jerk_time: float = 0.08
     stress_floor: float = 0.5
     auto_tightness: float = 0.8

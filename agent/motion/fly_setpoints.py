@@ -178,6 +178,9 @@ def _stretch(path: Path, samples: SetPoints, limits: ArmLimits, period: float) -
         np.maximum(speed, np.abs(samples.qd[:, k]) / limits.speed[k], out=speed)
         np.maximum(acceleration, np.abs(samples.qdd[:, k]) / limits.acceleration[k], out=acceleration)
         np.maximum(jerk, np.abs(np.diff(samples.qdd[:, k], prepend=0.0)) / (limits.jerk[k] * period), out=jerk)
+        # The mean over three periods is another mean than that over one: servos may see either.
+        over_three = np.abs(np.diff(samples.q[:, k], 3)) / (limits.jerk[k] * period**3)
+        np.maximum(jerk[2:-1], over_three, out=jerk[2:-1])
     return np.maximum(np.maximum(speed, np.sqrt(acceleration)), np.cbrt(jerk))
 
 

@@ -22,7 +22,8 @@ from agent.robot.description import CartesianLimits, RobotDescription
 _PASSES = 20
 #: [rad, m] of error between two knots of the path.
 _TOLERATED = 3e-6
-_LEAST_WEIGHT = 1e-10
+#: A joint slower than this part of its limit, and a TCP slower than this [m/s, rad/s], stand still: round-off moves them.
+_STILL = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,14 +153,14 @@ def _override(rule: np.ndarray) -> np.ndarray:
 
 def fastest(path: Path, shape: PathShape, limits: ArmLimits, ceiling: np.ndarray) -> np.ndarray:
     """(K,) the largest z = ṡ² under `ceiling` (K,) that keeps all acceleration limits, standstill to standstill."""
-    weight, growth = _changes(path, shape, limits, ceiling)
+    weight, growth, least = _changes(path, shape, limits, ceiling)
     rule = path.rules
     rise = np.minimum(rule[:-1, rules.ACCELERATION], rule[1:, rules.ACCELERATION])
     fall = np.minimum(rule[:-1, rules.DECELERATION], rule[1:, rules.DECELERATION])
     start = np.zeros((len(growth), 1))
     rising = np.concatenate((start, np.cumsum(growth * rise, axis=1)), axis=1)
     falling = np.concatenate((start, np.cumsum(growth * fall, axis=1)), axis=1)
-    used = weight > _LEAST_WEIGHT * np.max(weight, axis=1, keepdims=True)
+    used = weight * ceiling > least[:, None]
     inverse = 1.0 / np.where(used, weight, 1.0)
     z = ceiling.copy()
     z[[0, -1]] = 0.0
@@ -180,11 +181,16 @@ def _lifted(y: np.ndarray, inverse: np.ndarray, used: np.ndarray) -> np.ndarray:
     return np.where(used, np.maximum(y, 0.0) * inverse, np.inf)
 
 
-def _changes(path: Path, shape: PathShape, limits: ArmLimits, ceiling: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights (m, K) w in y = w z and largest changes (m, K - 1) of y from knot to knot, for joints and the TCP."""
+def _changes(
+    path: Path, shape: PathShape, limits: ArmLimits, ceiling: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weights (m, K) w in y = w z, largest changes (m, K - 1) of y from knot to knot, and the y (m,) that is standstill.
+
+    For the joints, and the TCP's travel and turn where they are limited.
+    """
     rule = path.rules
     stress = np.minimum(rule[:-1, rules.STRESS], rule[1:, rules.STRESS])
-    weights = [shape.q1**2]
+    weights, least = [shape.q1**2], [(_STILL * limits.speed) ** 2]
     changes = [2.0 * limits.acceleration[:, None] * stress * np.abs(np.diff(path.q, axis=0)).T]
     for size, across, limit in (
         (shape.travel, shape.bend, limits.cartesian.linear_acceleration),
@@ -196,5 +202,6 @@ def _changes(path: Path, shape: PathShape, limits: ArmLimits, ceiling: np.ndarra
             left = left * limit * np.minimum(rule[:, rules.CARTESIAN], 1e3)
             step = 0.5 * (size[1:] + size[:-1]) * np.diff(path.s)
             weights.append(size[None] ** 2)
+            least.append(np.array([_STILL**2]))
             changes.append((2.0 * np.minimum(left[1:], left[:-1]) * step)[None])
-    return np.concatenate(weights), np.concatenate(changes)
+    return np.concatenate(weights), np.concatenate(changes), np.concatenate(least)

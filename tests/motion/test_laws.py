@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.motion import FlyInterpolator, MotionError, Trajectory
-from agent.motion.program import CartesianTarget, FlyTrajectory, FlyType, JointTarget, Move, MoveType
+from agent.motion.program import FlyTrajectory, FlyType, Move, MoveType
 from agent.robot.configuration import configuration_of
 
 PERIOD = 0.002
@@ -20,13 +20,15 @@ QUICK = settings(max_examples=100, deadline=None, derandomize=True)
 
 def planned(fly: FlyInterpolator, program: list, start: np.ndarray) -> Trajectory | None:
     """None where the program is refused, with the statement named."""
+    refusal = None
     try:
         return fly.plan(program, start)
     except MotionError as error:
-        assert 0 <= error.move < len(program)
-        assert error.excess > 0
-        assert f"statement {error.move + 1}" in str(error)
-        return None
+        refusal = error
+    assert 0 <= refusal.move < len(program)
+    assert refusal.excess > 0
+    assert f"statement {refusal.move + 1}" in str(refusal)
+    return None
 
 
 def distance_to_polyline(points: np.ndarray, line: np.ndarray) -> np.ndarray:
