@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.errors import InputError
 from agent.excitation.criterion import one_blas_thread
 from agent.excitation.scoring import Score
 
@@ -73,7 +74,12 @@ class Workers:
             process.join()
 
     def evaluate(self, genomes: np.ndarray) -> list[Score]:
-        """Scores of genomes (N, genes), in their order."""
+        """Scores of genomes (N, genes), in their order.
+
+        Raises:
+            InputError: a candidate cannot be scored for a reason the user can act on.
+            RuntimeError: a worker failed or was killed.
+        """
         if self._score is not None:
             with one_blas_thread():
                 return [self._score(genome) for genome in genomes]
@@ -105,6 +111,8 @@ def _answer(connection: Connection) -> Score:
         raise RuntimeError("a worker of the search was killed; is memory short?") from None
     if isinstance(answer, Score):
         return answer
+    if isinstance(answer, InputError):
+        raise answer
     raise RuntimeError(f"a worker of the search failed:\n{answer}")
 
 
@@ -117,6 +125,9 @@ def _work(connection: Connection, build: Build, problem: Any) -> None:
                 connection.send(score(connection.recv()))
     except (EOFError, ConnectionError):
         return
+    except InputError as error:  # as one plain kind: its subclasses need not survive the journey
+        with suppress(ConnectionError):
+            connection.send(InputError(str(error)))
     except Exception:
         with suppress(ConnectionError):
             connection.send(traceback.format_exc())

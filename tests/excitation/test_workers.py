@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -8,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.errors import InputError
 from agent.excitation.scoring import Score
 from agent.excitation.workers import Workers
 
 ROOT = Path(__file__).parents[2]
 GENOMES = np.arange(21.0).reshape(7, 3)
 SUM = "lambda genome: __import__('agent.excitation.scoring', fromlist=['Score']).Score(float(genome.sum()))"
+REFUSED = "lambda genome: __import__('agent.robot', fromlist=['x']).load_robot('less')"
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -33,6 +36,12 @@ def test_scores_come_in_the_order_of_the_genomes(count: int) -> None:
 )
 def test_a_worker_that_fails_says_why(problem: str, message: str) -> None:
     with pytest.raises(RuntimeError, match=message), Workers(eval, problem, 1 + 1) as workers:
+        workers.evaluate(GENOMES)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_users_error_arrives_as_one(count: int) -> None:
+    with pytest.raises(InputError, match="less"), Workers(eval, REFUSED, count) as workers:
         workers.evaluate(GENOMES)
 
 
@@ -65,6 +74,4 @@ def test_no_worker_outlives_the_search(tmp_path: Path, how: signal.Signals) -> N
 
 
 def environment() -> dict[str, str]:
-    import os
-
     return {**os.environ, "PYTHONPATH": str(ROOT)}
