@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import signal
 import sys
 import threading
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from agent.errors import AgentError
+from agent.errors import AgentError, InputError
+
+if TYPE_CHECKING:
+    from fake_controller.controller import Controller
+
+#: Shortest watchdog [s] by clock: an arm that is simulated as fast as it goes keeps no rhythm on the wall.
+WATCHDOGS = {"fast": 5.0, "real": 0.05}
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -19,16 +27,15 @@ def main(arguments: list[str] | None = None) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: done.set())
 
-    from fake_controller.build import build_controller
     from fake_controller.server_tcp import TcpServer
 
     try:
-        controller = build_controller(options.robot, options.seed, options.clock)
+        controller = _controller(options)
     except AgentError as error:
         print(f"fake controller: {error}", file=sys.stderr)
         return error.exit_code
     try:
-        server = TcpServer(controller, options.address, options.port)
+        server = TcpServer(controller, options.address, options.port, options.watchdog or WATCHDOGS[options.clock])
     except OSError as error:
         where = f"{options.address}:{options.port}"
         print(f"fake controller: cannot listen at {where}: {error.strerror}; is the port taken?", file=sys.stderr)
@@ -43,7 +50,45 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     finally:
         server.close()
+    if controller.motions_started:
+        print(f"fake controller: {controller.history()}", flush=True)
     return 0
+
+
+def _controller(options: argparse.Namespace) -> Controller:
+    """What the scenario says, where the command line says nothing else; also sets `options.clock`.
+
+    Raises:
+        InputError: a scenario or an effect that makes no sense, or an unknown robot.
+    """
+    from fake_controller.build import build_controller
+    from fake_controller.controller import State
+    from fake_controller.scenario import SetupSection, load_scenario
+
+    scenario = None if options.scenario is None else load_scenario(options.scenario)
+    setup = SetupSection(clock="real", seed=0) if scenario is None else scenario.setup
+    options.clock = options.clock or setup.clock
+    controller = build_controller(
+        options.robot or setup.robot,
+        setup.seed if options.seed is None else options.seed,
+        options.clock,
+        [*setup.effects, *(_effects(options.effects) if options.effects else ())],
+        [] if scenario is None else scenario.build_faults(),
+    )
+    controller.state = State(**setup.state.model_dump())
+    if scenario is not None:
+        print(f"fake controller: scenario {options.scenario}: {scenario.title}", file=sys.stderr)
+    return controller
+
+
+def _effects(path: Path) -> list[dict[str, Any]]:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as JSON: {error}") from None
+    if not isinstance(data, list) or not all(isinstance(entry, dict) for entry in data):
+        raise InputError(f"{path}: a list of effects is expected, each with the keys effect, joints, parameters")
+    return data
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -51,11 +96,14 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m fake_controller",
         description="An emulated robot controller: it runs the PDL2 programs it is sent on a simulated arm.",
     )
-    parser.add_argument("--robot", default="comau_ns16", help="built-in robot, or path of a robot.yaml")
+    parser.add_argument("--robot", help="built-in robot (comau_ns16 if none is named), or path of a robot.yaml")
     parser.add_argument("--port", type=_port, default=9100, help="TCP port; 0 takes a free one and prints it")
     parser.add_argument("--address", default="127.0.0.1", help="where to listen; others cannot connect by default")
-    parser.add_argument("--seed", type=int, default=0, help="of the arm's true parameters and its noise")
-    parser.add_argument("--clock", choices=("fast", "real"), default="real", help="as fast as it goes, or real time")
+    parser.add_argument("--seed", type=int, help="of the arm's true parameters and its noise; 0 if none is given")
+    parser.add_argument("--clock", choices=("fast", "real"), help="as fast as it goes, or real time (if none is given)")
+    parser.add_argument("--watchdog", type=_watchdog, help="shortest [s] that a client is granted, 0.05 to 5")
+    parser.add_argument("--scenario", type=Path, help="what is set up and what goes wrong; docs/scenarios.md")
+    parser.add_argument("--effects", type=Path, help="JSON list of effects to build into the arm")
     parser.add_argument("--ready-file", type=Path, help="write the address there once the port is open")
     return parser
 
@@ -65,6 +113,13 @@ def _port(text: str) -> int:
     if not 0 <= port < 65536:
         raise argparse.ArgumentTypeError(f"{port} is not a port; 0 to 65535 are")
     return port
+
+
+def _watchdog(text: str) -> float:
+    seconds = float(text)
+    if not 0.05 <= seconds <= 5.0:
+        raise argparse.ArgumentTypeError(f"{text} s is no watchdog here; 0.05 to 5 are")
+    return seconds
 
 
 def _write_whole(path: Path, text: str) -> None:

@@ -72,7 +72,7 @@ class TcpServer:
         self.controller = controller
         self.watchdog = watchdog
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
-        self._listener = socket.create_server((address, port), family=family, backlog=MAX_CONNECTIONS)
+        self._listener = _listen(address, port, family, deaf=controller.faults.refusing)
         host, self.port = self._listener.getsockname()[:2]
         self.address = f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}"
         self._lock = threading.Lock()
@@ -80,7 +80,9 @@ class TcpServer:
         self._holder: Session | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._accept, name="accept", daemon=True)
-        self._thread.start()
+        if not controller.faults.refusing:
+            self._thread.start()
+        controller.when_restarting.append(self.drop_clients)
 
     def close(self) -> None:
         """Bring the arm to rest, tell the clients, and stop listening."""
@@ -95,7 +97,8 @@ class TcpServer:
             session.close()
         for session in sessions:
             session.join()
-        self._thread.join(5.0)
+        if self._thread.is_alive():
+            self._thread.join(5.0)
 
     def drop_clients(self) -> None:
         """Cut every connection, as a pulled cable does."""
@@ -135,6 +138,15 @@ class TcpServer:
                 session = Session(self, connection)
                 self._sessions.add(session)
             session.start()
+
+
+def _listen(address: str, port: int, family: socket.AddressFamily, deaf: bool) -> socket.socket:
+    """A listening socket; a deaf one holds its port, and whoever connects is refused."""
+    if not deaf:
+        return socket.create_server((address, port), family=family, backlog=MAX_CONNECTIONS)
+    bound = socket.socket(family)
+    bound.bind((address, port))
+    return bound
 
 
 class Session:
@@ -216,6 +228,7 @@ class Session:
                     data = self._socket.recv(_RECEIVE)
                     if not data:
                         return
+                    data = self._controller.faults.heard(data)
                 # A stall of this process is not the client's silence: no turn counts for more than it should last.
                 silence += min(time.monotonic() - began, interval)
                 for frame in decoder.feed(data):
@@ -251,6 +264,7 @@ class Session:
             case AskStatus():
                 self._send(status_reply(self._controller), request)
             case UploadBegin(name, size, checksum):
+                self._controller.reach("upload")
                 self._controller.check_upload(name, size)
                 self._upload = Upload(name, size, checksum)
                 self._send(Done(), request)
@@ -262,6 +276,7 @@ class Session:
                 checksum = self._controller.store(upload.name, upload.complete())
                 self._send(Stored(upload.name, checksum), request)
             case Start(name, checksum, motion_id):
+                self._controller.reach("start")
                 self._controller.start(name, checksum, motion_id, self)
                 self._driving = True
                 try:
@@ -269,6 +284,7 @@ class Session:
                 finally:
                     self._controller.go()
             case Stop():
+                self._controller.reach("stop")
                 self._controller.stop(EndReason.STOPPED, "stopped on command")
                 self._send(Done(), request)
             case Fetch(first, count):
@@ -285,6 +301,8 @@ class Session:
             raise RefusedRequest(Refusal.BUSY, "another client holds the controller; close it first")
         self._watchdog = min(max(hello.watchdog_ms / 1000, self._server.watchdog), WATCHDOG_RANGE[1])
         self._greeted = True
+        self._controller.faults.heal()
+        self._controller.reach("connect")
         self._send(Welcome(VERSION, round(self._watchdog * 1000)), request)
         threading.Thread(target=self._beat, name="heartbeat", daemon=True).start()
 
@@ -304,5 +322,11 @@ class Session:
             self.close()
 
     def _send(self, message: Any, request: int = 0) -> None:
+        frame = encode(message, request)
         with self._send_lock:
-            self._socket.sendall(encode(message, request))
+            self._controller.faults.send(frame, self._socket.sendall, self._cut, isinstance(message, Heartbeat))
+
+    def _cut(self) -> None:
+        self._closed.set()
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)

@@ -36,6 +36,7 @@ class Controller:
 
     def __init__(self, *options: str):
         command = [sys.executable, "-m", "fake_controller", "--robot", "comau_ns16", "--port", "0", "--seed", "7"]
+        command += ["--watchdog", "5"]  # the machine that runs the tests may stall
         self.process = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True, cwd=ROOT)
         assert self.process.stdout is not None
         self.greeting = self.process.stdout.readline()
@@ -118,3 +119,14 @@ def wait_for_motion() -> Callable[[subprocess.Popen[str]], None]:
         assert any("of motion" in line for line in process.stderr), "the agent ended before anything moved"
 
     return wait
+
+
+@pytest.fixture
+def only_run() -> Callable[[Path], Path]:
+    """Finds the one run folder in a folder of runs."""
+
+    def find(logs: Path) -> Path:
+        (run,) = (entry for entry in logs.iterdir() if entry.is_dir())
+        return run
+
+    return find

@@ -47,18 +47,21 @@ def test_the_whole_job(controller, write_recipe, run_agent, tmp_path: Path):
     assert len(json.loads(kept.stdout)["trajectories"]) == 1, "the same search finds the same loop"
 
 
-def test_a_gate_that_is_missed_is_exit_3_and_keeps_everything(controller, write_recipe, run_agent, tmp_path: Path):
+def test_a_gate_that_is_missed_is_exit_3_and_keeps_everything(
+    only_run, controller, write_recipe, run_agent, tmp_path: Path
+):
     recipe = write_recipe(controller.address, motions=1, gate=1e-5)
     run = run_agent("calibrate", recipe, "--json")
     assert run.returncode == 3
     assert json.loads(run.stdout)["accepted"] is False
-    (folder,) = (tmp_path / "logs").iterdir()
+    folder = only_run(tmp_path / "logs")
     assert json.loads((folder / "state.json").read_text(encoding="utf-8"))["status"] == "rejected"
     assert (folder / "report.html").exists()
 
 
 @pytest.mark.parametrize(("kill", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupted_run_stops_the_arm_and_says_where(
+    only_run,
     start_controller,
     write_recipe,
     start_agent,
@@ -76,7 +79,7 @@ def test_an_interrupted_run_stops_the_arm_and_says_where(
     _, errors = process.communicate()
     assert process.returncode == code, errors
     assert "Traceback" not in errors
-    (folder,) = (tmp_path / "logs").iterdir()
+    folder = only_run(tmp_path / "logs")
     state = json.loads((folder / "state.json").read_text(encoding="utf-8"))
     assert (state["status"], state["stopped"]["step"]) == ("stopped", "record")
     assert len(read_log(folder / "excitation.mcap").t) > 0
@@ -91,7 +94,9 @@ def test_an_interrupted_run_stops_the_arm_and_says_where(
     assert "another recipe" in other.stderr
 
 
-def test_a_stopped_run_goes_on(start_controller, write_recipe, start_agent, wait_for_motion, run_agent, tmp_path: Path):
+def test_a_stopped_run_goes_on(
+    only_run, start_controller, write_recipe, start_agent, wait_for_motion, run_agent, tmp_path: Path
+):
     slow = start_controller("--clock", "real")
     recipe = write_recipe(slow.address, motions=1, cycles=1)
     process = start_agent("calibrate", recipe)
@@ -99,7 +104,7 @@ def test_a_stopped_run_goes_on(start_controller, write_recipe, start_agent, wait
     process.kill()
     process.communicate()
     slow.end()
-    (folder,) = (tmp_path / "logs").iterdir()
+    folder = only_run(tmp_path / "logs")
     port = slow.address.rsplit(":", 1)[1]
     start_controller("--clock", "fast", "--port", port)
     run = run_agent("calibrate", recipe, "--resume", folder)
@@ -110,7 +115,7 @@ def test_a_stopped_run_goes_on(start_controller, write_recipe, start_agent, wait
 
 
 def test_a_controller_killed_in_mid_motion(
-    start_controller, write_recipe, start_agent, wait_for_motion, tmp_path: Path
+    only_run, start_controller, write_recipe, start_agent, wait_for_motion, tmp_path: Path
 ):
     controller = start_controller("--clock", "real")
     process = start_agent("calibrate", write_recipe(controller.address, motions=1, cycles=1))
@@ -119,7 +124,7 @@ def test_a_controller_killed_in_mid_motion(
     _, errors = process.communicate()
     assert process.returncode == 4, errors
     assert "Traceback" not in errors
-    (folder,) = (tmp_path / "logs").iterdir()
+    folder = only_run(tmp_path / "logs")
     assert len(read_log(folder / "excitation.mcap").t) > 0
     assert json.loads((folder / "state.json").read_text(encoding="utf-8"))["stopped"]["step"] == "record"
 

@@ -81,12 +81,14 @@ def test_recipe_faults_name_line_and_key(write_recipe, run_agent, tmp_path: Path
     assert not (tmp_path / "logs").exists()
 
 
-def test_nobody_at_the_address_is_exit_4_and_the_run_says_where_it_stopped(write_recipe, run_agent, tmp_path: Path):
+def test_nobody_at_the_address_is_exit_4_and_the_run_says_where_it_stopped(
+    only_run, write_recipe, run_agent, tmp_path: Path
+):
     path = write_recipe("127.0.0.1:1", motions=1)
     run = run_agent("calibrate", path)
     assert run.returncode == 4
     assert "no controller answers at 127.0.0.1:1" in run.stderr
-    (folder,) = (tmp_path / "logs").iterdir()
+    folder = only_run(tmp_path / "logs")
     state = json.loads((folder / "state.json").read_text(encoding="utf-8"))
     assert state["status"] == "stopped"
     assert state["stopped"]["step"] == "record"
