@@ -66,5 +66,6 @@ def create_interpolator(name: str, robot: RobotDescription, tool: Any = None, **
 def _builtin() -> dict[str, Any]:
     # Registered in code as well: a checkout that was never installed has no entry points.
     from agent.motion.fly import FlyInterpolator
+    from agent.motion.orl import OrlInterpolator
 
-    return {"fly": FlyInterpolator}
+    return {"fly": FlyInterpolator, "orl": OrlInterpolator}

@@ -22,7 +22,7 @@ from agent.robot.description import CartesianLimits, RobotDescription
 _PASSES = 20
 #: [rad, m] of error between two knots of the path.
 _TOLERATED = 3e-6
-#: A joint slower than this part of its limit, and a TCP slower than this [m/s, rad/s], stand still: round-off moves them.
+#: A joint slower than this part of its limit, a TCP slower than this [m/s, rad/s] stands still: round-off moves it.
 _STILL = 1e-5
 
 
@@ -184,7 +184,7 @@ def _lifted(y: np.ndarray, inverse: np.ndarray, used: np.ndarray) -> np.ndarray:
 def _changes(
     path: Path, shape: PathShape, limits: ArmLimits, ceiling: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Weights (m, K) w in y = w z, largest changes (m, K - 1) of y from knot to knot, and the y (m,) that is standstill.
+    """Weights w (m, K) in y = w z, largest changes (m, K - 1) of y from knot to knot, and the y (m,) of standstill.
 
     For the joints, and the TCP's travel and turn where they are limited.
     """

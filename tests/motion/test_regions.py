@@ -1,0 +1,125 @@
+"""Sub-regions: linear maps from genes to poses, and whether a pose lies inside."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agent.errors import InputError
+from agent.motion import ViaRegions
+from agent.motion.regions import pose_of
+
+PATH = [
+    pose_of([1.0, -0.2, 0.8, 0.0, np.pi, 0.0]),
+    pose_of([1.0, 0.2, 0.8, 0.0, 2.9, 0.0]),
+    pose_of([1.2, 0.3, 0.9, 0.3, 2.9, 0.1]),
+]
+TASK = np.array(
+    [pose_of([1.0 + 0.1 * np.cos(t), 0.2 * np.sin(t), 0.8, 0.1 * t, 3.0, 0.0]) for t in np.linspace(0, 6, 300)]
+)
+REGIONS = {
+    "points": ViaRegions.from_points(
+        [[1.0, 0.0, 0.8, 0.3, 2.6, 0.1], [1.1, 0.2, 0.9, -0.4, 2.9, 0.0], [1.0, 0.1, 0.7, 3.0, 1.2, -3.0]],
+        [[0.1, 0.05, 0.1, 0.3, 0.2, 0.3], [0.1, 0.1, 0.1, 0.2, 0.4, 0.1], [0.0, 0.0, 0.2, 0.5, 0.3, 0.4]],
+    ),
+    "straight down": ViaRegions.from_points([[1, 0, 0.8, 0, np.pi, 0]] * 2, [[0.1, 0.1, 0.1, 0.3, 0.4, 0.3]] * 2),
+    "box": ViaRegions.from_box(6, [1.0, 0.0, 0.8], [0.5, 0.6, 0.4], [0.0, np.pi, 0.0], np.radians(30)),
+    "tube": ViaRegions.from_tube(4, PATH, 0.05, 0.2),
+    "envelope": ViaRegions.from_envelope(4, TASK, 0.05),
+}
+KINDS = st.sampled_from(sorted(REGIONS))
+QUICK = settings(max_examples=100, deadline=None, derandomize=True)
+
+
+@QUICK
+@given(kind=KINDS, seed=st.integers(0, 2**32 - 1))
+def test_every_genome_gives_poses_of_its_own_regions(kind, seed):
+    regions = REGIONS[kind]
+    poses = regions.poses(regions.random_genome(np.random.default_rng(seed)))
+    assert poses.shape == (regions.count, 4, 4)
+    assert np.allclose(poses[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1), np.eye(3))
+    assert regions.contains(poses).all()
+
+
+@QUICK
+@given(kind=st.sampled_from(["points", "box"]), point=st.integers(0, 1), axis=st.integers(0, 2))
+def test_position_genes_are_linear_and_their_ends_are_the_borders(kind, point, axis):
+    regions = REGIONS[kind]
+
+    def at(value):
+        genome = np.full(regions.genes, 0.5)
+        genome[6 * point + axis] = value
+        return regions.poses(genome)
+
+    low, middle, high = at(0.0), at(0.5), at(1.0)
+    assert np.allclose(0.5 * (low + high)[point], middle[point])
+    outside = high.copy()
+    outside[point, axis, 3] += 1e-3
+    assert regions.contains(high)[point]
+    assert not regions.contains(outside)[point]
+
+
+@QUICK
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_cone_bounds_the_tilt_of_the_tool_axis(seed):
+    regions = REGIONS["box"]
+    genome = np.round(regions.random_genome(np.random.default_rng(seed)))  # the corners are the worst
+    tilt = np.arccos(np.clip(-regions.poses(genome)[:, 2, 2], -1, 1))
+    assert np.max(tilt) <= np.radians(30) + 1e-9
+
+
+def test_the_whole_cone_is_used():
+    regions = REGIONS["box"]
+    tilt = np.arccos(-regions.poses(np.tile([0.5, 0.5, 0.5, 1.0, 1.0, 0.5], 6))[:, 2, 2])
+    assert np.allclose(tilt, np.radians(30))
+
+
+def test_the_tube_follows_its_path():
+    regions = REGIONS["tube"]
+    middles = regions.poses(np.full(regions.genes, 0.5))[:, :3, 3]
+    assert np.all(np.diff(middles[:, 1]) > 0)
+    first = regions.poses(np.tile([0.0, 0.5, 0.5, 0.5, 0.5, 0.5], 4))[0]
+    last = regions.poses(np.tile([1.0, 0.5, 0.5, 0.5, 0.5, 0.5], 4))[-1]
+    assert np.allclose(first, PATH[0])
+    assert np.allclose(last, PATH[2])
+    aside = first.copy()
+    aside[2, 3] += 0.06
+    assert not regions.contains(np.array([aside] * 4))[0]
+
+
+def test_the_envelope_holds_the_task_and_a_margin():
+    regions = REGIONS["envelope"]
+    travel = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(TASK[:, :3, 3], axis=0), axis=1))))
+    part = np.minimum((4 * travel / travel[-1]).astype(int), 3)
+    for pose, own in zip(TASK, part, strict=True):
+        assert regions.contains(np.array([pose] * 4))[own]
+    far = TASK[0].copy()
+    far[2, 3] += 0.051
+    assert not regions.contains(np.array([far] * 4))[0]
+
+
+def test_euler_angles_may_come_back_in_their_other_form():
+    regions = ViaRegions.from_points([[1, 0, 0.8, 0.0, np.pi - 0.1, 0.0]], [[0.0, 0.0, 0.0, 0.0, 0.3, 0.0]])
+    beyond = pose_of([1, 0, 0.8, 0.0, np.pi + 0.15, 0.0])  # to be read as a = π, e = π − 0.15, r = π
+    assert regions.contains(beyond[None])[0]
+
+
+def test_regions_travel_and_bad_input_is_named():
+    for regions in REGIONS.values():
+        again = pickle.loads(pickle.dumps(regions))
+        genome = np.linspace(0, 1, regions.genes)
+        assert np.array_equal(again.poses(genome), regions.poses(genome))
+    with pytest.raises(InputError, match="36 numbers"):
+        REGIONS["box"].poses(np.zeros(35))
+    with pytest.raises(InputError, match="from 0 to 1"):
+        REGIONS["box"].poses(np.full(36, 1.5))
+    with pytest.raises(InputError, match="two different points"):
+        ViaRegions.from_tube(3, PATH[:1] * 2, 0.1)
+    with pytest.raises(InputError, match="does not move"):
+        ViaRegions.from_envelope(3, PATH[:1] * 5, 0.1)
+    with pytest.raises(InputError, match="range"):
+        ViaRegions.from_points([[1, 0, 0.8, 0, 0, 0]], [[0.1] * 5])
