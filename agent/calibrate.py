@@ -151,12 +151,14 @@ def _report(
     from agent.conditions import conditions
     from agent.recording import read_log
     from agent.report import run_report
+    from agent.reports import further_sections
 
     sources = provenance(run.path, run.state, [run.file(EXCITATION), *_validation_logs(run)])
     result = build_result(recipe, plan, recordings, model, predictions, sources)
     result["conditions"] = conditions(model, read_log(run.file(EXCITATION), recipe.robot))
     run.write_json("result.json", result)
-    run.write_text("report.html", run_report(run_data(recipe, plan, result, model, predictions)))
+    further = further_sections(run.path, recipe, model, predictions)
+    run.write_text("report.html", run_report(run_data(recipe, plan, result, model, predictions, further)))
     run.note(model_sha256=sha256_file(run.file("model.json")))
     run.complete(result["accepted"])
     return Outcome(run.path, result, result["accepted"])

@@ -226,8 +226,9 @@ def recalibrate(
     if as_json:
         print_json(outcome.result or {"schema": "recalibration/1", "skipped": outcome.skipped})
     else:
-        print(outcome.summary(), file=sys.stderr)
-        print(outcome.run if outcome.run else outcome.summary())
+        if outcome.run is not None:
+            print(outcome.summary(), file=sys.stderr)
+        print(outcome.run or outcome.summary())
     raise typer.Exit(0 if outcome.accepted else 3)
 
 
@@ -295,6 +296,28 @@ def compare(
         print_json(result.to_dict())
     else:
         print(result.text())
+
+
+@app.command()
+def report(
+    run: Annotated[str | None, typer.Argument(metavar="[RUN]", help="run folder, or its name")] = None,
+    index: Annotated[bool, typer.Option("--index", help="a page over all runs, with the trends")] = False,
+    logs: RunsFolder = Path("logs"),
+    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="with --index: of this robot only")] = None,
+    serial: Serial = None,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make the HTML page of a run again, or the page over all runs. Prints its path."""
+    from agent.history import find_run
+    from agent.reports import report_again, write_index
+
+    if (run is None) == (not index):
+        raise InputError("report: name a run, or give --index for the page over all of them")
+    if run is None:
+        print(write_index(logs, robot, serial))
+    else:
+        print(report_again(find_run(logs, run), _console(verbose, quiet)))
 
 
 @app.command()

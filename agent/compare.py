@@ -94,6 +94,30 @@ class Comparison:
             },
         }
 
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Comparison:
+        """The inverse of `to_dict`."""
+        torque = data["torque"]
+        rmse, share = (np.array([np.nan if v is None else v for v in torque[k]]) for k in ("rmse", "normalised_rmse"))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            nominal = rmse / share
+        return cls(
+            before=data["before"],
+            after=data["after"],
+            joints=tuple(torque["joints"]),
+            changes=tuple(
+                Change(p["name"], p["unit"], p["before"], p["after"], p["standard_deviation"])
+                for p in data["parameters"]
+            ),
+            only_before=tuple(data["only_before"]),
+            only_after=tuple(data["only_after"]),
+            motion=torque["motion"],
+            torque_rmse=rmse,
+            torque_largest=np.array(torque["largest"]),
+            deviation=np.array(torque["standard_deviation"]),
+            nominal=nominal,
+        )
+
     def text(self) -> str:
         """For people: what moved, then the torque."""
         moved = sorted((c for c in self.changes if c.moved), key=lambda c: -abs(c.deviations))

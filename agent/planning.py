@@ -53,7 +53,7 @@ def plan_once(recipe: Recipe, run: RunFolder, console: Console) -> Plan:
         InputError: the sub-region cannot be reached, or no loop in it keeps all limits.
     """
     if run.finished("plan"):
-        return _replan(recipe, json.loads(run.file("plan.json").read_text(encoding="utf-8")))
+        return replan(recipe, json.loads(run.file("plan.json").read_text(encoding="utf-8")))
     plan = make_plan(recipe, console)
     genomes = [motion.loop.genome.tolist() for motion in plan.validation]
     run.write_json("plan.json", {"schema": "plan/1", "search": plan.search, "validation": genomes})
@@ -231,7 +231,8 @@ def _task_poses(recipe: Recipe) -> np.ndarray:
     return np.concatenate([chain.tcp[::25] for chain in job])
 
 
-def _replan(recipe: Recipe, stored: dict[str, Any]) -> Plan:
+def replan(recipe: Recipe, stored: dict[str, Any]) -> Plan:
+    """The plan that `plan.json` holds."""
     from agent.excitation import Candidates
 
     fast = Candidates(loop_problem(recipe, recipe.motion.speed))

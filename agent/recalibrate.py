@@ -17,8 +17,9 @@ from agent.errors import ControllerError, InputError
 from agent.history import PastRun, open_history
 from agent.recipe import Recipe
 from agent.record import Link, Recording, open_link, report_losses
+from agent.reports import watch_lines
 from agent.result import provenance
-from agent.run import RunFolder, sha256_file
+from agent.run import RunFolder, robot_lock, sha256_file
 from agent.safety.authorisation import Authorisation
 
 if TYPE_CHECKING:
@@ -95,24 +96,26 @@ def recalibrate(
     early = _too_early(recipe, past, now)
     if early:
         return Outcome(skipped=early)
-    reference = _reference(recipe, logs, past)
-    run = RunFolder.create(logs, recipe.robot.name, recipe.path)
-    run.note(
-        kind="recalibrate", reference=past.run, program=reference.loop.checksum, serial=past.serial, **origin(recipe)
-    )
-    console.say(f"run {run.path}")
-    with step(run, "record"):
-        recording = _record(recipe, reference, run, console, yes, authorisation)
-    with step(run, "estimate"):
-        log, found, comparison = _estimate(recipe, reference, run, console)
-    with step(run, "validate"):
-        result = _judge(recipe, reference, run, recording, log, found, comparison)
-        result["diagnosis"] = _diagnosis(recipe, reference, run, result, console)
-    with step(run, "report"):
-        _report(run, result, found, comparison, log)
-    remember(run, console)
-    if result["accepted"]:
-        apply_run(logs, run.path)
+    with robot_lock(recipe.controller.driver, recipe.controller.address):
+        reference = _reference(recipe, logs, past)
+        run = RunFolder.create(logs, recipe.robot.name, recipe.path)
+        facts = {"reference": past.run, "program": reference.loop.checksum, "serial": past.serial}
+        run.note(kind="recalibrate", **facts, **origin(recipe))
+        console.say(f"run {run.path}")
+        with step(run, "record"):
+            recording = _record(recipe, reference, run, console, yes, authorisation)
+        with step(run, "estimate"):
+            log, found, comparison = _estimate(recipe, reference, run, console)
+        with step(run, "validate"):
+            result = _judge(recipe, reference, run, recording, log, found, comparison)
+            result["diagnosis"] = _diagnosis(recipe, reference, run, result, console)
+        with step(run, "report"):
+            _report(run, result, found, comparison, log)
+        remember(run, console)
+        if result["accepted"]:
+            apply_run(logs, run.path)
+    for line in watch_lines(logs, recipe.robot.name, run.state["serial"]):
+        console.warn(line)
     return Outcome(run=run.path, result=result)
 
 
@@ -317,40 +320,12 @@ def _diagnosis(
 
 
 def _report(run: RunFolder, result: dict[str, Any], found: Refit, comparison: Comparison, log: Log) -> None:
+    from agent.reports import recalibration_page
+
     run.write_json("result.json", result)
     run.write_json("comparison.json", comparison.to_dict())
-    run.write_text("report.html", recalibration_page(result, found.model, comparison, log))
+    run.write_text("report.html", recalibration_page(run.path, result, found.model, comparison, log))
     run.complete(result["accepted"])
-
-
-def recalibration_page(result: dict[str, Any], model: IdentifiedModel, comparison: Comparison, log: Log) -> str:
-    """HTML of the run's report."""
-    from agent.report.comparison_sections import comparison_section
-    from agent.report.log_sections import log_section
-    from agent.report.recalibration_report import RecalibrationData, recalibration_report
-    from agent.report.residual_sections import residual_section
-    from agent.validation import predict_log
-
-    prediction = predict_log(model, log)
-    # one cycle from the middle of the run, so that the plot can be read
-    cycles = log.cycle_starts
-    middle = len(cycles) // 2
-    start, stop = (cycles[middle - 1], cycles[middle]) if len(cycles) > 1 else (0.0, log.t[-1])
-    chosen = np.flatnonzero((prediction.time >= start) & (prediction.time <= stop))
-    chosen = chosen[:: max(1, len(chosen) // 1500)]
-    shown = (prediction.time, prediction.measured, prediction.predicted, prediction.half_width)
-    return recalibration_report(
-        RecalibrationData(
-            result=result,
-            parameter_rows=model.rows(),
-            prediction=tuple(part[chosen] for part in shown),
-            sections=(
-                comparison_section(comparison),
-                residual_section([prediction], [log]),
-                log_section([log]),
-            ),
-        )
-    )
 
 
 def _percent(value: float | None) -> str:

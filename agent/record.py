@@ -181,6 +181,8 @@ class _Aligner:
 
     #: Shortest rest [s] of the set-points that counts as a stop.
     REST = 0.006
+    #: An approach shorter than this [rad, m] is where the arm rests off its set-point; the controller makes none.
+    THERE = 1e-3
 
     def __init__(self, chains: Sequence[Trajectory], period: float):
         self._chains = chains
@@ -205,13 +207,16 @@ class _Aligner:
             return []
         time = np.concatenate(self._times)
         stretches = moving_stretches(np.concatenate(self._references), round(self.REST / self._period))
-        if len(stretches) != len(self._chains):
+        chains, approaches = self._chains, 1
+        if len(stretches) == len(chains) - 1 and np.ptp(chains[0].q, axis=0).max() < self.THERE:
+            chains, approaches = chains[1:], 0  # the arm stood at the first point already
+        if len(stretches) != len(chains):
             return []
-        for (start, _), chain in zip(stretches, self._chains, strict=True):
+        for (start, _), chain in zip(stretches, chains, strict=True):
             stop = min(start + len(chain.t), len(time))
             write_planned(time[start:stop], chain.q[: stop - start], chain.qd[: stop - start])
-        self.cycle_starts = [float(time[start] - time[0]) for start, _ in stretches[1:]]
-        return [float(time[start]) for start, _ in stretches[1:]]
+        self.cycle_starts = [float(time[start] - time[0]) for start, _ in stretches[approaches:]]
+        return [float(time[start]) for start, _ in stretches[approaches:]]
 
 
 def moving_stretches(reference: np.ndarray, rest: int) -> list[tuple[int, int]]:

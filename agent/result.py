@@ -16,6 +16,7 @@ from agent.report import RunData
 
 if TYPE_CHECKING:
     from agent.estimation import IdentifiedModel
+    from agent.report.page import Section
     from agent.validation import Prediction
 
 
@@ -82,8 +83,9 @@ def run_data(
     result: dict[str, Any],
     model: IdentifiedModel,
     predictions: Sequence[Prediction],
+    further: Sequence[Section],
 ) -> RunData:
-    """What the report shows of a run."""
+    """What the report shows of a run; `further` sections go between parameters and provenance."""
     typical = predictions[_typical(predictions)]
     every = max(1, len(typical.time) // 1500)
     return RunData(
@@ -97,6 +99,7 @@ def run_data(
             typical.predicted[::every],
             typical.half_width[::every],
         ),
+        further=further,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from agent.recording.log import Log
 from agent.report.page import Section, Table
 
 
-def log_section(logs: Sequence[Log]) -> Section:
+def log_section(logs: Iterable[Log]) -> Section:
     """Samples, losses, repairs and jitter of every log."""
     rows = []
     lost_in_all = repairs = 0

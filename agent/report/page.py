@@ -16,11 +16,12 @@ from agent.report.figures import Figure
 
 @dataclass(frozen=True)
 class Table:
-    """A table: header and rows of text; the first column is the row's name."""
+    """A table: header and rows of text; the first column is the row's name, and leads to `links[row]` where given."""
 
     name: str
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
+    links: Sequence[str] = ()
 
 
 @dataclass(frozen=True)

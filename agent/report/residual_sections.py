@@ -11,7 +11,6 @@ from agent.report.figures import Figure, new_plot, to_figure
 from agent.report.page import Section
 
 if TYPE_CHECKING:
-    from agent.recording.log import Log
     from agent.validation import Prediction
 
 #: What a sample of a joint may be in; a sample is in several.
@@ -20,9 +19,9 @@ _STILL = 0.005
 _REVERSAL = 0.1  # s
 
 
-def residual_section(predictions: Sequence[Prediction], logs: Sequence[Log]) -> Section:
+def residual_section(predictions: Sequence[Prediction]) -> Section:
     """Heat map of the RMSE by joint and regime, as a share of nominal torque (N·m where there is none)."""
-    figures = residual_map(predictions, logs)
+    figures = residual_map(predictions)
     text = (
         "Root mean square of what the model leaves, by what the joint does: where it is larger than elsewhere, "
         "something acts that the model does not have.",
@@ -30,12 +29,12 @@ def residual_section(predictions: Sequence[Prediction], logs: Sequence[Log]) -> 
     return Section("Residuals by joint and regime", text, (_heat_map(figures, predictions[0]),))
 
 
-def residual_map(predictions: Sequence[Prediction], logs: Sequence[Log]) -> np.ndarray:
+def residual_map(predictions: Sequence[Prediction]) -> np.ndarray:
     """(n, regimes) RMSE over nominal torque, or [N·m] where a joint has none; NaN where a joint is never in one."""
     n = predictions[0].error.shape[1]
     total, count = np.zeros((n, len(REGIMES))), np.zeros((n, len(REGIMES)))
-    for prediction, log in zip(predictions, logs, strict=True):
-        inside = _regimes(prediction, log)
+    for prediction in predictions:
+        inside = _regimes(prediction)
         total += np.einsum("snr,sn->nr", inside, prediction.error**2)
         count += inside.sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -44,10 +43,9 @@ def residual_map(predictions: Sequence[Prediction], logs: Sequence[Log]) -> np.n
     return rmse / np.where(np.isfinite(nominal), nominal, 1.0)[:, None]
 
 
-def _regimes(prediction: Prediction, log: Log) -> np.ndarray:
+def _regimes(prediction: Prediction) -> np.ndarray:
     """(S, n, regimes) bool."""
-    speed = np.gradient(log.position, log.t, axis=0) if log.velocity is None else log.velocity
-    velocity = np.stack([np.interp(prediction.time, log.t, speed[:, k]) for k in range(speed.shape[1])], axis=1)
+    velocity = prediction.velocity
     acceleration = np.gradient(velocity, prediction.time, axis=0)
     size, top = np.abs(velocity), np.maximum(np.abs(velocity).max(axis=0), 1e-12)
     still = size <= _STILL * top

@@ -18,7 +18,8 @@ class RunData:
     """What the report of a run shows.
 
     result: the content of `result.json`; parameter_rows: the table of the model, header first; normalised_rmse
-    (motions, n) on moving samples; one unseen motion's time, measured, predicted and half width of the bounds (S, n).
+    (motions, n) on moving samples; one unseen motion's time, measured, predicted and half width of the bounds (S, n);
+    `further` sections made elsewhere, in order.
     """
 
     result: dict[str, Any]
@@ -26,6 +27,7 @@ class RunData:
     parameter_rows: Sequence[Sequence[str]]
     normalised_rmse: np.ndarray
     prediction: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]
+    further: Sequence[Section] = ()
 
 
 def run_report(data: RunData) -> str:
@@ -37,7 +39,7 @@ def run_report(data: RunData) -> str:
         f"{'Accepted' if accepted else 'Rejected'}: the worst axis predicts unseen motions in the sub-region to "
         f"{100 * worst:.2f} % of its nominal torque; the gate is {100 * result['gate']['normalised_rmse']:.1f} %."
     )
-    sections = (_validation(data), *motion_sections(data.motion), _parameters(data), _health(data), _provenance(data))
+    sections = (_validation(data), *motion_sections(data.motion), _parameters(data), *data.further, _provenance(data))
     title = f"Calibration of {result['robot']}"
     return render(Page(title, headline, "good" if accepted else "bad", sections))
 
@@ -76,16 +78,6 @@ def _parameters(data: RunData) -> Section:
     ]
     header, *rows = data.parameter_rows
     return Section("Parameters", text, (Table("parameters", header, rows),))
-
-
-def _health(data: RunData) -> Section:
-    rows = [
-        (entry["log"], str(entry["samples"]), str(entry["lost"]), f"{entry['duration']:.1f}")
-        for entry in data.result["recordings"]
-    ]
-    lost = sum(entry["lost"] for entry in data.result["recordings"])
-    text = ("No sample was lost.",) if lost == 0 else (f"{lost} samples were lost and are marked in the logs.",)
-    return Section("Logs", text, (Table("logs", ("log", "samples", "lost", "seconds"), rows),))
 
 
 def _provenance(data: RunData) -> Section:

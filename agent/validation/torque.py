@@ -39,6 +39,11 @@ class Prediction:
         """(S, n) [N·m]."""
         return self.measured - self.predicted
 
+    @property
+    def velocity(self) -> np.ndarray:
+        """(S, n) speed of the joints at the same samples."""
+        return np.concatenate([motion.qd[motion.kept] for motion in self._motions])
+
     def normalised_rmse(self, moving: bool = False) -> np.ndarray:
         """(n,) RMSE over nominal joint torque, NaN where there is none; `moving`: of samples where the arm moves."""
         error = self.error[self.moving] if moving else self.error

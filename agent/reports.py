@@ -1,0 +1,179 @@
+"""Reports from what lies in run folders: further sections of a new one, one made again, the page over all runs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agent.console import Console
+from agent.errors import InputError
+from agent.history import open_history, read_run
+from agent.recipe import Recipe, load_recipe
+from agent.run import sha256_file, write_atomically
+
+if TYPE_CHECKING:
+    from agent.compare import Comparison
+    from agent.estimation import IdentifiedModel
+    from agent.recording.log import Log
+    from agent.report.page import Section
+    from agent.validation import Prediction
+
+
+def further_sections(
+    run: Path, recipe: Recipe, model: IdentifiedModel, predictions: Sequence[Prediction]
+) -> list[Section]:
+    """Residuals, comparison with the last accepted run of the same loop where there is one, and health of the logs."""
+    from agent.compare import compare_models
+    from agent.estimation import IdentifiedModel
+    from agent.recording import read_log
+    from agent.report.comparison_sections import comparison_section
+    from agent.report.log_sections import log_section
+    from agent.report.residual_sections import residual_section
+
+    sections = [residual_section(predictions)]
+    last = _last_accepted(run)
+    if last is not None:
+        before = IdentifiedModel.load(last / "model.json")
+        log = read_log(run / "excitation.mcap", recipe.robot)
+        sections.append(comparison_section(compare_models(before, model, log, last.name, run.name)))
+    sections.append(log_section(_logs(run, recipe)))
+    return sections
+
+
+def recalibration_page(
+    run: Path, result: dict[str, Any], model: IdentifiedModel, comparison: Comparison, log: Log
+) -> str:
+    """HTML of a recalibration's report."""
+    from agent.report.comparison_sections import comparison_section
+    from agent.report.log_sections import log_section
+    from agent.report.recalibration_report import RecalibrationData, recalibration_report
+    from agent.report.residual_sections import residual_section
+    from agent.validation import predict_log
+
+    prediction = predict_log(model, log)
+    # one cycle from the middle of the run, so that the plot can be read
+    cycles, middle = log.cycle_starts, len(log.cycle_starts) // 2
+    start, stop = (cycles[middle - 1], cycles[middle]) if len(cycles) > 1 else (0.0, log.t[-1])
+    chosen = np.flatnonzero((prediction.time >= start) & (prediction.time <= stop))
+    chosen = chosen[:: max(1, len(chosen) // 1500)]
+    parts = (prediction.time, prediction.measured, prediction.predicted, prediction.half_width)
+    time, measured, predicted, half_width = (part[chosen] for part in parts)
+    sections = (comparison_section(comparison), residual_section([prediction]), log_section([log]))
+    data = RecalibrationData(result, model.rows(), (time, measured, predicted, half_width), sections)
+    return recalibration_report(data)
+
+
+def report_again(run: Path, console: Console) -> Path:
+    """Make the report of a complete run from its files; returns the page's path.
+
+    Raises:
+        InputError: the run is not complete, or something it needs is missing.
+    """
+    try:
+        past, _ = read_run(run)
+        result = json.loads((run / "result.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{run}: not a complete run, there is nothing to report yet ({error})") from None
+    recipe = _recipe(run)
+    again = past.kind == "recalibrate"
+    page = _recalibration(run, recipe, result, console) if again else _calibration(run, recipe, result)
+    return write_atomically(run / "report.html", page)
+
+
+def write_index(logs: Path, robot: str | None = None, serial: str | None = None) -> Path:
+    """Write `index.html` over all runs of a folder, or of one robot in it; returns its path.
+
+    Raises:
+        InputError: there is no such folder, or nothing in it.
+    """
+    from agent.report.index import IndexData, index_page
+    from agent.trends import parameter_trends, watch
+
+    with open_history(logs) as history:
+        runs = history.runs(robot, serial)
+        if not runs:
+            raise InputError(f"{logs}: no runs of that robot; `agent history` lists what there is")
+        watched = watch(runs)
+        latest = {run for one in watched for trend in one.trends[:1] for run in trend.runs}
+        parameters = history.parameters(latest)
+    by_name = {run.run: run for run in runs}
+    courses = [
+        parameter_trends([by_name[name] for name in one.trends[0].runs], parameters) if one.trends else []
+        for one in watched
+    ]
+    return write_atomically(logs / "index.html", index_page(IndexData(runs, watched, courses)))
+
+
+def watch_lines(logs: Path, robot: str, serial: str) -> list[str]:
+    """Alarms and warnings of one machine's history, a sentence each."""
+    from agent.trends import watch
+
+    with open_history(logs) as history:
+        return [line for one in watch(history.runs(robot, serial)) for line in one.lines()]
+
+
+def _calibration(run: Path, recipe: Recipe, result: dict[str, Any]) -> str:
+    from agent.estimation import IdentifiedModel
+    from agent.planning import replan
+    from agent.recording import read_log
+    from agent.report import run_report
+    from agent.result import run_data
+    from agent.validation import predict_log
+
+    model = IdentifiedModel.load(run / "model.json")
+    logs = sorted(run.glob("validation_[0-9][0-9].mcap"))
+    if not logs:
+        raise InputError(f"{run}: its validation logs are gone, the report cannot be made again")
+    predictions = [predict_log(model, read_log(path, recipe.robot)) for path in logs]
+    plan = replan(recipe, json.loads((run / "plan.json").read_text(encoding="utf-8")))
+    further = further_sections(run, recipe, model, predictions)
+    return run_report(run_data(recipe, plan, result, model, predictions, further))
+
+
+def _recalibration(run: Path, recipe: Recipe, result: dict[str, Any], console: Console) -> str:
+    from agent.compare import Comparison
+    from agent.estimation import IdentifiedModel
+    from agent.identify import read_logs
+
+    model = IdentifiedModel.load(run / "model.json")
+    (log,) = read_logs([run / "excitation.mcap"], recipe.robot, console)
+    comparison = Comparison.from_dict(json.loads((run / "comparison.json").read_text(encoding="utf-8")))
+    return recalibration_page(run, result, model, comparison, log)
+
+
+def _recipe(run: Path) -> Recipe:
+    """The run's own recipe; where it names files beside it, the original must still be what it was."""
+    state = json.loads((run / "state.json").read_text(encoding="utf-8"))
+    original, copy = Path(state["recipe"]), run / "recipe.yaml"
+    unchanged = original.is_file() and sha256_file(original) == state["inputs_sha256"]["recipe.yaml"]
+    return load_recipe(original if unchanged else copy)
+
+
+def _last_accepted(run: Path) -> Path | None:
+    """The newest accepted run of the same machine and loop that is older than this one."""
+    with open_history(run.parent) as history:
+        runs = history.runs()
+    this = next((past for past in runs if past.run == run.name), None)
+    if this is None:
+        return None
+    older = [
+        past
+        for past in runs
+        if past.accepted
+        and (past.robot, past.serial, past.loop) == (this.robot, this.serial, this.loop)
+        and (past.started, past.run) < (this.started, this.run)
+        and (run.parent / past.run / "model.json").is_file()
+    ]
+    return run.parent / older[-1].run if older else None
+
+
+def _logs(run: Path, recipe: Recipe) -> Iterator[Log]:
+    """The run's logs, one at a time: thirty of them at once would be a lot of memory."""
+    from agent.recording import read_log
+
+    for path in [run / "excitation.mcap", *sorted(run.glob("validation_[0-9][0-9].mcap"))]:
+        yield read_log(path, recipe.robot)
