@@ -15,6 +15,12 @@ class RefusedError(DriverError):
     """The controller understood and refused; the message holds its reason."""
 
 
+class SafetyRefused(RefusedError):
+    """The controller refused because its emergency stop is pressed."""
+
+    exit_code = 5
+
+
 class MotionStopped(DriverError):
     """The arm was stopped while it moved: E-stop, drive fault, protective stop or a changed override."""
 

@@ -15,8 +15,8 @@ from collections.abc import Callable
 from socket import SHUT_RDWR
 from typing import Any, Protocol, TypeVar
 
-from drivers.errors import DriverError, ProtocolError, RefusedError
-from drivers.wire.reasons import Refusal
+from drivers.errors import DriverError, ProtocolError
+from drivers.wire.reasons import refusal_error
 from drivers.wire.tcp import Decoder, Frame, Heartbeat, Refused, encode
 
 Reply = TypeVar("Reply")
@@ -106,7 +106,7 @@ class Link:
         if isinstance(answer, DriverError):
             raise self._ended()
         if isinstance(answer, Refused):
-            raise RefusedError(f"the controller at {self.peer} refused {what}: {refusal_text(answer)}")
+            raise refusal_error(self.peer, what, answer.code, answer.line, answer.column, answer.message)
         if not isinstance(answer, reply):
             raise ProtocolError(f"the controller at {self.peer} answered {what} with {type(answer).__name__}")
         return answer
@@ -221,13 +221,3 @@ class Link:
             answers.put(message)
         else:
             self._on_message(message, request)
-
-
-def refusal_text(refused: Refused) -> str:
-    """A refusal for people: its reason, the place in the program, the controller's own words."""
-    try:
-        reason = Refusal(refused.code).name.lower().replace("_", " ")
-    except ValueError:
-        reason = f"reason {refused.code}"
-    place = f", line {refused.line} column {refused.column}" if refused.line else ""
-    return f"{reason}{place}: {refused.message}"

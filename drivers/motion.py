@@ -82,6 +82,10 @@ class Motion:
             self._fetched()
             self._close_if_complete()
 
+    def lost(self, before: int) -> None:
+        """What is missing before sequence number `before` cannot be had any more."""
+        self._append(self.sequencer.give_up(before))
+
     def ended(self, reason: int, samples: int, message: str) -> None:
         """The controller says that the motion is over after so many samples; some may still be missing."""
         self._end = _End(reason, samples, message)
@@ -92,6 +96,10 @@ class Motion:
         if self.fetching is not None or self.over:
             return None
         return self._missing()
+
+    def next_wanted(self) -> tuple[int, int]:
+        """(first, count) of what should come next, whether it is known to be missing or only late."""
+        return self._missing() or (self.sequencer.expected, 1)
 
     def finish(self, error: DriverError | None) -> None:
         """No more samples; `error` is raised once those that came are read."""

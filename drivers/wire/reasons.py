@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from enum import IntEnum
 
+from drivers.errors import RefusedError, SafetyRefused
+
 
 class Refusal(IntEnum):
     """Why a request was refused. Nothing has moved and nothing was stored because of it."""
@@ -42,6 +44,7 @@ class EndReason(IntEnum):
     ALARM = 7
     PROGRAM_ERROR = 8  # a later statement could not be carried out; the message says which
     SHUTDOWN = 9  # the controller goes down
+    MODE_CHANGED = 10  # the selector was turned away from auto
 
 
 SAFETY_ENDS = frozenset(
@@ -51,5 +54,17 @@ SAFETY_ENDS = frozenset(
         EndReason.PROTECTIVE_STOP,
         EndReason.OVERRIDE_CHANGED,
         EndReason.ALARM,
+        EndReason.MODE_CHANGED,
     }
 )
+
+
+def refusal_error(peer: str, what: str, code: int, line: int, column: int, message: str) -> RefusedError:
+    """A refusal for people: its reason, the place in the program (0: none), the controller's own words."""
+    try:
+        reason = Refusal(code).name.lower().replace("_", " ")
+    except ValueError:
+        reason = f"reason {code}"
+    place = f", line {line} column {column}" if line else ""
+    kind = SafetyRefused if code == Refusal.EMERGENCY_STOP else RefusedError
+    return kind(f"the controller at {peer} refused {what}: {reason}{place}: {message}")
