@@ -67,7 +67,7 @@ def test_check_tells_all_problems_at_once(write_recipe, run_agent):
     assert any("controller" in line for line in problems)
 
 
-def test_recipe_faults_name_line_and_key(write_recipe, run_agent, tmp_path: Path):
+def test_recipe_faults_name_line_and_key(write_recipe, run_agent, tmp_path):
     path = write_recipe("127.0.0.1:1", speed="0.2 kg")
     text = path.read_text(encoding="utf-8").replace("population", "populaton")
     path.write_text(text, encoding="utf-8")
