@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import re
 import threading
+import time
 import traceback
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -19,7 +20,9 @@ from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.clock import Clock
 from fake_controller.execution import CannotMove, Chain, Execution, Planner, Slice, StopSwitch
+from fake_controller.faults import Fault, Faults
 from fake_controller.plant import Plant
+from fake_controller.ring import Recorded, Ring, part_of
 
 CONTROLLER = "fake controller"
 VERSION = "1.0"
@@ -27,7 +30,6 @@ PERIOD = 0.002  # s
 MAX_PROGRAM = 1024 * 1024  # bytes of one program
 MEMORY = 4 * 1024 * 1024  # bytes of all programs
 MAX_PROGRAMS = 64
-RING = 100_000  # samples kept for whoever missed them
 REMEMBERED_MOTIONS = 10_000
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,31}")
@@ -64,6 +66,7 @@ class State:
     alarms: tuple[str, ...] = ()
     override: float = 1.0
     cell_closed: bool = True
+    emulator: bool = True  # what it says of itself; tests need a controller that says it drives a machine
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,31 +76,6 @@ class _Stored:
     program: Program
     size: int
     checksum: str
-
-
-@dataclass(frozen=True, eq=False)
-class _Recorded:
-    first: int
-    time_ns: np.ndarray
-    samples: Slice
-
-
-@dataclass
-class _Ring:
-    """The last samples of a motion."""
-
-    size: int = 0
-    parts: deque[_Recorded] = field(default_factory=deque)
-
-    def append(self, part: _Recorded) -> None:
-        self.parts.append(part)
-        self.size += len(part.samples)
-        while self.size > RING:
-            self.size -= len(self.parts.popleft().samples)
-
-    def find(self, first: int) -> _Recorded | None:
-        """The part that has sample `first`, or the earliest after it."""
-        return next((part for part in self.parts if part.first + len(part.samples) > first), None)
 
 
 class Controller:
@@ -110,6 +88,7 @@ class Controller:
         forward: (S, n) joint positions to (S, 4, 4) TCP poses.
         clock: controller time.
         serial: of the arm.
+        faults: what goes wrong, and when.
     """
 
     def __init__(
@@ -120,11 +99,21 @@ class Controller:
         forward: Callable[[np.ndarray], np.ndarray],
         clock: Clock,
         serial: str,
+        faults: Faults | None = None,
     ) -> None:
         self.robot = robot
+        self.name = robot.name
         self.serial = serial
         self.state = State()
+        self.faults = faults or Faults()
         self.motions_started = 0
+        self.ends: list[EndReason] = []
+        self.when_restarting: list[Callable[[], None]] = []
+        self._memory_full = False
+        self._alter_next = False
+        self._slowness = 1.0
+        self._counter_zero = 0
+        self._count = 0
         self._clock = clock
         self._planner = Planner(interpolator)
         self._execution = Execution(plant, forward, robot.max_acceleration, PERIOD, clock.slice_samples)
@@ -132,7 +121,7 @@ class Controller:
         self._programs: dict[str, _Stored] = {}
         self._last_stored = ""
         self._motion_ids: OrderedDict[bytes, None] = OrderedDict()
-        self._ring = _Ring()
+        self._ring = Ring()
         self._switch: StopSwitch | None = None
         self._thread: threading.Thread | None = None
         self._reference = home(robot)
@@ -156,6 +145,20 @@ class Controller:
             stored = self._programs.get(self._last_stored.lower())
             return ("", "") if stored is None else (self._last_stored, stored.checksum)
 
+    def history(self) -> str:
+        """How often the arm was set in motion and how that ended, in one line."""
+        ends = ", ".join(reason.name.lower() for reason in self.ends)
+        where = "moving" if self.moving else "at rest"
+        return f"motions started {self.motions_started}; ended: {ends or 'none'}; {where}"
+
+    def reach(self, phase: str, motion_time: float = 0.0) -> None:
+        """A phase of `fake_controller.faults` is reached: whatever is to go wrong in it goes wrong now.
+
+        Servers say `connect`, `upload`, `start` and `stop`, before they carry out what they were asked for.
+        """
+        for fault in self.faults.strike(phase, motion_time):
+            self._suffer(fault)
+
     def check_upload(self, name: str, size: int) -> None:
         """Raises:
         RefusedRequest: a program of this name and size cannot be stored now.
@@ -171,7 +174,7 @@ class Controller:
             if self.moving:
                 raise RefusedRequest(Refusal.MOVING, "no program is stored while one runs; stop it first")
             others = [stored.size for key, stored in self._programs.items() if key != name.lower()]
-            if len(others) >= MAX_PROGRAMS or sum(others) + size > MEMORY:
+            if self._memory_full or len(others) >= MAX_PROGRAMS or sum(others) + size > MEMORY:
                 raise RefusedRequest(Refusal.MEMORY_FULL, "the program memory is full; delete programs")
 
     def store(self, name: str, data: bytes) -> str:
@@ -187,9 +190,11 @@ class Controller:
         except Pdl2Error as error:
             message = f"{error.word}: {error.reason}" if error.word else error.reason
             raise RefusedRequest(Refusal.SYNTAX, message, error.line, error.column) from None
-        stored = _Stored(program, len(data), hashlib.sha256(data).hexdigest())
         with self._lock:
             self.check_upload(name, len(data))
+            if self._alter_next:
+                data, self._alter_next = data + b" ", False
+            stored = _Stored(program, len(data), hashlib.sha256(data).hexdigest())
             self._programs[name.lower()] = stored
             self._last_stored = name
         return stored.checksum
@@ -218,8 +223,9 @@ class Controller:
                 first = next(chains, None)
             except (CannotMove, Pdl2Error) as error:
                 raise RefusedRequest(Refusal.MOTION, str(error), error.line) from None
-            self._ring = _Ring()
-            self._switch = StopSwitch()
+            self._ring = Ring()
+            self._switch = StopSwitch(self.state.override)
+            self._count = self._counter_zero = 0
             self.motions_started += 1
             self._thread = threading.Thread(
                 target=self._move, args=(_chain(first, chains), self._switch, listener), name="motion", daemon=True
@@ -248,7 +254,7 @@ class Controller:
             raise RefusedRequest(Refusal.NOT_AVAILABLE, f"there are no samples from {first} on")
         begin = max(first - part.first, 0)
         chosen = slice(begin, begin + count)
-        return part.first + begin, part.time_ns[chosen], _part(part.samples, chosen)
+        return part.first + begin, part.time_ns[chosen], part_of(part.samples, chosen)
 
     def shut_down(self) -> None:
         """Bring the arm to rest and wait for that."""
@@ -256,6 +262,62 @@ class Controller:
         thread = self._thread
         if thread is not None and thread.is_alive():
             thread.join(10.0)
+
+    def _suffer(self, fault: Fault) -> None:
+        state = self.state
+        match fault.name:
+            case "emergency_stop":
+                state.emergency_stop, state.drives_on = True, False
+                self.stop(EndReason.EMERGENCY_STOP, "the emergency stop was pressed")
+            case "drive_fault":
+                state.drives_on, state.alarms = False, (*state.alarms, "drive fault on axis 2")
+                self.stop(EndReason.DRIVE_FAULT, "the drive of axis 2 reports a fault")
+            case "alarm":
+                state.alarms = (*state.alarms, "62513 motor 3 too hot")
+                self.stop(EndReason.ALARM, "alarm 62513: motor 3 is too hot")
+            case "protective_stop":
+                state.cell_closed = False
+                self.stop(EndReason.PROTECTIVE_STOP, "the gate of the cell was opened")
+            case "teach_mode":
+                state.mode = "teach"
+                self.stop(EndReason.MODE_CHANGED, "the selector was turned to teach")
+            case "override":
+                state.override = fault.amount
+                if self._switch is not None:
+                    self._switch.speed = fault.amount
+            case "restart":
+                self._restart()
+            case "reset_counters":
+                self._counter_zero = self._count
+                self._ring = Ring()
+            case "slow":
+                self._slowness = fault.amount
+            case "wrong_program":
+                self._alter_stored(fault.phase)
+            case "wrong_robot":
+                self.name = f"{self.name}_other"
+            case "full_memory":
+                self._memory_full = True
+
+    def _alter_stored(self, phase: str) -> None:
+        if phase == "upload":
+            self._alter_next = True
+            return
+        with self._lock:
+            for key, stored in self._programs.items():
+                other = hashlib.sha256(stored.checksum.encode()).hexdigest()
+                self._programs[key] = _Stored(stored.program, stored.size, other)
+
+    def _restart(self) -> None:
+        """Power off and on: connections, programs and memory are gone, and the drives are off."""
+        self.stop(EndReason.SHUTDOWN, "the controller restarts")
+        with self._lock:
+            self._programs.clear()
+            self._motion_ids.clear()
+            self._ring = Ring()
+            self.state = State(drives_on=False, emulator=self.state.emulator)
+        for cut in self.when_restarting:
+            cut()
 
     def _check_ready(self) -> None:
         state = self.state
@@ -275,18 +337,22 @@ class Controller:
     def _move(self, chains: Iterator[Chain], switch: StopSwitch, listener: Listener) -> None:
         period_ns = round(PERIOD * 1e9)
         origin = self._clock.now() + period_ns
-        count = 0
         reason, message = EndReason.DONE, ""
         try:
             for samples in self._execution.run(chains, self._reference, switch):
+                count = self._count
                 time_ns = origin + period_ns * np.arange(count, count + len(samples), dtype=np.int64)
                 self._clock.wait_until(int(time_ns[-1]))
+                if self._slowness > 1.0:
+                    time.sleep((self._slowness - 1.0) * PERIOD * len(samples))
+                first = count - self._counter_zero
                 with self._lock:
-                    self._ring.append(_Recorded(count, time_ns, samples))
+                    self._ring.append(Recorded(first, time_ns, samples))
                     self._position = samples.position[-1]
                     self._reference = samples.reference_position[-1]
-                listener.on_samples(count, time_ns, samples)
-                count += len(samples)
+                listener.on_samples(first, time_ns, samples)
+                self._count = count + len(samples)
+                self.reach("streaming", self._count * PERIOD)
         except (CannotMove, Pdl2Error) as error:
             reason, message = EndReason.PROGRAM_ERROR, f"line {error.line}: {error}" if error.line else str(error)
         except Exception as error:  # the client must hear that the motion is over, whatever went wrong in here
@@ -296,7 +362,8 @@ class Controller:
             reason, message = switch.reason, switch.message
         with self._lock:
             self._switch = None
-        listener.on_end(reason, count, message)
+            self.ends.append(reason)
+        listener.on_end(reason, self._count - self._counter_zero, message)
 
 
 def home(robot: RobotDescription) -> np.ndarray:
@@ -309,13 +376,3 @@ def _chain(first: Chain | None, others: Iterator[Chain]) -> Iterator[Chain]:
     if first is not None:
         yield first
         yield from others
-
-
-def _part(samples: Slice, chosen: slice) -> Slice:
-    return Slice(
-        samples.position[chosen],
-        samples.velocity[chosen],
-        samples.torque[chosen],
-        samples.reference_position[chosen],
-        samples.reference_velocity[chosen],
-    )

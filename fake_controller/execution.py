@@ -21,6 +21,7 @@ MAX_DELAY = 600.0  # s
 _SETTLE_LIMIT = 1.0  # s; then the program goes on all the same
 _SETTLE_SLICE = 10  # samples
 _SHORTEST_STOP = 0.1  # s
+_OVERRIDE_RAMP = 0.3  # s
 _JOINT_TOLERANCE = {Termination.JNT_FINE: 5e-4, Termination.JNT_COARSE: 2e-3}  # rad
 _SAME_START = 1e-9  # rad; starts nearer than this share a plan
 
@@ -48,9 +49,10 @@ class CannotMove(Exception):
 
 
 class StopSwitch:
-    """Asks a running motion to stop; the first reason counts."""
+    """Asks a running motion to stop; the first reason counts. `speed` is the override it runs at."""
 
-    def __init__(self) -> None:
+    def __init__(self, speed: float = 1.0) -> None:
+        self.speed = speed
         self._lock = threading.Lock()
         self._reason: EndReason | None = None
         self.message = ""
@@ -159,20 +161,23 @@ class Execution:
             if chain.trajectory is None:
                 yield from self._hold(reference, round(chain.hold / self._period), switch)
                 continue
-            path = self._plant.executed_path(chain.trajectory.q, chain.trajectory.qd)
-            # The first sample of a trajectory is the rest that the last one ended in.
-            position, velocity = (part[1:] for part in path)
-            for at in range(0, len(position), self._slice_samples):
-                until = at + self._slice_samples
-                yield self._follow(position[at:until], velocity[at:until])
-                if switch.reason is not None and until < len(position):
-                    left = position[until - 1 :], velocity[until - 1 :]
-                    stop = path_stop(*left, self._max_acceleration, self._period)
+            position, velocity = self._plant.executed_path(chain.trajectory.q, chain.trajectory.qd)
+            speed, given = 1.0, 0  # `given`: the set-point that was given last; the first is the rest before
+            while given < len(position) - 1:
+                if switch.speed != speed:
+                    ratio, speed = switch.speed / speed, switch.speed
+                    position, velocity = retimed(position[given:], velocity[given:], ratio, self._period)
+                    given = 0
+                until = min(given + self._slice_samples, len(position) - 1)
+                yield self._follow(position[given + 1 : until + 1], velocity[given + 1 : until + 1])
+                given = until
+                if switch.reason is not None and given < len(position) - 1:
+                    stop = path_stop(position[given:], velocity[given:], self._max_acceleration, self._period)
                     for k in range(0, len(stop[0]), self._slice_samples):
                         yield self._follow(*(part[k : k + self._slice_samples] for part in stop))
                     yield from self._settle(stop[0][-1], Termination.COARSE, chain.tolerance)
                     return
-            reference = position[-1] if len(position) else chain.trajectory.q[-1]
+            reference = position[-1]
             yield from self._settle(reference, chain.termination, chain.tolerance)
 
     def _follow(self, position: np.ndarray, velocity: np.ndarray) -> Slice:
@@ -234,12 +239,43 @@ def path_stop(
         duration *= 1.2
 
 
+def retimed(position: np.ndarray, velocity: np.ndarray, ratio: float, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """The same path at `ratio` times its speed, as after a turn of the override.
+
+    ds/dt goes from one to `ratio` as a half cosine, so that speed has no step.
+
+    Args:
+        position, velocity: (S, n); the first row is the last set-point given.
+
+    Returns:
+        position and velocity, both (K, n); the first row stays.
+    """
+    length = period * (len(position) - 1)
+    ramp = min(_OVERRIDE_RAMP, length / max(1.0, ratio))
+    turned = ramp * (1 + ratio) / 2  # path time that the ramp takes
+    duration = ramp + max(0.0, length - turned) / ratio
+    t = period * np.arange(1, int(np.ceil(duration / period)) + 1)
+    on = np.minimum(t, ramp)
+    s = on + (ratio - 1) / 2 * (on - ramp / np.pi * np.sin(np.pi * on / ramp)) + ratio * (t - on)
+    rate = 1 + (ratio - 1) / 2 * (1 - np.cos(np.pi * on / ramp))
+    s[-1] = max(s[-1], length)
+    q, qd = _along(position, velocity, s / period, rate, period)
+    return np.vstack([position[:1], q]), np.vstack([velocity[:1], qd])
+
+
 def _slowed(
     position: np.ndarray, velocity: np.ndarray, duration: float, period: float
 ) -> tuple[np.ndarray, np.ndarray]:
     t = np.minimum(period * np.arange(1, int(np.ceil(duration / period)) + 1), duration)
     s = 0.5 * (t + duration / np.pi * np.sin(np.pi * t / duration)) / period
     rate = 0.5 * (1 + np.cos(np.pi * t / duration))
+    return _along(position, velocity, s, rate, period)
+
+
+def _along(
+    position: np.ndarray, velocity: np.ndarray, s: np.ndarray, rate: np.ndarray, period: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Set-points at path parameters s (K,), in samples, that pass at `rate` (K,)."""
     last = len(position) - 1
     beyond = s >= last
     index = np.minimum(s.astype(int), max(last - 1, 0))

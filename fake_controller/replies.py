@@ -50,7 +50,7 @@ class Upload:
 def identity_reply(controller: Controller) -> IdentityReply:
     """Who the controller is."""
     robot = controller.robot
-    return IdentityReply(robot.name, controller.serial, CONTROLLER, CONTROLLER_VERSION, robot.joint_names, PERIOD)
+    return IdentityReply(controller.name, controller.serial, CONTROLLER, CONTROLLER_VERSION, robot.joint_names, PERIOD)
 
 
 def status_reply(controller: Controller) -> StatusReply:
@@ -68,7 +68,7 @@ def status_reply(controller: Controller) -> StatusReply:
         program=name,
         checksum=checksum,
         position=tuple(controller.position),
-        emulator=True,
+        emulator=state.emulator,
     )
 
 

@@ -1,0 +1,159 @@
+"""What goes wrong on a shop floor, on command: at the wire and at the machine.
+
+A fault waits for its phase and acts once. Those of the wire sit between a server and its line: servers send every
+frame through `Faults.send` and take what came through `Faults.heard`. Those of the machine are the controller's to
+suffer. Neither knows which wire it is.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+#: When a fault strikes: as a client is greeted, as a program comes, as it is started, after so much motion, on a stop.
+PHASES = ("connect", "upload", "start", "streaming", "stop")
+_EVERY = frozenset(PHASES)
+
+#: Faults of the wire, with the phases in which they make sense.
+WIRE = {
+    "refuse": frozenset({"connect"}),  # nobody listens
+    "silent": _EVERY,  # nothing is sent any more, heartbeats neither
+    "drop": _EVERY,  # the connection ends in mid-frame
+    "delay": _EVERY,  # by `value` seconds
+    "reorder": _EVERY,  # a frame comes after the one behind it
+    "duplicate": _EVERY,
+    "corrupt": _EVERY,  # one byte
+    "lost_client": _EVERY,  # nothing of what the client sends arrives
+}
+#: Faults of the machine and its controller.
+MACHINE = {
+    "emergency_stop": _EVERY,
+    "drive_fault": _EVERY,
+    "alarm": _EVERY,
+    "protective_stop": _EVERY,
+    "teach_mode": _EVERY,
+    "override": _EVERY,  # turned to `value`; the arm goes on at that speed
+    "restart": _EVERY,
+    "reset_counters": frozenset({"streaming"}),
+    "slow": frozenset({"streaming"}),  # everything takes `value` times as long
+    "wrong_program": frozenset({"upload", "start"}),  # the stored text is another
+    "wrong_robot": frozenset({"connect"}),
+    "full_memory": frozenset({"upload"}),
+}
+FAULTS = {**WIRE, **MACHINE}
+_DEFAULT_VALUE = {"delay": 0.1, "override": 0.5, "slow": 3.0}
+_TOO_LONG = 60.0  # s; longer than anybody waits
+
+
+@dataclass(frozen=True)
+class Fault:
+    """`name` out of `FAULTS`, striking in `phase`, while streaming `after` so many seconds of motion.
+
+    `value`: seconds of a delay, the override as a fraction, or how many times slower; 0 takes the usual one.
+
+    Raises:
+        ValueError: no such fault or phase, or a phase that makes no sense for it.
+    """
+
+    name: str
+    phase: str
+    after: float = 0.0
+    value: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.name not in FAULTS:
+            raise ValueError(f"there is no fault {self.name!r}; there are {', '.join(FAULTS)}")
+        if self.phase not in FAULTS[self.name]:
+            fitting = [phase for phase in PHASES if phase in FAULTS[self.name]]
+            raise ValueError(f"{self.name} strikes in phase {' or '.join(fitting)}, not in {self.phase!r}")
+
+    @property
+    def amount(self) -> float:
+        """`value`, or the usual one."""
+        return self.value or _DEFAULT_VALUE.get(self.name, 0.0)
+
+
+class Faults:
+    """Those that wait, and what has become of the wire. Thread-safe."""
+
+    def __init__(self, faults: Sequence[Fault] = ()) -> None:
+        self._lock = threading.Lock()
+        self._waiting = list(faults)
+        self._armed: list[Fault] = []
+        self._held: bytes | None = None
+        self._silent = False
+        self._deaf = False
+
+    @property
+    def refusing(self) -> bool:
+        """Whether nobody is to listen."""
+        return any(fault.name == "refuse" for fault in self._waiting)
+
+    def strike(self, phase: str, motion_time: float = 0.0) -> list[Fault]:
+        """A phase is reached, `motion_time` [s] into the motion; returns what the machine suffers now."""
+        with self._lock:
+            due = [f for f in self._waiting if f.phase == phase and motion_time >= f.after and f.name != "refuse"]
+            for fault in due:
+                self._waiting.remove(fault)
+                if fault.name == "silent":
+                    self._silent = True
+                elif fault.name == "lost_client":
+                    self._deaf = True
+                elif fault.name in WIRE:
+                    self._armed.append(fault)
+        return [fault for fault in due if fault.name in MACHINE]
+
+    def heard(self, data: bytes) -> bytes:
+        """What arrives of what a client sent."""
+        return b"" if self._deaf else data
+
+    def heal(self) -> None:
+        """A new client finds the wire in order; faults that did not strike yet still wait."""
+        with self._lock:
+            self._armed.clear()
+            self._held = None
+            self._silent = self._deaf = False
+
+    def send(self, frame: bytes, transmit: Callable[[bytes], None], cut: Callable[[], None], spare: bool) -> None:
+        """Send a frame as the wire lets it through.
+
+        Args:
+            transmit: puts bytes on the line.
+            cut: ends the connection.
+            spare: this frame is none that a single fault is spent on (a heartbeat).
+
+        Raises:
+            ConnectionResetError: the connection was cut.
+            OSError: from `transmit`.
+        """
+        if self._silent:
+            return
+        if spare:
+            transmit(frame)
+            return
+        with self._lock:
+            armed, self._armed = self._armed, []
+            held, self._held = self._held, None
+        for fault in armed:
+            if fault.name == "drop":
+                transmit(frame[: len(frame) // 2])
+                cut()
+                raise ConnectionResetError("the fault 'drop' cut the line")
+            if fault.name == "delay":
+                threading.Event().wait(min(fault.amount, _TOO_LONG))
+            elif fault.name == "corrupt":
+                frame = _damaged(frame)
+            elif fault.name == "duplicate":
+                transmit(frame)
+            elif fault.name == "reorder":
+                self._held = frame
+                return
+        transmit(frame)
+        if held is not None:
+            transmit(held)
+
+
+def _damaged(frame: bytes) -> bytes:
+    middle = len(frame) // 2
+    return frame[:middle] + bytes([frame[middle] ^ 0x10]) + frame[middle + 1 :]

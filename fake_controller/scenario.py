@@ -1,0 +1,96 @@
+"""Scenarios: small text files that say what the fake is, what goes wrong when, and how it must end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from agent.documents import load_document
+from agent.recipe.schema import Time
+from fake_controller.faults import Fault
+
+#: Those that come with the package.
+FOLDER = Path(__file__).parent / "scenarios"
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+
+
+class StateSection(_Section):
+    """What a person at the cell has set before anybody connects."""
+
+    drives_on: bool = True
+    mode: Literal["auto", "teach"] = "auto"
+    emergency_stop: bool = False
+    alarms: tuple[str, ...] = ()
+    override: Annotated[float, Field(gt=0, le=1)] = 1.0
+    cell_closed: bool = True
+    emulator: bool = True
+
+
+class SetupSection(_Section):
+    """The controller; `effects` as `fake_controller.actuation.load_effect` takes them."""
+
+    robot: str = "comau_ns16"
+    seed: Annotated[int, Field(ge=0)] = 7
+    clock: Literal["fast", "real"] = "fast"
+    state: StateSection = StateSection()
+    effects: tuple[dict[str, Any], ...] = ()
+
+
+class FaultSection(_Section):
+    """One fault; `Fault` has the meaning of the keys."""
+
+    fault: str
+    phase: str
+    after: Time = 0.0
+    value: Annotated[float, Field(ge=0)] = 0.0
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> FaultSection:
+        self.build()
+        return self
+
+    def build(self) -> Fault:
+        """The fault itself."""
+        return Fault(self.fault, self.phase, self.after, self.value)
+
+
+class ExpectSection(_Section):
+    """How `agent record` must end: its exit code, how often the arm was set in motion, and what is left."""
+
+    exit_code: int
+    motions: Annotated[int, Field(ge=0)] = 1
+    controlled_stop: bool = True
+    log_readable: bool = True
+
+
+class Scenario(_Section):
+    """The whole file. `interrupt`: Ctrl-C after so much motion, where the fault strikes on the stop."""
+
+    title: str
+    setup: SetupSection = SetupSection()
+    faults: tuple[FaultSection, ...] = ()
+    interrupt: Time | None = None
+    expect: ExpectSection
+
+    def build_faults(self) -> list[Fault]:
+        """The faults themselves."""
+        return [section.build() for section in self.faults]
+
+
+def load_scenario(path: Path) -> Scenario:
+    """Read a scenario.
+
+    Raises:
+        InputError: every fault in the file by line and key.
+    """
+    return load_document(path, Scenario)
+
+
+def builtin_scenarios() -> list[Path]:
+    """The files that come with the package, sorted."""
+    return sorted(FOLDER.glob("*.yaml"))
