@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from agent.estimation.problem import Estimate, Problem
+from agent.estimation.solving import clear_gain
 
 _LEAST_GAIN = 0.01
 
@@ -26,7 +27,7 @@ def choose(problem: Problem, estimators: dict[str, Callable[[Problem], Estimate]
     better = {
         name: gain.sum()
         for name, gain in gains.items()
-        if gain.sum() > _LEAST_GAIN * errors[first].sum() and gain.sum() > gain.std(ddof=1) * np.sqrt(len(gain))
+        if gain.sum() > _LEAST_GAIN * errors[first].sum() and clear_gain(gain)
     }
     best = max(better, key=lambda name: better[name]) if better else first
     table = ", ".join(f"{name} {np.sqrt(error.sum() / errors[first].sum()):.3f}" for name, error in errors.items())

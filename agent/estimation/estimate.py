@@ -18,11 +18,10 @@ from agent.estimation.model import IdentifiedModel
 from agent.estimation.moments import collect
 from agent.estimation.observation import Observation, RigidBodies, observe
 from agent.estimation.prior import physical_prior
-from agent.estimation.problem import Estimate, Problem
+from agent.estimation.problem import Estimate, Problem, cross_validate
 from agent.estimation.selection import ladder, paper_terms
-from agent.estimation.solving import iterate_weights
+from agent.estimation.solving import clear_gain, iterate_weights, solve_sum
 from agent.estimation.summary import build_model
-from agent.estimation.uncertainty import held_out_energy
 from agent.recording.log import Log
 from agent.robot import RobotDescription
 
@@ -143,9 +142,13 @@ def pose(observation: Observation, cells: Partition, terms: tuple[FrictionTerm, 
 def trust_prior(problem: Problem) -> Problem:
     """Trust the prior more where held-out error says so: what a model gets wrong makes its rows worth less."""
     weights = iterate_weights(problem.moments, problem.prior, problem.trust)
+    errors = {}
+    for factor in _TRUSTS:
 
-    def error(factor: float) -> float:
-        energy = held_out_energy(problem.moments, problem.partition, weights, problem.prior, factor * problem.trust)
-        return float(np.sum(weights * energy))
+        def solver(total: np.ndarray, trust: float = factor * problem.trust) -> np.ndarray:
+            return solve_sum(total, problem.prior, trust)
 
-    return replace(problem, trust=problem.trust * min(_TRUSTS, key=error))
+        errors[factor] = np.sum(weights * cross_validate(problem, problem.moments, weights, solver), axis=(1, 2))
+    best = min(errors, key=lambda factor: errors[factor].sum())
+    gain = errors[_TRUSTS[0]] - errors[best]
+    return replace(problem, trust=problem.trust * (best if clear_gain(gain) else _TRUSTS[0]))

@@ -1,7 +1,7 @@
 """The friction ladder: which terms each axle gets, decided by held-out error.
 
 Every axle starts with the paper's three terms. How its sliding reverses is learned: from a grid of transition speeds
-and of presliding travels, then from a finer one around the best. Further terms come one at a time per axle, where
+and of presliding travels, then from two finer ones around the best. Further terms come one at a time per axle, where
 leaving folds out shows that they predict better: by at least 2 % of the joint's squared error, and by more than the
 scatter of that gain between folds.
 
@@ -12,6 +12,7 @@ d = [-A⁻¹ a_c, 1] only, and the held-out error is a parabola in that step.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,12 +22,12 @@ from agent.estimation.moments import collect
 from agent.estimation.observation import Observation
 from agent.estimation.prior import Prior, physical_prior
 from agent.estimation.problem import Problem
-from agent.estimation.solving import iterate_weights, solve
+from agent.estimation.solving import clear_gain, iterate_weights, solve
 
 _SPEEDS = (2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 3e-2)  # of the highest speed of the axle
 _TRAVELS = (1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the range the axle moves over
 _FADINGS = (3e-3, 1e-2, 3e-2, 0.1, 0.3)  # of the highest speed
-_FINER = (0.55, 0.75, 1.0, 1.35, 1.8)
+_FINER = ((0.55, 0.75, 1.0, 1.35, 1.8), (0.92, 1.0, 1.09))  # of the scale found before
 _LEAST_GAIN = 0.02
 
 
@@ -59,16 +60,15 @@ def ladder(observation: Observation, partition: Partition) -> Problem:
         ]
         for axle in range(n)
     ]
-    problem = _best_reversals(_with_reversals(observation, partition, grids))
-    reversals = [term.reversal or Reversal() for term in problem.terms if term.form == "coulomb"]
-    finer = [[Reversal(r.kind, r.scale * factor) for factor in _FINER] if r.scale else [r] for r in reversals]
-    problem = _best_reversals(_with_reversals(observation, partition, finer))
-    reversals = [term.reversal or Reversal() for term in problem.terms if term.form == "coulomb"]
+    problem, reversals = _best_reversals(_with_reversals(observation, partition, grids))
+    for factors in _FINER:
+        grids = [[replace(r, scale=r.scale * factor) for factor in factors] if r.scale else [r] for r in reversals]
+        problem, reversals = _best_reversals(_with_reversals(observation, partition, grids))
 
     weights = iterate_weights(problem.moments, problem.prior, problem.trust)
     load = solve(problem.moments, weights, problem.prior, problem.trust)[: observation.rigid.count]
     candidates = (term for axle in range(n) for term in _candidates(axle, reversals[axle], float(fastest[axle])))
-    terms = (*problem.terms, *candidates)
+    terms = (*paper_terms(reversals), *candidates)
     moments = collect(observation, partition, terms, load)
     wide = Problem(observation, partition, terms, load, moments, physical_prior(observation, terms), problem.trust)
     return wide.select(_climb(wide, weights, len(problem.terms)))
@@ -99,8 +99,12 @@ def _with_reversals(observation: Observation, partition: Partition, grids: list[
     return Problem(observation, partition, terms, load, collect(observation, partition, terms), prior, 1.0)
 
 
-def _best_reversals(problem: Problem) -> Problem:
-    """One reversal per axle, by the residual it leaves, axle after axle, two rounds."""
+def _best_reversals(problem: Problem) -> tuple[Problem, list[Reversal]]:
+    """One reversal per axle, by the residual it leaves, axle after axle, two rounds.
+
+    Returns the problem with just these, and the reversals with their scales where a parabola through the error of the
+    neighbours has its minimum.
+    """
     forms = [term.form for term in problem.terms]
     fixed = [k for k, form in enumerate(forms) if form != "coulomb"]
     options = {
@@ -109,6 +113,7 @@ def _best_reversals(problem: Problem) -> Problem:
     }
     base = problem.observation.rigid.count
     choice = {axle: int(found[0]) for axle, found in options.items()}
+    reversals = {}
     for _ in range(2):
         fit = problem.select(np.array(sorted([*fixed, *choice.values()]))).with_own_trust()
         total = problem.moments.weighted(iterate_weights(fit.moments, fit.prior, fit.trust))
@@ -117,7 +122,21 @@ def _best_reversals(problem: Problem) -> Problem:
             others = np.concatenate([np.arange(base), base + np.array(others)])
             error = _trial(total, total, problem.prior, fit.trust, others, base + found)[1]
             choice[axle] = int(found[np.argmin(error)])
-    return problem.select(np.array(sorted([*fixed, *choice.values()]))).with_own_trust()
+            reversals[axle] = _between([problem.terms[k].reversal or Reversal() for k in found], error)
+    return problem.select(np.array(sorted([*fixed, *choice.values()]))).with_own_trust(), list(reversals.values())
+
+
+def _between(grid: list[Reversal], error: np.ndarray) -> Reversal:
+    """The best of a grid, its scale where a parabola through it and its neighbours has its minimum."""
+    best = int(np.argmin(error))
+    around = grid[max(best - 1, 0) : best + 2]
+    if len(around) < 3 or len({reversal.kind for reversal in around}) > 1 or around[0].scale == 0:
+        return grid[best]
+    x = np.log([reversal.scale for reversal in around])
+    bend, slope, _ = np.polyfit(x - x[1], error[best - 1 : best + 2], 2)
+    if bend <= 0:
+        return grid[best]
+    return Reversal(grid[best].kind, float(np.exp(np.clip(x[1] - slope / (2 * bend), x[0], x[2]))))
 
 
 def _trial(
@@ -160,9 +179,8 @@ def _climb(problem: Problem, weights: np.ndarray, count: int) -> np.ndarray:
         trials = [_trial(a, b, prior, trust, columns, base + free) for a, b in zip(train, test, strict=True)]
         gains = np.array([before - after for before, after in trials])
         mean = gains.sum(axis=0)
-        scatter = gains.std(axis=0, ddof=1) * np.sqrt(len(gains))
         least = _LEAST_GAIN * sum(before for before, _ in trials) / (1 + axles.max())
-        worth = (mean > least) & (mean > scatter)
+        worth = (mean > least) & clear_gain(gains)
         if not worth.any():
             return np.array(sorted(taken, key=lambda k: (axles[k], k)))
         for axle in np.unique(axles[free[worth]]):

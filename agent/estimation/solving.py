@@ -76,3 +76,8 @@ def autocorrelation_time(residuals: Sequence[np.ndarray]) -> np.ndarray:
         stop = np.argmax(pairs <= 0) if np.any(pairs <= 0) else len(pairs)
         times[joint] = max(1.0, 1 + 2 * pairs[:stop].sum())
     return times
+
+
+def clear_gain(gains: np.ndarray) -> np.ndarray | bool:
+    """Whether gains (folds, …) add up to more than they scatter between folds."""
+    return gains.sum(axis=0) > gains.std(axis=0, ddof=1) * np.sqrt(len(gains))

@@ -16,11 +16,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.estimation.blocks import Partition
 from agent.estimation.moments import Moments, standstill
 from agent.estimation.prior import Prior
 from agent.estimation.problem import Estimate, Problem
-from agent.estimation.solving import inverse, solve_sum
+from agent.estimation.solving import inverse
 
 _SPECTRUM = 256  # rows in one piece of the estimate of a spectrum
 
@@ -78,18 +77,6 @@ def _spectra(rows: list[np.ndarray]) -> np.ndarray:
         for first in range(0, len(part) - length + 1, max(1, length // 2))
     ]
     return np.mean(pieces, axis=0) / np.sum(window**2)
-
-
-def held_out_energy(
-    moments: Moments, partition: Partition, weights: np.ndarray, prior: Prior, trust: float
-) -> np.ndarray:
-    """(2, n) squared residual of every row when its fold is left out of the fit."""
-    total = np.zeros((2, len(moments.index)))
-    for fold in range(partition.folds):
-        train, test = partition.training(fold), partition.fold == fold
-        if test.any() and train.any():
-            total += moments.energy(solve_sum(moments.weighted(weights, train), prior, trust), test)
-    return total
 
 
 def silent_directions(moments: Moments, weights: np.ndarray, prior: Prior, times: np.ndarray) -> np.ndarray:

@@ -1,0 +1,116 @@
+"""The model file and what a model predicts."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.errors import InputError
+from agent.estimation import EFFECTS, EstimationSettings, IdentifiedModel, ModelEffect, estimate
+
+
+@pytest.fixture(scope="module")
+def model(arm, multisine, make_log):
+    coupling = np.eye(3)
+    coupling[2, 1] = 1.0
+    robot = arm(3, prismatic=(0,), coupling=coupling)
+    t = np.arange(5000) / 500
+    q, qd, qdd = multisine(3, t)
+    torque = np.tanh(qd / 0.01) + 2 * qdd + 5 * np.cos(q) + 0.1 * np.random.default_rng(0).normal(size=q.shape)
+    return estimate(robot, [make_log(robot, t, q, torque)], EstimationSettings.create(method="consistent"))
+
+
+@pytest.fixture
+def motion(multisine):
+    return multisine(3, np.arange(400) / 500, seed=3)
+
+
+def test_a_saved_model_is_the_same_model(model, motion, tmp_path):
+    path = tmp_path / "model.json"
+    model.save(path)
+    again = IdentifiedModel.load(path)
+    assert np.array_equal(again.predict(*motion), model.predict(*motion))
+    assert again.to_dict() == model.to_dict()
+    assert again.robot == model.robot
+    assert [entry.name for entry in tmp_path.iterdir()] == ["model.json"]
+    json.loads(path.read_text(encoding="utf-8"), parse_constant=lambda text: pytest.fail(f"{text} is not JSON"))
+
+
+def test_prediction_is_the_regressor_times_the_parameters(model, motion):
+    assert np.allclose(model.columns(*motion) @ model.values, model.predict(*motion), atol=1e-9)
+
+
+def test_a_failed_save_leaves_the_old_model(model, tmp_path, monkeypatch):
+    path = tmp_path / "model.json"
+    model.save(path)
+    before = path.read_text(encoding="utf-8")
+    with pytest.raises(ValueError, match="JSON compliant"):
+        replace(model, residual_rmse=np.array([np.nan])).save(path)
+    assert path.read_text(encoding="utf-8") == before
+    assert [entry.name for entry in tmp_path.iterdir()] == ["model.json"]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "no such model file"),
+        ("{", "cannot be read as a model"),
+        ("[]", "not a model file of schema 'model/1'"),
+        ('{"schema": "validation/1"}', "it says 'validation/1'"),
+        ('{"schema": "model/1"}', "incomplete or damaged"),
+    ],
+)
+def test_a_file_that_is_no_model_says_so(tmp_path, content, message):
+    path = tmp_path / "model.json"
+    if content is not None:
+        path.write_text(content, encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        IdentifiedModel.load(path)
+
+
+@pytest.mark.parametrize("key", ["robot", "covariance", "friction", "filter", "independent"])
+def test_a_model_that_lacks_a_part_says_so(model, tmp_path, key):
+    path = tmp_path / "model.json"
+    data = model.to_dict()
+    del data[key]
+    path.write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(InputError, match=rf"model\.json.*incomplete.*{key}"):
+        IdentifiedModel.load(path)
+
+
+def test_effects_add_torque_and_unknown_ones_are_refused(model, motion, monkeypatch, tmp_path):
+    def torque_offset(model, entry, motion, torque):
+        return (
+            np.where(np.array(model.robot.joint_names) == entry.joints[0], entry.parameters["offset"], 0.0) + 0 * torque
+        )
+
+    monkeypatch.setitem(EFFECTS, "some_offset", torque_offset)
+    shifted = replace(model, effects=(ModelEffect("some_offset", ("joint_2",), {"offset": 3.0}),))
+    shifted.save(tmp_path / "model.json")
+    added = IdentifiedModel.load(tmp_path / "model.json").predict(*motion) - model.predict(*motion)
+    assert np.allclose(added, [0, 3, 0])
+    unknown = replace(model, effects=(ModelEffect("gremlins", (), {}),))
+    with pytest.raises(InputError, match="'gremlins'"):
+        unknown.predict(*motion)
+
+
+def test_the_table_names_units_and_meanings(model):
+    header, *rows = model.rows()
+    assert header[0] == "parameter"
+    by_name = {row[0]: row for row in rows}
+    assert len(by_name) == len(model.values)
+    assert by_name["f1_1"][4] == "N·s/m"
+    assert by_name["f1_2"][4] == "N·m·s/rad"
+    assert "joint_3" in by_name["f0_3"][5]
+    assert "condition number" in model.text()
+
+
+def test_the_interval_grows_where_the_data_were_silent(model, motion):
+    q, qd, qdd = motion
+    near = model.prediction_interval(model.columns(q, qd, qdd))
+    far = model.prediction_interval(model.columns(q, 20 * qd, 20 * qdd))
+    assert np.all(near >= 1.9 * model.residual_rmse)
+    assert np.all(far.mean(axis=0) > near.mean(axis=0))

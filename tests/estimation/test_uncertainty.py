@@ -1,0 +1,97 @@
+"""Standard deviations and intervals mean what they say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from agent.estimation import EstimationSettings, estimate
+from agent.estimation.estimate import rigid_bodies
+from agent.estimation.filtering import FilterSettings
+from agent.estimation.friction_terms import AxleMotion, Reversal, axle_columns
+from agent.estimation.observation import observe
+from agent.estimation.prior import link_prior
+from agent.estimation.selection import paper_terms
+from agent.estimation.solving import autocorrelation_time
+from agent.validation import predict_log
+
+
+def _correlated(rng, shape, memory):
+    """Noise of variance 1 whose value at one sample keeps `memory` of the one before."""
+    from scipy.signal import lfilter
+
+    return lfilter([np.sqrt(1 - memory**2)], [1, -memory], rng.normal(size=shape), axis=0)
+
+
+def _covered(arm, multisine, make_log, runs: range, dof: int, seconds: float, memory: float, friction: str):
+    """(runs, b) bool: whether 95 % intervals of the base parameters, and (runs,) shares of 95 % prediction bounds."""
+    robot = arm(dof)
+    t = np.arange(int(seconds * 500)) / 500
+    q, qd, qdd = multisine(dof, t)
+    rigid, _, _ = rigid_bodies(robot)
+    mean, deviation = link_prior(observe(rigid, [make_log(robot, t, q, 20 * qd)], FilterSettings()))
+    terms = paper_terms([Reversal()] * dof)
+    brake = axle_columns(terms, AxleMotion.of(robot, q, qd)) * np.tile([3.0, 2.0, 0.5], dof)
+    brake = brake @ robot.coupling[[term.axle for term in terms]]
+    hits, shares = [], []
+    for run in runs:
+        rng = np.random.default_rng(run)
+        standard = rng.normal(mean, deviation)
+        standard[10 * dof :] = 1e-4 * rng.uniform(0.5, 1.5, dof)
+        truth = rigid.projection @ standard
+        torque = rigid.torque(q, qd, qdd, truth) + brake
+        fit = make_log(robot, t, q, torque + 0.3 * _correlated(rng, torque.shape, memory))
+        model = estimate(robot, [fit], EstimationSettings.create(method="weighted", friction=friction))
+        base = slice(0, rigid.count)
+        hits.append(np.abs(model.base_values - truth) < 1.96 * model.standard_deviations[base])
+        again = make_log(robot, t, q, torque + 0.3 * _correlated(rng, torque.shape, memory))
+        seen = predict_log(model, again)
+        shares.append(np.mean(np.abs(seen.error) < seen.half_width))
+    return np.array(hits), np.array(shares)
+
+
+def test_intervals_cover_in_correlated_noise(arm, multisine, make_log):
+    hits, shares = _covered(arm, multisine, make_log, range(15), 3, 10, 0.96, "paper")
+    assert 0.90 <= hits.mean() <= 0.99
+    assert 0.90 <= shares.mean() <= 0.99
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize(("memory", "friction"), [(0.0, "paper"), (0.96, "paper"), (0.99, "paper"), (0.96, "ladder")])
+def test_intervals_cover_over_two_hundred_runs(arm, multisine, make_log, measured, memory, friction):
+    hits, shares = _covered(arm, multisine, make_log, range(200), 3, 20, memory, friction)
+    for what, share in (("parameters", hits.mean()), ("predictions", shares.mean())):
+        name = f"95 % intervals of {what} cover, 200 runs, noise memory {memory:g} a sample, {friction} friction"
+        measured(name, 100 * share, "%", "90 to 98 %", 0.90 <= share <= 0.98)
+    assert 0.90 <= hits.mean() <= 0.98
+    assert 0.90 <= shares.mean() <= 0.98
+
+
+def test_deviations_shrink_with_data_as_they_should(arm, multisine, make_log):
+    robot = arm(2)
+    settings = EstimationSettings.create(method="weighted", friction="paper")
+    ratios = []
+    for seed in range(5):
+        deviations = []
+        for seconds in (20, 80):
+            t = np.arange(seconds * 500) / 500
+            q, qd, _ = multisine(2, t)
+            torque = 3 * np.sign(qd) + qd + np.random.default_rng(seed).normal(size=q.shape)
+            deviations.append(estimate(robot, [make_log(robot, t, q, torque)], settings).standard_deviations)
+        ratios.append(deviations[0] / deviations[1])
+    assert np.median(ratios) == pytest.approx(2, rel=0.25)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.9, 0.98])
+def test_autocorrelation_time(memory):
+    rows = _correlated(np.random.default_rng(0), (100_000, 1), memory)
+    assert autocorrelation_time([rows])[0] == pytest.approx((1 + memory) / (1 - memory), rel=0.15)
+
+
+def test_held_out_error_is_larger_than_the_fit_s_where_data_are_few(arm, multisine, make_log):
+    robot = arm(3)
+    t = np.arange(1500) / 500
+    q, qd, _ = multisine(3, t)
+    torque = np.sign(qd) + _correlated(np.random.default_rng(0), q.shape, 0.9)
+    model = estimate(robot, [make_log(robot, t, q, torque)], EstimationSettings.create(friction="paper"))
+    assert np.all(model.held_out_rmse > model.residual_rmse)

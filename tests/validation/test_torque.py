@@ -1,0 +1,116 @@
+"""Torque prediction on unseen motions."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.errors import InputError
+from agent.estimation import EstimationSettings, estimate
+from agent.estimation.filtering import FilterSettings, motions
+from agent.recording.log import Log
+from agent.robot import load_robot
+from agent.validation import predict_log, summary, validate
+
+
+def _log(robot, path, t, q, torque):
+    return Log(path, robot.joint_names, t, q, None, torque, None, None, 500.0, 0.0, ((0, len(t)),))
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory):
+    """The NS16, a rough model of it, and two logs: one moving, one half at rest."""
+    robot = load_robot("comau_ns16")
+    rng = np.random.default_rng(0)
+    folder = tmp_path_factory.mktemp("logs")
+    t = np.arange(4000) / 500
+    frequency, phase = rng.uniform(0.2, 0.8, (2, 1, 6)) * [[[1]], [[6]]]
+    logs = []
+    for name, stop in (("moving.mcap", np.inf), ("resting.mcap", 4.0)):
+        time = np.minimum(t, stop)[:, None]
+        q = 0.3 * np.sin(2 * np.pi * frequency * time + phase)
+        qd = np.gradient(q, t, axis=0)
+        torque = 300 * np.cos(q) + 40 * np.sign(np.round(qd, 9)) + 30 * np.gradient(qd, t, axis=0)
+        logs.append(_log(robot, folder / name, t, q, torque + rng.normal(size=q.shape)))
+    return robot, estimate(robot, logs[:1], EstimationSettings.create(method="weighted")), logs
+
+
+def test_the_result_is_the_contract_s(case):
+    robot, model, logs = case
+    result = json.loads(json.dumps(validate(model, logs, 20.0), allow_nan=False))
+    assert set(result) == {"schema", "joints", "cutoff_hz", "logs", "overall"}
+    assert result["schema"] == "validation/1"
+    assert result["joints"] == list(robot.joint_names)
+    assert result["cutoff_hz"] == 20.0
+    figures = {"rmse", "normalised_rmse", "relative_error", "relative_error_all_joints"}
+    assert [set(entry) for entry in result["logs"]] == [figures | {"log", "samples"}] * 2
+    assert [entry["log"] for entry in result["logs"]] == ["moving.mcap", "resting.mcap"]
+    assert set(result["overall"]) == figures
+
+
+def test_figures_are_those_of_the_filtered_signals(case):
+    robot, model, logs = case
+    result = validate(model, logs[1:])
+    motion = next(motions(logs[1], FilterSettings(model.cutoff), reduce=False))
+    measured = motion.low_pass(motion.torque)
+    error = measured - motion.low_pass(model.predict(motion.q, motion.qd, motion.qdd))
+    entry = result["logs"][0]
+    assert entry["samples"] == len(measured)
+    assert np.allclose(entry["rmse"], np.sqrt(np.mean(error**2, axis=0)))
+    assert np.allclose(entry["normalised_rmse"], np.array(entry["rmse"]) / robot.nominal_torque)
+    assert np.allclose(entry["relative_error"], np.linalg.norm(error, axis=0) / np.linalg.norm(measured, axis=0))
+    assert entry["relative_error_all_joints"] == pytest.approx(np.linalg.norm(error) / np.linalg.norm(measured))
+
+
+def test_every_sample_but_the_edges_counts_and_logs_are_pooled(case):
+    _, model, logs = case
+    result = validate(model, logs)
+    samples = [entry["samples"] for entry in result["logs"]]
+    assert min(samples) > 4000 - 2 * 500 * 0.25
+    squares = [np.array(entry["rmse"]) ** 2 * entry["samples"] for entry in result["logs"]]
+    assert np.allclose(np.array(result["overall"]["rmse"]) ** 2 * sum(samples), sum(squares))
+    assert summary([predict_log(model, log) for log in logs]) == result
+
+
+def test_moving_samples_are_those_in_which_the_arm_moves(case):
+    _, model, logs = case
+    moving, resting = (predict_log(model, log) for log in logs)
+    assert moving.moving.mean() > 0.99
+    assert 0.45 < resting.moving.mean() < 0.55
+    assert np.all(resting.time[resting.moving] < 4.2)
+    error = resting.error[resting.moving]
+    assert np.allclose(
+        resting.normalised_rmse(moving=True) * model.robot.nominal_torque, np.sqrt(np.mean(error**2, axis=0))
+    )
+
+
+def test_bounds_hold_most_of_an_unseen_motion(case):
+    _, model, logs = case
+    seen = predict_log(model, logs[1])
+    assert seen.half_width.shape == seen.error.shape
+    inside = np.mean(np.abs(seen.error[seen.moving]) < seen.half_width[seen.moving])
+    assert inside > 0.85
+
+
+def test_figures_that_do_not_exist_are_null(case):
+    robot, model, logs = case
+    bare = replace(robot, joints=tuple(replace(joint, nominal_motor_torque=None) for joint in robot.joints))
+    silent = replace(logs[0], effort=np.zeros_like(logs[0].effort))
+    result = validate(replace(model, robot=bare), [silent])
+    assert result["overall"]["normalised_rmse"] == [None] * 6
+    assert result["overall"]["relative_error"] == [None] * 6
+    assert result["overall"]["relative_error_all_joints"] is None
+    assert np.all(np.isfinite(result["overall"]["rmse"]))
+
+
+def test_logs_that_cannot_be_validated_say_why(case):
+    _, model, logs = case
+    with pytest.raises(InputError, match=r"moving\.mcap: no torque"):
+        validate(model, [replace(logs[0], effort=None)])
+    with pytest.raises(InputError, match=r"moving\.mcap: its joints are"):
+        validate(model, [replace(logs[0], joint_names=("a",))])
+    with pytest.raises(InputError, match="cut-off of 400 Hz"):
+        validate(model, logs, 400.0)
