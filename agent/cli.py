@@ -23,7 +23,7 @@ app = typer.Typer(
 )
 
 #: Commands of the contract that this version does not have yet.
-NOT_YET = ("diagnose", "blind-check")
+NOT_YET = "blind-check"
 
 RecipePath = Annotated[Path, typer.Argument(metavar="RECIPE", help="recipe file (YAML)")]
 Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="more messages")]
@@ -187,6 +187,33 @@ def validate(
         print_json(result)
     else:
         print(validation_text(result))
+
+
+@app.command()
+def diagnose(
+    logs: Logs,
+    robot: RobotOption,
+    model: Annotated[
+        Path | None, typer.Option("--model", metavar="MODEL", help="the model that is the simulator")
+    ] = None,
+    cutoff: Cutoff = None,
+    without: Annotated[
+        list[str] | None, typer.Option("--without", metavar="EFFECT", help="leave an effect out of the catalogue")
+    ] = None,
+    as_json: AsJson = False,
+    report: Annotated[Path | None, typer.Option("--report", metavar="OUT.html", help="page to write")] = None,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """The gap between model and robot: where it lies, which effect causes it, how far it shrinks."""
+    from agent.console import print_json
+    from agent.diagnose import diagnose_files, diagnosis_text
+
+    found = diagnose_files(robot, model, logs, cutoff, without or [], report, _console(verbose, quiet))
+    if as_json:
+        print_json(found.result)
+    else:
+        print(diagnosis_text(found.result))
 
 
 @app.command()

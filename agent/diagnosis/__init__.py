@@ -1,0 +1,7 @@
+"""The sim-to-real gap: where it lies, which effect causes it, how far it shrinks."""
+
+from agent.diagnosis.diagnose import diagnose
+from agent.diagnosis.effects import CATALOGUE
+from agent.diagnosis.result import Diagnosis
+
+__all__ = ["CATALOGUE", "Diagnosis", "diagnose"]

@@ -1,0 +1,185 @@
+"""From logs and a model to residuals, model columns and folds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agent.diagnosis.fit import Fit, Fold
+from agent.diagnosis.signals import Reference, Signals
+from agent.errors import InputError
+from agent.estimation.estimate import EstimationSettings, estimate
+from agent.estimation.filtering import FilterSettings
+from agent.estimation.model import EFFECTS, IdentifiedModel
+from agent.estimation.observation import observe
+from agent.estimation.prior import physical_prior
+from agent.estimation.selection import paper_terms
+from agent.recording.log import Log
+from agent.robot import RobotDescription
+
+_PARITY = 0.1  # s
+_GUARD = 0.2  # s
+_BLOCKS = 5
+_LEAST_BACKGROUND = 0.0015  # of nominal
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """The fit, the raw residual of the model (S', n) [N·m], and where each row lies.
+
+    time, log (S',): time in its log [s] and which log; cycles per log: start of each cycle [s]; given: whether the
+    model was given, or fitted to these very logs.
+    """
+
+    robot: RobotDescription
+    model: IdentifiedModel
+    given: bool
+    fit: Fit
+    residual: np.ndarray
+    speed: np.ndarray
+    time: np.ndarray
+    log: np.ndarray
+    logs: tuple[Log, ...]
+    rate: float
+    cutoff: float
+
+
+def assemble(
+    robot: RobotDescription, model: IdentifiedModel | None, logs: Sequence[Log], cutoff: float | None
+) -> Dataset:
+    """Residuals of a model, given or fitted, on logs.
+
+    Raises:
+        InputError: a log or model of another robot, or a log too short for the filter or without torque.
+    """
+    given = model is not None
+    if model is None:
+        model = plain_model(robot, logs, cutoff)
+    elif model.robot.joint_names != robot.joint_names:
+        raise InputError(
+            f"the model is of a robot with joints {', '.join(model.robot.joint_names)}; "
+            f"{robot.name} has {', '.join(robot.joint_names)}"
+        )
+    reference = Reference(model)
+    settings = FilterSettings(model.cutoff if cutoff is None else cutoff, model.order)
+    observation = observe(model.rigid, logs, settings)
+    n = robot.dof
+    scale = reference.scale
+    background = np.maximum(model.held_out_rmse, _LEAST_BACKGROUND * scale)
+    if not given:
+        background = np.maximum(background, 0.003 * scale)
+    signals: list[Signals] = []
+    rows: list[list[np.ndarray]] = [[] for _ in range(n)]
+    index: list[np.ndarray] = []
+    for stretch in observation.stretches:
+        motion = stretch.motion
+        signals.append(
+            FilteredSignals(
+                reference, motion.time, motion.q, motion.qd, motion.qdd, stretch.log_index, motion.kept, motion.low_pass
+            )
+        )
+        extra = _known_effects(model, signals[-1])
+        per_joint = observation.joint_columns(stretch, model.terms, model.base_values)
+        index = [places for places, _ in per_joint]
+        for joint, (places, columns) in enumerate(per_joint):
+            left = stretch.torque[:, joint] - columns @ model.values[places] - extra[:, joint]
+            rows[joint].append(np.column_stack([columns, left]) / background[joint])
+    joined = [np.concatenate(parts) for parts in rows]
+    time = np.concatenate([s.time[s.kept] for s in signals])
+    log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
+    residual = np.stack([block[:, -1] * sigma for block, sigma in zip(joined, background, strict=True)], axis=1)
+    cell, folds, single = _folds(time, log, logs)
+    if given:
+        precision, shift = _stored_precision(model), np.zeros(len(model.values))
+    else:
+        prior = physical_prior(observation, model.terms)
+        precision, shift = prior.precision, prior.precision @ (prior.mean - model.values)
+    fit = Fit(reference, signals, joined, index, background, precision, shift, cell, folds, single)
+    speed = np.concatenate([s.qd[s.kept] for s in signals])
+    rate = 1 / float(np.median(np.diff(time)))
+    return Dataset(
+        robot, model, given, fit, residual, speed, time, log, tuple(logs), rate, observation.stretches[0].motion.cutoff
+    )
+
+
+class FilteredSignals(Signals):
+    """Signals of a motion that knows its filter."""
+
+    def __init__(self, reference, time, q, qd, qdd, log_index, kept, low_pass):
+        super().__init__(reference, time, q, qd, qdd, log_index, kept)
+        object.__setattr__(self, "low_pass", low_pass)
+
+
+def _known_effects(model: IdentifiedModel, signals: Signals) -> np.ndarray:
+    """(S', n) filtered torque of the effects that the model has already."""
+    total = np.zeros(signals.q.shape)
+    motion = {"time": signals.time, "q": signals.q, "qd": signals.qd, "qdd": signals.qdd}
+    for entry in model.effects:
+        if entry.effect not in EFFECTS:
+            raise InputError(f"the model has an effect {entry.effect!r} that this version cannot evaluate")
+        total = total + EFFECTS[entry.effect](model, entry, motion, signals.predicted + total)
+    return signals.low_pass(total)
+
+
+def _stored_precision(model: IdentifiedModel) -> np.ndarray:
+    """(p, p) inverse of the stored covariance."""
+    deviation = np.sqrt(np.maximum(np.diag(model.covariance), 1e-300))
+    correlation = model.covariance / np.outer(deviation, deviation)
+    values, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
+    inverse = (vectors / np.maximum(values, 1e-9)) @ vectors.T
+    return inverse / np.outer(deviation, deviation)
+
+
+def plain_model(robot: RobotDescription, logs: Sequence[Log], cutoff: float | None) -> IdentifiedModel:
+    """A model of bodies and the plainest friction, fitted to the logs themselves: what it cannot absorb is a gap."""
+    found = estimate(robot, logs, EstimationSettings.create(cutoff=cutoff))
+    reversals = [
+        next(term.reversal for term in found.terms if term.axle == axle and term.form == "coulomb")
+        for axle in range(robot.dof)
+    ]
+    terms = paper_terms(reversals)
+    count = len(found.independent)
+    places = {(term.axle, term.form): count + k for k, term in enumerate(found.terms)}
+    kept = np.array([*range(count), *(places[term.axle, term.form] for term in terms)])
+    return replace(
+        found, terms=terms, values=found.values[kept], covariance=found.covariance[np.ix_(kept, kept)], effects=()
+    )
+
+
+def _folds(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np.ndarray, list[Fold], list[Fold]]:
+    """Cells of rows, folds that leave out a motion, and folds that leave out every other stretch of a motion too."""
+    parity = (time / _PARITY).astype(int) % 2
+    if len(logs) > 1:
+        group = log.copy()
+        names = [entry.name for entry in logs]
+    else:
+        group, names = _blocks(time, logs[0])
+    cell = np.where(group >= 0, 2 * group + parity, -1)
+    count = 2 * (int(group.max()) + 1)
+    of_cell = np.arange(count) // 2
+    folds, single = [], []
+    for number, name in enumerate(names):
+        test = of_cell == number
+        folds.append(Fold(name, test, ~test))
+        for side in (0, 1):
+            half = test & (np.arange(count) % 2 == side)
+            single.append(Fold(name, half, ~half))
+    return cell, folds, single
+
+
+def _blocks(time: np.ndarray, log: Log) -> tuple[np.ndarray, list[str]]:
+    """One log: its cycles where it has three or more, else five blocks; rows near a border are in none."""
+    starts = np.asarray(log.cycle_starts, dtype=float)
+    first, last = float(time[0]), float(time[-1])
+    inside = starts[(starts > first) & (starts < last)]
+    if len(inside) >= 2:
+        borders = inside[np.linspace(0, len(inside) - 1, min(len(inside), 5)).astype(int)]
+    else:
+        borders = np.linspace(first, last, _BLOCKS + 1)[1:-1]
+    group = np.searchsorted(borders, time, side="right")
+    near = np.min(np.abs(time[:, None] - borders[None, :]), axis=1) < _GUARD
+    edges = [first, *borders, last]
+    names = [f"{log.name} {a:.1f}-{b:.1f} s" for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return np.where(near, -1, group), names

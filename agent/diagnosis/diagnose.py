@@ -1,0 +1,63 @@
+"""The front: logs and a model in, diagnosis out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from agent.diagnosis.dataset import assemble
+from agent.diagnosis.effects import CATALOGUE
+from agent.diagnosis.motion_gap import motion_gap
+from agent.diagnosis.procedure import Search
+from agent.diagnosis.result import Diagnosis, build
+from agent.errors import InputError
+from agent.estimation.model import IdentifiedModel
+from agent.recording.log import Log
+from agent.robot import RobotDescription
+
+_CLIPPED = 0.002  # of the samples at exactly the largest torque
+
+
+def diagnose(
+    robot: RobotDescription,
+    logs: Sequence[Log],
+    model: IdentifiedModel | None = None,
+    cutoff: float | None = None,
+    without: Sequence[str] = (),
+) -> Diagnosis:
+    """Diagnose logs against a model, or against one fitted to them.
+
+    Raises:
+        InputError: no logs, an unknown effect in `without`, or logs that cannot be used (see `assemble`).
+    """
+    if not logs:
+        raise InputError("no logs were given, so there is nothing to diagnose")
+    for name in without:
+        if name not in CATALOGUE:
+            raise InputError(f"--without {name}: no such effect; known are {', '.join(CATALOGUE)}")
+    dataset = assemble(robot, model, logs, cutoff)
+    search = Search(dataset.fit, without)
+    finding = search.run()
+    return build(dataset, finding, search, motion_gap(logs), tuple(_warnings(robot, logs, model is not None)))
+
+
+def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool) -> Iterator[str]:
+    """What limits the conclusions."""
+    if len(logs) == 1:
+        yield "one motion only: parts of it are held out from each other, which another motion would test harder"
+    if not given:
+        yield "no model was given: only what a model fitted to these logs cannot absorb is seen as a gap"
+    for log in logs:
+        assert log.effort is not None
+        largest = np.abs(log.effort).max(axis=0)
+        clipped = np.mean(np.abs(log.effort) >= largest * (1 - 1e-9), axis=0)
+        for joint, share in enumerate(clipped):
+            if share > _CLIPPED and largest[joint] > 0 and len(np.unique(log.effort[:, joint])) > 50:
+                yield (
+                    f"{log.name}: the torque of {robot.joint_names[joint]} stays at its largest value for "
+                    f"{100 * share:.1f} % of the time: it looks clipped, and what happens there is not seen"
+                )
+    for joint, name in enumerate(robot.joint_names):
+        if all(np.ptp(log.position[:, joint]) < 1e-4 for log in logs):
+            yield f"{name} never moves: nothing but its weight can be judged"

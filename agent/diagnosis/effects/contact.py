@@ -1,0 +1,62 @@
+"""External force over a stretch of time."""
+
+import numpy as np
+
+from agent.diagnosis.effects.effect import Effect
+
+_DURATIONS = (0.3, 0.6, 1.2, 2.5, 5.0)  # s
+_STARTS = 0.1  # s
+_EDGE = 0.15  # of the duration, at either end
+
+
+class Contact(Effect):
+    """τ = −Jᵀ F over one stretch of time in one log, F constant but for its edges: a force on the tip."""
+
+    name = "contact"
+    scope = "arm"
+    formula = "−J(q)ᵀ · F · window(t)"
+    source = "Haddadin, De Luca, Albu-Schäffer, IEEE Trans. Robotics 33 (2017)"
+    signature = "residual in one stretch of time that does not come back with the next cycle"
+    confused_with = ()
+    look_at = "what the arm touched at that time: a person, a fixture, a caught hose"
+    once = True
+
+    def settings(self, survey, joints):
+        """Where three force components leave least of the residual, one window in each log, then the best two."""
+        found = []
+        for signals, residual in zip(survey.signals, survey.residuals, strict=True):
+            time = signals.time[signals.kept]
+            columns = -signals.kept_jacobian / survey.background
+            target = residual / survey.background
+            grams = np.cumsum(np.einsum("san,sbn->sab", columns, columns), axis=0)
+            right = np.cumsum(np.einsum("san,sn->sa", columns, target), axis=0)
+            for duration in _DURATIONS:
+                starts = np.arange(time[0], time[-1] - duration, _STARTS)
+                if len(starts) == 0:
+                    continue
+                first = np.searchsorted(time, starts)
+                last = np.minimum(np.searchsorted(time, starts + duration), len(time) - 1)
+                gram = grams[last] - grams[first]
+                gram += 1e-6 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
+                side = right[last] - right[first]
+                gain = np.einsum("ka,ka->k", side, np.linalg.solve(gram, side[:, :, None])[:, :, 0])
+                best = int(np.argmax(gain))
+                found.append((float(gain[best]), signals.log_index, float(starts[best]), duration))
+        found.sort(reverse=True)
+        return [{"log": float(log), "start": start, "duration": long} for _, log, start, long in found[:6]]
+
+    def names(self, settings):
+        return ("force_x", "force_y", "force_z")
+
+    def columns(self, signals, joints, settings):
+        n = signals.q.shape[1]
+        block = np.zeros((len(signals.time), n, 3))
+        if signals.log_index == int(settings["log"]):
+            duration = settings["duration"] / (1 - _EDGE)
+            since = signals.time - settings["start"] + 0.5 * (duration - settings["duration"])
+            window = np.clip(np.minimum(since, duration - since) / (_EDGE * duration), 0, 1)
+            inside = window > 0
+            if inside.any():
+                jacobian = signals.reference.links.tcp_jacobian(signals.q[inside])[:, :3]
+                block[inside] = -np.swapaxes(jacobian, 1, 2) * window[inside, None, None]
+        return {joint: block[:, joint] for joint in range(n)}

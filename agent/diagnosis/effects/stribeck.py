@@ -1,0 +1,34 @@
+"""Friction that rises as the sliding slows down."""
+
+import numpy as np
+
+from agent.diagnosis.effects.effect import Effect, highest_speed, on_axle
+
+
+class Stribeck(Effect):
+    """τ = a s exp(−(|w| / v)^δ): v the speed over which it fades, δ 1 or 2."""
+
+    name = "stribeck"
+    formula = "a · s · exp(−(|w| / v)^δ)"
+    source = "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
+    signature = "residual with the sign of the speed, at low speed only"
+    confused_with = ("friction_change", "presliding", "viscous_nonlinearity")
+    look_at = "lubrication and seals of the gear: starved or cold grease lets friction rise at low speed"
+    refined = ("speed",)
+    limits = ("friction_change",)
+
+    def settings(self, survey, joints):
+        fastest = highest_speed(survey, joints[0])
+        return [
+            {"speed": fastest * fraction, "shape": shape}
+            for fraction in (0.005, 0.01, 0.02, 0.035, 0.06, 0.1, 0.17, 0.28)
+            for shape in (1.0, 2.0)
+        ]
+
+    def names(self, settings):
+        return ("rise",)
+
+    def columns(self, signals, joints, settings):
+        (axle,) = joints
+        fading = (signals.axles.magnitude[:, axle] / settings["speed"]) ** settings["shape"]
+        return on_axle(signals.reference, axle, signals.direction(axle) * np.exp(-np.minimum(fading, 700)))

@@ -1,0 +1,31 @@
+"""Friction that drifts while the drive warms up."""
+
+import numpy as np
+
+from agent.diagnosis.effects.effect import Effect, on_axle
+
+
+class ThermalFriction(Effect):
+    """τ = (a + b exp(−t / T)) s + (c + d exp(−t / T)) w, t from the start of each log."""
+
+    name = "thermal_friction"
+    formula = "(a + b · exp(−t / T)) · s + (c + d · exp(−t / T)) · w"
+    source = "Bittencourt, Wernholt, Sander-Tavallaey, Brogårdh, IROS (2010)"
+    signature = "residual with the sign of the speed that changes from cycle to cycle"
+    confused_with = ("friction_change", "torque_constant")
+    look_at = "temperature of gear and motor: let the arm warm up, or compare a cold and a warm run"
+    refined = ("time_constant",)
+    limits = ("friction_change",)
+
+    def settings(self, survey, joints):
+        longest = max(float(s.time[-1]) for s in survey.signals)
+        return [{"time_constant": fraction * longest} for fraction in (0.08, 0.2, 0.5, 1.5, 5.0)]
+
+    def names(self, settings):
+        return ("coulomb_change", "coulomb_drift", "viscous_change", "viscous_drift")
+
+    def columns(self, signals, joints, settings):
+        (axle,) = joints
+        fading = np.exp(-signals.time / settings["time_constant"])
+        slide, speed = signals.direction(axle), signals.axles.speed[:, axle]
+        return on_axle(signals.reference, axle, slide, slide * fading, speed, speed * fading)

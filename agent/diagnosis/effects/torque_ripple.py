@@ -1,0 +1,60 @@
+"""Torque that is periodic in the motor's or the gear's angle."""
+
+import numpy as np
+
+from agent.diagnosis.effects.effect import Effect, on_axle, travelled
+
+_HIGHEST = 13.0  # periods a motor turn
+_LOWEST = 8.0  # periods a joint turn: below, springs and hoses are meant
+_PEAKS = 3
+
+
+class TorqueRipple(Effect):
+    """τ = a cos(ν x) + b sin(ν x), x the axle's angle, ν in periods a turn of it."""
+
+    name = "torque_ripple"
+    formula = "a · cos(ν x) + b · sin(ν x)"
+    source = "Hung, Ding, IEE Proc. B 140 (1993); Simon, Sahinoglu, IEEE T-IE: harmonic gear torque ripple"
+    signature = "a line in the residual over the angle of motor or gear, whatever the speed"
+    confused_with = ()
+    look_at = "motor orders: cogging, current sensor offsets; gear orders: damaged teeth, wave generator"
+
+    def settings(self, survey, joints):
+        """Highest peaks of the residual's spectrum over the angle, by sums in narrow bins and one transform."""
+        (axle,) = joints
+        low, high = travelled(survey, axle)
+        gear = abs(float(survey.reference.robot.gear_ratios[axle]))
+        highest = _HIGHEST * max(gear, 10.0)
+        bins = int((high - low) * highest / 2 / np.pi * 4) + 2
+        if bins > 2_000_000 or high - low < 3 * 2 * np.pi / highest:
+            return []
+        sums = np.zeros(bins)
+        speeds = []
+        for signals, residual in zip(survey.signals, survey.residuals, strict=True):
+            position = signals.axles.position[signals.kept, axle]
+            place = np.clip(((position - low) / (high - low) * bins).astype(int), 0, bins - 1)
+            np.add.at(sums, place, residual[:, axle])
+            speeds.append(np.abs(signals.axles.speed[signals.kept, axle]))
+        size = 4 * bins
+        power = np.abs(np.fft.rfft(sums, size)) ** 2
+        order = 2 * np.pi * np.arange(len(power)) / size * bins / (high - low)
+        speed = np.sort(np.concatenate(speeds))
+        cutoff = survey.reference.model.cutoff
+        passing = np.searchsorted(speed, 2 * np.pi * 0.9 * cutoff / np.maximum(order, 1e-9))
+        gain = np.where((order > max(_LOWEST, 6 * np.pi / (high - low))) & (order < highest), power, 0)
+        gain = gain / np.maximum(passing, 20)
+        found = []
+        for _ in range(_PEAKS):
+            best = int(np.argmax(gain))
+            if gain[best] <= 0:
+                break
+            found.append({"order": float(order[best])})
+            gain[max(0, best - 8) : best + 9] = 0
+        return found
+
+    def names(self, settings):
+        return ("cosine", "sine")
+
+    def columns(self, signals, joints, settings):
+        phase = settings["order"] * signals.axles.position[:, joints[0]]
+        return on_axle(signals.reference, joints[0], np.cos(phase), np.sin(phase))

@@ -1,0 +1,51 @@
+"""Motors that turn along with another axis."""
+
+import numpy as np
+
+from agent.diagnosis.effects.effect import Effect
+
+
+class WristCoupling(Effect):
+    """Axle j turns at w = q̇_j + r q̇_i, so its rotor and friction act at w on joint j and r-fold on joint i.
+
+    τ_j = a r q̈_i + b r q̇_i + c (s(w) − s(q̇_j)) and τ_i = a r q̈_j + b r q̇_j + c r s(w) + d r τ_axle: the last is
+    the torque that reaches joint i through the coupling and that the measurement does not know of.
+    """
+
+    name = "wrist_coupling"
+    scope = "pair"
+    formula = "τ = Cᵀ f(C q̇) − f(q̇), C with r in row j, column i"
+    source = "Gautier, Briot, Int. J. Robotics Research; Khalil, Dombre (2002), ch. 9: coupled wrists"
+    signature = "residual on two wrist axes, each with the speed and acceleration of the other"
+    confused_with = ("friction_change",)
+    look_at = "motor_coupling in the robot description; coupling compensation of the controller"
+    limits = ("friction_change",)
+
+    def places(self, robot):
+        first = max(0, robot.dof - 3)
+        return [(i, j) for i in range(first, robot.dof) for j in range(i + 1, robot.dof)]
+
+    def settings(self, survey, joints):
+        return [{"ratio": ratio} for ratio in (-1.0, -0.3, -0.1, 0.1, 0.3, 1.0)]
+
+    def names(self, settings):
+        return ("rotor", "viscous", "coulomb", "transmission")
+
+    def columns(self, signals, joints, settings):
+        i, j = joints
+        ratio = settings["ratio"]
+        reversal = signals.reference.reversals[j]
+        turning = signals.qd[:, j] + ratio * signals.qd[:, i]
+        scale = (
+            reversal.scale
+            if reversal.kind == "speed" and reversal.scale > 0
+            else 2e-3 * float(signals.reference.robot.max_velocity[j])
+        )
+        both, alone = np.tanh(turning / scale), np.tanh(signals.qd[:, j] / scale)
+        none = np.zeros(len(both))
+        on_j = [ratio * signals.qdd[:, i], ratio * signals.qd[:, i], both - alone, none]
+        on_i = [ratio * signals.qdd[:, j], ratio * signals.qd[:, j], ratio * both, ratio * signals.axle_torque[:, j]]
+        return {i: np.column_stack(on_i), j: np.column_stack(on_j)}
+
+    def freedom(self, settings):
+        return 4

@@ -1,0 +1,302 @@
+"""Candidates fitted together with the model, and scored on motions left out, all from second moments.
+
+Residuals r of the model are explained by a change δ of its parameters and by columns Z of effects:
+
+    minimise Σ_j |r_j − X_j δ − Z_j β|² / (T σ_j²) + (δ − δ₀)ᵀ Λ (δ − δ₀)
+
+with σ_j the model's own held-out error of joint j (the background, CONTRACTS.md 6), Λ the inverse of the covariance
+stored in the model, and T rows to one independent row. Moments are kept per cell of rows, so every fold is arithmetic
+on small matrices. With H = Λ + XᵀX and the Schur complement S = ZᵀZ − ZᵀX H⁻¹ XᵀZ: β = S⁻¹ (Zᵀr − ZᵀX H⁻¹ Xᵀr).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.diagnosis.effects import Effect
+from agent.diagnosis.signals import Reference, Signals
+
+_INDEPENDENT = 0.1  # s between independent rows
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An effect somewhere, with nonlinear parameters chosen. `blocks`: joint → (S', k) over σ, all motions in a row."""
+
+    effect: Effect
+    joints: tuple[int, ...]
+    settings: Mapping[str, float]
+    names: tuple[str, ...]
+    blocks: dict[int, np.ndarray]
+    doubt: np.ndarray | None
+
+    @property
+    def place(self) -> tuple[str, tuple[int, ...]]:
+        """Effect and joints."""
+        return self.effect.name, self.joints
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """error: held-out Σ e² / σ² with the candidate; gain: how much less than without; values (k,) fitted to all."""
+
+    candidate: Candidate
+    error: float
+    gain: float
+    values: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """Cells held out and cells fitted on, (cells,) bool each."""
+
+    name: str
+    test: np.ndarray
+    train: np.ndarray
+
+
+class Fit:
+    """The residual of a model on some logs, ready to try candidates on.
+
+    rows[j] (S', p_j + 1): columns of the model's parameters index[j] and the residual of joint j, over σ_j;
+    `cell` (S',) of every row (-1: guard); `folds` for what repeats, `single` folds for what happens once.
+    """
+
+    def __init__(
+        self,
+        reference: Reference,
+        signals: Sequence[Signals],
+        rows: Sequence[np.ndarray],
+        index: Sequence[np.ndarray],
+        background: np.ndarray,
+        precision: np.ndarray,
+        shift: np.ndarray,
+        cell: np.ndarray,
+        folds: Sequence[Fold],
+        single: Sequence[Fold],
+        chosen: Sequence[Candidate] = (),
+    ):
+        self.reference, self.signals = reference, list(signals)
+        self.rows, self.index = list(rows), list(index)
+        self.background, self.precision, self.shift = background, precision, shift
+        self.cell, self.folds, self.single = cell, list(folds), list(single)
+        self.chosen = tuple(chosen)
+        lengths = [len(range(*s.kept.indices(len(s.time)))) for s in self.signals]
+        self.cuts = np.cumsum(lengths)[:-1]
+        rate = 1 / float(np.median(np.diff(self.signals[0].time[self.signals[0].kept])))
+        self.repeat = max(1.0, _INDEPENDENT * rate)
+        self._extend()
+
+    def _extend(self) -> None:
+        """Moments of the model's columns, those of the effects chosen already, and the residual."""
+        base = len(self.precision)
+        size = base + sum(len(c.names) for c in self.chosen)
+        self.size = size
+        self._blocks, self._places = [], []
+        for joint, (rows, index) in enumerate(zip(self.rows, self.index, strict=True)):
+            columns, places, at = [rows[:, :-1]], [index], base
+            for candidate in self.chosen:
+                count = len(candidate.names)
+                if joint in candidate.blocks:
+                    columns.append(candidate.blocks[joint])
+                    places.append(np.arange(at, at + count))
+                at += count
+            self._blocks.append(np.column_stack([*columns, rows[:, -1]]))
+            self._places.append(np.append(np.concatenate(places), size))
+        self.cells = int(self.cell.max()) + 1
+        self._order = np.argsort(self.cell, kind="stable")
+        edges = np.searchsorted(self.cell[self._order], np.arange(self.cells + 1))
+        self._slices = [self._order[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        self.count = np.array([len(part) for part in self._slices]) * len(self.rows)
+        self.gram = np.zeros((self.cells, size + 1, size + 1))
+        for block, place in zip(self._blocks, self._places, strict=True):
+            for cell, part in enumerate(self._slices):
+                self.gram[cell][np.ix_(place, place)] += block[part].T @ block[part]
+        self.prior = np.zeros((size, size))
+        self.prior[:base, :base] = self.precision
+        at = base
+        for candidate in self.chosen:
+            count = len(candidate.names)
+            span = slice(at, at + count)
+            diagonal = np.arange(at, at + count)
+            self.prior[diagonal, diagonal] = self._ridge(candidate, np.diag(self.gram.sum(axis=0))[span])
+            at += count
+        self.pull = np.zeros(size)
+        self.pull[:base] = self.shift
+        self._solved: dict[int, tuple] = {}
+
+    def _ridge(self, candidate: Candidate, energy: np.ndarray) -> np.ndarray:
+        weak = 1e-7 * energy / self.repeat + 1e-12
+        return weak if candidate.doubt is None else weak + 1 / candidate.doubt**2
+
+    def with_chosen(self, chosen: Sequence[Candidate]) -> Fit:
+        """The same data with these effects as part of the model."""
+        return Fit(
+            self.reference, self.signals, self.rows, self.index, self.background, self.precision, self.shift,
+            self.cell, self.folds, self.single, chosen,
+        )  # fmt: skip
+
+    @property
+    def residuals(self) -> list[np.ndarray]:
+        """Per motion (S', n) [N·m]: what is left of the torque after a fit to all rows of model and chosen effects."""
+        parameters = self._solve(np.ones(self.cells, dtype=bool))[1]
+        return self._split(self.remaining(parameters))
+
+    def remaining(self, parameters: np.ndarray) -> np.ndarray:
+        """(S'total, n) [N·m] residual with parameters (size,) of model change and chosen effects."""
+        extended = np.append(parameters, -1.0)
+        columns = [
+            -(block @ extended[place]) * sigma
+            for block, place, sigma in zip(self._blocks, self._places, self.background, strict=True)
+        ]
+        return np.stack(columns, axis=1)
+
+    def _split(self, rows: np.ndarray) -> list[np.ndarray]:
+        return np.split(rows, self.cuts)
+
+    def _solve(self, train: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Inverse of H and the parameters for training cells."""
+        key = hash(train.tobytes())
+        if key not in self._solved:
+            total = self.gram[train].sum(axis=0) / self.repeat
+            matrix = total[:-1, :-1] + self.prior
+            scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+            inverse = np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
+            self._solved[key] = inverse, inverse @ (total[:-1, -1] + self.pull)
+        return self._solved[key]
+
+    def out_of_fold(self, single: bool = False, taken_out: int | None = None) -> np.ndarray:
+        """(S'total, n) [N·m] residual of every row under the fit that did not see it; NaN on guards.
+
+        `taken_out`: that one of the chosen effects is set to zero after the fit.
+        """
+        ends = len(self.precision) + np.cumsum([0, *(len(c.names) for c in self.chosen)])
+        result = np.full((len(self.cell), len(self.rows)), np.nan)
+        for fold in self.single if single else self.folds:
+            parameters = self._solve(fold.train)[1].copy()
+            if taken_out is not None:
+                parameters[ends[taken_out] : ends[taken_out + 1]] = 0
+            test = np.isin(self.cell, np.flatnonzero(fold.test))
+            result[test] = self.remaining(parameters)[test]
+        return result
+
+    def error(self, single: bool = False) -> float:
+        """Held-out Σ e² / σ² of model and chosen effects."""
+        total = 0.0
+        for fold in self.single if single else self.folds:
+            extended = np.append(self._solve(fold.train)[1], -1.0)
+            total += float(extended @ self.gram[fold.test].sum(axis=0) @ extended)
+        return total
+
+    @property
+    def values(self) -> list[np.ndarray]:
+        """Per chosen effect (k,): its parameters fitted to all rows."""
+        parameters = self._solve(np.ones(self.cells, dtype=bool))[1]
+        ends = np.cumsum([len(c.names) for c in self.chosen])
+        return np.split(parameters[len(self.precision) :], ends[:-1]) if len(ends) else []
+
+    def candidate(self, effect: Effect, joints: tuple[int, ...], settings: Mapping[str, float]) -> Candidate:
+        """Columns of an effect, filtered as the torque is."""
+        return self.candidates([(effect, joints, settings)])[0]
+
+    def candidates(self, wanted: Sequence[tuple[Effect, tuple[int, ...], Mapping[str, float]]]) -> list[Candidate]:
+        """Columns of several effects at once."""
+        parts: list[dict[int, list[np.ndarray]]] = [{} for _ in wanted]
+        for signals in self.signals:
+            for kind in {effect for effect, *_ in wanted}:
+                kind.prepare(signals, [(joints, settings) for effect, joints, settings in wanted if effect is kind])
+            pending: list[tuple[int, int, np.ndarray]] = []
+            for number, (effect, joints, settings) in enumerate(wanted):
+                for joint, block in effect.columns(signals, joints, settings).items():
+                    pending.append((number, joint, block))
+            for first in range(0, len(pending), 64):
+                some = pending[first : first + 64]
+                filtered = signals.low_pass(np.hstack([block for *_, block in some]))
+                ends = np.cumsum([block.shape[1] for *_, block in some])[:-1]
+                for (number, joint, _), block in zip(some, np.split(filtered, ends, axis=1), strict=True):
+                    parts[number].setdefault(joint, []).append(block / self.background[joint])
+        result = []
+        for (effect, joints, settings), found in zip(wanted, parts, strict=True):
+            blocks = {joint: np.concatenate(block) for joint, block in found.items()}
+            doubt = effect.doubt(self, joints, settings)
+            result.append(Candidate(effect, joints, dict(settings), effect.names(settings), blocks, doubt))
+        return result
+
+    def fit(self, effect: Effect, joints: tuple[int, ...], settings: Mapping[str, float]) -> np.ndarray:
+        """(k,) parameters fitted to all the data together with the model, under its prior."""
+        return self.score([self.candidate(effect, joints, settings)])[0].values
+
+    def score(self, candidates: Sequence[Candidate]) -> list[Score]:
+        """Held-out score of each candidate added to the model and the chosen effects."""
+        return [self._score(candidate, *moments) for candidate, moments in self._moments(candidates)]
+
+    def _moments(self, candidates: Sequence[Candidate]):
+        """Per candidate: cross moments (cells, size + 1, k) and own moments (cells, k, k)."""
+        for first in range(0, len(candidates), 100):
+            some = candidates[first : first + 100]
+            cross = [np.zeros((self.cells, self.size + 1, len(c.names))) for c in some]
+            own = [np.zeros((self.cells, len(c.names), len(c.names))) for c in some]
+            for joint, (block, place) in enumerate(zip(self._blocks, self._places, strict=True)):
+                here = [k for k, c in enumerate(some) if joint in c.blocks]
+                if not here:
+                    continue
+                together = np.hstack([some[k].blocks[joint] for k in here])
+                ends = np.cumsum([some[k].blocks[joint].shape[1] for k in here])[:-1]
+                for cell, part in enumerate(self._slices):
+                    columns = together[part]
+                    product = block[part].T @ columns
+                    for k, piece, own_columns in zip(
+                        here, np.split(product, ends, axis=1), np.split(columns, ends, axis=1), strict=True
+                    ):
+                        cross[k][cell][place] += piece
+                        own[k][cell] += own_columns.T @ own_columns
+            yield from zip(some, zip(cross, own, strict=True), strict=True)
+
+    def _score(self, candidate: Candidate, cross: np.ndarray, own: np.ndarray) -> Score:
+        single = candidate.effect.once or any(c.effect.once for c in self.chosen)
+        energy = own.sum(axis=0).diagonal()
+        if not np.all(np.isfinite(energy)) or np.all(energy <= 1e-9):
+            return Score(candidate, self.error(single), 0.0, np.zeros(len(candidate.names)))
+        ridge = np.diag(self._ridge(candidate, np.maximum(energy, 1e-9)))
+        total = 0.0
+        for fold in self.single if single else self.folds:
+            change, values = self._both(fold.train, cross, own, ridge)
+            extended = np.append(change, -1.0)
+            b, a = cross[fold.test].sum(axis=0), own[fold.test].sum(axis=0)
+            total += float(extended @ self.gram[fold.test].sum(axis=0) @ extended)
+            total += float(2 * extended @ b @ values + values @ a @ values)
+        _, values = self._both(np.ones(self.cells, dtype=bool), cross, own, ridge)
+        return Score(candidate, total, self.error(single) - total, values)
+
+    def _both(
+        self, train: np.ndarray, cross: np.ndarray, own: np.ndarray, ridge: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        inverse, alone = self._solve(train)
+        b = cross[train].sum(axis=0) / self.repeat
+        a = own[train].sum(axis=0) / self.repeat + ridge
+        reach = inverse @ b[:-1]
+        schur = a - b[:-1].T @ reach
+        scale = 1 / np.sqrt(np.maximum(np.diag(a), 1e-300))
+        side = scale * (b[-1] - b[:-1].T @ alone)
+        values = scale * np.linalg.solve(schur * np.outer(scale, scale) + 1e-9 * np.eye(len(a)), side)
+        return alone - reach @ values, values
+
+    def practical_gain(self, candidates: Sequence[Candidate], scale: np.ndarray) -> list[float]:
+        """Per candidate: Σ e² / σ² it would leave at its practical size after the model has adapted to it."""
+        everything = np.ones(self.cells, dtype=bool)
+        inverse, _ = self._solve(everything)
+        gains = []
+        for candidate, (cross, own) in self._moments(candidates):
+            b, a = cross.sum(axis=0)[:-1] / self.repeat, own.sum(axis=0) / self.repeat
+            schur = a - b.T @ inverse @ b
+            total = np.zeros_like(a)
+            for joint, block in candidate.blocks.items():
+                total += block.T @ block * (self.background[joint] / scale[joint]) ** 2
+            total = total / len(self.cell) / candidate.effect.practical**2
+            size = np.sqrt(np.maximum(np.diag(total), 1e-300))
+            values = np.linalg.eigvalsh(schur / np.outer(size, size))
+            gains.append(float(values[-1]) * self.repeat)
+        return gains

@@ -1,0 +1,293 @@
+"""The search for causes: single effects first, then what is left, then pairs; abstention where nothing fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from agent.diagnosis.effects import CATALOGUE, Effect
+from agent.diagnosis.fit import Candidate, Fit, Score
+
+#: All in units of the background energy of all rows, Σ e² / σ² of a model that is right.
+LEAST_GAIN = 0.02  # an effect must gain as much to be named
+LEAST_SHARE = 0.35  # of what is still unexplained, for every further effect
+CLOSES = 0.75  # of the excess over the background, or the cause is unknown
+EXCESS = 0.6  # over the background on one joint before something counts as unexplained
+NEAR = 0.04  # of what is explained: forms this close are told apart by simplicity alone
+NEAR_FLOOR = 0.02
+PRACTICAL = 0.003  # of nominal, root mean square torque of an effect where it acts most
+MOST = 3
+_FIRSTS = 4
+
+#: One physical change comes before a general refit, a torque of its own before a shape that could be anything.
+_PLAIN_FIRST = {"inertial_mismatch": 8, "dress_pack": 1, "thermal_friction": 1, "contact": 1}
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One scan: what was chosen before it, the best score of every place, and which of them could be named."""
+
+    chosen: tuple[Candidate, ...]
+    error: float
+    scores: tuple[Score, ...]
+    eligible: tuple[Score, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """The outcome: the fit with its causes, who equals whom, how much of the excess is closed, and the steps.
+
+    `rivals[k]` are places that the data cannot tell from cause k, `ratio[k]` how far behind the next other one is.
+    """
+
+    verdict: str
+    fit: Fit
+    causes: tuple[Candidate, ...]
+    rivals: tuple[tuple[tuple[str, tuple[int, ...]], ...], ...]
+    probability: tuple[float, ...]
+    closed: float
+    gap_joints: tuple[int, ...]
+    steps: tuple[Step, ...] = field(default=())
+
+
+class Search:
+    """A catalogue tried on a fit."""
+
+    def __init__(self, fit: Fit, without: Sequence[str] = ()):
+        self.fit = fit
+        self.allowed = {name for name in CATALOGUE if name not in without}
+        self.rows = float(fit.count.sum())
+        self.pool: list[Candidate] = []
+        self.tried: list[Candidate] = []
+        joints = range(fit.reference.robot.dof)
+        self.moves = tuple(any(np.ptp(s.q[:, j]) > 1e-4 for s in fit.signals) for j in joints)
+
+    def run(self) -> Finding:
+        """Search until nothing worth naming is left."""
+        base = self.fit
+        before = self.joint_energy(base)
+        first = self.scan(base)
+        steps = [first]
+        noisy = tuple(int(j) for j in np.flatnonzero(before > 1 + EXCESS))
+        if not first.eligible and not noisy:
+            return Finding("no_gap", base, (), (), (), 0.0, (), tuple(steps))
+        best: tuple[float, tuple[Candidate, ...]] | None = None
+        for start in self._starts(first):
+            chosen, found = self._forward((start,), steps)
+            error = base.with_chosen(chosen)
+            result = self._total(error)
+            if best is None or result < best[0] * (1 - 1e-6) - 1e-9:
+                if best is None or best[0] - result > max(NEAR_FLOOR * self.rows, NEAR * (base.error() - best[0])):
+                    best = result, chosen
+            if self.closed(before, error) > 0.9 and len(chosen) == 1:
+                break
+        if best is None:
+            return Finding("unknown", base, (), (), (), 0.0, noisy or self._worst(before), tuple(steps))
+        fit = base.with_chosen(self._pruned(best[1]))
+        closed = self.closed(before, fit)
+        if closed < CLOSES:
+            return Finding("unknown", base, (), (), (), closed, noisy or self._worst(before), tuple(steps))
+        return self._verdict(fit, closed, noisy, steps)
+
+    def joint_energy(self, fit: Fit) -> np.ndarray:
+        """(n,) mean of (e / σ)² held out."""
+        single = any(c.effect.once for c in fit.chosen)
+        return np.nanmean((fit.out_of_fold(single) / fit.background) ** 2, axis=0)
+
+    def closed(self, before: np.ndarray, fit: Fit) -> float:
+        """How much of the excess over the background is gone; 1 where there was none to speak of."""
+        after = self.joint_energy(fit)
+        excess = np.sum(np.maximum(before - 1, 0))
+        left = np.sum(np.maximum(after - 1, 0) * (after > 1 + 0.5 * EXCESS))
+        return float(1 - left / excess) if excess > 0.1 else float(left < 0.1)
+
+    def scan(self, fit: Fit) -> Step:
+        """Every effect everywhere, added to what is chosen."""
+        taken = {c.place for c in fit.chosen}
+        fixed = not self.pool
+        wanted = []
+        for effect in CATALOGUE.values():
+            for joints in effect.places(fit.reference.robot):
+                if (effect.name, joints) in taken or not all(self.moves[j] for j in joints):
+                    continue
+                if fixed or effect.name in _RESIDUAL_DRIVEN:
+                    wanted += [(effect, joints, settings) for settings in effect.settings(fit, joints)]
+        new = fit.candidates(wanted)
+        if fixed:
+            self.pool = [c for c in new if c.effect.name not in _RESIDUAL_DRIVEN]
+            pool = self.tried = new
+        else:
+            pool = [c for c in self.pool if c.place not in taken] + new
+        best = _best_by_place(fit.score(pool))
+        best = self._refined(fit, best)
+        eligible = self._eligible(fit, best)
+        return Step(fit.chosen, fit.error(), tuple(sorted(best.values(), key=lambda s: -s.gain)), eligible)
+
+    def _refined(self, fit: Fit, best: dict) -> dict:
+        """Search the nonlinear parameters of the leading places more finely."""
+        leaders = sorted((s for s in best.values() if s.gain > 0.5 * LEAST_GAIN * self.rows), key=lambda s: -s.gain)[:6]
+        for factor in (1.25, 1.1):
+            wanted = []
+            for place in (s.candidate.place for s in leaders):
+                candidate = best[place].candidate
+                for name in candidate.effect.refined:
+                    if name not in candidate.settings:
+                        continue
+                    for scale in (1 / factor, factor):
+                        settings = {**candidate.settings, name: candidate.settings[name] * scale}
+                        wanted.append((candidate.effect, candidate.joints, settings))
+            finer = fit.candidates(wanted)
+            self.pool += [c for c in finer if c.effect.name not in _RESIDUAL_DRIVEN]
+            for score in fit.score(finer):
+                if _plausible(score) and score.gain > best[score.candidate.place].gain:
+                    best[score.candidate.place] = score
+        return best
+
+    def _eligible(self, fit: Fit, best: dict) -> tuple[Score, ...]:
+        """Scores that could be named: plausible, allowed, large enough, and better than their own simpler limits."""
+        result = []
+        for place, score in best.items():
+            name, joints = place
+            effect = score.candidate.effect
+            if name not in self.allowed or not _plausible(score) or score.gain < LEAST_GAIN * self.rows:
+                continue
+            if self.size(fit, score) < PRACTICAL:
+                continue
+            if any(self._as_good(score, limit, best) for limit in effect.limits):
+                continue
+            result.append(score)
+        return tuple(sorted(result, key=lambda s: -s.gain))
+
+    def _as_good(self, score: Score, limit: str, best: dict) -> bool:
+        """Whether a simpler limit of the form does as well, so that the form has nothing to show for itself."""
+        joints = score.candidate.joints
+        if limit == "payload" and score.candidate.settings.get("link") != self.fit.reference.robot.dof:
+            return False
+        places = [(limit, ())] if CATALOGUE[limit].scope != "joint" else [(limit, (j,)) for j in joints]
+        simpler = [best[place] for place in places if place in best and _plausible(best[place])]
+        margin = max(NEAR_FLOOR * self.rows, 0.5 * NEAR * score.gain)
+        if score.candidate.effect.name == "asymmetric_friction" and limit in self.allowed:
+            return False  # compared as a rival: an offset and a Coulomb asymmetry have equally many parameters
+        return any(score.gain - other.gain < margin for other in simpler)
+
+    def size(self, fit: Fit, score: Score) -> float:
+        """Root mean square torque of an effect over nominal, on the joint and log where it is largest."""
+        largest = 0.0
+        for joint, block in score.candidate.blocks.items():
+            torque = block @ score.values * fit.background[joint] / fit.reference.scale[joint]
+            largest = max(largest, float(np.sqrt(np.mean(torque**2))))
+            if score.candidate.effect.once:
+                inside = np.abs(torque) > 0
+                largest = max(largest, float(np.sqrt(np.mean(torque[inside] ** 2))) if inside.any() else 0.0)
+        return largest
+
+    def _starts(self, step: Step) -> list[Candidate]:
+        """The simplest of the best, then the runners-up."""
+        if not step.eligible:
+            return []
+        leader = self._simplest(step)
+        rest = [s for s in step.eligible if s is not leader and s.gain > 0.1 * step.eligible[0].gain]
+        return [leader.candidate, *(s.candidate for s in rest[: _FIRSTS - 1])]
+
+    def _near(self, step: Step) -> list[Score]:
+        best = step.eligible[0].gain
+        margin = max(NEAR_FLOOR * self.rows, NEAR * best)
+        return [s for s in step.eligible if best - s.gain <= margin]
+
+    def _simplest(self, step: Step) -> Score:
+        return min(self._near(step), key=lambda s: (_complexity(s.candidate), -s.gain))
+
+    def _forward(self, chosen: tuple[Candidate, ...], steps: list[Step]) -> tuple[tuple[Candidate, ...], Step]:
+        """Add effects while they explain a good part of what is left."""
+        while True:
+            fit = self.fit.with_chosen(chosen)
+            step = self.scan(fit)
+            steps.append(step)
+            if len(chosen) == MOST or not step.eligible:
+                return chosen, step
+            left = self._excess(fit)
+            worth = [s for s in step.eligible if s.gain > max(2 * LEAST_GAIN * self.rows, LEAST_SHARE * left)]
+            if not worth:
+                return chosen, step
+            step = Step(step.chosen, step.error, step.scores, tuple(worth))
+            chosen = (*chosen, self._simplest(step).candidate)
+
+    def _excess(self, fit: Fit) -> float:
+        """Energy over the background that is left, joint by joint."""
+        return float(np.sum(np.maximum(self.joint_energy(fit) - 1, 0)) * self.rows / len(fit.rows))
+
+    def _total(self, fit: Fit) -> float:
+        single = any(c.effect.once for c in fit.chosen)
+        return fit.error(single) + self.fit.error() - self.fit.error(single)
+
+    def _pruned(self, chosen: tuple[Candidate, ...]) -> tuple[Candidate, ...]:
+        """Without what the others explain as well."""
+        for candidate in chosen:
+            others = tuple(c for c in chosen if c is not candidate)
+            if others and self._total(self.fit.with_chosen(others)) - self._total(self.fit.with_chosen(chosen)) < max(
+                LEAST_GAIN * self.rows, 0.002 * self.fit.error()
+            ):
+                return self._pruned(others)
+        return chosen
+
+    def _worst(self, energy: np.ndarray) -> tuple[int, ...]:
+        return (int(np.argmax(energy)),)
+
+    def _verdict(self, fit: Fit, closed: float, noisy: tuple[int, ...], steps: list[Step]) -> Finding:
+        """Order causes by what is lost without each, and look for places that would do as well."""
+        total = self._total(fit)
+        ranked = []
+        for candidate in fit.chosen:
+            others = tuple(c for c in fit.chosen if c is not candidate)
+            without = self.fit.with_chosen(others)
+            step = self.scan(without)
+            lost = self._total(without) - total
+            margin = max(NEAR_FLOOR * self.rows, NEAR * lost)
+            rivals, behind = [], np.inf
+            for score in step.eligible:
+                if score.candidate.place == candidate.place:
+                    continue
+                short = lost - score.gain
+                equal = _complexity(score.candidate) <= _complexity(candidate) + 1
+                if short <= margin and equal:
+                    rivals.append(score.candidate.place)
+                elif short > margin:
+                    behind = min(behind, short / margin)
+            ranked.append((lost, candidate, tuple(rivals[:2]), behind))
+        ranked.sort(key=lambda entry: -entry[0])
+        causes = tuple(entry[1] for entry in ranked)
+        rivals = tuple(entry[2] for entry in ranked)
+        probability = tuple(_probability(behind, closed) for *_, behind in ranked)
+        verdict = "ambiguous" if rivals[0] else "explained"
+        return Finding(verdict, self.fit.with_chosen(causes), causes, rivals, probability, closed, noisy, tuple(steps))
+
+
+_RESIDUAL_DRIVEN = ("torque_ripple", "contact", "payload", "time_delay")
+
+
+def _plausible(score: Score) -> bool:
+    candidate = score.candidate
+    return candidate.effect.plausible(candidate.settings, dict(zip(candidate.names, score.values, strict=True)))
+
+
+def _best_by_place(scores: Sequence[Score]) -> dict:
+    best: dict = {}
+    for score in scores:
+        place = score.candidate.place
+        rank = (_plausible(score), score.gain)
+        if place not in best or rank > (_plausible(best[place]), best[place].gain):
+            best[place] = score
+    return best
+
+
+def _complexity(candidate: Candidate) -> int:
+    effect: Effect = candidate.effect
+    return effect.freedom(candidate.settings) + _PLAIN_FIRST.get(effect.name, 0)
+
+
+def _probability(behind: float, closed: float) -> float:
+    """Of the class: rises with the lead over the next other form, counted in margins, and with what is closed."""
+    lead = 1 - 0.5 * float(np.exp(-min(behind, 50.0) / 2))
+    return float(np.clip(lead * (0.5 + 0.49 * np.clip((closed - 0.5) / 0.4, 0, 1)), 0.01, 0.99))

@@ -1,0 +1,242 @@
+"""The result of a diagnosis, by the definitions of CONTRACTS.md, 6."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from agent.diagnosis.dataset import Dataset
+from agent.diagnosis.effects import CATALOGUE
+from agent.diagnosis.motion_gap import MotionGap
+from agent.diagnosis.procedure import LEAST_GAIN, Finding, Search
+from agent.diagnosis.regimes import regimes
+
+SCHEMA = "diagnosis/1"
+_NO_CLOSURE = 1.1
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """Everything a report shows: the result as plain data, the finding, the data, and what to warn about."""
+
+    result: dict[str, Any]
+    finding: Finding
+    dataset: Dataset
+    motion: MotionGap | None
+    warnings: tuple[str, ...]
+    before: np.ndarray
+    after: np.ndarray
+
+
+def build(
+    dataset: Dataset, finding: Finding, search: Search, motion: MotionGap | None, warnings: Sequence[str]
+) -> Diagnosis:
+    """Figures held out, shares, regimes and what is not testable."""
+    robot, fit = dataset.robot, finding.fit
+    names = robot.joint_names
+    unit = np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 1.0)
+    single = any(c.effect.once for c in fit.chosen)
+    seen = ~np.isnan(fit.out_of_fold(single)[:, 0])
+    raw = dataset.residual if dataset.given else dataset.fit.out_of_fold()
+    raw = np.where(seen[:, None], raw, np.nan)
+    left = fit.out_of_fold(single)
+    before, after = _rms(raw) / unit, _rms(left) / unit
+    floor = _floor(dataset, left, unit)
+    closure = _closure(before, after, floor)
+    causes = []
+    for number, (candidate, values, rivals, probability) in enumerate(
+        zip(finding.causes, fit.values, finding.rivals, finding.probability, strict=True)
+    ):
+        without = _rms(fit.out_of_fold(single, number)) / unit
+        causes.append(
+            {
+                "effect": candidate.effect.name,
+                "joints": [names[j] for j in candidate.joints],
+                "closure": _own_closure(before, without, after, floor),
+                "probability": probability,
+                "parameters": {
+                    **{name: float(value) for name, value in candidate.settings.items()},
+                    **{name: float(value) for name, value in zip(candidate.names, values, strict=True)},
+                },
+                "equivalent_to": [{"effect": name, "joints": [names[j] for j in joints]} for name, joints in rivals],
+            }
+        )
+    verdict = finding.verdict
+    if motion is not None and motion.notable and "interpolator_mismatch" in search.allowed:
+        causes.append(
+            {
+                "effect": "interpolator_mismatch",
+                "joints": [],
+                "closure": motion.closure,
+                "probability": 0.97,
+                "parameters": {"rate": motion.rate, "shift": motion.shift, "blend": motion.blend},
+                "equivalent_to": [],
+            }
+        )
+        verdict = "explained" if verdict == "no_gap" else verdict
+        if finding.verdict == "unknown":
+            causes = []
+    elif motion is not None and motion.notable and verdict == "no_gap":
+        verdict = "unknown"
+    result = {
+        "schema": SCHEMA,
+        "verdict": verdict,
+        "gap": {"joints": list(names), "before": _plain(before), "after": _plain(after), "floor": _plain(floor)},
+        "motion_gap": _motion_part(motion, robot.dof),
+        "closure": closure,
+        "where": _where(dataset, raw, before, floor),
+        "causes": causes,
+        "not_testable": not_testable(dataset, search),
+        "next_experiment": next_experiment(causes, verdict),
+        "folds": _fold_names(dataset),
+        "warnings": list(warnings),
+    }
+    return Diagnosis(result, finding, dataset, motion, tuple(warnings), raw, left)
+
+
+def _rms(rows: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.nanmean(rows**2, axis=0))
+
+
+def _plain(values: np.ndarray | None) -> list[float] | None:
+    return None if values is None else [float(value) for value in values]
+
+
+def _closure(before: np.ndarray, after: np.ndarray, floor: np.ndarray | None) -> float | None:
+    b, a = np.mean(before**2), np.mean(after**2)
+    f = 0.0 if floor is None else float(np.mean(floor**2))
+    return None if b < _NO_CLOSURE**2 * f or b <= 0 else float((b - a) / (b - f))
+
+
+def _own_closure(before, without, after, floor) -> float | None:
+    b = np.mean(before**2)
+    f = 0.0 if floor is None else float(np.mean(floor**2))
+    if b < _NO_CLOSURE**2 * f or b <= 0:
+        return None
+    return float((np.mean(without**2) - np.mean(after**2)) / (b - f))
+
+
+def _floor(dataset: Dataset, left: np.ndarray, unit: np.ndarray) -> np.ndarray | None:
+    """√(½ mean (e_{c+1} − e_c)²) over adjacent cycles of the final residual, at equal times since the cycle's start."""
+    parts = []
+    for number, log in enumerate(dataset.logs):
+        starts = np.asarray(log.cycle_starts, dtype=float)
+        if len(starts) < 2:
+            continue
+        here = dataset.log == number
+        time, rows = dataset.time[here], left[here]
+        good = ~np.isnan(rows[:, 0])
+        time, rows = time[good], rows[good]
+        if len(time) < 10:
+            continue
+        for a, b in zip(starts[:-1], starts[1:], strict=True):
+            at = np.arange(max(time[0], a), min(b, time[-1] - (b - a)), 1 / dataset.rate)
+            if len(at) < 10:
+                continue
+            first = np.stack([np.interp(at, time, column) for column in rows.T], axis=1)
+            second = np.stack([np.interp(at + b - a, time, column) for column in rows.T], axis=1)
+            parts.append(second - first)
+    return np.sqrt(0.5 * np.mean(np.concatenate(parts) ** 2, axis=0)) / unit if parts else None
+
+
+def _where(dataset: Dataset, raw: np.ndarray, before: np.ndarray, floor: np.ndarray | None) -> list[dict[str, Any]]:
+    excess = np.maximum(before**2 - (0.0 if floor is None else floor**2), 0)
+    if excess.sum() <= 0:
+        excess = before**2 + 1e-300
+    share = excess / excess.sum()
+    return [
+        {
+            "joint": dataset.robot.joint_names[joint],
+            "share": float(share[joint]),
+            "regimes": regimes(dataset, raw[:, joint], joint),
+        }
+        for joint in np.argsort(-share, kind="stable")
+    ]
+
+
+def _motion_part(motion: MotionGap | None, n: int) -> dict[str, Any]:
+    if motion is None:
+        return {"before": None, "after": None, "floor": None}
+    return {"before": _plain(motion.before), "after": _plain(motion.after), "floor": _plain(motion.floor)}
+
+
+def not_testable(dataset: Dataset, search: Search) -> list[dict[str, Any]]:
+    """Effects whose practical size would not be found on these motions, and why."""
+    fit, robot = dataset.fit, dataset.robot
+    names = robot.joint_names
+    tried: dict = {}
+    for candidate in search.tried:
+        tried.setdefault(candidate.place, []).append(candidate)
+    result = []
+    for name in sorted(search.allowed - {"interpolator_mismatch"}, key=list(CATALOGUE).index):
+        effect = CATALOGUE[name]
+        for joints in effect.places(robot):
+            candidates = tried.get((name, joints), [])
+            where = ", ".join(names[j] for j in joints) or None
+            if not candidates:
+                still = [names[j] for j in joints if not search.moves[j]]
+                why = f"{', '.join(still)} never moves in these logs" if still else _why_absent(name)
+                if why:
+                    result.append({"effect": name, "joint": where, "why": why})
+                continue
+            gain = max(fit.practical_gain(candidates, fit.reference.scale))
+            if gain < LEAST_GAIN * search.rows:
+                size = effect.practical * np.sqrt(LEAST_GAIN * search.rows / max(gain, 1e-12))
+                if dataset.given and size > 5:
+                    why = "it leaves no torque on these motions that the model could not explain"
+                elif dataset.given:
+                    why = f"the smallest size found here is {100 * size:.1f} % of nominal torque"
+                else:
+                    why = "no model was given: the fit to these logs absorbs it"
+                result.append({"effect": name, "joint": where, "why": why})
+    if all(log.planned_position is None or log.reference_position is None for log in dataset.logs):
+        result.append(
+            {"effect": "interpolator_mismatch", "joint": None, "why": "the logs lack planned or executed set-points"}
+        )
+    return result
+
+
+def _why_absent(name: str) -> str:
+    return {
+        "backlash": "no torque reversal in these logs",
+        "gravity_spring": "a prismatic joint",
+        "base_tilt": "no gravity in the robot description",
+        "torque_ripple": "the joint turns too little to see a period",
+    }.get(name, "")
+
+
+def next_experiment(causes: Sequence[dict[str, Any]], verdict: str) -> dict[str, Any] | None:
+    """A motion that would tell the first cause from what equals it; None where nothing is open."""
+    if verdict == "unknown":
+        return {
+            "separates": [],
+            "motion": "slow single-joint ramps both ways on the joints named, then the same at full speed, each twice",
+        }
+    if verdict != "ambiguous" or not causes or not causes[0]["equivalent_to"]:
+        return None
+    pair = [causes[0]["effect"], causes[0]["equivalent_to"][0]["effect"]]
+    return {"separates": pair, "motion": _motion_for(set(pair))}
+
+
+def _motion_for(pair: set[str]) -> str:
+    if pair & {"torque_offset", "asymmetric_friction"}:
+        return "single-joint ramps at several constant speeds both ways, with standstills of 2 s in between"
+    if pair & {"stribeck", "presliding", "backlash"}:
+        return "slow reversals of growing travel on this joint, then constant speeds from 1 to 20 % of the highest"
+    if pair & {"gravity_spring", "dress_pack", "encoder_offset", "base_tilt"}:
+        return "slow motion of this joint over its whole range, with the joints above it in two different postures"
+    if pair & {"thermal_friction"}:
+        return "the same cycle repeated from cold for 20 minutes"
+    if pair & {"payload", "inertial_mismatch"}:
+        return "standstills in ten postures with the wrist turned, then fast wrist motions, without and with the tool"
+    if pair & {"joint_elasticity", "time_delay"}:
+        return "short sharp reversals of this joint with the arm stretched and folded"
+    return "constant speeds both ways on this joint at three loads (arm stretched, half, folded)"
+
+
+def _fold_names(dataset: Dataset) -> list[dict[str, Any]]:
+    names = [fold.name for fold in dataset.fit.folds]
+    return [{"held_out": name, "fitted_on": [other for other in names if other != name]} for name in names]
