@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from agent.compare import Comparison
 
 
+_SHOWN = 30.0
+
+
 def comparison_section(comparison: Comparison) -> Section:
     """Table of all parameters with their change in standard deviations, and the torque that it makes."""
     moved = [change for change in comparison.changes if change.moved]
@@ -65,14 +68,18 @@ def changes_figure(comparison: Comparison) -> Figure:
     plot, axes = new_plot(height=2.6)
     place = np.arange(len(changes))
     colours = [SERIES[3] if change.moved else SERIES[0] for change in changes]
-    axes[0, 0].bar(place, np.clip(values, -1e6, 1e6), color=colours)
+    shown = np.clip(values, -_SHOWN, _SHOWN)
+    axes[0, 0].bar(place, shown, color=colours)
     axes[0, 0].axhline(BEYOND, linestyle=":", color=SERIES[3])
     axes[0, 0].axhline(-BEYOND, linestyle=":", color=SERIES[3])
-    axes[0, 0].set_yscale("symlog", linthresh=5.0)
+    top = max(5.0, float(np.abs(shown).max(initial=0.0)))
+    axes[0, 0].set_ylim(-1.1 * top, 1.1 * top)
     axes[0, 0].set_xticks(place, [change.name for change in changes], rotation=90, fontsize=6)
     axes[0, 0].set_ylabel("change [std. deviations]")
     rows = np.column_stack([[c.before for c in changes], [c.after for c in changes], values])
-    caption = "Change of each parameter in standard deviations of a change; dotted: what chance does not do."
+    caption = (
+        "Change of each parameter in standard deviations of a change, cut at 30; beyond the dots no chance."
+    )
     return to_figure("changes", caption, plot, ("before", "after", "deviations"), rows)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,7 @@ def recalibration_report(data: RecalibrationData) -> str:
     result = data.result
     accepted, diagnosis = result["accepted"], result["diagnosis"]
     word = "Accepted, and the current model now" if accepted else f"Rejected: {result['reason']}"
-    headline = f"{word}. {diagnosis['summary']}" if diagnosis else f"{word}. {_capital(result['comparison'])}."
+    headline = f"{word}. {diagnosis['summary']}" if diagnosis else f"{word}. {result['comparison']}."
     sections = (_validation(data), *data.sections, _parameters(data), _provenance(result))
     title = f"Recalibration of {result['robot']} {result['serial']}"
     return render(Page(title, headline, "good" if accepted and not diagnosis else "bad", sections))
@@ -56,7 +56,8 @@ def _validation(data: RecalibrationData) -> Section:
         "the whole motion for the one before. Moving samples, over the axis's nominal joint torque.",
     )
     header = ("axis", "new model, RMSE [N·m]", "new model [%]", "model before [%]", "")
-    parts = (Table("validation", header, rows), torque_prediction(*data.prediction, names))
+    torque = replace(torque_prediction(*data.prediction, names), caption="Torque along one cycle of the loop.")
+    parts = (Table("validation", header, rows), torque)
     return Section("Prediction", text, parts)
 
 
@@ -76,7 +77,3 @@ def _what(result: dict[str, Any]) -> str:
 
 def _percent(value: float | None) -> str:
     return "-" if value is None or not np.isfinite(value) else f"{100 * value:.3f}"
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]

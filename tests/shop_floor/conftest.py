@@ -1,0 +1,213 @@
+"""A fake controller on a real socket, one calibration against it that the tests share, and runs written by hand."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+JOINTS = [f"joint_{k + 1}" for k in range(6)]
+RECIPE = """
+robot: comau_ns16
+controller: {{driver: tcp, address: "{address}"}}
+motion:
+  speed: 1 m/s
+  via_points:
+    count: 6
+    box:
+      centre: [1.0 m, 0 m, 0.8 m]
+      size: [500 mm, 600 mm, 400 mm]
+      orientation: [0 deg, 180 deg, 0 deg]
+      cone: 30 deg
+search: {{population: 6, generations: 2, seed: 1}}
+record: {{rate: 500 Hz, cycles: 3}}
+validate: {{motions: 1, speed: 0.5 m/s, seed: 2}}
+gate: {{normalised_rmse: 3 %}}
+recalibrate: {{every: {every}, parameters: friction}}
+"""
+
+
+def agent(folder: Path, *arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run the command line off a terminal."""
+    return subprocess.run(
+        [sys.executable, "-m", "agent", *map(str, arguments)],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+class FakeController:
+    """The emulator as a process."""
+
+    def __init__(self, *options: str, port: int = 0):
+        command = [sys.executable, "-m", "fake_controller", "--robot", "comau_ns16", "--port", str(port)]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        self.process = subprocess.Popen(
+            [*command, "--clock", "fast", *options], stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment
+        )
+        assert self.process.stdout is not None
+        self.address = self.process.stdout.readline().split(" at ")[1].split(",")[0]
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+
+@pytest.fixture(scope="session")
+def controller() -> Iterator[FakeController]:
+    """One machine for the whole session, serial FAKE-0007."""
+    running = FakeController("--seed", "7")
+    yield running
+    running.end()
+
+
+@pytest.fixture
+def start_controller() -> Iterator[Callable[..., FakeController]]:
+    """Starts fake controllers with more options; all end with the test."""
+    running: list[FakeController] = []
+
+    def start(*options: str) -> FakeController:
+        running.append(FakeController(*options))
+        return running[-1]
+
+    yield start
+    for one in running:
+        one.end()
+
+
+@pytest.fixture(scope="session")
+def calibrated(controller: FakeController, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a recipe, its stored loop, and one accepted calibration in `logs`. Not to be changed."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    (folder / "recipe.yaml").write_text(RECIPE.format(address=controller.address, every="1 s"), encoding="utf-8")
+    run = agent(folder, "calibrate", "recipe.yaml")
+    assert run.returncode == 0, run.stderr
+    return folder
+
+
+@pytest.fixture
+def shop(calibrated: Path, tmp_path: Path) -> Path:
+    """A copy of that folder for one test."""
+    folder = tmp_path / "shop"
+    shutil.copytree(calibrated, folder, symlinks=True)
+    return folder
+
+
+@pytest.fixture
+def run_agent(shop: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Runs the command line in that copy."""
+    return lambda *arguments, **environment: agent(shop, *arguments, **environment)
+
+
+@pytest.fixture
+def write_runs(tmp_path: Path) -> Callable[..., Path]:
+    """Writes run folders with the scatter of real ones into a folder of runs; returns it.
+
+    `write(count, seed, change, **planted)`: `change(number, result)` may alter a result before it is written.
+    """
+
+    def write(
+        count: int, seed: int = 0, change: Callable[[int, dict[str, Any]], None] | None = None, **planted: Any
+    ) -> Path:
+        logs = tmp_path / f"logs_{seed}"
+        for number, (result, parameters) in enumerate(friction_runs(count, seed, **planted)):
+            if change is not None:
+                change(number, result)
+            write_run(logs, number, result, parameters)
+        return logs
+
+    return write
+
+
+def friction_runs(
+    count: int,
+    seed: int,
+    wear: int | None = None,
+    wear_by: float = 0.10,
+    warm_up: float = 0.05,
+    cooling: bool = False,
+    scatter: float = 0.003,
+) -> Iterator[tuple[dict[str, Any], list[dict[str, Any]]]]:
+    """Results of `count` recalibrations of six axles.
+
+    Each run starts somewhere in a warm-up that raises friction by up to `warm_up` and decays within 600 s; axles answer
+    to it differently. `cooling`: later runs start warmer, so that warm-up goes along with time. Axle `wear` gains
+    `wear_by` over all runs.
+    """
+    rng = np.random.default_rng(seed)
+    base, answer = rng.uniform(5.0, 100.0, 6), rng.uniform(0.5, 1.5, 6)
+    for number in range(count):
+        part = number / max(1, count - 1)
+        cold = warm_up * ((1.0 - part) if cooling else rng.uniform())
+        worn = 1.0 + wear_by * part * (np.arange(6) == (-1 if wear is None else wear))
+        friction = base * (1.0 + answer * cold) * worn * (1.0 + scatter * rng.normal(size=6))
+        levels = [
+            {
+                "joint": joint,
+                "speed": speed,
+                "value": friction[k] * speed**0.1 * (1.0 + scatter * rng.normal()),
+                "standard_deviation": 0.01 * friction[k],
+                "from_run_to_run": scatter * friction[k],
+            }
+            for k, joint in enumerate(JOINTS)
+            for speed in (0.2, 0.8)
+        ]
+        doubt = 3e-5
+        rate = -answer * cold / 600.0 + doubt * rng.normal(size=6)
+        conditions = {
+            "cycles": 4,
+            "motion_s": 30.0,
+            "nominal_torque": [500.0] * 6,
+            "warm_up": {"rate_per_s": rate.tolist(), "standard_deviation": [doubt] * 6},
+            "friction": levels,
+        }
+        error = (0.003 + 2e-4 * rng.normal(size=6)).tolist()
+        result = {
+            "gate": {"normalised_rmse": 0.03},
+            "validation": {"joints": JOINTS, "normalised_rmse": error},
+            "conditions": conditions,
+        }
+        names = [(f"f0_{k + 1}", "N·m", friction[k]) for k in range(6)]
+        names += [(f"p{k}", "kg·m²", 1.0 + k) for k in range(60)]
+        parameters = [
+            {"name": name, "unit": unit, "value": float(value), "standard_deviation": 0.01 * abs(float(value))}
+            for name, unit, value in names
+        ]
+        yield result, parameters
+
+
+def write_run(logs: Path, number: int, result: dict[str, Any], parameters: list[dict[str, Any]]) -> Path:
+    """One accepted run, as `agent recalibrate` leaves it; a day after the other."""
+    day = np.datetime64("2026-01-01T02:00:00") + np.timedelta64(number, "D")
+    run = logs / f"{str(day).replace('-', '').replace(':', '')}Z_comau_ns16"
+    run.mkdir(parents=True)
+    state = {
+        "schema": "run/1",
+        "robot": "comau_ns16",
+        "serial": "NS16-1",
+        "kind": "recalibrate",
+        "started": f"{day}+00:00",
+        "status": "finished",
+        "loop": "l",
+        "program": "p",
+        "controller": "tcp x",
+        "steps": {},
+    }
+    (run / "state.json").write_text(json.dumps(state), encoding="utf-8")
+    (run / "result.json").write_text(json.dumps(result), encoding="utf-8")
+    model = {"base_parameters": parameters[6:], "friction": parameters[:6]}
+    (run / "model.json").write_text(json.dumps(model), encoding="utf-8")
+    return run

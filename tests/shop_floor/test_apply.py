@@ -1,0 +1,96 @@
+"""The current model: one step, with a backup, never half of one."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from agent.apply import apply_previous, apply_run, current_model
+from agent.errors import InputError
+
+
+def _three(write_runs) -> tuple[Path, list[Path]]:
+    logs = write_runs(3)
+    runs = sorted(path for path in logs.iterdir() if path.is_dir())
+    for number, run in enumerate(runs):  # models that differ
+        model = json.loads((run / "model.json").read_text(encoding="utf-8"))
+        (run / "model.json").write_text(json.dumps(model | {"number": number}), encoding="utf-8")
+    return logs, runs
+
+
+def test_apply_and_back_and_further_back(write_runs):
+    logs, runs = _three(write_runs)
+    assert current_model(logs, "comau_ns16", "NS16-1") is None
+    for run in runs:
+        applied = apply_run(logs, run)
+        assert applied.model.read_bytes() == (run / "model.json").read_bytes()
+    assert apply_run(logs, runs[2]).previous == current_model(logs, "comau_ns16", "NS16-1").previous, "no new version"
+    assert apply_previous(logs).run == runs[1].name
+    assert apply_previous(logs).run == runs[0].name
+    with pytest.raises(InputError, match="there is none before it"):
+        apply_previous(logs)
+    assert current_model(logs, "comau_ns16", "NS16-1").run == runs[0].name
+    again = apply_run(logs, runs[1])
+    assert apply_previous(logs).run == runs[0].name
+    assert again.model.read_bytes() == (runs[0] / "model.json").read_bytes(), "the path of the current model is fixed"
+
+
+def test_the_model_stays_when_its_run_is_deleted(write_runs):
+    logs, runs = _three(write_runs)
+    applied = apply_run(logs, runs[0])
+    content = (runs[0] / "model.json").read_bytes()
+    for file in runs[0].iterdir():
+        file.unlink()
+    assert applied.model.read_bytes() == content
+
+
+def test_a_disk_that_fills_up_leaves_the_current_model(write_runs, monkeypatch: pytest.MonkeyPatch):
+    logs, runs = _three(write_runs)
+    apply_run(logs, runs[0])
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(Exception, match="No space left"):
+        apply_run(logs, runs[1])
+    monkeypatch.undo()
+    assert current_model(logs, "comau_ns16", "NS16-1").run == runs[0].name
+    assert apply_run(logs, runs[1]).run == runs[1].name
+
+
+@pytest.mark.parametrize("status", ["rejected", "stopped", "running"])
+def test_only_an_accepted_run_is_applied(write_runs, status: str):
+    logs, runs = _three(write_runs)
+    state = json.loads((runs[0] / "state.json").read_text(encoding="utf-8"))
+    (runs[0] / "state.json").write_text(json.dumps(state | {"status": status}), encoding="utf-8")
+    with pytest.raises(InputError, match=f"this run is {status}"):
+        apply_run(logs, runs[0])
+
+
+def test_a_model_that_was_changed_since_is_refused(write_runs):
+    logs, runs = _three(write_runs)
+    state = json.loads((runs[0] / "state.json").read_text(encoding="utf-8"))
+    (runs[0] / "state.json").write_text(json.dumps(state | {"model_sha256": "0" * 64}), encoding="utf-8")
+    with pytest.raises(InputError, match="SHA-256 differs"):
+        apply_run(logs, runs[0])
+
+
+def test_two_robots_have_to_be_told_apart(write_runs):
+    logs, runs = _three(write_runs)
+    apply_run(logs, runs[0])
+    state = json.loads((runs[1] / "state.json").read_text(encoding="utf-8"))
+    (runs[1] / "state.json").write_text(json.dumps(state | {"serial": "NS16-2"}), encoding="utf-8")
+    apply_run(logs, runs[1])
+    with pytest.raises(InputError, match="--serial"):
+        apply_previous(logs)
+    with pytest.raises(InputError, match="first model applied"):
+        apply_previous(logs, serial="NS16-2")
+
+
+def test_nothing_applied_yet(tmp_path: Path):
+    with pytest.raises(InputError, match="no model was applied yet"):
+        apply_previous(tmp_path)

@@ -1,0 +1,75 @@
+"""A person's word: what it must say, who may have written it, and what it covers."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, date, datetime
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.errors import InputError
+from agent.safety.authorisation import Authorisation, load_authorisation
+
+NOW = datetime(2026, 6, 1, 12, tzinfo=UTC)
+PROGRAM = "ab" * 32
+SAID = {
+    "robot": "comau_ns16",
+    "serial": "NS16-42",
+    "program": PROGRAM,
+    "limits": {"speed": "1 m/s", "duration": "20 min"},
+    "expires": "2026-12-31",
+    "written_by": "M. Rossi",
+}
+
+
+def _write(folder: Path, mode: int = 0o644, **changes: object) -> Path:
+    path = folder / "authorisation.yaml"
+    path.write_text(json.dumps({k: v for k, v in {**SAID, **changes}.items() if v is not None}), encoding="utf-8")
+    path.chmod(mode)
+    return path
+
+
+def test_a_file_is_read_in_si(tmp_path: Path):
+    allowed = load_authorisation(_write(tmp_path), NOW)
+    assert (allowed.speed, allowed.duration, allowed.expires) == (1.0, 1200.0, date(2026, 12, 31))
+    allowed.check("comau_ns16", "NS16-42", PROGRAM, 1.0, 1200.0, NOW)
+
+
+@pytest.mark.parametrize("key", list(SAID))
+def test_nothing_may_be_left_out(tmp_path: Path, key: str):
+    with pytest.raises(InputError, match=f"{key}: this key is required"):
+        load_authorisation(_write(tmp_path, **{key: None}), NOW)
+
+
+def test_a_file_that_anybody_can_write_is_nobodys_word(tmp_path: Path):
+    for mode in (0o664, 0o646):
+        with pytest.raises(InputError, match="chmod go-w"):
+            load_authorisation(_write(tmp_path, mode), NOW)
+
+
+def test_more_than_a_year_is_refused(tmp_path: Path):
+    with pytest.raises(InputError, match="more than a year"):
+        load_authorisation(_write(tmp_path, expires="2027-06-15"), NOW)
+
+
+def test_the_last_day_counts_and_the_next_does_not(tmp_path: Path):
+    allowed = load_authorisation(_write(tmp_path), NOW)
+    motion = ("comau_ns16", "NS16-42", PROGRAM, 0.5, 10.0)
+    allowed.check(*motion, datetime(2026, 12, 31, 23, 59, tzinfo=UTC))
+    with pytest.raises(InputError, match="it ended on 2026-12-31"):
+        allowed.check(*motion, datetime(2027, 1, 1, 0, 1, tzinfo=UTC))
+    assert allowed.ends_soon(datetime(2026, 12, 20, tzinfo=UTC))
+    assert allowed.ends_soon(NOW) is None
+
+
+@given(speed=st.floats(0.01, 2.0), duration=st.floats(1.0, 4000.0))
+def test_it_covers_exactly_what_is_within_its_limits(speed: float, duration: float):
+    allowed = Authorisation(Path("a"), "r", "s", PROGRAM, 1.0, 1200.0, date(2026, 12, 31), "me")
+    if speed <= 1.0 and duration <= 1200.0:
+        allowed.check("r", "s", PROGRAM, speed, duration, NOW)
+    else:
+        with pytest.raises(InputError, match="are allowed"):
+            allowed.check("r", "s", PROGRAM, speed, duration, NOW)

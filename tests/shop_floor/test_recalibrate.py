@@ -1,0 +1,191 @@
+"""Calibrating again by the clock, over a real socket, with everything that can be in the way."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.estimation import IdentifiedModel
+from agent.excitation.store import stored_loops
+
+
+def _runs(shop: Path) -> list[Path]:
+    return sorted(path for path in (shop / "logs").iterdir() if (path / "state.json").exists())
+
+
+def _current(shop: Path) -> Path:
+    return shop / "logs" / "models" / "comau_ns16_FAKE-0007" / "current" / "model.json"
+
+
+def test_the_stored_loop_is_run_again_judged_recorded_and_made_current(shop, run_agent):
+    (first,) = _runs(shop)
+    assert _current(shop).read_bytes() == (first / "model.json").read_bytes(), "the first accepted one is current"
+    run = run_agent("recalibrate", "recipe.yaml")
+    assert run.returncode == 0, run.stderr
+    assert "search" not in run.stderr
+    folder = shop / run.stdout.strip()
+    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    assert result["accepted"]
+    assert result["reference"] == first.name
+    assert result["diagnosis"] is None
+    assert max(result["validation"]["normalised_rmse"]) < 0.01
+    assert (folder / "program.pdl").read_bytes() == (first / "program.pdl").read_bytes()
+    assert "<html" in (folder / "report.html").read_text(encoding="utf-8")
+
+    before, after = (IdentifiedModel.load(path / "model.json") for path in (first, folder))
+    assert np.array_equal(before.base_values, after.base_values), "friction alone was estimated"
+    assert not np.array_equal(before.values, after.values)
+    assert before.names == after.names
+    assert (
+        np.linalg.eigvalsh(after.covariance / np.outer(after.standard_deviations, after.standard_deviations))[0] > -1e-9
+    )
+    assert _current(shop).read_bytes() == (folder / "model.json").read_bytes()
+
+    listed = json.loads(run_agent("history", "--json").stdout)["runs"]
+    assert [(entry["run"], entry["kind"]) for entry in listed] == [
+        (first.name, "calibrate"),
+        (folder.name, "recalibrate"),
+    ]
+    compared = json.loads(run_agent("compare", first.name, folder.name, "--json").stdout)
+    assert not any(entry["moved"] for entry in compared["parameters"]), "nothing was done to the machine"
+    assert max(compared["torque"]["normalised_rmse"]) < 0.005
+
+
+def test_a_recent_one_is_skipped_with_a_reason_and_opens_no_port(shop, run_agent):
+    recipe = shop / "recipe.yaml"
+    text = re.sub(r'address: "[^"]*"', 'address: "127.0.0.1:1"', recipe.read_text(encoding="utf-8"))
+    recipe.write_text(text.replace("every: 1 s", "every: 7 d"), encoding="utf-8")
+    run = run_agent("recalibrate", "recipe.yaml")
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.startswith("skipped: the last accepted run")
+    assert "due in 7.0 d" in run.stdout
+    assert len(_runs(shop)) == 1, "a skipped one leaves no folder"
+
+
+def test_without_a_calibration_it_says_what_to_do(tmp_path, shop, run_agent):
+    run = run_agent("recalibrate", "recipe.yaml", "--logs", tmp_path / "other")
+    assert run.returncode == 2
+    assert "agent calibrate" in run.stderr
+
+
+def test_another_sub_region_is_another_calibration(shop, run_agent):
+    recipe = shop / "recipe.yaml"
+    recipe.write_text(recipe.read_text(encoding="utf-8").replace("500 mm, 600 mm", "450 mm, 600 mm"), encoding="utf-8")
+    run = run_agent("recalibrate", "recipe.yaml")
+    assert run.returncode == 2
+    assert "no accepted calibration" in run.stderr
+
+
+def test_a_gate_that_is_missed_leaves_the_current_model(shop, run_agent):
+    recipe = shop / "recipe.yaml"
+    recipe.write_text(recipe.read_text(encoding="utf-8").replace("3 %", "0.01 %"), encoding="utf-8")
+    before = _current(shop).read_bytes()
+    run = run_agent("recalibrate", "recipe.yaml", "--json")
+    assert run.returncode == 3
+    result = json.loads(run.stdout)
+    assert not result["accepted"]
+    assert "the gate is 0.01 %" in result["reason"]
+    assert _current(shop).read_bytes() == before
+    assert run_agent("apply", _runs(shop)[-1].name).returncode == 2, "a rejected model is not applied by hand either"
+
+
+def test_another_machine_of_the_type_is_refused(shop, run_agent, start_controller):
+    other = start_controller("--seed", "8")
+    recipe = shop / "recipe.yaml"
+    text = re.sub(r'address: "[^"]*"', f'address: "{other.address}"', recipe.read_text(encoding="utf-8"))
+    recipe.write_text(text, encoding="utf-8")
+    run = run_agent("recalibrate", "recipe.yaml")
+    assert run.returncode == 4
+    assert "FAKE-0008" in run.stderr
+    assert "FAKE-0007" in run.stderr
+
+
+def test_nobody_there_is_exit_4_and_stands_in_the_history(shop, run_agent):
+    recipe = shop / "recipe.yaml"
+    text = re.sub(r'address: "[^"]*"', 'address: "127.0.0.1:1"', recipe.read_text(encoding="utf-8"))
+    recipe.write_text(text, encoding="utf-8")
+    run = run_agent("recalibrate", "recipe.yaml")
+    assert run.returncode == 4
+    assert "Traceback" not in run.stderr
+    listed = json.loads(run_agent("history", "--json").stdout)["runs"]
+    assert listed[-1]["status"] == "stopped"
+    assert "no controller answers" in listed[-1]["reason"]
+
+
+def test_a_busy_robot_is_exit_75(shop, run_agent, controller):
+    hold = (
+        "import sys\nfrom agent.run import robot_lock\n"
+        f"with robot_lock('tcp', '{controller.address}'):\n    print('held', flush=True)\n    sys.stdin.read()\n"
+    )
+    root = Path(__file__).resolve().parents[2]
+    holder = subprocess.Popen(
+        [sys.executable, "-c", hold],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(root)},
+    )
+    assert holder.stdout.readline() == "held\n"
+    run = run_agent("recalibrate", "recipe.yaml")
+    holder.communicate("")
+    assert run.returncode == 75
+    assert len(_runs(shop)) == 1
+
+
+def test_all_parameters_again(shop, run_agent):
+    recipe = shop / "recipe.yaml"
+    text = recipe.read_text(encoding="utf-8").replace("parameters: friction", "parameters: all")
+    recipe.write_text(text, encoding="utf-8")
+    run = run_agent("recalibrate", "recipe.yaml", "-q")
+    assert run.returncode == 0, run.stderr
+    before, after = (IdentifiedModel.load(path / "model.json") for path in _runs(shop))
+    assert before.names == after.names, "the structure is kept, so that runs can be compared"
+    assert not np.array_equal(before.base_values, after.base_values)
+
+
+def _authorisation(shop: Path, **changes: object) -> Path:
+    (loop,) = stored_loops(shop / "trajectories")
+    said = {
+        "robot": "comau_ns16",
+        "serial": "FAKE-0007",
+        "program": loop.checksum,
+        "limits": {"speed": "1.1 m/s", "duration": "5 min"},
+        "expires": (datetime.now(UTC) + timedelta(days=30)).date().isoformat(),
+        "written_by": "M. Rossi",
+        **changes,
+    }
+    path = shop / "authorisation.yaml"
+    path.write_text(json.dumps(said), encoding="utf-8")
+    path.chmod(0o644)
+    return path
+
+
+def test_an_authorisation_that_covers_the_motion_lets_it_run(shop, run_agent):
+    run = run_agent("recalibrate", "recipe.yaml", "--authorisation", _authorisation(shop), "-q")
+    assert run.returncode == 0, run.stderr
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"serial": "FAKE-0008"}, "it is for serial FAKE-0008"),
+        ({"program": "0" * 64}, "it is for program 000000000000"),
+        ({"limits": {"speed": "0.25 m/s", "duration": "5 min"}}, "0.25 m/s are allowed"),
+        ({"limits": {"speed": "1.1 m/s", "duration": "5 s"}}, "5 s are allowed"),
+        ({"expires": "2020-01-01"}, "it ended on 2020-01-01"),
+    ],
+)
+def test_an_authorisation_of_something_else_moves_nothing(shop, run_agent, changes, why: str):
+    path = _authorisation(shop, **changes)
+    run = run_agent("recalibrate", "recipe.yaml", "--authorisation", path)
+    assert run.returncode == 2
+    assert why in run.stderr
+    assert not (_runs(shop)[-1] / "excitation.mcap").exists()

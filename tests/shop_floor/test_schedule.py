@@ -1,0 +1,96 @@
+"""Units that call by the calendar alone, and never because a computer was switched on."""
+
+from __future__ import annotations
+
+import configparser
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+
+def _units(folder: Path) -> tuple[configparser.ConfigParser, configparser.ConfigParser, list[Path]]:
+    paths = sorted((folder / "systemd" / "user").iterdir())
+    parsed = []
+    for path in paths:
+        unit = configparser.ConfigParser(interpolation=None)
+        unit.optionxform = str
+        unit.read(path)
+        parsed.append(unit)
+    return parsed[0], parsed[1], paths
+
+
+def _weekly(shop: Path, every: str = "7 d") -> None:
+    recipe = shop / "recipe.yaml"
+    recipe.write_text(recipe.read_text(encoding="utf-8").replace("every: 1 s", f"every: {every}"), encoding="utf-8")
+
+
+def test_installed_units(shop, run_agent, tmp_path: Path):
+    _weekly(shop)
+    run = run_agent("schedule", "recipe.yaml", "--at", "03:30", "--install", XDG_CONFIG_HOME=str(tmp_path))
+    assert run.returncode == 0, run.stderr
+    service, timer, paths = _units(tmp_path)
+    assert run.stdout.split() == [str(path) for path in paths]
+    assert timer["Timer"]["Persistent"] == "false"
+    assert timer["Timer"]["OnCalendar"] == "*-*-* 03:30:00"
+    assert not [key for key in timer["Timer"] if key.startswith("OnBoot") or key.startswith("OnStartup")]
+    assert "Install" not in service, "the service itself is never started by a boot"
+    assert service["Service"]["Restart"] == "no"
+    assert service["Service"]["WorkingDirectory"] == str(shop)
+    assert "enable --now" in run.stderr
+    if shutil.which("systemd-analyze"):
+        verified = subprocess.run(["systemd-analyze", "verify", *paths], capture_output=True, text=True, check=False)
+        assert "Failed to parse" not in verified.stderr
+        assert "Unknown" not in verified.stderr
+
+
+def test_what_is_called_is_what_skips_or_runs(shop, run_agent):
+    _weekly(shop)
+    text = run_agent("schedule", "recipe.yaml").stdout
+    command = text.splitlines()[-1].split(" ", 5)[5]
+    run = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=False, cwd="/")
+    # the package is found from the checkout in these tests, where it is not installed
+    assert run.returncode == 0 or "No module named agent" in run.stderr
+    if run.returncode == 0:
+        assert run.stdout.startswith("skipped")
+
+
+@pytest.mark.parametrize(("every", "line"), [("6 h", "0 * * * *"), ("1 d", "0 2 * * *"), ("30 d", "0 2 * * *")])
+def test_the_clock_is_as_fine_as_the_interval_needs(shop, run_agent, every: str, line: str):
+    _weekly(shop, every)
+    assert f"\n{line} cd " in run_agent("schedule", "recipe.yaml").stdout
+
+
+def test_paths_with_blanks_and_percents(shop, run_agent, tmp_path: Path):
+    _weekly(shop)
+    odd = shop / "50 % wear"
+    odd.mkdir()
+    (shop / "recipe.yaml").rename(odd / "my recipe.yaml")
+    run = run_agent("schedule", "50 % wear/my recipe.yaml", "--install", XDG_CONFIG_HOME=str(tmp_path))
+    assert run.returncode == 0, run.stderr
+    service, _, paths = _units(tmp_path)
+    assert f'"{shop}/50 %% wear/my recipe.yaml"' in service["Service"]["ExecStart"]
+    assert paths[0].name == "calibration-agent-my-recipe.service"
+    assert r"50 \% wear" in run_agent("schedule", "50 % wear/my recipe.yaml").stdout
+
+
+@pytest.mark.parametrize(("option", "why"), [("25:00", "a time of day"), ("noon", "a time of day")])
+def test_not_a_time_of_day(shop, run_agent, option: str, why: str):
+    _weekly(shop)
+    run = run_agent("schedule", "recipe.yaml", "--at", option)
+    assert run.returncode == 2
+    assert why in run.stderr
+
+
+def test_an_interval_of_seconds_is_no_schedule(shop, run_agent):
+    run = run_agent("schedule", "recipe.yaml")
+    assert run.returncode == 2
+    assert "an hour or more" in run.stderr
+
+
+def test_an_authorisation_that_cannot_be_read_is_found_when_scheduling(shop, run_agent):
+    _weekly(shop)
+    run = run_agent("schedule", "recipe.yaml", "--authorisation", "nothing.yaml")
+    assert run.returncode == 2
+    assert "no such file" in run.stderr

@@ -1,0 +1,79 @@
+"""Wear is found on the right axle, warm-up is not mistaken for it, and nothing is found where nothing changed."""
+
+from __future__ import annotations
+
+import pytest
+
+from agent.history import open_history
+from agent.trends import FEWEST, parameter_trends, watch
+
+
+def _watch(logs):
+    with open_history(logs) as history:
+        (one,) = watch(history.runs())
+        return one, parameter_trends(history.runs(), history.parameters())
+
+
+@pytest.mark.parametrize("cooling", [False, True])
+@pytest.mark.parametrize("seed", range(6))
+def test_wear_of_one_axle_is_told_from_warm_up_of_all(write_runs, seed: int, cooling: bool):
+    one, parameters = _watch(write_runs(20, seed, wear=seed, cooling=cooling))
+    assert [trend.joint for trend in one.alarms] == [f"joint_{seed + 1}"]
+    (alarm,) = one.alarms
+    assert 0.05 < alarm.change < 0.15
+    assert f"joint_{seed + 1}" in alarm.text()
+    moving = {trend.name for trend in parameters if trend.kind != "none"}
+    assert f"f0_{seed + 1}" in moving or cooling, "a parameter alone cannot tell wear from a warm-up along with time"
+    assert not any(name.startswith("p") for name in moving), "what is kept from run to run has no course"
+
+
+@pytest.mark.parametrize("cooling", [False, True])
+def test_no_alarm_without_drift(write_runs, cooling: bool):
+    for seed in range(20):
+        one, _ = _watch(write_runs(20, seed + (100 if cooling else 0), cooling=cooling))
+        assert one.alarms == ()
+        assert one.warnings == ()
+
+
+def test_a_step_is_dated(write_runs):
+    def relubricate(number, result):
+        for level in result["conditions"]["friction"]:
+            if number >= 12 and level["joint"] == "joint_3":
+                level["value"] *= 0.9
+
+    one, _ = _watch(write_runs(20, 5, relubricate))
+    (alarm,) = one.alarms
+    assert (alarm.joint, alarm.kind) == ("joint_3", "step")
+    assert alarm.since.startswith("20260112"), "the twelfth run was the last before the step"
+    assert alarm.change == pytest.approx(-0.1, abs=0.02)
+
+
+def test_a_limit_that_comes_near_is_told_before_it_is_reached(write_runs):
+    def grow(number, result):
+        result["validation"]["normalised_rmse"][1] += 0.001 * number  # 0.3 % to 2.2 %; the gate is at 3 %
+
+    one, _ = _watch(write_runs(20, 3, grow))
+    (warning,) = one.warnings
+    assert warning.joint == "joint_2"
+    assert 4 < warning.days < 16
+    assert "3.0 %" in warning.text
+
+
+def test_few_runs_say_nothing(write_runs):
+    with open_history(write_runs(FEWEST - 1)) as history:
+        assert watch(history.runs()) == []
+
+
+def test_an_arm_of_two_axles_goes_by_the_warm_up_within_its_runs(write_runs):
+    def two_axles(_, result):
+        keep = ("joint_1", "joint_2")
+        result["validation"] = {"joints": list(keep), "normalised_rmse": result["validation"]["normalised_rmse"][:2]}
+        met = result["conditions"]
+        met["friction"] = [level for level in met["friction"] if level["joint"] in keep]
+        met["warm_up"] = {key: values[:2] for key, values in met["warm_up"].items()}
+        met["nominal_torque"] = met["nominal_torque"][:2]
+
+    one, _ = _watch(write_runs(20, 8, two_axles, wear=0, wear_by=0.2, warm_up=0.02))
+    assert [trend.joint for trend in one.alarms] == ["joint_1"]
+    one, _ = _watch(write_runs(20, 9, two_axles))
+    assert one.alarms == ()
