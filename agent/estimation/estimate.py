@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from agent.errors import InputError
 from agent.estimation.blocks import Partition, partition
@@ -18,9 +16,8 @@ from agent.estimation.model import IdentifiedModel
 from agent.estimation.moments import collect
 from agent.estimation.observation import Observation, RigidBodies, observe
 from agent.estimation.prior import physical_prior
-from agent.estimation.problem import Estimate, Problem, cross_validate
+from agent.estimation.problem import Estimate, Problem
 from agent.estimation.selection import ladder, paper_terms
-from agent.estimation.solving import clear_gain, iterate_weights, solve_sum
 from agent.estimation.summary import build_model
 from agent.recording.log import Log
 from agent.robot import RobotDescription
@@ -64,7 +61,6 @@ ESTIMATORS: dict[str, Callable[[Problem], Estimate]] = {
 }
 METHODS = ("auto", *ESTIMATORS)
 _AUTO = ("weighted", "huber", "essential", "consistent")
-_TRUSTS = (1.0, 3.0, 10.0, 30.0, 100.0)
 
 
 @dataclass(frozen=True)
@@ -113,7 +109,7 @@ def estimate(
         problem = ladder(observation, cells)
     else:
         problem = pose(observation, cells, paper_terms([Reversal()] * robot.dof))
-    problem = trust_prior(problem.with_own_trust())
+    problem = problem.with_own_trust()
     if settings.method == "auto":
         method, found = choose(problem, {name: ESTIMATORS[name] for name in _AUTO})
     else:
@@ -137,18 +133,3 @@ def pose(observation: Observation, cells: Partition, terms: tuple[FrictionTerm, 
     prior = physical_prior(observation, terms)
     load = prior.mean[: observation.rigid.count]
     return Problem(observation, cells, terms, load, collect(observation, cells, terms, load), prior, 1.0)
-
-
-def trust_prior(problem: Problem) -> Problem:
-    """Trust the prior more where held-out error says so: what a model gets wrong makes its rows worth less."""
-    weights = iterate_weights(problem.moments, problem.prior, problem.trust)
-    errors = {}
-    for factor in _TRUSTS:
-
-        def solver(total: np.ndarray, trust: float = factor * problem.trust) -> np.ndarray:
-            return solve_sum(total, problem.prior, trust)
-
-        errors[factor] = np.sum(weights * cross_validate(problem, problem.moments, weights, solver), axis=(1, 2))
-    best = min(errors, key=lambda factor: errors[factor].sum())
-    gain = errors[_TRUSTS[0]] - errors[best]
-    return replace(problem, trust=problem.trust * (best if clear_gain(gain) else _TRUSTS[0]))

@@ -22,7 +22,7 @@ import numpy as np
 
 from agent.errors import InputError
 from agent.estimation.blocks import partition
-from agent.estimation.estimate import ESTIMATORS, rigid_bodies, trust_prior
+from agent.estimation.estimate import ESTIMATORS, rigid_bodies
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.model import IdentifiedModel
 from agent.estimation.moments import collect
@@ -69,7 +69,7 @@ def refit(model: IdentifiedModel, logs: Sequence[Log], parameters: str = "fricti
     moments = collect(observation, cells, model.terms, load)
     problem = Problem(observation, cells, model.terms, load, moments, prior, 1.0)
     if parameters == "all":
-        problem = trust_prior(problem.with_own_trust())
+        problem = problem.with_own_trust()
         found = ESTIMATORS[model.method](problem)
         fresh = build_model(problem, found, model.method, names, combinations, logs)
         return _judged(problem, found, replace(fresh, effects=model.effects), model)
