@@ -68,7 +68,7 @@ def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None,
             plan = planning.plan_once(recipe, run, console)
             run.note(program=sha256_file(run.file("program.pdl")))
         with step(run, "record"):
-            recordings = _record(recipe, plan, run, console, yes)
+            recordings = _record(recipe, plan, run, console, logs, yes)
         with step(run, "estimate"):
             model = _estimate(recipe, run, console)
         with step(run, "validate"):
@@ -79,14 +79,16 @@ def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None,
         return outcome
 
 
-def _record(recipe: Recipe, plan: planning.Plan, run: RunFolder, console: Console, yes: bool) -> list[Recording]:
+def _record(
+    recipe: Recipe, plan: planning.Plan, run: RunFolder, console: Console, logs: Path, yes: bool
+) -> list[Recording]:
     """Excitation, then validation motions; a finished log is kept, one that was cut is moved aside and run again."""
     motions = {EXCITATION: plan.excitation}
     motions |= {f"validation_{k + 1:02d}.mcap": motion for k, motion in enumerate(plan.validation)}
     done = {name: found for name in motions if (found := _recorded(run, name))}
     missing = {name: motion for name, motion in motions.items() if name not in done}
     if missing:
-        with open_link(recipe, recipe.robot, console, yes) as link:
+        with open_link(recipe, console, yes, logs) as link:
             run.note(serial=link.identity.serial)
             ready = planning.programs(recipe, list(missing.values()), link.position())
             console.step(f"recording {len(missing)} motions, {sum(total for *_, total in ready):.0f} s of them")

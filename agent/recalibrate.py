@@ -13,7 +13,7 @@ from agent import planning
 from agent.apply import apply_run, current_model, origin, remember
 from agent.calibrate import EXCITATION, step
 from agent.console import Console
-from agent.errors import ControllerError, InputError
+from agent.errors import AgentError, ControllerError, InputError
 from agent.history import PastRun, open_history
 from agent.recipe import Recipe
 from agent.record import Link, Recording, open_link, report_losses
@@ -61,7 +61,7 @@ class Outcome:
                 validation["joints"], validation["normalised_rmse"], validation["normalised_rmse_before"], strict=True
             )
         )
-        lines = [f"prediction error    {axes}", f"parameters          {self.result['comparison']}"]
+        lines = [f"prediction error    {axes}", f"change              {self.result['comparison']}"]
         if self.result["diagnosis"]:
             lines.append(f"diagnosis           {self.result['diagnosis']['summary']}")
         word = "accepted; it is the current model now" if self.accepted else f"REJECTED: {self.result['reason']}"
@@ -103,12 +103,12 @@ def recalibrate(
         run.note(kind="recalibrate", **facts, **origin(recipe))
         console.say(f"run {run.path}")
         with step(run, "record"):
-            recording = _record(recipe, reference, run, console, yes, authorisation)
+            recording = _record(recipe, reference, run, console, yes, logs, authorisation)
         with step(run, "estimate"):
             log, found, comparison = _estimate(recipe, reference, run, console)
         with step(run, "validate"):
             result = _judge(recipe, reference, run, recording, log, found, comparison)
-            result["diagnosis"] = _diagnosis(recipe, reference, run, result, console)
+            result["diagnosis"] = _diagnosis(reference, run, result, log, console)
         with step(run, "report"):
             _report(run, result, found, comparison, log)
         remember(run, console)
@@ -169,21 +169,24 @@ def _loop_of(logs: Path, run: str) -> str:
 
 
 def _record(
-    recipe: Recipe, reference: Reference, run: RunFolder, console: Console, yes: bool, allowed: Authorisation | None
+    recipe: Recipe,
+    reference: Reference,
+    run: RunFolder,
+    console: Console,
+    yes: bool,
+    logs: Path,
+    allowed: Authorisation | None,
 ) -> Recording:
     loop = reference.loop
-    with open_link(recipe, recipe.robot, console, yes or allowed is not None) as link:
+    with open_link(recipe, console, yes, logs, allowed) as link:
         _check_machine(reference, link)
         run.note(serial=link.identity.serial)
         name, chains = planning.plan_statements(recipe, loop.program, f"{loop.program_name}.pdl", link.position())
         for chain in {id(chain): chain for chain in chains}.values():
             planning.check_cell(recipe, chain)
         total = float(sum(chain.duration for chain in chains))
-        if allowed is not None:
-            fastest = max(float(np.max(chain.path_speed)) for chain in chains)
-            allowed.check(recipe.robot.name, link.identity.serial, loop.checksum, fastest, total)
-            if soon := allowed.ends_soon():
-                console.warn(soon)
+        if allowed is not None and (soon := allowed.ends_soon()):
+            console.warn(soon)
         run.write_text("program.pdl", loop.program)
         console.step(f"recording the stored loop {loop.checksum[:12]}, {total:.0f} s of motion")
         recording = link.run(name, loop.program, run.file(EXCITATION), "excitation", chains, total)
@@ -248,7 +251,7 @@ def _judge(
             "worse_before": _worse(reference.model, found.before),
         },
         "comparison": (
-            f"{len(moved)} of {len(comparison.changes)} moved by more than their uncertainty"
+            f"{len(moved)} of {len(comparison.changes)} parameters moved by more than their uncertainty"
             + (f": {', '.join(change.name for change in moved)}" if moved else "")
         ),
         "conditions": met,
@@ -309,14 +312,22 @@ def _worse(last: IdentifiedModel, rmse: np.ndarray) -> list[str]:
     return [name for name, above in zip(last.robot.joint_names, rmse > limit, strict=True) if above]
 
 
-def _diagnosis(
-    recipe: Recipe, reference: Reference, run: RunFolder, result: dict[str, Any], console: Console
-) -> dict[str, Any] | None:
+def _diagnosis(reference: Reference, run: RunFolder, result: dict[str, Any], log: Log, console: Console) -> Any:
     """Where the last model predicts worse than it did: why. None where it does not."""
+    from agent.diagnosis import diagnose
+    from agent.report.gap_section import diagnosis_summary
+
     worse = result["validation"]["worse_before"]
     if not worse:
         return None
-    return {"summary": f"The last model predicts {', '.join(worse)} worse than it did."}
+    opening = f"The last model predicts {', '.join(worse)} worse than it did."
+    console.step(f"{opening} Diagnosing")
+    try:
+        found = diagnose(reference.model.robot, [log], reference.model).result
+    except AgentError as error:
+        return {"summary": f"{opening} It could not be diagnosed: {error}", "result": None}
+    run.write_json("diagnosis.json", found)
+    return {"summary": f"{opening} {diagnosis_summary(found)}", "result": found}
 
 
 def _report(run: RunFolder, result: dict[str, Any], found: Refit, comparison: Comparison, log: Log) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.console import Console
-from agent.errors import ControllerError
 from agent.recipe import Recipe
-from agent.robot import RobotDescription
-from agent.run import robot_lock, sha256_text
-from agent.safety.preconditions import check_identity, check_ready, needs_person, not_confirmed
-from drivers.errors import DriverError
-from drivers.protocol import Driver, Identity
+from agent.run import robot_lock
+from agent.safety.checked import FILE, CheckedPrograms
+from agent.safety.guard import GuardedLink
+from agent.safety.motion import PlannedProgram
+from drivers.protocol import Identity
 
 if TYPE_CHECKING:
     from agent.motion.trajectory import Trajectory
+    from agent.safety.authorisation import Authorisation
 
 
 @dataclass(frozen=True)
@@ -45,107 +45,153 @@ class Recording:
 
 
 class Link:
-    """An open controller link that has passed identification and, where one is needed, a person's word."""
+    """An open controller link behind its guard, and the logs of what runs through it."""
 
-    def __init__(self, driver: Driver, identity: Identity, robot: RobotDescription, address: str, console: Console):
-        self.driver = driver
-        self.identity = identity
-        self.robot = robot
-        self.address = address
+    def __init__(self, guard: GuardedLink, recipe: Recipe, console: Console):
+        self._guard = guard
+        self._recipe = recipe
         self._console = console
+
+    @property
+    def identity(self) -> Identity:
+        """Who is at the far end."""
+        return self._guard.identity
+
+    @property
+    def address(self) -> str:
+        """Of the controller."""
+        return self._guard.address
 
     def position(self) -> np.ndarray:
         """(n,) where the arm stands now [rad]."""
-        return np.asarray(self.driver.status().position, dtype=float)
+        return self._guard.position()
 
     def run(
         self, name: str, text: str, log: Path, motion: str, chains: Sequence[Trajectory], total: float
     ) -> Recording:
         """Upload, check, start once, and record until the program ends.
 
+        A program that is new to a machine runs slowly first, into a log of its own.
+
         Args:
             chains: what we planned from stop to stop, in order: written to the log beside the set-points.
             total: expected duration [s], for the progress line.
 
         Raises:
-            ControllerError, SafetyError: not ready to move, or stopped while moving.
+            ControllerError, SafetyError, InputError: not ready to move, not allowed, or stopped while moving.
             DriverError: the link failed; what was received is in the log.
         """
+        program = PlannedProgram(name, text, tuple(chains))
+        if self._guard.needs_slow_run(program):
+            program = self._run_slowly(program, log)
+        return self._record(program, log, motion, total)
+
+    def _run_slowly(self, program: PlannedProgram, log: Path) -> PlannedProgram:
+        """Run the slow version; returns the program planned anew, from where the arm stands now."""
+        from agent.motion import create_interpolator
+        from agent.planning import check_cell, plan_statements
+        from agent.safety.first_run import FIRST_SPEED, slow_version
+
+        recipe = self._recipe
+        interpolator = create_interpolator(
+            recipe.search.interpolator, recipe.robot, recipe.tool, period=1.0 / recipe.record.rate
+        )
+        slow = slow_version(program, recipe.robot, interpolator, self.position())
+        for chain in slow.chains:
+            check_cell(recipe, chain)
+        self._console.step(
+            f"{program.name} is new to serial {self.identity.serial}: first at no more than {FIRST_SPEED:g} m/s, "
+            f"{slow.duration:.0f} s of motion; watch it"
+        )
+        self._record(slow, _free(log.with_suffix(".first_run.mcap")), "first_run", slow.duration)
+        name, chains = plan_statements(recipe, program.text, program.name, self.position())
+        for chain in {id(chain): chain for chain in chains}.values():
+            check_cell(recipe, chain)
+        return PlannedProgram(name, program.text, tuple(chains))
+
+    def _record(self, program: PlannedProgram, log: Path, motion: str, total: float) -> Recording:
         from agent.recording import LogWriter
 
-        checksum = self.driver.upload(name, text)
-        if checksum != sha256_text(text):
-            raise ControllerError(
-                f"{self.address}: the controller stored another text than program {name!r} that was sent"
-            )
-        check_ready(self.driver.status(), self.address, name, checksum)
-        aligner = _Aligner(chains, self.identity.period)
-        with LogWriter(
-            log,
-            self.robot.joint_names,
-            robot=self.robot.name,
-            motion=motion,
-            sample_rate=1.0 / self.identity.period,
-        ) as writer:
-            try:
-                self.driver.start(name, checksum)
-                for block in self.driver.samples():
-                    writer.write(block)
-                    aligner.take(block.time, block.reference_position)
-                    self._console.progress(f"{motion}: {aligner.elapsed:6.1f} of about {total:.0f} s of motion")
-            except BaseException:
-                with suppress(DriverError):
-                    self.driver.stop()
-                raise
-            finally:
-                for start in aligner.finish(writer.write_planned):
-                    writer.cycle_start(start)
+        guard, robot = self._guard, self._recipe.robot
+        guard.send(program)
+        aligner = _Aligner(program.chains, self.identity.period)
+        try:
+            with LogWriter(
+                log,
+                robot.joint_names,
+                robot=robot.name,
+                motion=motion,
+                sample_rate=1.0 / self.identity.period,
+            ) as writer:
+                try:
+                    with guard.motion(program) as samples:
+                        for block in samples:
+                            writer.write(block)
+                            aligner.take(block.time, block.reference_position)
+                            self._console.progress(f"{motion}: {aligner.elapsed:6.1f} of about {total:.0f} s of motion")
+                finally:
+                    for start in aligner.finish(writer.write_planned):
+                        writer.cycle_start(start)
+        finally:
+            if aligner.samples == 0:
+                log.unlink(missing_ok=True)  # nothing has moved, or nothing is known of it
         return Recording(log, aligner.samples, writer.lost, aligner.elapsed, tuple(aligner.cycle_starts))
 
 
 @contextmanager
-def open_link(recipe: Recipe, robot: RobotDescription, console: Console, yes: bool) -> Iterator[Link]:
-    """Lock the robot, connect, and check who is there; the arm is stopped if anything goes wrong inside.
+def open_link(
+    recipe: Recipe,
+    console: Console,
+    yes: bool,
+    runs: Path,
+    authorisation: Authorisation | None = None,
+) -> Iterator[Link]:
+    """Lock the robot, connect, and check who is there.
+
+    Args:
+        runs: folder with the list of programs that have had their slow first run.
+        authorisation: what a person wrote down for when nobody is there.
 
     Raises:
         BusyError: another run holds this robot.
         ControllerError: another robot, or another period than the recipe's rate.
+        InputError: nobody confirmed that the cell is clear.
         DriverError: nobody there, silent, or another protocol.
     """
     from drivers.registry import create
 
-    address = recipe.controller.address
-    with robot_lock(recipe.controller.driver, address):
-        driver = create(recipe.controller.driver, address)
+    controller = recipe.controller
+    with robot_lock(controller.driver, controller.address):
+        guard = GuardedLink(
+            create(controller.driver, controller.address),
+            recipe.robot,
+            controller.address,
+            recipe.record.rate,
+            CheckedPrograms(runs / FILE),
+            console.confirm,
+            console.warn,
+            yes,
+            authorisation,
+        )
         try:
-            driver.connect()
-            identity = driver.identify()
-            check_identity(identity, robot, address)
-            if abs(identity.period * recipe.record.rate - 1.0) > 1e-6:
-                raise ControllerError(
-                    f"{address}: the controller samples at {1 / identity.period:g} Hz, the recipe asks for "
-                    f"{recipe.record.rate:g} Hz: change record.rate"
-                )
-            console.detail(f"{identity.robot}, serial {identity.serial}, {identity.controller} {identity.version}")
-            if needs_person(driver.status(), address) and not yes:
-                question = (
-                    f"{identity.robot} (serial {identity.serial}) at {address} is about to move. Is the cell clear?"
-                )
-                if not console.confirm(question):
-                    raise not_confirmed(address)
-            yield Link(driver, identity, robot, address, console)
+            guard.open()
+            who = guard.identity
+            console.detail(f"{who.robot}, serial {who.serial}, {who.controller} {who.version}")
+            yield Link(guard, recipe, console)
         finally:
-            driver.close()
+            guard.close()
 
 
-def record_program_file(recipe: Recipe, program: Path, log: Path, console: Console, yes: bool) -> Recording:
-    """Run a PDL2 program that somebody wrote, and record it.
+def record_program_file(
+    recipe: Recipe, program: Path, log: Path, console: Console, yes: bool, runs: Path = Path("logs")
+) -> Recording:
+    """Run a PDL2 program that somebody wrote, and record it; `runs` as in `open_link`.
 
     Raises:
         InputError: the program cannot be parsed or planned, or the log exists.
     """
     from agent.errors import InputError
-    from agent.planning import check_motion, plan_statements
+    from agent.planning import check_cell, plan_statements
     from agent.recording.log import motion_name
 
     if log.exists():
@@ -154,14 +200,24 @@ def record_program_file(recipe: Recipe, program: Path, log: Path, console: Conso
         text = program.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{program}: cannot be read: {error}") from None
-    with open_link(recipe, recipe.robot, console, yes) as link:
+    with open_link(recipe, console, yes, runs) as link:
         name, chains = plan_statements(recipe, text, str(program), link.position())
         for chain in chains:
-            check_motion(recipe, chain)
+            check_cell(recipe, chain)
         total = sum(chain.duration for chain in chains)
         recording = link.run(name, text, log, motion_name(program), chains, total)
     report_losses(recording, console)
     return recording
+
+
+def _free(path: Path) -> Path:
+    """The path, or the same with a number where a file is there already."""
+    number = 1
+    free = path
+    while free.exists():
+        number += 1
+        free = path.with_suffix(f".{number}{path.suffix}")
+    return free
 
 
 def report_losses(recording: Recording, console: Console) -> None:

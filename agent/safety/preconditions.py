@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from agent.errors import ControllerError, InputError, SafetyError
 from agent.robot import RobotDescription
+from agent.safety.motion import PlannedProgram
 from drivers.protocol import Identity, Status
+
+#: The arm may stand so far from where its plan begins: servo error and sag, not a jog [rad, or m].
+START_TOLERANCE = 0.02
 
 
 def check_identity(identity: Identity, robot: RobotDescription, address: str) -> None:
@@ -21,6 +27,19 @@ def check_identity(identity: Identity, robot: RobotDescription, address: str) ->
     if len(identity.joint_names) != robot.dof:
         raise ControllerError(
             f"{address}: the controller has {len(identity.joint_names)} joints, {robot.name} has {robot.dof}"
+        )
+
+
+def check_period(identity: Identity, rate: float, address: str) -> None:
+    """The controller samples at the recipe's rate [Hz].
+
+    Raises:
+        ControllerError: it does not.
+    """
+    if not (identity.period > 0 and abs(identity.period * rate - 1.0) <= 1e-6):
+        raise ControllerError(
+            f"{address}: the controller samples every {1000 * identity.period:g} ms, the recipe asks for {rate:g} Hz: "
+            "change record.rate"
         )
 
 
@@ -50,6 +69,54 @@ def check_ready(status: Status, address: str, program: str, checksum: str) -> No
         faults.append(f"the stored program is {status.program!r}, not the {program!r} that was sent")
     if faults:
         raise ControllerError(f"{address}: not ready to move: " + "; ".join(faults))
+
+
+def check_plan(program: PlannedProgram, robot: RobotDescription, position: np.ndarray, address: str) -> None:
+    """What we planned keeps the robot's limits and begins where the arm stands.
+
+    Args:
+        position: (n,) of the arm now.
+
+    Raises:
+        ControllerError: the arm stands elsewhere.
+        InputError: a limit is broken.
+    """
+    if not program.chains:
+        return
+    lower, upper = robot.position_limits
+    for chain in program.chains:
+        if not (np.isfinite(chain.q).all() and np.isfinite(chain.qd).all()):
+            raise InputError(f"program {program.name}: its plan has values that are no numbers; nothing was moved")
+        outside = np.any((chain.q < lower - 1e-9) | (chain.q > upper + 1e-9), axis=0)
+        fast = np.any(np.abs(chain.qd) > robot.max_velocity * (1 + 1e-6), axis=0)
+        for broken, what in ((outside, "position limits"), (fast, "speed limit")):
+            if broken.any():
+                names = ", ".join(np.array(robot.joint_names)[broken])
+                raise InputError(f"program {program.name}: {names} would leave the {what}; plan again, more slowly")
+    away = np.abs(program.chains[0].q[0] - position)
+    if not np.all(away <= START_TOLERANCE):
+        joint = robot.joint_names[int(np.argmax(away))]
+        raise ControllerError(
+            f"{address}: the arm does not stand where its plan begins: {joint} is off by {away.max():.3f} rad. It was "
+            "moved since; run the command again, it is planned anew from where the arm stands"
+        )
+
+
+def unsafe_in_motion(status: Status) -> str | None:
+    """Why an arm that moves has to stop now, and what to do; None if all is as it was at the start."""
+    if status.emergency_stop:
+        return "the emergency stop was pressed; release it, reset the drives, then run the command again"
+    if not status.drives_on:
+        return "the drives went off; look for the fault at the controller, then run the command again"
+    if status.alarms:
+        return f"alarms came up ({', '.join(status.alarms)}); clear them, then run the command again"
+    if not status.cell_closed:
+        return "the cell was opened; close the gate, then run the command again"
+    if status.mode != "auto":
+        return f"the mode was changed to {status.mode!r}; turn the selector to auto, then run the command again"
+    if abs(status.override - 1.0) > 1e-6:
+        return f"the override was changed to {100 * status.override:.0f} %; set it to 100 %, then run the command again"
+    return None
 
 
 def is_loopback(address: str) -> bool:

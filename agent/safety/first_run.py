@@ -1,0 +1,100 @@
+"""The first run of a program on a machine: every stretch of it once, at no more than 250 mm/s.
+
+That is the speed at which a person in the cell can still step aside, as ISO 10218-1 has it for manual operation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.errors import InputError
+from agent.motion.program import Move, Statement
+from agent.safety.motion import PlannedProgram
+
+if TYPE_CHECKING:
+    from agent.motion.interpolator import Interpolator
+    from agent.motion.trajectory import Trajectory
+    from agent.robot import RobotDescription
+
+#: Highest speed of the tool centre point in a first run [m/s].
+FIRST_SPEED = 0.25
+_ATTEMPTS = 12
+_SLOWEST = 0.01  # PDL2 takes whole percents of speed
+
+
+def slow_version(
+    program: PlannedProgram, robot: RobotDescription, interpolator: Interpolator, start: np.ndarray
+) -> PlannedProgram:
+    """The program's stretches from stop to stop, up to the first that comes again, slowed down.
+
+    Args:
+        start: (n,) where the arm stands.
+
+    Raises:
+        InputError: it cannot be planned, or not so slowly.
+    """
+    from agent.motion.pdl2 import parse_program, write_program
+
+    statements: list[Statement] = []
+    chains: list[Trajectory] = []
+    seen: set[tuple[object, ...]] = set()
+    for moves in stop_to_stop(parse_program(program.text, program.name, robot).run()):
+        key = (np.round(start, 6).tobytes(), *(_key(move) for move in moves))
+        if key in seen:
+            break
+        seen.add(key)
+        slow, trajectory = _slowed(moves, interpolator, start, program.name)
+        start = trajectory.q[-1]
+        if np.ptp(trajectory.q, axis=0).any():
+            statements += slow
+            chains.append(trajectory)
+    name = f"{program.name[:26]}_slow"
+    text = write_program(name, statements, robot)
+    return PlannedProgram(name, text, tuple(chains), stands_for=program.checksum)
+
+
+def stop_to_stop(statements: Iterable[Statement]) -> Iterator[list[Move]]:
+    """The moves of a program, cut where the arm stops. Rests between them are left out."""
+    pending: list[Move] = []
+    for statement in statements:
+        if not isinstance(statement, Move):
+            continue
+        pending.append(statement)
+        if not statement.fly:
+            yield pending
+            pending = []
+    if pending:
+        yield pending
+
+
+def _slowed(
+    moves: list[Move], interpolator: Interpolator, start: np.ndarray, name: str
+) -> tuple[list[Move], Trajectory]:
+    for _ in range(_ATTEMPTS):
+        trajectory = interpolator.plan(tuple(moves), start)
+        peak = float(np.max(trajectory.path_speed))
+        if peak <= FIRST_SPEED:
+            return moves, trajectory
+        moves = [_with_speed(move, 0.98 * FIRST_SPEED / peak) for move in moves]
+    raise InputError(
+        f"program {name}: its first run cannot be planned at {FIRST_SPEED:g} m/s (it still reaches {peak:.2f} m/s); "
+        "lower the speeds in the program"
+    )
+
+
+def _with_speed(move: Move, factor: float) -> Move:
+    percent = math.floor(100 * move.settings.speed_override * factor + 1e-9) / 100
+    return replace(move, settings=move.settings.changed(speed_override=max(_SLOWEST, percent)))
+
+
+def _key(move: Move) -> tuple[object, ...]:
+    targets = [
+        b"" if target is None else np.asarray(getattr(target, "pose", getattr(target, "position", None))).tobytes()
+        for target in (move.target, move.via)
+    ]
+    return (move.type, move.fly, move.settings, *targets)

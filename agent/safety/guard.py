@@ -1,0 +1,247 @@
+"""The only way from the pipeline to a moving arm: every condition before motion, and the watch while it moves.
+
+A program is sent once and started once. Whatever ends the motion before its end - an error, Ctrl-C, SIGTERM, a full
+disk, the consumer leaving - asks the controller for a stop on the path first; where that is not confirmed the link is
+closed, and the controller's own watchdog stops the arm.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.errors import AgentError, ControllerError, InputError, SafetyError
+from agent.robot import RobotDescription
+from agent.safety.checked import CheckedPrograms
+from agent.safety.first_run import FIRST_SPEED
+from agent.safety.motion import PlannedProgram
+from agent.safety.preconditions import (
+    check_identity,
+    check_period,
+    check_plan,
+    check_ready,
+    needs_person,
+    not_confirmed,
+    unsafe_in_motion,
+)
+from drivers.errors import DriverError, MotionStopped, RefusedError
+from drivers.protocol import Driver, Identity, SampleBlock, Status
+
+if TYPE_CHECKING:
+    from agent.safety.authorisation import Authorisation
+
+#: The controller's state is looked at so often while the arm moves [s], of its time and of ours.
+WATCH_INTERVAL = 0.2
+
+
+class GuardedLink:
+    """A controller link that nothing moves through unchecked.
+
+    Args:
+        driver: not connected yet.
+        robot: what the recipe is for.
+        address: for messages, and to tell whether an emulator is on this machine.
+        rate: of samples [Hz] that the recipe asks for.
+        checked: programs that have had their slow first run.
+        ask: puts a question to a person; True is yes.
+        warn: tells what a person should know.
+        yes: a person said before that the cell is clear.
+        authorisation: what a person wrote down for when nobody is there.
+        clock: seconds, for the watch.
+    """
+
+    def __init__(
+        self,
+        driver: Driver,
+        robot: RobotDescription,
+        address: str,
+        rate: float,
+        checked: CheckedPrograms,
+        ask: Callable[[str], bool],
+        warn: Callable[[str], None],
+        yes: bool = False,
+        authorisation: Authorisation | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.robot = robot
+        self.address = address
+        self._driver = driver
+        self._rate = rate
+        self._checked = checked
+        self._ask = ask
+        self._warn = warn
+        self._yes = yes
+        self._authorisation = authorisation
+        self._clock = clock
+        self._identity: Identity | None = None
+        self._emulator = False
+
+    @property
+    def identity(self) -> Identity:
+        """Who is at the far end."""
+        assert self._identity is not None, "open() comes first"
+        return self._identity
+
+    def open(self) -> None:
+        """Connect, see who is there, and have a person's word where one is needed.
+
+        Raises:
+            ControllerError: another robot, or another period than the recipe's rate.
+            InputError: nobody confirmed that the cell is clear.
+            DriverError: nobody there, silent, or another protocol.
+        """
+        with self._advice("check that the controller is on and reachable, then run the command again"):
+            self._driver.connect()
+            identity, status = self._driver.identify(), self._driver.status()
+        check_identity(identity, self.robot, self.address)
+        check_period(identity, self._rate, self.address)
+        if self._authorisation is None and not self._yes and needs_person(status, self.address):
+            who = f"{identity.robot} (serial {identity.serial}) at {self.address}"
+            if not self._ask(f"{who} is about to move. Is the cell clear?"):
+                raise not_confirmed(self.address)
+        self._identity, self._emulator = identity, status.emulator
+
+    def position(self) -> np.ndarray:
+        """(n,) where the arm stands now [rad]."""
+        with self._advice("check the link, then run the command again"):
+            return np.asarray(self._driver.status().position, dtype=float)
+
+    def needs_slow_run(self, program: PlannedProgram) -> bool:
+        """Whether the program has to run slowly first: a machine, and a program that is new to it.
+
+        Raises:
+            InputError: it has to, and nobody is there to watch.
+        """
+        if self._emulator or self._checked.has(self.identity.serial, program.checksum):
+            return False
+        if self._authorisation is not None:
+            raise InputError(
+                f"{self.address}: program {program.checksum[:12]}… has never run on serial {self.identity.serial} with "
+                f"somebody watching ({self._checked.path} does not list it); run it once with --yes and no "
+                "authorisation"
+            )
+        return program.speed > FIRST_SPEED
+
+    def send(self, program: PlannedProgram) -> None:
+        """Store the program at the controller, and see that everything allows it to run.
+
+        Raises:
+            SafetyError: the emergency stop is pressed.
+            ControllerError: something else is not as it must be.
+            InputError: nobody has allowed this motion.
+            DriverError: refused, or the link failed.
+        """
+        with self._advice("put that right at the controller, then run the command again"):
+            checksum = self._driver.upload(program.name, program.text)
+        if checksum != program.checksum:
+            raise ControllerError(
+                f"{self.address}: the controller stored another text than program {program.name!r} that was sent; "
+                "delete the program there, check the controller's memory, then run the command again"
+            )
+        self._check(program)
+
+    @contextmanager
+    def motion(self, program: PlannedProgram) -> Iterator[Iterator[SampleBlock]]:
+        """Start the program that was sent, once, and hand out its samples until the arm rests.
+
+        Leaving the block before the samples end stops the arm.
+
+        Raises:
+            SafetyError: as in `send`, or the state changed while the arm moved.
+            ControllerError, InputError: as in `send`; nothing has moved.
+            DriverError: refused, or the link failed; what was received has been handed out.
+        """
+        self._check(program)
+        over = False
+
+        def samples() -> Iterator[SampleBlock]:
+            nonlocal over
+            yield from self._watched()
+            over = True
+
+        try:
+            with self._advice("make sure that the arm rests, put that right, then run the command again"):
+                self._driver.start(program.name, program.checksum)
+                yield samples()
+        except RefusedError:
+            raise
+        except BaseException:
+            if not over:
+                self._stop()
+            raise
+        if not over:
+            self._stop()
+        elif not self._emulator and program.speed <= FIRST_SPEED:
+            self._checked.add(self.identity.serial, program.stands_for or program.checksum)
+
+    def close(self) -> None:
+        """Close the link; never raises."""
+        self._driver.close()
+
+    def _check(self, program: PlannedProgram) -> None:
+        if self._authorisation is not None:
+            self._authorisation.check(
+                self.robot.name, self.identity.serial, program.checksum, program.speed, program.duration
+            )
+        if self.needs_slow_run(program):
+            raise ControllerError(
+                f"{self.address}: program {program.name!r} has never run on serial {self.identity.serial}; its first "
+                f"run must not exceed {FIRST_SPEED:g} m/s, this one reaches {program.speed:.2f} m/s"
+            )
+        with self._advice("check the link, then run the command again"):
+            status = self._driver.status()
+        check_ready(status, self.address, program.name, program.checksum)
+        check_plan(program, self.robot, status.position, self.address)
+
+    def _watched(self) -> Iterator[SampleBlock]:
+        """The samples, with a look at the controller's state now and then; what is left after a stop comes too."""
+        fault: AgentError | None = None
+        looked, looked_at = -np.inf, self._clock()
+        try:
+            for block in self._driver.samples():
+                yield block
+                now = float(block.time[-1])
+                if fault is None and (now - looked >= WATCH_INTERVAL or self._clock() - looked_at >= WATCH_INTERVAL):
+                    fault = self._look()
+                    looked, looked_at = now, self._clock()
+                    if fault is not None:
+                        self._stop()
+        except DriverError as error:
+            if fault is None or isinstance(error, MotionStopped):
+                raise
+        if fault is not None:
+            raise fault
+
+    def _look(self) -> AgentError | None:
+        try:
+            status: Status = self._driver.status()
+        except DriverError as error:
+            return ControllerError(
+                f"{self.address}: the controller's state cannot be read any more while the arm moves, so it was "
+                f"stopped: {error}"
+            )
+        reason = unsafe_in_motion(status)
+        return None if reason is None else SafetyError(f"{self.address}: the arm was stopped: {reason}")
+
+    def _stop(self) -> None:
+        """Ask for a stop; where it is not confirmed, let go of the link, so that the controller stops by itself."""
+        try:
+            self._driver.stop()
+        except DriverError as error:
+            self._driver.close()
+            self._warn(
+                f"{self.address}: the stop was not confirmed ({error}); the link was closed, which stops the arm. "
+                "Go and look at it"
+            )
+
+    @contextmanager
+    def _advice(self, what: str) -> Iterator[None]:
+        """Errors of the driver leave with what to do about them."""
+        try:
+            yield
+        except DriverError as error:
+            raise type(error)(f"{error}; {what}") from None
