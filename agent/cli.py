@@ -23,7 +23,7 @@ app = typer.Typer(
 )
 
 #: Commands of the contract that this version does not have yet.
-NOT_YET = "blind-check"
+NOT_YET = ("blind-check",)
 
 RecipePath = Annotated[Path, typer.Argument(metavar="RECIPE", help="recipe file (YAML)")]
 Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="more messages")]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from agent.report.figures import torque_prediction
+from agent.report.gap_section import diagnosis_section
 from agent.report.page import Page, Section, Table, render
 
 
@@ -30,7 +31,8 @@ def recalibration_report(data: RecalibrationData) -> str:
     accepted, diagnosis = result["accepted"], result["diagnosis"]
     word = "Accepted, and the current model now" if accepted else f"Rejected: {result['reason']}"
     headline = f"{word}. {diagnosis['summary']}" if diagnosis else f"{word}. {result['comparison']}."
-    sections = (_validation(data), *data.sections, _parameters(data), _provenance(result))
+    opening = (diagnosis_section(diagnosis["result"]),) if diagnosis and diagnosis["result"] else ()
+    sections = (*opening, _validation(data), *data.sections, _parameters(data), _provenance(result))
     title = f"Recalibration of {result['robot']} {result['serial']}"
     return render(Page(title, headline, "good" if accepted and not diagnosis else "bad", sections))
 

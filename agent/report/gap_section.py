@@ -1,0 +1,60 @@
+"""What a diagnosis found, in short: for a report that opens with it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from agent.report.page import Section, Table
+
+_VERDICTS = {
+    "no_gap": "Nothing of practical size beyond what the model's own prediction error allows.",
+    "explained": "Explained",
+    "ambiguous": "The data cannot tell the first cause from its equivalents",
+    "unknown": "There is a gap, and no effect of the catalogue closes it.",
+}
+
+
+def diagnosis_summary(result: dict[str, Any]) -> str:
+    """One sentence from a result of schema diagnosis/1."""
+    if not result["causes"]:
+        return _VERDICTS[result["verdict"]]
+    causes = " and ".join(_cause(cause) for cause in result["causes"])
+    return f"{_VERDICTS[result['verdict']].rstrip('.')}: {causes}."
+
+
+def diagnosis_section(result: dict[str, Any]) -> Section:
+    """Verdict, causes, and where the gap lies."""
+    text = [diagnosis_summary(result)]
+    if result["next_experiment"] is not None:
+        text.append(f"Run next: {result['next_experiment']['motion']}.")
+    causes = [
+        (
+            cause["effect"],
+            ", ".join(cause["joints"]) or "whole arm",
+            _percent(cause["closure"]),
+            f"{cause['probability']:.2f}",
+            "; ".join(f"{name} {value:.4g}" for name, value in cause["parameters"].items()),
+            ", ".join(other["effect"] for other in cause["equivalent_to"]) or "-",
+        )
+        for cause in result["causes"]
+    ]
+    gap = result["gap"]
+    shares = {entry["joint"]: entry["share"] for entry in result["where"]}
+    where = [
+        (joint, f"{before:.4g}", f"{after:.4g}", _percent(shares.get(joint)))
+        for joint, before, after in zip(gap["joints"], gap["before"], gap["after"], strict=True)
+    ]
+    causes_header = ("effect", "joints", "closes [%]", "probability", "parameters", "as good")
+    where_header = ("joint", "error before", "error after", "share of the gap [%]")
+    parts = (Table("causes", causes_header, causes), Table("gap", where_header, where))
+    return Section("Diagnosis against the last model", text, parts)
+
+
+def _cause(cause: dict[str, Any]) -> str:
+    joints = ", ".join(cause["joints"]) or "the whole arm"
+    closure = "" if cause["closure"] is None else f", closing {100 * cause['closure']:.0f} % of the gap"
+    return f"{cause['effect'].replace('_', ' ')} on {joints}{closure}"
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.0f}"
