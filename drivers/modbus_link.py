@@ -21,7 +21,8 @@ from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.wire.modbus import Block
 
 # What goes wrong is told by exceptions; the library would print it as well.
-logging.getLogger("pymodbus_internal").addHandler(logging.NullHandler())
+logging.getLogger("pymodbus").addHandler(logging.NullHandler())
+logging.getLogger("pymodbus").propagate = False
 
 _READ_ATTEMPTS = 2
 _FLOOD = 4096  # bytes without an answer among them

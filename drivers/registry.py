@@ -16,7 +16,11 @@ from drivers.protocol import Driver
 GROUP = "calibration_agent.drivers"
 
 # Named here too, so that a source tree that was never installed has them.
-_BUILT_IN = {"tcp": "drivers.tcp:TcpDriver"}
+_BUILT_IN = {
+    "tcp": "drivers.tcp:TcpDriver",
+    "modbus": "drivers.modbus:ModbusDriver",
+    "serial": "drivers.serial:create",
+}
 
 _log = logging.getLogger(__name__)
 

@@ -25,6 +25,7 @@ from drivers.wire.tcp import MAX_BATCH, Fetch
 
 _FRAMES_IN_WATCHDOG = 3
 _RTU_EXCHANGE = 8 + 255  # bytes of the longest request and its answer
+_BUFFERED = 8192  # bytes that may be on their way, in buffers that nobody can look into
 _REST_POLL = 0.05  # s
 
 _log = logging.getLogger(__name__)
@@ -56,7 +57,8 @@ class SerialDriver(FrameDriver):
         self._line = parse_port(address)
         super().__init__(address, **options)
         self._watchdog = max(self._watchdog, _FRAMES_IN_WATCHDOG * frame_time(self._line.baud))
-        self._progress = 0.0
+        self._progress = self._fetched = 0.0
+        self._fetching: tuple[int, int] | None = None
 
     def start(self, name: str, checksum: str) -> None:
         """Run the stored program once; tells where its samples will come later than the motion."""
@@ -97,10 +99,16 @@ class SerialDriver(FrameDriver):
         motion, link = self._motion, self._link
         if motion is None or link is None or motion.over or not link.guarded:
             return
-        if time.monotonic() - self._progress > 2 * link.watchdog:
-            self._progress = time.monotonic()
+        now = time.monotonic()
+        if motion.fetching != self._fetching:
+            self._fetching, self._fetched = motion.fetching, now
+        patience = 2 * link.watchdog + frame_time(self._line.baud, _BUFFERED)
+        late = now - self._progress > patience
+        if late or (motion.fetching is not None and now - self._fetched > patience):
+            self._progress = now
             first, count = motion.next_wanted()
-            motion.fetching = link.post(Fetch(first, min(count, MAX_BATCH))), first
+            motion.fetching = self._fetching = link.post(Fetch(first, min(count, MAX_BATCH))), first
+            self._fetched = now
 
 
 class RtuDriver(ModbusDriver):

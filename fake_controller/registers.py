@@ -145,7 +145,7 @@ class RegisterMap:
                 joints=self._joints,
                 period=round(PERIOD * 1e9),
                 slots=self._slots,
-                robot=robot.name,
+                robot=controller.name,
                 serial=controller.serial,
                 controller=CONTROLLER,
                 software=CONTROLLER_VERSION,
@@ -159,7 +159,7 @@ class RegisterMap:
                 wire.Flag.EMERGENCY_STOP: state.emergency_stop,
                 wire.Flag.CELL_CLOSED: state.cell_closed,
                 wire.Flag.MOVING: controller.moving,
-                wire.Flag.EMULATOR: True,
+                wire.Flag.EMULATOR: state.emulator,
             }
             name, checksum = controller.stored
             return block.pack(

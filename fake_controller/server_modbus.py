@@ -17,7 +17,8 @@ from fake_controller.registers import MEMORY, RegisterMap
 MAX_CONNECTIONS = 8
 
 # The library's own complaints about what clients send belong in no terminal.
-logging.getLogger("pymodbus_internal").addHandler(logging.NullHandler())
+logging.getLogger("pymodbus").addHandler(logging.NullHandler())
+logging.getLogger("pymodbus").propagate = False
 
 
 class ModbusServer:

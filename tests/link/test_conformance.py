@@ -1,0 +1,258 @@
+"""The suite that every driver has to pass, run on the drivers there are; over real sockets and pseudo-terminals."""
+
+import contextlib
+import socket
+import threading
+
+import pytest
+import serial
+
+from drivers.conformance import DriverConformance
+from drivers.registry import create
+from fake_controller.build import build_controller
+from fake_controller.cable import Cable
+from fake_controller.server_modbus import ModbusRtuServer, ModbusServer
+from fake_controller.server_serial import SerialServer
+from fake_controller.server_tcp import TcpServer
+
+BAUD = 4_000_000
+
+
+def program(body):
+    return f"PROGRAM p HOLD, PROG_ARM=1\nVAR\n  k : INTEGER\nBEGIN\n{body}\nEND p\n"
+
+
+class FakeBench:
+    """What the benches of all wires share."""
+
+    joint_names = ("shoulder", "elbow")
+    short = program("  MOVE JOINT TO {20, -30}\n  MOVE JOINT TO {0, 0}")
+    long = program("  FOR k := 1 TO 500 DO\n    MOVE JOINT TO {20, -30}\n    MOVE JOINT TO {-20, 30}\n  ENDFOR")
+    name: str
+
+    def __init__(self, arm, undo):
+        self.controller = build_controller(arm, seed=3, clock="fast")
+        self.undo = undo
+        self.wire = self.connect_wire()
+
+    def driver(self):
+        return self.created(self.address, watchdog=2.0)
+
+    def created(self, address, **options):
+        driver = create(self.name, address, **options)
+        self.undo.callback(driver.close)
+        return driver
+
+    def motions_started(self):
+        return self.controller.motions_started
+
+    def moving(self):
+        return self.controller.moving
+
+    def cut(self):
+        self.wire.close()
+
+    def silence(self):
+        self.wire.silent = True
+
+    def replay(self):
+        self.wire.replay()
+
+
+class Relay:
+    """Stands in the middle of a TCP link."""
+
+    def __init__(self, target):
+        self.silent = self.swallowing = False
+        self._target = target
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        self._sockets = []
+        self._said = []
+        self._answered = threading.Event()
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def close(self):
+        for handle in (self._listener, *self._sockets):
+            with contextlib.suppress(OSError):
+                handle.shutdown(socket.SHUT_RDWR)
+            handle.close()
+
+    def replay(self):
+        self.swallowing = True
+        for data in list(self._said):
+            self._answered.clear()
+            self._sockets[-1].sendall(data)
+            self._answered.wait(0.05)
+        self.swallowing = False
+
+    def _accept(self):
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = self._listener.accept()
+                server = socket.create_connection(self._target)
+                self._sockets += [client, server]
+                self._said.clear()
+                threading.Thread(target=self._pass, args=(client, server, True), daemon=True).start()
+                threading.Thread(target=self._pass, args=(server, client, False), daemon=True).start()
+
+    def _pass(self, source, target, outward):
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                if outward:
+                    self._said.append(data)
+                else:
+                    self._answered.set()
+                if outward or not (self.silent or self.swallowing):
+                    target.sendall(data)
+        for handle in (source, target):
+            with contextlib.suppress(OSError):
+                handle.shutdown(socket.SHUT_RDWR)
+
+
+class SocketBench(FakeBench):
+    def connect_wire(self):
+        server = self.serve()
+        self.undo.callback(server.close)
+        relay = Relay(("127.0.0.1", server.port))
+        self.undo.callback(relay.close)
+        self.address = relay.address
+        return relay
+
+    def nobody(self):
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            port = listener.getsockname()[1]
+        return self.created(f"127.0.0.1:{port}")
+
+    def mute(self):
+        return self._answering(b"")
+
+    def stranger(self):
+        return self._answering(b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\n\r\n")
+
+    def _answering(self, answer):
+        listener = socket.create_server(("127.0.0.1", 0))
+        self.undo.callback(listener.close)
+
+        def serve():
+            with contextlib.suppress(OSError):
+                client, _ = listener.accept()
+                with client:
+                    while client.recv(65536):
+                        client.sendall(answer)
+
+        threading.Thread(target=serve, daemon=True).start()
+        return self.created(f"127.0.0.1:{listener.getsockname()[1]}", timeout=0.5)
+
+
+class TcpBench(SocketBench):
+    name = "tcp"
+
+    def serve(self):
+        return TcpServer(self.controller)
+
+
+class ModbusBench(SocketBench):
+    name = "modbus"
+
+    def serve(self):
+        return ModbusServer(self.controller, waits=True)
+
+
+class TamperedCable(Cable):
+    """A cable that can be listened to, and made to lose what the controller says."""
+
+    def __init__(self):
+        super().__init__(BAUD)
+        self.silent = False
+        self._said = bytearray()
+        self.tamper = self._pass
+
+    def replay(self):
+        with serial.Serial(self.far, BAUD, timeout=0.1) as port:
+            # In pieces, as the line would carry them, and whatever is answered is taken off the line.
+            for at in range(0, len(self._said), 4096):
+                port.write(bytes(self._said[at : at + 4096]))
+                while port.read(4096):
+                    pass
+
+    def _pass(self, end, data):
+        if end == "far":
+            self._said += data
+            return data
+        return b"" if self.silent else data
+
+
+class LineBench(FakeBench):
+    name = "serial"
+
+    def connect_wire(self):
+        cable = TamperedCable()
+        self.undo.callback(cable.close)
+        server = self.serve(cable.near)
+        self.undo.callback(server.close)
+        self.address = self.at(cable)
+        return cable
+
+    def at(self, cable):
+        return f"{cable.far},{BAUD},{self.protocol}"
+
+    def nobody(self):
+        return self.created(f"/dev/there-is-no-such-port,{BAUD},{self.protocol}")
+
+    def mute(self):
+        return self._answering(b"")
+
+    def stranger(self):
+        return self._answering(b"+++ NO CARRIER\r\n")
+
+    def _answering(self, answer):
+        cable = Cable(BAUD)
+        self.undo.callback(cable.close)
+        port = serial.Serial(cable.near, BAUD, timeout=0.05)
+        self.undo.callback(port.close)
+
+        def serve():
+            with contextlib.suppress(serial.SerialException, OSError, TypeError):
+                while port.is_open:
+                    if port.read(64):
+                        port.write(answer)
+
+        threading.Thread(target=serve, daemon=True).start()
+        return self.created(self.at(cable), timeout=0.5)
+
+
+class FramesBench(LineBench):
+    protocol = "frames"
+
+    def serve(self, port):
+        return SerialServer(self.controller, port, BAUD, waits=True)
+
+
+class RtuBench(LineBench):
+    protocol = "rtu"
+
+    def serve(self, port):
+        return ModbusRtuServer(self.controller, port, BAUD, waits=True)
+
+
+@pytest.fixture
+def bench(request, arm):
+    with contextlib.ExitStack() as undo:
+        yield request.cls.bench(arm, undo)
+
+
+class TestTcp(DriverConformance):
+    bench = TcpBench
+
+
+class TestModbus(DriverConformance):
+    bench = ModbusBench
+
+
+class TestSerial(DriverConformance):
+    bench = FramesBench
+
+
+class TestModbusRtu(DriverConformance):
+    bench = RtuBench
