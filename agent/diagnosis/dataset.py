@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -181,5 +182,5 @@ def _blocks(time: np.ndarray, log: Log) -> tuple[np.ndarray, list[str]]:
     group = np.searchsorted(borders, time, side="right")
     near = np.min(np.abs(time[:, None] - borders[None, :]), axis=1) < _GUARD
     edges = [first, *borders, last]
-    names = [f"{log.name} {a:.1f}-{b:.1f} s" for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    names = [f"{log.name} {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)]
     return np.where(near, -1, group), names

@@ -11,8 +11,10 @@ on small matrices. With H = Λ + XᵀX and the Schur complement S = ZᵀZ − Z�
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -78,12 +80,14 @@ class Fit:
         folds: Sequence[Fold],
         single: Sequence[Fold],
         chosen: Sequence[Candidate] = (),
+        shared: dict[str, Any] | None = None,
     ):
         self.reference, self.signals = reference, list(signals)
         self.rows, self.index = list(rows), list(index)
         self.background, self.precision, self.shift = background, precision, shift
         self.cell, self.folds, self.single = cell, list(folds), list(single)
         self.chosen = tuple(chosen)
+        self._shared: dict[str, Any] = {} if shared is None else shared
         lengths = [len(range(*s.kept.indices(len(s.time)))) for s in self.signals]
         self.cuts = np.cumsum(lengths)[:-1]
         rate = 1 / float(np.median(np.diff(self.signals[0].time[self.signals[0].kept])))
@@ -92,41 +96,60 @@ class Fit:
 
     def _extend(self) -> None:
         """Moments of the model's columns, those of the effects chosen already, and the residual."""
+        if not self._shared:
+            self._shared.update(self._sorted())
+        self.cells, self.count = self._shared["cells"], self._shared["count"]
         base = len(self.precision)
-        size = base + sum(len(c.names) for c in self.chosen)
-        self.size = size
-        self._blocks, self._places = [], []
-        for joint, (rows, index) in enumerate(zip(self.rows, self.index, strict=True)):
-            columns, places, at = [rows[:, :-1]], [index], base
-            for candidate in self.chosen:
-                count = len(candidate.names)
-                if joint in candidate.blocks:
-                    columns.append(candidate.blocks[joint])
-                    places.append(np.arange(at, at + count))
-                at += count
-            self._blocks.append(np.column_stack([*columns, rows[:, -1]]))
-            self._places.append(np.append(np.concatenate(places), size))
-        self.cells = int(self.cell.max()) + 1
-        self._order = np.argsort(self.cell, kind="stable")
-        edges = np.searchsorted(self.cell[self._order], np.arange(self.cells + 1))
-        self._slices = [self._order[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
-        self.count = np.array([len(part) for part in self._slices]) * len(self.rows)
+        ends = base + np.cumsum([0, *(len(c.names) for c in self.chosen)])
+        self.size = size = int(ends[-1])
+        keep = np.append(np.arange(base), size)
         self.gram = np.zeros((self.cells, size + 1, size + 1))
-        for block, place in zip(self._blocks, self._places, strict=True):
-            for cell, part in enumerate(self._slices):
-                self.gram[cell][np.ix_(place, place)] += block[part].T @ block[part]
+        self.gram[:, keep[:, None], keep] = self._shared["gram"]
         self.prior = np.zeros((size, size))
         self.prior[:base, :base] = self.precision
-        at = base
-        for candidate in self.chosen:
-            count = len(candidate.names)
-            span = slice(at, at + count)
-            diagonal = np.arange(at, at + count)
-            self.prior[diagonal, diagonal] = self._ridge(candidate, np.diag(self.gram.sum(axis=0))[span])
-            at += count
+        spans = [slice(a, b) for a, b in pairwise(ends)]
+        for number, (candidate, (cross, own)) in enumerate(self._base_moments(self.chosen)):
+            span = spans[number]
+            self.gram[:, keep, span] = cross
+            self.gram[:, span, keep] = np.swapaxes(cross, 1, 2)
+            self.gram[:, span, span] = own
+            for other, other_span in zip(self.chosen[:number], spans[:number], strict=True):
+                both = self._between(other, candidate)
+                self.gram[:, other_span, span] = both
+                self.gram[:, span, other_span] = np.swapaxes(both, 1, 2)
+            diagonal = np.arange(span.start, span.stop)
+            self.prior[diagonal, diagonal] = self._ridge(candidate, own.sum(axis=0).diagonal())
         self.pull = np.zeros(size)
         self.pull[:base] = self.shift
         self._solved: dict[int, tuple] = {}
+
+    def _sorted(self) -> dict[str, Any]:
+        """Rows in the order of their cells, and the moments of the model's columns: what all fits to them share."""
+        cells = int(self.cell.max()) + 1
+        order = np.argsort(self.cell, kind="stable")
+        edges = np.searchsorted(self.cell[order], np.arange(cells + 1))
+        order = order[edges[0] :]
+        slices = [slice(a, b) for a, b in pairwise(edges - edges[0])]
+        rows = [block[order] for block in self.rows]
+        base = len(self.precision)
+        gram = np.zeros((cells, base + 1, base + 1))
+        for block, index in zip(rows, self.index, strict=True):
+            place = np.append(index, base)
+            for cell, part in enumerate(slices):
+                gram[cell][np.ix_(place, place)] += block[part].T @ block[part]
+        count = np.array([part.stop - part.start for part in slices]) * len(rows)
+        shared = {"cells": cells, "order": order, "slices": slices, "rows": rows, "gram": gram, "count": count}
+        return {**shared, "known": {}}
+
+    def _between(self, first: Candidate, second: Candidate) -> np.ndarray:
+        """(cells, k, l) moments of two candidates with each other."""
+        total = np.zeros((self.cells, len(first.names), len(second.names)))
+        order, slices = self._shared["order"], self._shared["slices"]
+        for joint in first.blocks.keys() & second.blocks.keys():
+            a, b = first.blocks[joint][order], second.blocks[joint][order]
+            for cell, part in enumerate(slices):
+                total[cell] += a[part].T @ b[part]
+        return total
 
     def _ridge(self, candidate: Candidate, energy: np.ndarray) -> np.ndarray:
         weak = 1e-7 * energy / self.repeat + 1e-12
@@ -136,7 +159,7 @@ class Fit:
         """The same data with these effects as part of the model."""
         return Fit(
             self.reference, self.signals, self.rows, self.index, self.background, self.precision, self.shift,
-            self.cell, self.folds, self.single, chosen,
+            self.cell, self.folds, self.single, chosen, self._shared,
         )  # fmt: skip
 
     @property
@@ -147,12 +170,16 @@ class Fit:
 
     def remaining(self, parameters: np.ndarray) -> np.ndarray:
         """(S'total, n) [N·m] residual with parameters (size,) of model change and chosen effects."""
-        extended = np.append(parameters, -1.0)
-        columns = [
-            -(block @ extended[place]) * sigma
-            for block, place, sigma in zip(self._blocks, self._places, self.background, strict=True)
-        ]
-        return np.stack(columns, axis=1)
+        base = len(self.precision)
+        ends = base + np.cumsum([0, *(len(c.names) for c in self.chosen)])
+        left = np.empty((len(self.cell), len(self.rows)))
+        for joint, (rows, index) in enumerate(zip(self.rows, self.index, strict=True)):
+            column = rows[:, -1] - rows[:, :-1] @ parameters[index]
+            for candidate, (a, b) in zip(self.chosen, pairwise(ends), strict=True):
+                if joint in candidate.blocks:
+                    column = column - candidate.blocks[joint] @ parameters[a:b]
+            left[:, joint] = column * self.background[joint]
+        return left
 
     def _split(self, rows: np.ndarray) -> list[np.ndarray]:
         return np.split(rows, self.cuts)
@@ -233,27 +260,40 @@ class Fit:
         """Held-out score of each candidate added to the model and the chosen effects."""
         return [self._score(candidate, *moments) for candidate, moments in self._moments(candidates)]
 
-    def _moments(self, candidates: Sequence[Candidate]):
-        """Per candidate: cross moments (cells, size + 1, k) and own moments (cells, k, k)."""
-        for first in range(0, len(candidates), 100):
-            some = candidates[first : first + 100]
-            cross = [np.zeros((self.cells, self.size + 1, len(c.names))) for c in some]
-            own = [np.zeros((self.cells, len(c.names), len(c.names))) for c in some]
-            for joint, (block, place) in enumerate(zip(self._blocks, self._places, strict=True)):
-                here = [k for k, c in enumerate(some) if joint in c.blocks]
-                if not here:
-                    continue
-                together = np.hstack([some[k].blocks[joint] for k in here])
-                ends = np.cumsum([some[k].blocks[joint].shape[1] for k in here])[:-1]
-                for cell, part in enumerate(self._slices):
-                    columns = together[part]
-                    product = block[part].T @ columns
-                    for k, piece, own_columns in zip(
-                        here, np.split(product, ends, axis=1), np.split(columns, ends, axis=1), strict=True
-                    ):
-                        cross[k][cell][place] += piece
-                        own[k][cell] += own_columns.T @ own_columns
-            yield from zip(some, zip(cross, own, strict=True), strict=True)
+    def _moments(self, candidates: Sequence[Candidate]) -> Iterator[tuple[Candidate, tuple[np.ndarray, np.ndarray]]]:
+        """Per candidate: moments (cells, size + 1, k) with model, chosen effects and residual, and its own."""
+        base = len(self.precision)
+        for candidate, (cross, own) in self._base_moments(candidates):
+            if self.chosen:
+                with_chosen = [self._between(other, candidate) for other in self.chosen]
+                cross = np.concatenate([cross[:, :base], *with_chosen, cross[:, base:]], axis=1)
+            yield candidate, (cross, own)
+
+    def _base_moments(self, candidates: Sequence[Candidate]) -> list[tuple[Candidate, tuple[np.ndarray, np.ndarray]]]:
+        """The same with model and residual only: (cells, base + 1, k), remembered for every candidate."""
+        known = self._shared["known"]
+        new = [c for c in candidates if c not in known]
+        for first in range(0, len(new), 100):
+            self._work_out(new[first : first + 100])
+        return [(c, known[c]) for c in candidates]
+
+    def _work_out(self, some: Sequence[Candidate]) -> None:
+        order, slices, base = self._shared["order"], self._shared["slices"], len(self.precision)
+        cross = [np.zeros((self.cells, base + 1, len(c.names))) for c in some]
+        own = [np.zeros((self.cells, len(c.names), len(c.names))) for c in some]
+        for joint, (block, index) in enumerate(zip(self._shared["rows"], self.index, strict=True)):
+            here = [k for k, c in enumerate(some) if joint in c.blocks]
+            if not here:
+                continue
+            place = np.append(index, base)
+            together = np.hstack([some[k].blocks[joint] for k in here])[order]
+            ends = np.cumsum([0, *(some[k].blocks[joint].shape[1] for k in here)])
+            for cell, part in enumerate(slices):
+                product = block[part].T @ together[part]
+                for k, (a, b) in zip(here, pairwise(ends), strict=True):
+                    cross[k][cell][place] += product[:, a:b]
+                    own[k][cell] += together[part, a:b].T @ together[part, a:b]
+        self._shared["known"].update(zip(some, zip(cross, own, strict=True), strict=True))
 
     def _score(self, candidate: Candidate, cross: np.ndarray, own: np.ndarray) -> Score:
         single = candidate.effect.once or any(c.effect.once for c in self.chosen)

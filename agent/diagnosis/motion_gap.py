@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -103,5 +104,5 @@ def _floor(logs: Sequence[Log], errors: Sequence[np.ndarray]) -> np.ndarray | No
         length = int(np.min(np.diff(starts)) * log.sample_rate)
         first = [int(np.searchsorted(log.t, s - 1e-9)) for s in starts]
         cycles = [error[a : a + length] for a in first if a + length <= len(error)]
-        parts += [b - a for a, b in zip(cycles[:-1], cycles[1:], strict=True)]
+        parts += [b - a for a, b in pairwise(cycles)]
     return np.sqrt(0.5) * _rms(parts) if parts else None

@@ -75,12 +75,11 @@ class Search:
             return Finding("no_gap", base, (), (), (), 0.0, (), tuple(steps))
         best: tuple[float, tuple[Candidate, ...]] | None = None
         for start in self._starts(first):
-            chosen, found = self._forward((start,), steps)
+            chosen = self._forward((start,), steps)
             error = base.with_chosen(chosen)
             result = self._total(error)
-            if best is None or result < best[0] * (1 - 1e-6) - 1e-9:
-                if best is None or best[0] - result > max(NEAR_FLOOR * self.rows, NEAR * (base.error() - best[0])):
-                    best = result, chosen
+            if best is None or best[0] - result > max(NEAR_FLOOR * self.rows, NEAR * (base.error() - best[0])):
+                best = result, chosen
             if self.closed(before, error) > 0.9 and len(chosen) == 1:
                 break
         if best is None:
@@ -149,7 +148,7 @@ class Search:
         """Scores that could be named: plausible, allowed, large enough, and better than their own simpler limits."""
         result = []
         for place, score in best.items():
-            name, joints = place
+            name = place[0]
             effect = score.candidate.effect
             if name not in self.allowed or not _plausible(score) or score.gain < LEAST_GAIN * self.rows:
                 continue
@@ -191,6 +190,13 @@ class Search:
         rest = [s for s in step.eligible if s is not leader and s.gain > 0.1 * step.eligible[0].gain]
         return [leader.candidate, *(s.candidate for s in rest[: _FIRSTS - 1])]
 
+    def _imitates(self, chosen: tuple[Candidate, ...], score: Score) -> bool:
+        """Whether one of the chosen effects has a shape of the same kind on the same joint."""
+        name = score.candidate.effect.name
+        return any(
+            c.joints == score.candidate.joints and any({name, c.effect.name} <= kind for kind in _KINDS) for c in chosen
+        )
+
     def _near(self, step: Step) -> list[Score]:
         best = step.eligible[0].gain
         margin = max(NEAR_FLOOR * self.rows, NEAR * best)
@@ -199,18 +205,19 @@ class Search:
     def _simplest(self, step: Step) -> Score:
         return min(self._near(step), key=lambda s: (_complexity(s.candidate), -s.gain))
 
-    def _forward(self, chosen: tuple[Candidate, ...], steps: list[Step]) -> tuple[tuple[Candidate, ...], Step]:
+    def _forward(self, chosen: tuple[Candidate, ...], steps: list[Step]) -> tuple[Candidate, ...]:
         """Add effects while they explain a good part of what is left."""
         while True:
             fit = self.fit.with_chosen(chosen)
             step = self.scan(fit)
             steps.append(step)
             if len(chosen) == MOST or not step.eligible:
-                return chosen, step
+                return chosen
             left = self._excess(fit)
-            worth = [s for s in step.eligible if s.gain > max(2 * LEAST_GAIN * self.rows, LEAST_SHARE * left)]
+            least = max(2 * LEAST_GAIN * self.rows, LEAST_SHARE * left)
+            worth = [s for s in step.eligible if s.gain > least and not self._imitates(chosen, s)]
             if not worth:
-                return chosen, step
+                return chosen
             step = Step(step.chosen, step.error, step.scores, tuple(worth))
             chosen = (*chosen, self._simplest(step).candidate)
 
@@ -264,6 +271,22 @@ class Search:
         return Finding(verdict, self.fit.with_chosen(causes), causes, rivals, probability, closed, noisy, tuple(steps))
 
 
+#: Shapes over speed and over position: two of one kind on one joint would only imitate a third.
+_KINDS = (
+    {
+        "stribeck",
+        "asymmetric_friction",
+        "load_dependent_friction",
+        "viscous_nonlinearity",
+        "thermal_friction",
+        "presliding",
+        "friction_change",
+        "torque_constant",
+    },
+    {"torque_offset", "gravity_spring", "dress_pack", "asymmetric_friction"},
+    {"joint_elasticity", "backlash"},
+    {"payload", "inertial_mismatch"},
+)
 _RESIDUAL_DRIVEN = ("torque_ripple", "contact", "payload", "time_delay")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -132,7 +133,7 @@ def _floor(dataset: Dataset, left: np.ndarray, unit: np.ndarray) -> np.ndarray |
         time, rows = time[good], rows[good]
         if len(time) < 10:
             continue
-        for a, b in zip(starts[:-1], starts[1:], strict=True):
+        for a, b in pairwise(starts):
             at = np.arange(max(time[0], a), min(b, time[-1] - (b - a)), 1 / dataset.rate)
             if len(at) < 10:
                 continue

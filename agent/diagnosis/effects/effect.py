@@ -34,8 +34,8 @@ class Effect(ABC):
 
     `scope` is joint, pair, arm or base. `limits` are the simpler forms that it turns into at the border of its
     parameters: it has to do better than they do to be named. `practical` is the smallest torque that matters, root mean
-    square over nominal. `once` marks an effect that happens once, so that another log tells nothing about it; `refined` are the nonlinear parameters worth a finer
-    search around the best of the grid.
+    square over nominal. `once` marks an effect that happens once, so that another log tells nothing about it;
+    `refined` are the nonlinear parameters worth a finer search around the best of the grid.
     """
 
     name: ClassVar[str]
@@ -64,6 +64,7 @@ class Effect(ABC):
 
     def prepare(self, signals: Signals, wanted: Sequence[tuple[tuple[int, ...], Mapping[str, float]]]) -> None:
         """Work out together what several (joints, settings) need of one motion, where that saves time."""
+        return
 
     @abstractmethod
     def columns(self, signals: Signals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
