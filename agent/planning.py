@@ -260,8 +260,13 @@ def _draw_validation(recipe: Recipe, console: Console) -> Iterator[PlannedMotion
         if not score.feasible:
             reason = score.reason
             continue
-        found += 1
         loop = candidates.loop(genome)
+        try:
+            check_cell(recipe, loop.trajectory)
+        except InputError as error:
+            reason = str(error)
+            continue
+        found += 1
         yield PlannedMotion(f"valid{found:02d}", "validation", loop, recipe.validate.speed, 1)
         console.progress(f"{found} of {recipe.validate.motions} drawn, {draw + 1 - found} broke a limit")
     if found < recipe.validate.motions:
