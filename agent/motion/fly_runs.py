@@ -128,8 +128,8 @@ class RunPlanner:
             if len(here) == 0:
                 continue
             wanted = segment.configuration if isinstance(segment, CartesianSegment) else ""
-            found = configuration_of(segment.kinematics, path.q[here[-1]])
-            if wanted and found:
+            found = configuration_of(segment.kinematics, path.q[here[-1]]) if wanted else ""
+            if found:
                 _check_configuration(segment, parse_configuration(wanted), parse_configuration(found))
             if segment.settings.singularity_care and not isinstance(segment, JointSegment):
                 distance = float(segment.kinematics.singularity(path.q[here]).smallest.min())

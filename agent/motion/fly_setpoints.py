@@ -20,9 +20,12 @@ from agent.motion.path_segments import Segment
 from agent.motion.profile import ArmLimits, PathShape, fastest, speed_ceiling, widened
 from agent.motion.profile_time import TimeLaw, time_law
 
-_REPAIRS, _STRETCHES = 5, 4
-_BLOCK = 1000
-#: Limits may be passed by this part of them at a sample: half of what the set-points' users are promised.
+_REPAIRS, _STRETCHES = 7, 6
+#: Repairs look at every so many samples, until those are right; then at all of them.
+_COARSE = 4
+_BLOCK = 300
+#: A stretch of this part is left alone: speed 0.05 %, acceleration 0.1 %, jerk 0.15 % over what is planned for, which
+#: itself is 0.2 % below the arm's limits.
 _TOLERANCE = 5e-4
 
 
@@ -84,21 +87,25 @@ def plan_run(
     ramp = parameters.ramp * float(np.max(limits.acceleration / limits.jerk))
     window = max(round(ramp / period), 1) * period
     ceiling = widened(path, speed_ceiling(path, shape, limits, parameters), window)
-    for repair in range(_REPAIRS + 1):
+    step = _COARSE * period
+    for _ in range(_REPAIRS):
         law = time_law(path, fastest(path, shape, limits, ceiling), window)
         _refuse_long(path, law, segments, parameters)
-        samples = _sampled(path, shape, law, period)
-        stretch = _stretch(path, samples, limits, period)
+        samples = _sampled(path, shape, law, step)
+        stretch = _stretch(path, samples, limits, step)
+        if step > period and stretch.max() <= 1.0 + _TOLERANCE:
+            step = period
+            samples = _sampled(path, shape, law, step)
+            stretch = _stretch(path, samples, limits, step)
         if stretch.max() <= 1.0 + _TOLERANCE:
             return Run(path, shape, law, samples)
-        if repair < _REPAIRS:
-            ceiling = _lowered(ceiling, path, samples, stretch, round(window / period))
+        ceiling = _lowered(ceiling, path, samples, stretch, round(window / step))
     for _ in range(_STRETCHES):
-        law = replace(law, stretch=law.stretch * float(stretch.max()))
         samples = _sampled(path, shape, law, period)
         stretch = _stretch(path, samples, limits, period)
         if stretch.max() <= 1.0 + _TOLERANCE:
             break
+        law = replace(law, stretch=law.stretch * float(stretch.max()))
     return Run(path, shape, law, samples)
 
 

@@ -221,18 +221,27 @@ def blended_length(
     corner: Corner, before: CartesianSegment, after: CartesianSegment, tau: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lengths of the blend's cells (S - 1,) [m], and at the samples how far the superposed moves add up (S,), 0..1."""
-
-    def speed(tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        one, two = corner.sigma(tau)
-        rate_one, rate_two = corner.rate(tau)
-        velocity = rate_one[:, None] * before.curve.derivative(one) + rate_two[:, None] * after.curve.derivative(two)
-        if corner.through:
-            velocity = velocity + bump_rate(tau)[:, None] * _pull(corner, before, after)
-        turned = before.turning * rate_one + after.turning * rate_two
-        return np.hypot(np.linalg.norm(velocity, axis=1), turned), before.extent * rate_one + after.extent * rate_two
-
     cells = np.diff(tau)
     nodes = (tau[:-1, None] + cells[:, None] * 0.5 * (1.0 + _NODES)).ravel()
-    lengths = (speed(nodes)[0].reshape(-1, 3) @ _WEIGHTS) * 0.5 * cells
-    along, apart = speed(tau)
-    return lengths, np.minimum(along / apart, 1.0)
+    along, apart = _rates(corner, before, after, np.concatenate((nodes, tau)))
+    lengths = (along[: len(nodes)].reshape(-1, 3) @ _WEIGHTS) * 0.5 * cells
+    return lengths, np.minimum(along[len(nodes) :] / apart[len(nodes) :], 1.0)
+
+
+def _rates(
+    corner: Corner, before: CartesianSegment, after: CartesianSegment, tau: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """ds/dτ (S,) of the blend, and of its two moves one after the other."""
+    rate_one, rate_two = corner.rate(tau)
+    if isinstance(before.curve, Line) and isinstance(after.curve, Line) and not corner.through:
+        one, two = before.curve.end - before.curve.start, after.curve.end - after.curve.start
+        squares = rate_one * (rate_one * (one @ one) + rate_two * (2.0 * (one @ two))) + rate_two**2 * (two @ two)
+    else:
+        sigma_one, sigma_two = corner.sigma(tau)
+        velocity = rate_one[:, None] * before.curve.derivative(sigma_one)
+        velocity = velocity + rate_two[:, None] * after.curve.derivative(sigma_two)
+        if corner.through:
+            velocity = velocity + bump_rate(tau)[:, None] * _pull(corner, before, after)
+        squares = np.einsum("si,si->s", velocity, velocity)
+    turned = before.turning * rate_one + after.turning * rate_two
+    return np.sqrt(np.maximum(squares, 0.0) + turned**2), before.extent * rate_one + after.extent * rate_two

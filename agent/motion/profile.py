@@ -9,7 +9,7 @@ lowers z, the constraints are monotone, and so passes over all joints converge t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from agent.motion.path import Path
 from agent.robot.description import CartesianLimits, RobotDescription
 
 _PASSES = 20
+#: The part of every limit that is planned for. The rest is for what a sample may be over at the end of all repairs.
+_KEPT = 0.998
 #: [rad, m] of error between two knots of the path.
 _TOLERATED = 3e-6
 #: A joint slower than this part of its limit, a TCP slower than this [m/s, rad/s] stands still: round-off moves it.
@@ -28,7 +30,7 @@ _STILL = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class ArmLimits:
-    """What the arm allows: joint speed, acceleration, jerk (n,) and the TCP's limits (inf where there are none)."""
+    """What is planned for: joint speed, acceleration, jerk (n,) and the TCP's limits (inf where there are none)."""
 
     speed: np.ndarray
     acceleration: np.ndarray
@@ -42,8 +44,9 @@ class ArmLimits:
             joint.max_acceleration / parameters.jerk_time if joint.max_jerk is None else joint.max_jerk
             for joint in robot.joints
         ]
-        cartesian = robot.cartesian_limits or CartesianLimits(np.inf, np.inf, np.inf, np.inf)
-        return cls(robot.max_velocity, robot.max_acceleration, np.array(jerk), cartesian)
+        tcp = robot.cartesian_limits or CartesianLimits(np.inf, np.inf, np.inf, np.inf)
+        cartesian = CartesianLimits(*(_KEPT * limit for limit in astuple(tcp)))
+        return cls(_KEPT * robot.max_velocity, _KEPT * robot.max_acceleration, _KEPT * np.array(jerk), cartesian)
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,9 +69,9 @@ def arm(name: str) -> tuple[RobotDescription, np.ndarray, np.ndarray]:
 
 def check_limits(robot, interpolator, trajectory):
     speed, acceleration, jerk = (np.diff(trajectory.q, k, axis=0) / 0.002**k for k in (1, 2, 3))
-    assert np.max(np.abs(speed)) < 2.0 * 1.001
-    assert np.max(np.abs(acceleration)) < 8.0 * 1.001
-    assert np.max(np.abs(jerk)) < 8.0 / interpolator.parameters.jerk_time * 1.002
+    assert np.max(np.abs(speed)) < 2.0
+    assert np.max(np.abs(acceleration)) < 8.0
+    assert np.max(np.abs(jerk)) < 8.0 / interpolator.parameters.jerk_time
     assert np.max(np.abs(kinematics_for(robot).forward(trajectory.q) - trajectory.tcp)) < 1e-5
 
 

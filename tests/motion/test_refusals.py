@@ -153,4 +153,4 @@ def test_any_sizes_end_in_a_trajectory_or_a_refusal(fly, home, down, scale, spee
     except MotionError:
         return
     assert np.isfinite(trajectory.q).all()
-    assert np.max(np.abs(np.diff(trajectory.q, axis=0)) / 0.002 / fly.robot.max_velocity, initial=0) < 1.001
+    assert np.max(np.abs(np.diff(trajectory.q, axis=0)) / 0.002 / fly.robot.max_velocity, initial=0) <= 1
