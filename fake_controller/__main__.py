@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.errors import AgentError, InputError
+from fake_controller.servers import DRIVERS
 
 if TYPE_CHECKING:
     from fake_controller.controller import Controller
@@ -27,7 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: done.set())
 
-    from fake_controller.server_tcp import TcpServer
+    from fake_controller.servers import open_server
 
     try:
         controller = _controller(options)
@@ -35,9 +36,18 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"fake controller: {error}", file=sys.stderr)
         return error.exit_code
     try:
-        server = TcpServer(controller, options.address, options.port, options.watchdog or WATCHDOGS[options.clock])
+        server = open_server(
+            options.driver,
+            controller,
+            options.address,
+            options.port,
+            options.watchdog or WATCHDOGS[options.clock],
+            options.clock == "fast",
+            options.baud,
+            options.serial_port,
+        )
     except OSError as error:
-        where = f"{options.address}:{options.port}"
+        where = options.serial_port or f"{options.address}:{options.port}"
         print(f"fake controller: cannot listen at {where}: {error.strerror}; is the port taken?", file=sys.stderr)
         return 2
     try:
@@ -97,8 +107,13 @@ def _parser() -> argparse.ArgumentParser:
         description="An emulated robot controller: it runs the PDL2 programs it is sent on a simulated arm.",
     )
     parser.add_argument("--robot", help="built-in robot (comau_ns16 if none is named), or path of a robot.yaml")
+    parser.add_argument(
+        "--driver", choices=DRIVERS, default="tcp", help="which driver's wire to speak; rtu is serial's"
+    )
     parser.add_argument("--port", type=_port, default=9100, help="TCP port; 0 takes a free one and prints it")
     parser.add_argument("--address", default="127.0.0.1", help="where to listen; others cannot connect by default")
+    parser.add_argument("--baud", type=_baud, default=115_200, help="of a serial line, bits per second")
+    parser.add_argument("--serial-port", help="a port of this machine; if none is named, a pseudo-terminal is made")
     parser.add_argument("--seed", type=int, help="of the arm's true parameters and its noise; 0 if none is given")
     parser.add_argument("--clock", choices=("fast", "real"), help="as fast as it goes, or real time (if none is given)")
     parser.add_argument("--watchdog", type=_watchdog, help="shortest [s] that a client is granted, 0.05 to 5")
@@ -113,6 +128,13 @@ def _port(text: str) -> int:
     if not 0 <= port < 65536:
         raise argparse.ArgumentTypeError(f"{port} is not a port; 0 to 65535 are")
     return port
+
+
+def _baud(text: str) -> int:
+    baud = int(text)
+    if not 1200 <= baud <= 4_000_000:
+        raise argparse.ArgumentTypeError(f"{baud} baud are none; 1200 to 4000000 are")
+    return baud
 
 
 def _watchdog(text: str) -> float:

@@ -97,6 +97,7 @@ class SerialServer:
         self._end_sent = True
         self._greeted = False
         self._driving = False
+        self._gone = True  # nothing was heard from the client for its watchdog
         self._watchdog = IDLE_LIMIT
         self._upload: Upload | None = None
         self._closing = threading.Event()
@@ -127,7 +128,7 @@ class SerialServer:
         depth, end = len(self._times), first + len(samples)
         with self._lock:
             if self._waits:
-                self._lock.wait_for(lambda: end - self._sent <= depth or not (self._waits and self._greeted))
+                self._lock.wait_for(lambda: end - self._sent <= depth or self._gone or not self._waits)
             at = np.arange(first, end) % depth
             self._times[at] = time_ns
             columns = (
@@ -166,8 +167,11 @@ class SerialServer:
             # A stall of this process is not the client's silence: no turn counts for more than it should last.
             silence += min(time.monotonic() - began, interval)
             for frame in decoder.feed(data):
-                silence = 0.0
+                silence, self._gone = 0.0, False
                 self._answer(frame)
+            if silence >= self._watchdog:
+                self._gone = True
+                self._wake()
             if self._driving and silence >= self._watchdog:
                 silent = f"nothing was heard from the client for {self._watchdog * 1000:.0f} ms"
                 self.controller.stop(EndReason.WATCHDOG, silent)
@@ -177,7 +181,7 @@ class SerialServer:
     def _lost(self) -> None:
         """Nobody listens."""
         with self._lock:
-            self._greeted = False
+            self._greeted, self._gone = False, True
             self._replies.clear()
             self._lock.notify_all()
         if self._driving:

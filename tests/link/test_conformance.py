@@ -156,7 +156,7 @@ class ModbusBench(SocketBench):
     name = "modbus"
 
     def serve(self):
-        return ModbusServer(self.controller, waits=True)
+        return ModbusServer(self.controller, memory=2000, waits=True)
 
 
 class TamperedCable(Cable):
@@ -226,14 +226,14 @@ class FramesBench(LineBench):
     protocol = "frames"
 
     def serve(self, port):
-        return SerialServer(self.controller, port, BAUD, waits=True)
+        return SerialServer(self.controller, port, BAUD, memory=2000, waits=True)
 
 
 class RtuBench(LineBench):
     protocol = "rtu"
 
     def serve(self, port):
-        return ModbusRtuServer(self.controller, port, BAUD, waits=True)
+        return ModbusRtuServer(self.controller, port, BAUD, memory=2000, waits=True)
 
 
 @pytest.fixture
