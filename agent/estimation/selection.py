@@ -61,9 +61,11 @@ def ladder(observation: Observation, partition: Partition) -> Problem:
         for axle in range(n)
     ]
     problem, reversals = _best_reversals(_with_reversals(observation, partition, grids))
+    problem = problem.with_own_trust()
     for factors in _FINER:
         grids = [[replace(r, scale=r.scale * factor) for factor in factors] if r.scale else [r] for r in reversals]
-        problem, reversals = _best_reversals(_with_reversals(observation, partition, grids))
+        finer = replace(_with_reversals(observation, partition, grids), trust=problem.trust)
+        problem, reversals = _best_reversals(finer)
 
     weights = iterate_weights(problem.moments, problem.prior, problem.trust)
     load = solve(problem.moments, weights, problem.prior, problem.trust)[: observation.rigid.count]
@@ -115,7 +117,7 @@ def _best_reversals(problem: Problem) -> tuple[Problem, list[Reversal]]:
     choice = {axle: int(found[0]) for axle, found in options.items()}
     reversals = {}
     for _ in range(2):
-        fit = problem.select(np.array(sorted([*fixed, *choice.values()]))).with_own_trust()
+        fit = problem.select(np.array(sorted([*fixed, *choice.values()])))
         total = problem.moments.weighted(iterate_weights(fit.moments, fit.prior, fit.trust))
         for axle, found in options.items():
             others = [*fixed, *(k for a, k in choice.items() if a != axle)]
@@ -123,7 +125,7 @@ def _best_reversals(problem: Problem) -> tuple[Problem, list[Reversal]]:
             error = _trial(total, total, problem.prior, fit.trust, others, base + found)[1]
             choice[axle] = int(found[np.argmin(error)])
             reversals[axle] = _between([problem.terms[k].reversal or Reversal() for k in found], error)
-    return problem.select(np.array(sorted([*fixed, *choice.values()]))).with_own_trust(), list(reversals.values())
+    return problem.select(np.array(sorted([*fixed, *choice.values()]))), list(reversals.values())
 
 
 def _between(grid: list[Reversal], error: np.ndarray) -> Reversal:
