@@ -13,7 +13,7 @@ from agent.apply import origin, remember
 from agent.console import Console
 from agent.recipe import Recipe
 from agent.record import Recording, open_link, report_losses
-from agent.result import build_result, provenance, run_data
+from agent.result import build_result, provenance, run_data, typical_motion
 from agent.run import RunFolder, robot_lock, sha256_file
 
 EXCITATION = "excitation.mcap"
@@ -150,6 +150,7 @@ def _validation_logs(run: RunFolder) -> list[Path]:
 def _report(
     recipe: Recipe, plan: planning.Plan, run: RunFolder, recordings: list[Recording], model: Any, predictions: list[Any]
 ) -> Outcome:
+    from agent.analysis_log import write_analysis
     from agent.conditions import conditions
     from agent.recording import read_log
     from agent.report import run_report
@@ -159,6 +160,8 @@ def _report(
     result = build_result(recipe, plan, recordings, model, predictions, sources)
     result["conditions"] = conditions(model, read_log(run.file(EXCITATION), recipe.robot))
     run.write_json("result.json", result)
+    typical = typical_motion(predictions)
+    write_analysis(run.file("analysis.mcap"), read_log(run.file(typical.log), recipe.robot), typical)
     further = further_sections(run.path, recipe, model, predictions)
     run.write_text("report.html", run_report(run_data(recipe, plan, result, model, predictions, further)))
     run.note(model_sha256=sha256_file(run.file("model.json")))

@@ -331,8 +331,11 @@ def _diagnosis(reference: Reference, run: RunFolder, result: dict[str, Any], log
 
 
 def _report(run: RunFolder, result: dict[str, Any], found: Refit, comparison: Comparison, log: Log) -> None:
+    from agent.analysis_log import write_analysis
     from agent.reports import recalibration_page
+    from agent.validation import predict_log
 
+    write_analysis(run.file("analysis.mcap"), log, predict_log(found.model, log))
     run.write_json("result.json", result)
     run.write_json("comparison.json", comparison.to_dict())
     run.write_text("report.html", recalibration_page(run.path, result, found.model, comparison, log))

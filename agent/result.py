@@ -86,7 +86,7 @@ def run_data(
     further: Sequence[Section],
 ) -> RunData:
     """What the report shows of a run; `further` sections go between parameters and provenance."""
-    typical = predictions[_typical(predictions)]
+    typical = typical_motion(predictions)
     every = max(1, len(typical.time) // 1500)
     return RunData(
         result=result,
@@ -103,10 +103,10 @@ def run_data(
     )
 
 
-def _typical(predictions: Sequence[Prediction]) -> int:
+def typical_motion(predictions: Sequence[Prediction]) -> Prediction:
     """The motion in the middle of the field, so that the plot flatters nobody."""
     worst = [float(np.nanmax(p.normalised_rmse(moving=True))) for p in predictions]
-    return int(np.argsort(worst)[len(worst) // 2])
+    return predictions[int(np.argsort(worst)[len(worst) // 2])]
 
 
 def provenance(run_path: Path, state: dict[str, Any], logs: Sequence[Path]) -> dict[str, str]:

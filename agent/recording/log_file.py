@@ -15,6 +15,8 @@ from typing import Protocol
 
 import numpy as np
 
+from agent.recording.foxglove import FILE_NAME as LAYOUT_NAME
+from agent.recording.foxglove import foxglove_layout
 from agent.recording.joint_state import SCHEMA_NAME, SCHEMA_TEXT, JointStateLayout, layout_for
 from agent.recording.log import Log
 from agent.recording.mcap_output import CHUNK_SIZE, MESSAGE_HEAD, McapOutput, RecordingError
@@ -125,8 +127,19 @@ class LogFile:
         self, topic: str, times: np.ndarray, position: np.ndarray, velocity: np.ndarray | None = None
     ) -> None:
         """Add set-points, of the controller or planned, for controller times (K,) [s]: (K, n) each."""
+        self.write_states(topic, times, position, velocity, None)
+
+    def write_states(
+        self,
+        topic: str,
+        times: np.ndarray,
+        position: np.ndarray,
+        velocity: np.ndarray | None,
+        effort: np.ndarray | None,
+    ) -> None:
+        """Add joint states of any kind for controller times (K,) [s]: (K, n) each."""
         stamps = nanoseconds(times)
-        arrays = [np.asarray(position), None if velocity is None else np.asarray(velocity), None]
+        arrays = [None if values is None else np.asarray(values) for values in (position, velocity, effort)]
         self._append([(topic, arrays)], stamps, stamps + self._receive_offset, np.arange(len(stamps)))
 
     def cycle_start(self, time: float) -> None:
@@ -156,6 +169,7 @@ class LogFile:
             run["cycle_starts_s"] = json.dumps([round(start - first, 9) for start in self._cycle_starts])
         run["lost_samples"], run["repeated_samples"] = str(self.lost), str(self.repeated)
         self._out.add_metadata(RUN, run)
+        self._out.add_attachment(LAYOUT_NAME, "application/json", foxglove_layout(self._names).encode())
         self._out.finish()
         self._out.sync()
 
@@ -222,13 +236,19 @@ def write_log(path: Path, log: Log) -> None:
             beside.unlink(missing_ok=True)
 
 
+def as_samples(log: Log) -> Samples:
+    """A log in memory as one block of measured samples."""
+    times = log.stamp + log.t
+    return _Block(np.arange(len(times)), times, log.position, log.velocity, log.effort)
+
+
 def _write_whole(path: Path, log: Log) -> None:
     times = log.stamp + log.t
     run = log.metadata
     robot, motion = run.get("robot", ""), run.get("motion", "")
     file = LogFile(path, log.joint_names, robot, motion, log.sample_rate, clock=lambda: times[0])
     try:
-        file.write(_Block(np.arange(len(times)), times, log.position, log.velocity, log.effort))
+        file.write(as_samples(log))
         for topic, position in ((REFERENCES, log.reference_position), (PLANNED, log.planned_position)):
             if position is not None:
                 known = np.all(np.isfinite(position), axis=1)

@@ -22,6 +22,8 @@ import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
+    Attachment,
+    AttachmentIndex,
     Channel,
     Chunk,
     ChunkIndex,
@@ -95,6 +97,7 @@ class McapOutput:
         self._counts: dict[int, int] = {}
         self._chunks: list[ChunkIndex] = []
         self._metadata: list[MetadataIndex] = []
+        self._attachments: list[AttachmentIndex] = []
         self._metadata_count = 0
         self._chunk = _empty()
         self._emit(MCAP0_MAGIC + _bytes(Header(profile, library)))
@@ -156,6 +159,22 @@ class McapOutput:
         if indexed:
             self._metadata.append(MetadataIndex(offset=offset, length=len(data), name=name))
 
+    def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
+        """Put a small file into this one."""
+        self.flush()
+        attachment = _bytes(Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data))
+        index = AttachmentIndex(
+            offset=self._end,
+            length=len(attachment),
+            log_time=0,
+            create_time=0,
+            data_size=len(data),
+            name=name,
+            media_type=media_type,
+        )
+        self._emit(attachment)
+        self._attachments.append(index)
+
     def flush(self) -> None:
         """Hand the chunk in progress to the operating system: the end of this process cannot lose it any more."""
         chunk = self._chunk
@@ -210,6 +229,7 @@ class McapOutput:
             (Opcode.CHANNEL, [*self._channels]),
             (Opcode.STATISTICS, [self._statistics()]),
             (Opcode.CHUNK_INDEX, [*self._chunks]),
+            (Opcode.ATTACHMENT_INDEX, [*self._attachments]),
             (Opcode.METADATA_INDEX, [*self._metadata]),
         ]
         summary, offsets = b"", b""
@@ -232,7 +252,7 @@ class McapOutput:
             message_count=sum(self._counts.values()),
             schema_count=len(self._schemas),
             channel_count=len(self._channels),
-            attachment_count=0,
+            attachment_count=len(self._attachments),
             metadata_count=self._metadata_count,
             chunk_count=len(self._chunks),
             message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
