@@ -48,20 +48,19 @@ class Terminated(BaseException):
 @app.command()
 def init(
     recipe: Annotated[Path, typer.Argument(metavar="[RECIPE]", help="file to write")] = Path("recipe.yaml"),
-    robot: RobotOption = "comau_ns16",
-    controller: Annotated[str, typer.Option("--controller", metavar="ADDRESS")] = "127.0.0.1:9100",
+    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")] = None,
+    driver: Annotated[str | None, typer.Option("--driver", metavar="NAME", help="driver of the link")] = None,
+    controller: Annotated[str | None, typer.Option("--controller", metavar="ADDRESS", help="of the controller")] = None,
+    centre: Annotated[str | None, typer.Option("--centre", metavar="X,Y,Z", help="of the sub-region")] = None,
+    size: Annotated[str | None, typer.Option("--size", metavar="X,Y,Z", help="of the sub-region")] = None,
+    orientation: Annotated[str | None, typer.Option("--orientation", metavar="A,E,R", help="of the tool")] = None,
+    cone: Annotated[str | None, typer.Option("--cone", metavar="ANGLE", help="how far the tool may lean")] = None,
 ) -> None:
-    """Write a commented recipe."""
-    from agent.recipe import template
-    from agent.robot import builtin_robots, load_robot
-    from agent.run import write_atomically
+    """Write a commented recipe; what no option says is asked on a terminal."""
+    from agent.init import write_recipe
 
-    load_robot(robot)
-    if recipe.exists():
-        raise InputError(f"{recipe}: exists already; name another file, or move it away")
-    named = robot if robot in builtin_robots() else os.path.relpath(robot, recipe.parent)
-    write_atomically(recipe, template(robot=named, address=controller))
-    print(recipe)
+    given = {"robot": robot, "driver": driver, "controller": controller, "centre": centre, "size": size}
+    print(write_recipe(recipe, {**given, "orientation": orientation, "cone": cone}))
 
 
 @app.command()

@@ -1,0 +1,94 @@
+"""A recipe to start from: by flags, by questions on a terminal, with a schema for editors."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.init import schema_text
+from agent.recipe import load_recipe
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def _agent(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "agent", *arguments]
+    options = {"cwd": folder, "env": environment, "stdin": subprocess.DEVNULL, "capture_output": True, "text": True}
+    return subprocess.run(command, check=False, **options)
+
+
+def test_flags_say_everything(tmp_path: Path):
+    flags = ["--controller", "10.0.0.5:9100", "--centre", "900 mm, 0.1 m, 0.7", "--size", "0.3 m, 0.3 m, 0.2 m"]
+    run = _agent(tmp_path, "init", "cell.yaml", *flags, "--orientation", "0 deg, 170 deg, 0 deg", "--cone", "10 deg")
+    assert run.returncode == 0, run.stderr
+    recipe = load_recipe(tmp_path / "cell.yaml")
+    assert recipe.controller.address == "10.0.0.5:9100"
+    via = recipe.motion.via_points
+    assert via.centre == pytest.approx((0.9, 0.1, 0.7))
+    assert via.size == pytest.approx((0.3, 0.3, 0.2))
+    assert via.orientation == pytest.approx((0, np.deg2rad(170), 0))
+    assert via.cone == pytest.approx(np.deg2rad(10))
+
+
+@pytest.mark.parametrize(
+    ("flag", "value", "why"),
+    [
+        ("--size", "0.3 m, 0.3 m", "three quantities"),
+        ("--centre", "1 kg, 0 m, 0 m", "--centre 1 kg"),
+        ("--cone", "wide", "--cone wide"),
+        ("--robot", "nothing.yaml", "nothing.yaml"),
+        ("--driver", "carrier_pigeon", "there is no driver"),
+    ],
+)
+def test_what_cannot_be_is_refused_and_nothing_is_written(tmp_path: Path, flag: str, value: str, why: str):
+    run = _agent(tmp_path, "init", "cell.yaml", flag, value)
+    assert run.returncode == 2
+    assert why in run.stderr
+    assert "Traceback" not in run.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_on_a_terminal_it_asks_and_asks_again(tmp_path: Path):
+    answers = ["", "", "10.0.0.9:9100", "1 m, 0 m", "1.1 m, 0 m, 0.9 m", "", "", "20 deg"]
+    master, slave = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "agent", "init", "cell.yaml"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdin=slave,
+        stdout=subprocess.PIPE,
+        stderr=slave,
+    )
+    os.close(slave)
+    os.write(master, "".join(f"{answer}\n" for answer in answers).encode())
+    output, _ = process.communicate(timeout=60)
+    said = os.read(master, 65536).decode()
+    os.close(master)
+    assert process.returncode == 0, said
+    assert output.decode().strip() == "cell.yaml"
+    assert "three quantities with commas between are expected, not 2" in said
+    recipe = load_recipe(tmp_path / "cell.yaml")
+    assert recipe.controller.address == "10.0.0.9:9100"
+    assert recipe.motion.via_points.centre == (1.1, 0.0, 0.9)
+    assert recipe.robot.name == "comau_ns16"
+
+
+def test_the_schema_is_beside_the_recipe_and_named_in_it(tmp_path: Path):
+    assert _agent(tmp_path, "init", "cell.yaml").returncode == 0
+    first = (tmp_path / "cell.yaml").read_text(encoding="utf-8").splitlines()[0]
+    assert first == "# yaml-language-server: $schema=recipe.schema.json"
+    schema = json.loads((tmp_path / "recipe.schema.json").read_text(encoding="utf-8"))
+    assert {"robot", "controller", "motion"} <= set(schema["required"])
+    assert "recalibrate" in schema["properties"]
+
+
+def test_the_schema_in_the_documentation_is_this_one():
+    assert (ROOT / "docs" / "recipe.schema.json").read_text(encoding="utf-8") == schema_text()
