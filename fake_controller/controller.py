@@ -139,6 +139,11 @@ class Controller:
         return self._position
 
     @property
+    def recorded(self) -> int:
+        """Samples of the last motion that can still be fetched."""
+        return self._ring.size
+
+    @property
     def stored(self) -> tuple[str, str]:
         """Name and SHA-256 (hex) of the program that was stored last; empty where there is none."""
         with self._lock:
@@ -154,7 +159,7 @@ class Controller:
     def reach(self, phase: str, motion_time: float = 0.0) -> None:
         """A phase of `fake_controller.faults` is reached: whatever is to go wrong in it goes wrong now.
 
-        Servers say `connect`, `upload`, `start` and `stop`, before they carry out what they were asked for.
+        A server says `connect` as it greets a client, before it answers; the other phases are the controller's own.
         """
         for fault in self.faults.strike(phase, motion_time):
             self._suffer(fault)
@@ -163,6 +168,7 @@ class Controller:
         """Raises:
         RefusedRequest: a program of this name and size cannot be stored now.
         """
+        self.reach("upload")
         if not _NAME.fullmatch(name):
             raise RefusedRequest(
                 Refusal.BAD_REQUEST,
@@ -206,6 +212,7 @@ class Controller:
             RefusedRequest: the state forbids motion, another program or text is stored, this motion id was used
                 before, or the first moves cannot be carried out. Nothing moves then.
         """
+        self.reach("start")
         with self._lock:
             if motion_id in self._motion_ids:
                 raise RefusedRequest(Refusal.REPEATED_MOTION, "this motion command was given before; it acts once")
@@ -238,6 +245,8 @@ class Controller:
 
     def stop(self, reason: EndReason, message: str) -> None:
         """Bring the arm to rest on its path; nothing to do where it rests."""
+        if reason is EndReason.STOPPED:
+            self.reach("stop")
         switch = self._switch
         if switch is not None:
             switch.request(reason, message)
@@ -256,12 +265,17 @@ class Controller:
         chosen = slice(begin, begin + count)
         return part.first + begin, part.time_ns[chosen], part_of(part.samples, chosen)
 
+    def wait(self, timeout: float) -> bool:
+        """Wait until the arm rests and its client has heard of it; False if that takes longer [s]."""
+        thread = self._thread
+        if thread is not None and thread.is_alive():
+            thread.join(timeout)
+        return not self.moving
+
     def shut_down(self) -> None:
         """Bring the arm to rest and wait for that."""
         self.stop(EndReason.SHUTDOWN, "the controller is switched off")
-        thread = self._thread
-        if thread is not None and thread.is_alive():
-            thread.join(10.0)
+        self.wait(10.0)
 
     def _suffer(self, fault: Fault) -> None:
         state = self.state

@@ -264,7 +264,6 @@ class Session:
             case AskStatus():
                 self._send(status_reply(self._controller), request)
             case UploadBegin(name, size, checksum):
-                self._controller.reach("upload")
                 self._controller.check_upload(name, size)
                 self._upload = Upload(name, size, checksum)
                 self._send(Done(), request)
@@ -276,7 +275,6 @@ class Session:
                 checksum = self._controller.store(upload.name, upload.complete())
                 self._send(Stored(upload.name, checksum), request)
             case Start(name, checksum, motion_id):
-                self._controller.reach("start")
                 self._controller.start(name, checksum, motion_id, self)
                 self._driving = True
                 try:
@@ -284,7 +282,6 @@ class Session:
                 finally:
                     self._controller.go()
             case Stop():
-                self._controller.reach("stop")
                 self._controller.stop(EndReason.STOPPED, "stopped on command")
                 self._send(Done(), request)
             case Fetch(first, count):

@@ -211,7 +211,7 @@ class GuardedLink:
                     if fault is not None:
                         self._stop()
         except DriverError as error:
-            if fault is None or isinstance(error, MotionStopped):
+            if not isinstance(fault, SafetyError) or isinstance(error, MotionStopped):
                 raise
         if fault is not None:
             raise fault
@@ -222,7 +222,7 @@ class GuardedLink:
         except DriverError as error:
             return ControllerError(
                 f"{self.address}: the controller's state cannot be read any more while the arm moves, so it was "
-                f"stopped: {error}"
+                f"stopped: {error}; check the link, then run the command again"
             )
         reason = unsafe_in_motion(status)
         return None if reason is None else SafetyError(f"{self.address}: the arm was stopped: {reason}")

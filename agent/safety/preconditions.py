@@ -68,7 +68,7 @@ def check_ready(status: Status, address: str, program: str, checksum: str) -> No
     if (status.program, status.checksum) != (program, checksum):
         faults.append(f"the stored program is {status.program!r}, not the {program!r} that was sent")
     if faults:
-        raise ControllerError(f"{address}: not ready to move: " + "; ".join(faults))
+        raise ControllerError(f"{address}: not ready to move: {'; '.join(faults)}; then run the command again")
 
 
 def check_plan(program: PlannedProgram, robot: RobotDescription, position: np.ndarray, address: str) -> None:

@@ -1,0 +1,219 @@
+"""The agent's command line against a fake controller that misbehaves, on real sockets and in one process."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.cli import main
+from agent.recording import read_log
+from fake_controller.build import build_controller
+from fake_controller.controller import PERIOD, Controller, State
+from fake_controller.faults import Fault, Faults
+from fake_controller.server_modbus import ModbusServer
+from fake_controller.server_tcp import TcpServer
+
+#: Servers by the name of the driver that speaks to them.
+SERVERS = {"tcp": TcpServer, "modbus": ModbusServer}
+
+RECIPE = """
+robot: {robot}
+controller: {{driver: {driver}, address: "{address}"}}
+motion:
+  speed: 0.5 m/s
+  fly: {{type: FLY_CART, trajectory: FLY_TOL, distance: 5 mm}}
+  via_points:
+    count: 3
+    box:
+      centre: [0.6 m, 0 m, 0 m]
+      size: [100 mm, 10 mm, 100 mm]
+      orientation: [0 deg, 0 deg, 0 deg]
+      cone: 10 deg
+record: {{rate: 500 Hz, cycles: 2}}
+"""
+PROGRAM = """PROGRAM swing HOLD, PROG_ARM=1
+VAR
+  k : INTEGER
+BEGIN
+  FOR k := 1 TO 3 DO
+    MOVE JOINT TO {20, -30}
+    MOVE JOINT TO {-20, 30}
+  ENDFOR
+END swing
+"""
+
+
+@dataclass
+class Ended:
+    """What came of one run of the command line."""
+
+    code: int
+    output: str
+    errors: str
+
+
+class Interrupting(Faults):
+    """Sends this process a signal once the arm has moved for so long."""
+
+    def __init__(self, faults: Sequence[Fault], after: float, number: int = signal.SIGINT):
+        super().__init__(faults)
+        self._after: float | None = after
+        self._number = number
+
+    def strike(self, phase: str, motion_time: float = 0.0) -> list[Fault]:
+        if phase == "streaming" and self._after is not None and motion_time >= self._after:
+            self._after = None
+            os.kill(os.getpid(), self._number)
+        return super().strike(phase, motion_time)
+
+
+@pytest.fixture(scope="session")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The robot.yaml of a small arm with two joints."""
+    folder = tmp_path_factory.mktemp("arm")
+    (folder / "arm.urdf").write_text(URDF, encoding="utf-8")
+    (folder / "robot.yaml").write_text(DESCRIPTION, encoding="utf-8")
+    return str(folder / "robot.yaml")
+
+
+class Bench:
+    """One fake controller, and an agent that records a short program with it."""
+
+    def __init__(self, arm: str, folder: Path, run: Callable[..., Ended]):
+        self.folder = folder
+        self.log = folder / "swing.mcap"
+        self.recipe = folder / "recipe.yaml"
+        self.program = folder / "swing.pdl"
+        self._arm = arm
+        self._run = run
+        self._servers: list[TcpServer | ModbusServer] = []
+
+    def serve(
+        self,
+        faults: Sequence[Fault] = (),
+        driver: str = "tcp",
+        clock: str = "fast",
+        interrupt: float | None = None,
+        number: int = signal.SIGINT,
+        **state: object,
+    ) -> Controller:
+        """Start a controller; the recipe and the program are written for it."""
+        controller = build_controller(self._arm, 3, clock)
+        controller.faults = Faults(faults) if interrupt is None else Interrupting(faults, interrupt, number)
+        controller.state = State(**state)
+        server = SERVERS[driver](controller, watchdog=0.5 if clock == "real" else 2.0)
+        self._servers.append(server)
+        text = RECIPE.format(robot=self._arm, driver=driver, address=server.address)
+        self.recipe.write_text(text, encoding="utf-8")
+        self.program.write_text(PROGRAM, encoding="utf-8")
+        return controller
+
+    def record(self, *options: str) -> Ended:
+        """`agent record`."""
+        return self._run("record", self.recipe, "--program", self.program, "-o", self.log, *options)
+
+    def close(self) -> None:
+        for server in self._servers:
+            server.close()
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Iterator[Callable]:
+    """The command line in this process, off a terminal, in the test's folder."""
+    monkeypatch.chdir(tmp_path)
+    before = signal.getsignal(signal.SIGTERM)
+
+    def call(*arguments: object) -> Ended:
+        monkeypatch.setattr(sys, "argv", ["agent", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        captured = capsys.readouterr()
+        return Ended(int(end.value.code or 0), captured.out, captured.err)
+
+    yield call
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.fixture
+def bench(arm: str, tmp_path: Path, run: Callable[..., Ended]) -> Iterator[Bench]:
+    """A bench whose servers end with the test."""
+    with closing(Bench(arm, tmp_path, run)) as bench:
+        yield bench
+
+
+@pytest.fixture
+def assert_at_rest() -> Callable[[Controller, int], None]:
+    """The arm was set in motion so often, rests, and came to rest on its path within its acceleration."""
+
+    def check(controller: Controller, motions: int) -> None:
+        assert controller.wait(30.0), "the arm still moves"
+        assert controller.motions_started == motions
+        if controller.motions_started == 0:
+            return
+        first, velocity = 0, []
+        while sum(map(len, velocity)) < controller.recorded:
+            at, _, samples = controller.fetch(first, 100_000)
+            velocity.append(samples.reference_velocity)
+            first = at + len(samples)
+        speeds = np.concatenate(velocity)
+        np.testing.assert_allclose(speeds[-1], 0.0, atol=1e-9)
+        acceleration = np.abs(np.diff(speeds, axis=0)).max(axis=0) / PERIOD
+        assert np.all(acceleration <= 1.05 * controller.robot.max_acceleration)
+
+    return check
+
+
+@pytest.fixture
+def assert_readable() -> Callable[[Path], int]:
+    """A log that can be read from its first to its last sample; returns how many."""
+
+    def check(log: Path) -> int:
+        found = read_log(log)
+        assert np.all(np.isfinite(found.position))
+        assert np.all(np.diff(found.t) > 0)
+        return len(found.t)
+
+    return check
+
+
+def _link(name: str, mass: float) -> str:
+    return (
+        f'<link name="{name}"><inertial><origin xyz="0.2 0 0"/><mass value="{mass}"/>'
+        '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>'
+    )
+
+
+def _joint(name: str, parent: str, child: str, x: float) -> str:
+    return (
+        f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{x} 0 0"/><axis xyz="0 1 0"/>'
+        '<limit lower="-3" upper="3" effort="500" velocity="3"/></joint>'
+    )
+
+
+URDF = (
+    '<robot name="small_arm"><link name="base"/>'
+    + _link("upper", 5.0)
+    + _link("lower", 3.0)
+    + '<link name="tip"/>'
+    + _joint("shoulder", "base", "upper", 0.0)
+    + _joint("elbow", "upper", "lower", 0.4)
+    + '<joint name="end" type="fixed"><parent link="lower"/><child link="tip"/><origin xyz="0.4 0 0"/></joint></robot>'
+)
+DESCRIPTION = """\
+name: small_arm
+urdf: arm.urdf
+tip_frame: tip
+cartesian_limits: {linear_speed: 1.5, linear_acceleration: 3, rotational_speed: 2, rotational_acceleration: 6}
+joints:
+  - {name: shoulder, gear_ratio: 100, nominal_motor_torque: 1, max_velocity: 2, max_acceleration: 6}
+  - {name: elbow, gear_ratio: -80, nominal_motor_torque: 1, max_velocity: 3, max_acceleration: 9}
+"""

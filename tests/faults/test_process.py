@@ -1,0 +1,164 @@
+"""What only processes of their own show: scenarios and effects by hand, full disks, signals, kill -9."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.recording import read_log
+
+ROOT = Path(__file__).resolve().parents[2]
+LONG = """PROGRAM long HOLD, PROG_ARM=1
+VAR
+  k : INTEGER
+BEGIN
+  FOR k := 1 TO 200 DO
+    MOVE JOINT TO {20, -30}
+    MOVE JOINT TO {-20, 30}
+  ENDFOR
+END long
+"""
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Starts `python -m …` in the test's folder."""
+    running = []
+
+    def begin(*arguments: object, **options: object) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", *map(str, arguments)]
+        pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        running.append(subprocess.Popen(command, cwd=tmp_path, env=environment(), text=True, **pipes, **options))
+        return running[-1]
+
+    yield begin
+    for process in running:
+        process.kill()
+        process.communicate()
+
+
+def until_it_moves(agent: subprocess.Popen[str]) -> None:
+    assert agent.stderr is not None
+    assert any("of motion" in line for line in agent.stderr), "the agent ended before anything moved"
+
+
+def limit_files(size: int) -> Callable[[], None]:
+    """To run in a child: no file grows beyond `size`, as on a full disk."""
+
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+    return limit
+
+
+def test_a_scenario_by_hand(start, tmp_path: Path, arm: str):
+    """`agent emulator --scenario` with effects says what it is, and at its end what was done with it."""
+    scenario, effects = tmp_path / "s.yaml", tmp_path / "effects.json"
+    scenario.write_text(
+        f"title: pulled\nsetup: {{robot: '{arm}', seed: 4}}\nfaults: [{{fault: drop, phase: upload}}]\n"
+        "expect: {exit_code: 4, motions: 0}\n",
+        encoding="utf-8",
+    )
+    effects.write_text(json.dumps([{"effect": "payload", "parameters": {"mass": 2.0}}]), encoding="utf-8")
+    fake = start("agent", "emulator", "--scenario", scenario, "--effects", effects, "--port", "0")
+    assert "small_arm at 127.0.0.1:" in fake.stdout.readline()
+    fake.send_signal(signal.SIGTERM)
+    _, errors = fake.communicate(timeout=60)
+    assert fake.returncode == 0
+    assert "pulled" in errors
+    effects.write_text('{"effect": "payload"}', encoding="utf-8")
+    wrong = start("fake_controller", "--effects", effects, "--port", "0")
+    assert wrong.wait(60) == 2
+    assert "a list of effects is expected" in wrong.stderr.read()
+
+
+def test_a_full_disk_stops_the_arm(bench, start, assert_at_rest, assert_readable):
+    controller = bench.serve()
+    bench.program.write_text(LONG, encoding="utf-8")
+    agent = start(
+        "agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log, preexec_fn=limit_files(100_000)
+    )
+    _, errors = agent.communicate(timeout=120)
+    assert agent.returncode == 1, errors
+    assert "Traceback" not in errors
+    assert str(bench.log) in errors
+    assert "free" in errors
+    assert_at_rest(controller, 1)
+    assert controller.ends[0].name in ("STOPPED", "WATCHDOG")
+    assert assert_readable(bench.log) > 0
+
+
+def test_a_folder_that_cannot_be_written_moves_nothing(bench, run):
+    controller = bench.serve()
+    bench.log = Path("/proc/no_such_folder/log.mcap")
+    ended = bench.record()
+    assert ended.code == 1
+    assert "/proc/no_such_folder/log.mcap" in ended.errors
+    assert controller.motions_started == 0
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_in_a_controlled_stop(bench, assert_at_rest, assert_readable, number, code):
+    controller = bench.serve(clock="real", interrupt=0.3, number=number)
+    ended = bench.record()
+    assert ended.code == code
+    assert_at_rest(controller, 1)
+    assert [end.name for end in controller.ends] == ["STOPPED"]
+    assert assert_readable(bench.log) > 100
+
+
+def test_two_agents_on_one_robot(bench, start):
+    controller = bench.serve(clock="real")
+    first = start("agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log)
+    until_it_moves(first)
+    bench.log = bench.folder / "second.mcap"
+    second = bench.record()
+    assert second.code == 75
+    assert "another run holds this robot" in second.errors
+    assert controller.motions_started == 1
+
+
+def test_a_clock_that_jumps_changes_nothing(bench, monkeypatch, assert_readable):
+    """Receive time is the wall's; analysis and watchdogs do not depend on it."""
+    import time
+
+    true, calls = time.time, iter(range(10**9))
+    monkeypatch.setattr(time, "time", lambda: true() + (-1) ** next(calls) * 86_400)
+    bench.serve()
+    ended = bench.record()
+    assert ended.code == 0, ended.errors
+    assert assert_readable(bench.log) > 1000
+
+
+@pytest.mark.parametrize("attempt", [0, *(pytest.param(k, marks=pytest.mark.verify) for k in range(1, 12))])
+def test_kill_9_at_any_moment(bench, start, assert_at_rest, attempt):
+    controller = bench.serve(clock="real")
+    bench.program.write_text(LONG, encoding="utf-8")
+    agent = start("agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log)
+    until_it_moves(agent)
+    moment = int(np.random.default_rng(attempt).integers(200, 1500))
+    while controller.recorded < moment:
+        os.sched_yield()
+    sent = controller.recorded
+    agent.kill()
+    agent.communicate()
+    assert controller.wait(20.0)
+    assert controller.ends[0].name == "WATCHDOG"
+    assert_at_rest(controller, 1)
+    log = read_log(bench.log)
+    assert len(log.t) >= sent - 500, "more than the last second is missing"
+    assert np.all(np.diff(log.t) > 0)

@@ -1,0 +1,66 @@
+"""Every scenario that comes with the fake ends as its file says; and scenario files that make no sense are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from agent.errors import InputError
+from drivers.wire.reasons import EndReason
+from fake_controller.faults import FAULTS, PHASES, Fault
+from fake_controller.scenario import builtin_scenarios, load_scenario
+
+#: In the quick tests; each fault on its own is there already.
+QUICK = ("unruly_line", "emergency_stop_before_start", "override_not_full", "interrupted_and_cut")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, id=path.stem, marks=() if path.stem in QUICK else pytest.mark.verify)
+        for path in builtin_scenarios()
+    ],
+)
+def test_scenario(bench, assert_at_rest, assert_readable, path: Path):
+    scenario = load_scenario(path)
+    setup, expect = scenario.setup, scenario.expect
+    state = setup.state.model_dump()
+    controller = bench.serve(scenario.build_faults(), clock=setup.clock, interrupt=scenario.interrupt, **state)
+    ended = bench.record()
+    assert ended.code == expect.exit_code, ended.errors
+    assert_at_rest(controller, expect.motions)
+    if expect.controlled_stop and expect.motions and expect.exit_code:
+        assert controller.ends != [EndReason.DONE]
+    assert bench.log.exists() is expect.log_readable
+    if expect.log_readable:
+        assert assert_readable(bench.log) > 0
+
+
+def test_every_fault_can_be_written_in_a_scenario(tmp_path: Path):
+    lines = [f"  - {{fault: {name}, phase: {phase}}}" for name in FAULTS for phase in PHASES if phase in FAULTS[name]]
+    path = tmp_path / "all.yaml"
+    path.write_text("title: all\nfaults:\n" + "\n".join(lines) + "\nexpect: {exit_code: 4}\n", encoding="utf-8")
+    assert len(load_scenario(path).build_faults()) == len(lines)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("faults: [{fault: gremlin, phase: connect}]", "there is no fault 'gremlin'"),
+        ("faults: [{fault: refuse, phase: stop}]", "strikes in phase connect, not in 'stop'"),
+        ("faults: [{fault: drop, phase: streaming, after: 1 kg}]", "after"),
+        ("setup: {clock: slow}", "clock"),
+        ("surprise: 1", "unknown key"),
+    ],
+)
+def test_a_scenario_that_makes_no_sense(tmp_path: Path, text: str, said: str):
+    path = tmp_path / "wrong.yaml"
+    path.write_text(f"title: wrong\nexpect: {{exit_code: 4}}\n{text}\n", encoding="utf-8")
+    with pytest.raises(InputError, match=said):
+        load_scenario(path)
+
+
+def test_a_fault_out_of_place_cannot_be_built():
+    with pytest.raises(ValueError, match="strikes in phase"):
+        Fault("wrong_robot", "streaming")
