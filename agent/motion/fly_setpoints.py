@@ -24,6 +24,8 @@ _REPAIRS, _STRETCHES = 7, 6
 #: Repairs look at every so many samples, until those are right; then at all of them.
 _COARSE = 4
 _BLOCK = 300
+#: [rad/s] what a tool turns at most where the robot has no limit, to tell a singularity from a quick turn.
+_TURNING = 6.0
 #: A stretch of this part is left alone: speed 0.05 %, acceleration 0.1 %, jerk 0.15 % over what is planned for, which
 #: itself is 0.2 % below the arm's limits.
 _TOLERANCE = 5e-4
@@ -112,9 +114,12 @@ def plan_run(
 def _refuse_crawling(
     path: Path, shape: PathShape, segments: Sequence[Segment], limits: ArmLimits, parameters: FlyParameters
 ) -> None:
+    linear = np.minimum(path.rules[:, rules.LINEAR], limits.cartesian.linear_speed)
+    turning = min(limits.cartesian.rotational_speed, _TURNING)
     with np.errstate(divide="ignore"):
-        programmed = path.rules[:, rules.LINEAR] / shape.travel
-    turns = np.abs(shape.q1) / limits.speed[:, None] * np.where(np.isfinite(programmed), programmed, 0.0)
+        programmed = np.minimum(linear / shape.travel, turning / shape.turn)
+    programmed[~np.isfinite(path.rules[:, rules.CARTESIAN]) | ~np.isfinite(programmed)] = 0.0
+    turns = np.abs(shape.q1) / limits.speed[:, None] * programmed
     joint, knot = np.unravel_index(int(np.argmax(turns)), turns.shape)
     slowdown = float(turns[joint, knot]) * parameters.singular_slowdown
     if slowdown <= 1.0:

@@ -21,7 +21,8 @@ _LIMITS = {"unreachable": "reach", "singular": "singularity", "branch": "branch"
 def motion_error(error: KinematicsError, move: int, label: str) -> MotionError:
     """What the kinematics refuses, as the fault of one move."""
     # The kinematics counts the samples of the path; who reads the message has never seen them.
-    place = re.sub(r"between poses \d+ and \d+, at|pose \d+ at", "at", str(error))
+    place = re.sub(r"between poses \d+ and \d+, | \(pose \d+\)", "", str(error))
+    place = re.sub(r"\bpose \d+ at", "the point at", place)
     return MotionError(f"{label}: {place}", move, _LIMITS.get(error.reason, error.reason), error.excess)
 
 
