@@ -1,0 +1,174 @@
+"""Reports as a browser sees them: no error in the console, no request to anywhere, data a click away."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+FOREIGN = re.compile(r"""(?:src|href|action|data)\s*=\s*["'](?!data:|#)([^"']+)|url\(\s*["']?(?!#|data:)([^"')]+)""")
+
+
+@pytest.fixture
+def browse(tmp_path: Path) -> Callable[..., tuple[list[str], list[str], str]]:
+    """Opens a page in headless Chromium; returns console messages, addresses it asked for, and the document after.
+
+    Skips where there is no Chromium.
+    """
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if browser is None:
+        pytest.skip("Chromium is not installed here: pages were not opened in a browser")
+
+    def open_page(page: Path, *options: str) -> tuple[list[str], list[str], str]:
+        net_log = tmp_path / "net.json"
+        command = [
+            browser,
+            "--headless=new",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            "--no-first-run",
+            "--virtual-time-budget=3000",
+            f"--user-data-dir={tmp_path / 'profile'}",
+            f"--log-net-log={net_log}",
+            "--enable-logging=stderr",
+            *options,
+            "--dump-dom",
+            page.resolve().as_uri(),
+        ]
+        run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+        console = [line for line in run.stderr.splitlines() if ":CONSOLE" in line]
+        # the browser calls home by itself; what a page asks for has the page as its initiator
+        events = net_log.read_text(encoding="utf-8").splitlines()
+        started = [event for event in events if '"initiator":"' in event and "not an origin" not in event]
+        asked = [event for event in started if re.search(r'"url":"(?!file:|data:)', event)]
+        return console, asked, run.stdout
+
+    return open_page
+
+
+def _pages(calibrated: Path) -> dict[str, Path]:
+    run = next(path for path in (calibrated / "logs").iterdir() if (path / "state.json").exists())
+    return {"calibration": run / "report.html"}
+
+
+def _check_file(page: Path, links: tuple[str, ...] = ()) -> str:
+    text = page.read_text(encoding="utf-8")
+    foreign = [a or b for a, b in FOREIGN.findall(text)]
+    assert sorted(set(foreign)) == sorted(links), "a page stands alone"
+    return text
+
+
+def _check_shown(browse, page: Path) -> str:
+    console, asked, document = browse(page)
+    assert console == []
+    assert asked == []
+    assert "<svg" in document
+    return document
+
+
+def test_a_calibration(calibrated: Path, browse):
+    page = _pages(calibrated)["calibration"]
+    text = _check_file(page)
+    for title in ("Prediction of unseen motions", "Residuals by joint and regime", "Logs", "Provenance", "Search"):
+        assert f"<h2>{title}</h2>" in text
+    assert "jitter [µs RMS]" in text
+    document = _check_shown(browse, page)
+    assert document.count("<canvas") == 1
+    narrow = browse(page, "--window-size=390,800", "--blink-settings=preferredColorScheme=0")
+    assert narrow[0] == narrow[1] == []
+
+
+def test_every_plot_and_table_has_its_data_a_click_away(calibrated: Path):
+    text = _pages(calibrated)["calibration"].read_text(encoding="utf-8")
+    links = re.findall(r'download="([^"]+\.csv)" href="data:text/csv;base64,([^"]*)"', text)
+    assert len(links) == text.count("<table>") + text.count("<figure>")
+    assert len({name for name, _ in links}) == len(links)
+    for _, data in links:
+        header, *rows = base64.b64decode(data).decode("utf-8").splitlines()
+        assert "," in header
+        assert rows
+
+
+def test_a_recalibration(shop: Path, run_agent, browse):
+    run = run_agent("recalibrate", "recipe.yaml", "-q")
+    assert run.returncode == 0, run.stderr
+    page = shop / run.stdout.strip() / "report.html"
+    text = _check_file(page)
+    assert "<h2>Against the last accepted run</h2>" in text
+    assert "parameters moved by more than their uncertainty" in text
+    _check_shown(browse, page)
+    before = text
+    again = run_agent("report", run.stdout.strip())
+    assert again.returncode == 0, again.stderr
+    assert page.read_text(encoding="utf-8") == before, "made again from its files, it is the same page"
+
+
+def test_a_calibration_made_again(shop: Path, run_agent):
+    (page,) = (shop / "logs").glob("*/report.html")
+    before = page.read_text(encoding="utf-8")
+    page.unlink()
+    run = run_agent("report", page.parent.name)
+    assert run.returncode == 0, run.stderr
+    assert page.read_text(encoding="utf-8") == before
+
+
+def test_the_page_over_all_runs(write_runs, browse):
+    from agent.reports import write_index
+
+    logs = write_runs(20, 2, wear=1)
+    page = write_index(logs)
+    links = tuple(f"{path.name}/report.html" for path in logs.iterdir() if path.is_dir())
+    text = _check_file(page, links)
+    assert "friction of joint_2" in text
+    assert text.count("alarm</td>") >= 1
+    _check_shown(browse, page)
+
+
+def test_the_browser_is_asked_the_right_question(tmp_path: Path, browse):
+    page = tmp_path / "page.html"
+    page.write_text(
+        '<img src="http://127.0.0.1:9/a.png"><svg></svg><script>undefined_name()</script>', encoding="utf-8"
+    )
+    console, asked, _ = browse(page)
+    assert any("undefined_name" in line for line in console)
+    assert any("127.0.0.1:9/a.png" in entry for entry in asked)
+
+
+def test_a_page_without_trends(write_runs, browse):
+    from agent.reports import write_index
+
+    page = write_index(write_runs(2))
+    assert "at least eight runs" in page.read_text(encoding="utf-8")
+    assert browse(page)[:2] == ([], [])
+
+
+def test_a_diagnosis_opens_the_report_when_the_last_model_predicts_worse(shop: Path, run_agent, start_controller):
+    effects = shop / "effects.json"
+    worn = {"effect": "friction_change", "joints": ["joint_2"], "parameters": {"coulomb": 1.3}}
+    effects.write_text(json.dumps([worn]), encoding="utf-8")
+    machine = start_controller("--seed", "7", "--effects", str(effects))
+    recipe = shop / "recipe.yaml"
+    text = re.sub(r'address: "[^"]*"', f'address: "{machine.address}"', recipe.read_text(encoding="utf-8"))
+    recipe.write_text(text, encoding="utf-8")
+    run = run_agent("recalibrate", "recipe.yaml")
+    assert run.returncode == 0, run.stderr
+    folder = shop / run.stdout.strip()
+    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    assert result["validation"]["worse_before"] == ["joint_2"]
+    found = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+    assert found["causes"][0]["effect"] == "friction_change"
+    assert found["causes"][0]["joints"] == ["joint_2"]
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert page.index("<h2>Diagnosis") < page.index("<h2>Prediction")
+    assert "friction change on joint_2" in page.split("</header>")[0]
+    compared = json.loads(run_agent("compare", result["reference"], folder.name, "--json").stdout)
+    assert next(entry["name"] for entry in compared["parameters"] if entry["moved"]) == "f0_2"
