@@ -100,7 +100,7 @@ class RunPlanner:
                 "move the point or turn the tool",
                 move,
                 "singularity",
-                roughness / _ROUGHEST - 1.0,
+                float(np.log10(roughness / _ROUGHEST)),
             )
         return path, shape
 

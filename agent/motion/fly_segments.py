@@ -52,7 +52,6 @@ class SegmentMaker:
     def __init__(self, robot: RobotDescription, tool: Tool | None):
         self.robot = robot
         self._speeds = robot.max_velocity
-        self._lower, self._upper = robot.position_limits
         self.kinematics = kinematics_for(robot, tool)
         self._of_tool: dict[Any, Kinematics] = {None: self.kinematics}
         if tool is not None:
@@ -157,7 +156,7 @@ class SegmentMaker:
 
     def _joints(self, index: int, label: str, move: Move, kinematics: Kinematics, start: np.ndarray) -> np.ndarray:
         if isinstance(move.target, JointTarget):
-            return self._joint_target(index, label, move.target)
+            return self._joint_target(label, move.target)
         pose = np.eye(4)
         position, turn = self._pose(label, move.target, move.settings, kinematics)
         pose[:3, :3], pose[:3, 3] = rotation.to_matrix(turn), position
@@ -168,7 +167,7 @@ class SegmentMaker:
         except KinematicsError as error:
             raise motion_error(error, index, label) from None
 
-    def _joint_target(self, index: int, label: str, target: JointTarget) -> np.ndarray:
+    def _joint_target(self, label: str, target: JointTarget) -> np.ndarray:
         q = np.asarray(target.position, dtype=float)
         if q.shape != (self.robot.dof,) or not np.isfinite(q).all():
             raise InputError(
@@ -181,7 +180,7 @@ class SegmentMaker:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Position (3,) [m] and orientation (4,) of the TCP in the robot's base."""
         if isinstance(target, JointTarget):
-            pose = kinematics.forward(self._joint_target(0, label, target)[None])[0]
+            pose = kinematics.forward(self._joint_target(label, target)[None])[0]
         else:
             given = np.asarray(target.pose, dtype=float)
             if given.shape != (4, 4) or not np.isfinite(given).all():

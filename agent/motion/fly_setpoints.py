@@ -131,7 +131,7 @@ def _refuse_crawling(
         f"can at x {x:.0f}, y {y:.0f}, z {z:.0f} mm: the path passes a singularity; move the point or turn the tool",
         move,
         "singularity",
-        slowdown - 1.0,
+        float(np.log10(slowdown)),
     )
 
 
@@ -144,7 +144,7 @@ def _refuse_long(path: Path, law: TimeLaw, segments: Sequence[Segment], paramete
         "allowed; raise the speed or the overrides",
         move,
         "duration",
-        law.duration / parameters.longest - 1.0,
+        float(np.log10(law.duration / parameters.longest)),
     )
 
 

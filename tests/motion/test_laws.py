@@ -147,6 +147,27 @@ def corner_speeds(trajectory: Trajectory, program: list) -> np.ndarray:
     return np.array(lowest)
 
 
+def check_same_path(fly: FlyInterpolator, program: list, start: np.ndarray, override: float) -> None:
+    """Slower by override and by programmed speed, on the same way through joint space."""
+    speed = 0.5 * program[0].settings.linear_speed
+    slower = [replace(m, settings=m.settings.changed(speed_override=override, linear_speed=speed)) for m in program]
+    one, two = planned(fly, program, start), planned(fly, slower, start)
+    assert (one is None) == (two is None)
+    if one is not None and two is not None:
+        picked = two.q[:: max(1, len(two.q) // 60)]
+        assert np.max(distance_to_polyline(picked, one.q)) < 2e-5
+
+
+def check_overlap(fly: FlyInterpolator, program: list, start: np.ndarray) -> None:
+    """FLY_NORM against FLY_CART at the corners, and against a stop at each of them."""
+    norm = [replace(m, settings=m.settings.changed(fly_type=FlyType.FLY_NORM)) for m in program]
+    stop = [replace(m, fly=False) for m in program]
+    cart, overlapped, stopped = (planned(fly, each, start) for each in (program, norm, stop))
+    if cart is not None and overlapped is not None and stopped is not None:
+        assert np.all(corner_speeds(overlapped, program) <= 1.05 * corner_speeds(cart, program) + 0.003)
+        assert overlapped.duration <= stopped.duration + 1e-9
+
+
 @QUICK
 @given(seed=SEEDS)
 def test_any_program_keeps_every_limit(fly, home, random_program, seed):
@@ -172,13 +193,7 @@ def test_lines_are_flown_within_the_fly_distance(fly, home, random_lines, seed):
 @settings(QUICK, max_examples=40)
 @given(seed=SEEDS, override=st.floats(0.1, 1), mode=st.sampled_from(FlyTrajectory))
 def test_fly_cart_takes_the_same_path_at_any_override(fly, home, random_lines, seed, override, mode):
-    program = random_lines(seed, count=4, fly_trajectory=mode, linear_speed=0.8)
-    slower = [replace(m, settings=m.settings.changed(speed_override=override, linear_speed=0.4)) for m in program]
-    one, two = planned(fly, program, home), planned(fly, slower, home)
-    assert (one is None) == (two is None)
-    if one is not None and two is not None:
-        picked = two.q[:: max(1, len(two.q) // 60)]
-        assert np.max(distance_to_polyline(picked, one.q)) < 2e-5
+    check_same_path(fly, random_lines(seed, count=4, fly_trajectory=mode, linear_speed=0.8), home, override)
 
 
 @settings(QUICK, max_examples=40)
@@ -186,34 +201,31 @@ def test_fly_cart_takes_the_same_path_at_any_override(fly, home, random_lines, s
 def test_fly_norm_is_slower_at_corners_than_fly_cart_and_quicker_than_stopping(
     fly, home, random_lines, seed, mode, percent
 ):
-    program = random_lines(seed, count=4, fly_trajectory=mode, fly_percent=percent)
-    norm = [replace(m, settings=m.settings.changed(fly_type=FlyType.FLY_NORM)) for m in program]
-    stop = [replace(m, fly=False) for m in program]
-    cart, overlapped, stopped = (planned(fly, each, home) for each in (program, norm, stop))
-    if cart is not None and overlapped is not None and stopped is not None:
-        assert np.all(corner_speeds(overlapped, program) <= 1.05 * corner_speeds(cart, program) + 0.003)
-        assert overlapped.duration <= stopped.duration + 1e-9
+    check_overlap(fly, random_lines(seed, count=4, fly_trajectory=mode, fly_percent=percent), home)
 
 
 @pytest.mark.verify
 @pytest.mark.parametrize("piece", range(20))
 def test_ten_thousand_programs_break_no_law(fly, home, random_program, random_lines, measured, piece):
     refused = 0
-    for seed in range(piece * 500, (piece + 1) * 500):
-        program = random_program(seed)
+    for seed in range(piece * 250, (piece + 1) * 250):
+        program, lines = random_program(seed), random_lines(seed)
         trajectory = planned(fly, program, home)
         if trajectory is None:
             refused += 1
         else:
             check_limits(fly, trajectory, home)
             check_tcp(fly, trajectory, program)
-        lines = random_lines(seed)
         trajectory = planned(fly, lines, home)
-        if trajectory is not None:
+        if trajectory is None:
+            refused += 1
+        else:
             check_limits(fly, trajectory, home)
             check_corners(fly, trajectory, lines, home)
             check_flight(fly, trajectory, lines, home)
             check_named_limits(trajectory, lines[0].settings.linear_speed)
-    measured(
-        "random programs, every law, piece", f"500 of all modes ({refused} refused) and 500 of lines", "", "none broken"
-    )
+        if seed % 10 == 0:
+            mode = list(FlyTrajectory)[seed // 10 % 4]
+            check_same_path(fly, random_lines(seed, count=4, fly_trajectory=mode), home, 0.1 + 0.9 * (seed % 97) / 97)
+            check_overlap(fly, random_lines(seed, count=4, fly_trajectory=mode, fly_percent=1.0 + seed % 100), home)
+    measured(f"random programs, piece {piece + 1} of 20: laws broken", 0, f"of 500, {refused} refused", "0")
