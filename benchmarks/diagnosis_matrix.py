@@ -25,6 +25,8 @@ from agent.recording.log import Log
 from agent.robot import RobotDescription, load_robot
 from fake_controller.plant import Plant
 
+# ruff: noqa: E501
+
 PERIOD = 0.002
 CYCLE = 10.0
 MOTIONS = ("excite", "moves", "slow")
@@ -56,29 +58,29 @@ def set_points(robot: RobotDescription, kind: str, seed: int) -> tuple[np.ndarra
         q = middle + q * scale
     else:
         speed = 0.7 if kind == "moves" else 0.08
-        points, rows = middle + rng.uniform(-0.5, 0.5, (40, robot.dof)) * half, []
-        at, count = middle, 0
-        while count < len(time):
-            target = points[len(rows) % 40]
+        points, rows = middle + rng.uniform(-0.5, 0.5, (60, robot.dof)) * half, []
+        at, left = middle, len(time) - 1100
+        for target in points:
             way = np.abs(target - at)
-            lasting = np.max(
-                np.maximum(
-                    1.9 * way / (speed * robot.max_velocity), np.sqrt(6 * way / (speed * robot.max_acceleration))
-                )
-            )
+            by_speed = 1.9 * way / (speed * robot.max_velocity)
+            lasting = max(by_speed.max(), np.sqrt(6 * way / (0.7 * robot.max_acceleration)).max())
             if kind == "slow" and lasting > 3.5:
                 target, lasting = at + (target - at) * 3.5 / lasting, 3.5
-            s = np.linspace(0, 1, max(2, round(lasting / PERIOD)))[:, None]
-            rows.append(at + (10 * s**3 - 15 * s**4 + 6 * s**5) * (target - at))
-            rows.append(np.repeat(target[None], 100, axis=0))
-            count += len(rows[-1]) + len(rows[-2])
-            at = target
-        q = np.concatenate(rows)[: len(time) - 1000]
-        s = np.linspace(0, 1, 1000)[:, None]
-        back = q[-1] + (10 * s**3 - 15 * s**4 + 6 * s**5) * (middle - q[-1])
-        q = np.concatenate([q, back])
+            samples = max(2, round(lasting / PERIOD))
+            if samples + 100 > left:
+                break
+            rows += [at + blend(samples) * (target - at), np.repeat(target[None], 100, axis=0)]
+            at, left = target, left - samples - 100
+        rows += [at + blend(1000) * (middle - at), np.repeat(middle[None], left + 100, axis=0)]
+        q = np.concatenate(rows)
     q = np.concatenate([q, q])
     return q, np.gradient(q, PERIOD, axis=0)
+
+
+def blend(samples: int) -> np.ndarray:
+    """(samples, 1) from 0 to 1 with no speed or acceleration at either end."""
+    s = np.linspace(0, 1, samples)[:, None]
+    return 10 * s**3 - 15 * s**4 + 6 * s**5
 
 
 def record(robot: RobotDescription, seed: int, effects: list, kind: str, motion_seed: int) -> Log:

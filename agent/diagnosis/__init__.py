@@ -2,6 +2,7 @@
 
 from agent.diagnosis.diagnose import diagnose
 from agent.diagnosis.effects import CATALOGUE
+from agent.diagnosis.model_effects import extended_model
 from agent.diagnosis.result import Diagnosis
 
-__all__ = ["CATALOGUE", "Diagnosis", "diagnose"]
+__all__ = ["CATALOGUE", "Diagnosis", "diagnose", "extended_model"]

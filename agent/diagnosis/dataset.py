@@ -23,7 +23,10 @@ from agent.robot import RobotDescription
 _PARITY = 0.1  # s
 _GUARD = 0.2  # s
 _BLOCKS = 5
-_LEAST_BACKGROUND = 0.0015  # of nominal
+_STICTION = 0.3  # of the Coulomb level
+_STANDSTILL = 0.004  # of the highest speed
+_NEAR_STANDSTILL = 0.05  # s
+_LEAST_BACKGROUND = 0.002  # of nominal
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +71,7 @@ def assemble(
     observation = observe(model.rigid, logs, settings)
     n = robot.dof
     scale = reference.scale
-    background = np.maximum(model.held_out_rmse, _LEAST_BACKGROUND * scale)
+    background = np.maximum(_moving_error(model), _LEAST_BACKGROUND * scale)
     if not given:
         background = np.maximum(background, 0.003 * scale)
     signals: list[Signals] = []
@@ -86,23 +89,55 @@ def assemble(
         index = [places for places, _ in per_joint]
         for joint, (places, columns) in enumerate(per_joint):
             left = stretch.torque[:, joint] - columns @ model.values[places] - extra[:, joint]
-            rows[joint].append(np.column_stack([columns, left]) / background[joint])
-    joined = [np.concatenate(parts) for parts in rows]
+            rows[joint].append(np.column_stack([columns, left]))
+    speed = np.concatenate([s.qd[s.kept] for s in signals])
+    sigma = _background(reference, background, speed, signals)
+    joined = [np.concatenate(parts) / sigma[:, joint, None] for joint, parts in enumerate(rows)]
     time = np.concatenate([s.time[s.kept] for s in signals])
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
-    residual = np.stack([block[:, -1] * sigma for block, sigma in zip(joined, background, strict=True)], axis=1)
+    residual = np.stack([block[:, -1] for block in joined], axis=1) * sigma
     cell, folds, single = _folds(time, log, logs)
     if given:
         precision, shift = _stored_precision(model), np.zeros(len(model.values))
     else:
         prior = physical_prior(observation, model.terms)
         precision, shift = prior.precision, prior.precision @ (prior.mean - model.values)
-    fit = Fit(reference, signals, joined, index, background, precision, shift, cell, folds, single)
-    speed = np.concatenate([s.qd[s.kept] for s in signals])
+    fit = Fit(reference, signals, joined, index, sigma, precision, shift, cell, folds, single)
     rate = 1 / float(np.median(np.diff(time)))
     return Dataset(
         robot, model, given, fit, residual, speed, time, log, tuple(logs), rate, observation.stretches[0].motion.cutoff
     )
+
+
+def _moving_error(model: IdentifiedModel) -> np.ndarray:
+    """(n,) [N·m] held-out error of moving rows: that of all rows, shared as the fit's own residuals are."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moving = 1 / np.sqrt(model.weights[0])
+    ratio = np.where(np.isfinite(moving) & (model.residual_rmse > 0), moving / model.residual_rmse, 1.0)
+    return model.held_out_rmse * np.clip(ratio, 0.15, 1.0)
+
+
+def _background(reference: Reference, moving: np.ndarray, speed: np.ndarray, signals: Sequence[Signals]) -> np.ndarray:
+    """(S', n) [N·m] what the model itself gets wrong: its held-out error (n,), more within 0.1 s of standing still.
+
+    There stiction leaves the torque anywhere below the Coulomb level.
+    """
+    model = reference.model
+    count = len(model.independent)
+    level = np.zeros(reference.robot.dof)
+    for k, term in enumerate(model.terms):
+        if term.form == "coulomb":
+            level[term.axle] = abs(model.values[count + k])
+    still = np.maximum(_STICTION * level @ np.abs(reference.coupling), 2 * moving)
+    fastest = np.abs(speed).max(axis=0)
+    standing = np.abs(speed) <= _STANDSTILL * fastest
+    rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
+    reach = int(_NEAR_STANDSTILL * rate)
+    near = standing.copy()
+    for shift in range(1, reach + 1):
+        near[shift:] |= standing[:-shift]
+        near[:-shift] |= standing[shift:]
+    return np.where(near, still, moving)
 
 
 class FilteredSignals(Signals):

@@ -4,7 +4,8 @@ Residuals r of the model are explained by a change δ of its parameters and by c
 
     minimise Σ_j |r_j − X_j δ − Z_j β|² / (T σ_j²) + (δ − δ₀)ᵀ Λ (δ − δ₀)
 
-with σ_j the model's own held-out error of joint j (the background, CONTRACTS.md 6), Λ the inverse of the covariance
+with σ_j the model's own held-out error of joint j (the background, CONTRACTS.md 6; more at standstill, where stiction
+leaves the torque open), Λ the inverse of the covariance
 stored in the model, and T rows to one independent row. Moments are kept per cell of rows, so every fold is arithmetic
 on small matrices. With H = Λ + XᵀX and the Schur complement S = ZᵀZ − ZᵀX H⁻¹ XᵀZ: β = S⁻¹ (Zᵀr − ZᵀX H⁻¹ Xᵀr).
 """
@@ -63,7 +64,7 @@ class Fold:
 class Fit:
     """The residual of a model on some logs, ready to try candidates on.
 
-    rows[j] (S', p_j + 1): columns of the model's parameters index[j] and the residual of joint j, over σ_j;
+    rows[j] (S', p_j + 1): columns of the model's parameters index[j] and the residual of joint j, over `sigma` (S', n);
     `cell` (S',) of every row (-1: guard); `folds` for what repeats, `single` folds for what happens once.
     """
 
@@ -73,7 +74,7 @@ class Fit:
         signals: Sequence[Signals],
         rows: Sequence[np.ndarray],
         index: Sequence[np.ndarray],
-        background: np.ndarray,
+        sigma: np.ndarray,
         precision: np.ndarray,
         shift: np.ndarray,
         cell: np.ndarray,
@@ -84,7 +85,7 @@ class Fit:
     ):
         self.reference, self.signals = reference, list(signals)
         self.rows, self.index = list(rows), list(index)
-        self.background, self.precision, self.shift = background, precision, shift
+        self.sigma, self.precision, self.shift = sigma, precision, shift
         self.cell, self.folds, self.single = cell, list(folds), list(single)
         self.chosen = tuple(chosen)
         self._shared: dict[str, Any] = {} if shared is None else shared
@@ -158,9 +159,14 @@ class Fit:
     def with_chosen(self, chosen: Sequence[Candidate]) -> Fit:
         """The same data with these effects as part of the model."""
         return Fit(
-            self.reference, self.signals, self.rows, self.index, self.background, self.precision, self.shift,
+            self.reference, self.signals, self.rows, self.index, self.sigma, self.precision, self.shift,
             self.cell, self.folds, self.single, chosen, self._shared,
         )  # fmt: skip
+
+    @property
+    def sigmas(self) -> list[np.ndarray]:
+        """Per motion (S', n) [N·m]: the background."""
+        return self._split(self.sigma)
 
     @property
     def residuals(self) -> list[np.ndarray]:
@@ -178,7 +184,7 @@ class Fit:
             for candidate, (a, b) in zip(self.chosen, pairwise(ends), strict=True):
                 if joint in candidate.blocks:
                     column = column - candidate.blocks[joint] @ parameters[a:b]
-            left[:, joint] = column * self.background[joint]
+            left[:, joint] = column * self.sigma[:, joint]
         return left
 
     def _split(self, rows: np.ndarray) -> list[np.ndarray]:
@@ -225,6 +231,11 @@ class Fit:
         ends = np.cumsum([len(c.names) for c in self.chosen])
         return np.split(parameters[len(self.precision) :], ends[:-1]) if len(ends) else []
 
+    @property
+    def change(self) -> np.ndarray:
+        """(p,) change of the model's parameters, fitted to all rows together with the chosen effects."""
+        return self._solve(np.ones(self.cells, dtype=bool))[1][: len(self.precision)]
+
     def candidate(self, effect: Effect, joints: tuple[int, ...], settings: Mapping[str, float]) -> Candidate:
         """Columns of an effect, filtered as the torque is."""
         return self.candidates([(effect, joints, settings)])[0]
@@ -232,7 +243,7 @@ class Fit:
     def candidates(self, wanted: Sequence[tuple[Effect, tuple[int, ...], Mapping[str, float]]]) -> list[Candidate]:
         """Columns of several effects at once."""
         parts: list[dict[int, list[np.ndarray]]] = [{} for _ in wanted]
-        for signals in self.signals:
+        for signals, sigma in zip(self.signals, self.sigmas, strict=True):
             for kind in {effect for effect, *_ in wanted}:
                 kind.prepare(signals, [(joints, settings) for effect, joints, settings in wanted if effect is kind])
             pending: list[tuple[int, int, np.ndarray]] = []
@@ -244,7 +255,7 @@ class Fit:
                 filtered = signals.low_pass(np.hstack([block for *_, block in some]))
                 ends = np.cumsum([block.shape[1] for *_, block in some])[:-1]
                 for (number, joint, _), block in zip(some, np.split(filtered, ends, axis=1), strict=True):
-                    parts[number].setdefault(joint, []).append(block / self.background[joint])
+                    parts[number].setdefault(joint, []).append(block / sigma[:, joint, None])
         result = []
         for (effect, joints, settings), found in zip(wanted, parts, strict=True):
             blocks = {joint: np.concatenate(block) for joint, block in found.items()}
@@ -334,7 +345,8 @@ class Fit:
             schur = a - b.T @ inverse @ b
             total = np.zeros_like(a)
             for joint, block in candidate.blocks.items():
-                total += block.T @ block * (self.background[joint] / scale[joint]) ** 2
+                torque = block * (self.sigma[:, joint, None] / scale[joint])
+                total += torque.T @ torque
             total = total / len(self.cell) / candidate.effect.practical**2
             size = np.sqrt(np.maximum(np.diag(total), 1e-300))
             values = np.linalg.eigvalsh(schur / np.outer(size, size))

@@ -93,7 +93,7 @@ class Search:
     def joint_energy(self, fit: Fit) -> np.ndarray:
         """(n,) mean of (e / σ)² held out."""
         single = any(c.effect.once for c in fit.chosen)
-        return np.nanmean((fit.out_of_fold(single) / fit.background) ** 2, axis=0)
+        return np.nanmean((fit.out_of_fold(single) / fit.sigma) ** 2, axis=0)
 
     def closed(self, before: np.ndarray, fit: Fit) -> float:
         """How much of the excess over the background is gone; 1 where there was none to speak of."""
@@ -175,7 +175,7 @@ class Search:
         """Root mean square torque of an effect over nominal, on the joint and log where it is largest."""
         largest = 0.0
         for joint, block in score.candidate.blocks.items():
-            torque = block @ score.values * fit.background[joint] / fit.reference.scale[joint]
+            torque = block @ score.values * fit.sigma[:, joint] / fit.reference.scale[joint]
             largest = max(largest, float(np.sqrt(np.mean(torque**2))))
             if score.candidate.effect.once:
                 inside = np.abs(torque) > 0

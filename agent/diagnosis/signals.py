@@ -38,6 +38,8 @@ class Reference:
         standard = mean + doubt**2 * (model.projection.T @ correction)
         self.doubt = doubt
         self.links: Dynamics = nominal.with_parameters(standard[: 10 * self.robot.dof])
+        #: links whose mass matrix is sound: those of the description where the spread ones could not be bodies
+        self.solid = self.links if _sound(self.links, nominal) else nominal
         self.rotors = standard[10 * self.robot.dof :]
         self.coupling = self.robot.coupling
         self.from_joints = np.linalg.inv(self.coupling)
@@ -55,6 +57,11 @@ class Reference:
             if term.axle == axle and term.form == "coulomb" and term.reversal is not None:
                 return term.reversal
         return Reversal("speed", 2e-3 * float(self.robot.max_velocity[axle]))
+
+
+def _sound(links: Dynamics, nominal: Dynamics) -> bool:
+    postures = np.random.default_rng(0).uniform(-1.5, 1.5, (8, nominal.dof))
+    return all(np.all(np.diag(links.mass_matrix(q)) > 0.3 * np.diag(nominal.mass_matrix(q))) for q in postures)
 
 
 def _doubt(robot: RobotDescription, nominal: Dynamics, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -133,7 +140,8 @@ class Signals:
     @cached_property
     def mass(self) -> np.ndarray:
         """(S, n, n) mass matrix of the links, computed on every tenth sample and held in between."""
-        matrices = np.array([self.reference.links.mass_matrix(q) for q in self.q[::_MASS_STEP]])
+        links = self.reference.solid
+        matrices = np.array([links.mass_matrix(q) for q in self.q[::_MASS_STEP]])
         return np.repeat(matrices, _MASS_STEP, axis=0)[: len(self.q)]
 
     @cached_property

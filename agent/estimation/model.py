@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -289,6 +290,8 @@ class IdentifiedModel:
 
 
 def _effect(entry: ModelEffect) -> EffectTorque:
+    if entry.effect not in EFFECTS:
+        import_module("agent.diagnosis.model_effects")  # registers the forms it knows
     if entry.effect not in EFFECTS:
         raise InputError(f"the model has an effect {entry.effect!r} that this version cannot evaluate")
     return EFFECTS[entry.effect]

@@ -24,10 +24,10 @@ class Contact(Effect):
     def settings(self, survey, joints):
         """Where three force components leave least of the residual, one window in each log, then the best two."""
         found = []
-        for signals, residual in zip(survey.signals, survey.residuals, strict=True):
+        for signals, residual, sigma in zip(survey.signals, survey.residuals, survey.sigmas, strict=True):
             time = signals.time[signals.kept]
-            columns = -signals.kept_jacobian / survey.background
-            target = residual / survey.background
+            columns = -signals.kept_jacobian / sigma[:, None]
+            target = residual / sigma
             grams = np.cumsum(np.einsum("san,sbn->sab", columns, columns), axis=0)
             right = np.cumsum(np.einsum("san,sn->sa", columns, target), axis=0)
             for duration in _DURATIONS:

@@ -23,7 +23,7 @@ class Survey(Protocol):
     reference: Reference
     signals: Sequence[Signals]
     residuals: Sequence[np.ndarray]
-    background: np.ndarray
+    sigmas: Sequence[np.ndarray]
 
     def fit(self, effect: Effect, joints: tuple[int, ...], settings: Mapping[str, float]) -> np.ndarray:
         """(k,) parameters fitted to all the data together with the model, under its prior."""

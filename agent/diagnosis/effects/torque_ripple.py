@@ -30,10 +30,10 @@ class TorqueRipple(Effect):
             return []
         sums = np.zeros(bins)
         speeds = []
-        for signals, residual in zip(survey.signals, survey.residuals, strict=True):
+        for signals, residual, sigma in zip(survey.signals, survey.residuals, survey.sigmas, strict=True):
             position = signals.axles.position[signals.kept, axle]
             place = np.clip(((position - low) / (high - low) * bins).astype(int), 0, bins - 1)
-            np.add.at(sums, place, residual[:, axle])
+            np.add.at(sums, place, residual[:, axle] / sigma[:, axle] ** 2)
             speeds.append(np.abs(signals.axles.speed[signals.kept, axle]))
         size = 4 * bins
         power = np.abs(np.fft.rfft(sums, size)) ** 2
