@@ -87,3 +87,16 @@ def test_interpolators_have_names(ns16):
     assert isinstance(create_interpolator("fly", ns16, None, period=0.004), FlyInterpolator)
     with pytest.raises(InputError, match="there are: fly"):
         create_interpolator("nobody", ns16)
+
+
+def test_an_installed_package_adds_its_interpolator(ns16, tmp_path, monkeypatch):
+    (tmp_path / "straight.py").write_text(
+        "class Straight:\n    def __init__(self, robot, tool=None, period=0.002):\n        self.period = period\n"
+    )
+    metadata = tmp_path / "straight-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: straight\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text("[calibration_agent.interpolators]\nstraight = straight:Straight\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert "straight" in interpolator_names()
+    assert create_interpolator("straight", ns16, None, period=0.004).period == 0.004
