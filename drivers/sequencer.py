@@ -60,7 +60,10 @@ class Sequencer:
     def give_up(self, before: int) -> list[SampleBlock]:
         """Count what is missing before sequence number `before` as lost; returns what is in order after that."""
         if before > self.expected:
-            self._gaps.append(Gap(self.expected, before - self.expected))
+            first = self.expected
+            if self._gaps and self._gaps[-1].first + self._gaps[-1].count == first:
+                first = self._gaps.pop().first
+            self._gaps.append(Gap(first, before - first))
             self.expected = before
         return self._release()
 

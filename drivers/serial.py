@@ -26,6 +26,7 @@ from drivers.wire.tcp import MAX_BATCH, Fetch
 _FRAMES_IN_WATCHDOG = 3
 _RTU_EXCHANGE = 8 + 255  # bytes of the longest request and its answer
 _BUFFERED = 8192  # bytes that may be on their way, in buffers that nobody can look into
+_PATIENCE = 0.25  # s, beyond what is on its way
 _REST_POLL = 0.05  # s
 
 _log = logging.getLogger(__name__)
@@ -102,7 +103,7 @@ class SerialDriver(FrameDriver):
         now = time.monotonic()
         if motion.fetching != self._fetching:
             self._fetching, self._fetched = motion.fetching, now
-        patience = 2 * link.watchdog + frame_time(self._line.baud, _BUFFERED)
+        patience = _PATIENCE + frame_time(self._line.baud, _BUFFERED)
         late = now - self._progress > patience
         if late or (motion.fetching is not None and now - self._fetched > patience):
             self._progress = now

@@ -133,5 +133,6 @@ class _TcpServer(ModbusTcpServer):
     def callback_new_connection(self):  # type: ignore[no-untyped-def]
         handler = super().callback_new_connection()
         if len(self.active_connections) >= MAX_CONNECTIONS:
-            self.loop.call_soon(handler.close)
+            # Its transport comes with the next turn of the loop; there is nothing to close before that.
+            self.loop.call_soon(self.loop.call_soon, handler.close)
         return handler

@@ -1,5 +1,6 @@
 """A peer on a real socket that does exactly what a test's script says, good or bad."""
 
+import contextlib
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -98,6 +99,42 @@ def peer() -> Iterator[Callable[[Callable[[Peer], None]], str]]:
     for thread in threads:
         thread.join(20)
     assert not failures, failures
+
+
+@pytest.fixture
+def tampered() -> Iterator[Callable[[int, Callable[[bool, bytes], bytes]], str]]:
+    """`tampered(port, tamper)` is an address in front of a port; `tamper(outward, data)` says what gets through."""
+    handles: list[socket.socket] = []
+
+    def relay(port: int, tamper: Callable[[bool, bytes], bytes]) -> str:
+        listener = socket.create_server(("127.0.0.1", 0))
+        handles.append(listener)
+
+        def carry(source: socket.socket, target: socket.socket, outward: bool) -> None:
+            with contextlib.suppress(OSError):
+                while data := source.recv(65536):
+                    target.sendall(tamper(outward, data))
+            for end in (source, target):
+                with contextlib.suppress(OSError):
+                    end.shutdown(socket.SHUT_RDWR)
+
+        def accept() -> None:
+            with contextlib.suppress(OSError):
+                while True:
+                    client, _ = listener.accept()
+                    server = socket.create_connection(("127.0.0.1", port))
+                    handles.extend((client, server))
+                    threading.Thread(target=carry, args=(client, server, True), daemon=True).start()
+                    threading.Thread(target=carry, args=(server, client, False), daemon=True).start()
+
+        threading.Thread(target=accept, daemon=True).start()
+        return f"127.0.0.1:{listener.getsockname()[1]}"
+
+    yield relay
+    for handle in handles:
+        with contextlib.suppress(OSError):
+            handle.shutdown(socket.SHUT_RDWR)
+        handle.close()
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,238 @@
+"""The serial driver over a cable that is bad or slow: what the conformance suite does not reach."""
+
+import contextlib
+import logging
+
+import numpy as np
+import pytest
+
+from drivers.errors import ConfigurationError, DriverError, ProtocolError
+from drivers.registry import create
+from drivers.serial import RtuDriver, SerialDriver
+from drivers.wire import tcp
+from drivers.wire.serial import HuntingDecoder
+from fake_controller.build import build_controller
+from fake_controller.cable import Cable
+from fake_controller.server_modbus import ModbusRtuServer
+from fake_controller.server_serial import SerialServer
+
+FAST = 4_000_000
+
+
+def program(body):
+    return f"PROGRAM p HOLD, PROG_ARM=1\nVAR\n  k : INTEGER\nBEGIN\n{body}\nEND p\n"
+
+
+SHORT = program("  MOVE JOINT TO {20, -30}\n  MOVE JOINT TO {0, 0}")
+LONG = program("  FOR k := 1 TO 500 DO\n    MOVE JOINT TO {20, -30}\n    MOVE JOINT TO {-20, 30}\n  ENDFOR")
+
+
+@pytest.fixture
+def line(arm):
+    """`line(protocol, baud)`: cable, controller and a driver that is connected."""
+    with contextlib.ExitStack() as undo:
+
+        def lay(protocol="frames", baud=FAST, **options):
+            cable = Cable(baud)
+            undo.callback(cable.close)
+            controller = build_controller(arm, 3, "fast")
+            kind = SerialServer if protocol == "frames" else ModbusRtuServer
+            server = kind(controller, cable.near, baud, waits=True)
+            undo.callback(server.close)
+            driver = create("serial", f"{cable.far},{baud},{protocol}", **{"watchdog": 2.0, **options})
+            undo.callback(driver.close)
+            driver.connect()
+            return cable, controller, driver
+
+        yield lay
+
+
+def start(driver, text):
+    driver.start("p", driver.upload("p", text))
+    return driver.samples()
+
+
+def check_complete(driver, blocks):
+    sequence = np.concatenate([block.sequence for block in blocks])
+    np.testing.assert_array_equal(sequence, np.arange(len(sequence)))
+    assert driver.gaps == ()
+
+
+def test_the_address_chooses_the_protocol():
+    assert type(create("serial", "/dev/ttyUSB0")) is SerialDriver
+    assert type(create("serial", "/dev/ttyUSB0,9600,rtu")) is RtuDriver
+    with pytest.raises(ConfigurationError, match="port,baud,protocol"):
+        create("serial", "/dev/ttyUSB0,fast")
+
+
+@pytest.mark.parametrize("protocol", ["frames", "rtu"])
+def test_the_watchdog_is_three_longest_frames_at_least(line, protocol):
+    _, _, driver = line(protocol, 9600, watchdog=0.2)
+    assert driver.watchdog == pytest.approx({"frames": 3.2, "rtu": 0.822}[protocol], abs=0.001)
+
+
+def test_a_port_that_is_in_use(line):
+    cable, _, _ = line()
+    with pytest.raises(DriverError, match="busy: another program has the serial port"):
+        create("serial", f"{cable.far},{FAST}").connect()
+
+
+@pytest.mark.parametrize("protocol", ["frames", "rtu"])
+def test_a_line_that_is_too_slow_is_read_after_the_motion(line, protocol):
+    _, controller, driver = line(protocol, 500_000)
+    received = start(driver, SHORT)
+    blocks = [next(received)]
+    after = 0
+    for block in received:
+        after += len(block) * (not controller.moving)
+        blocks.append(block)
+    assert after > 100
+    check_complete(driver, blocks)
+    assert controller.motions_started == 1
+
+
+@pytest.mark.parametrize("protocol", ["frames", "rtu"])
+def test_it_says_that_the_line_is_too_slow(line, protocol, caplog):
+    with caplog.at_level(logging.WARNING):
+        _, _, driver = line(protocol, 115_200)
+        received = start(driver, program("  MOVE JOINT TO {2, -3}"))
+        assert "115200 baud carries about" in caplog.text
+        check_complete(driver, list(received))
+        caplog.clear()
+        _, _, driver = line(protocol, FAST)
+        list(start(driver, SHORT))
+        assert caplog.text == ""
+
+
+def test_a_stop_on_a_slow_line_does_not_wait_for_the_samples(line):
+    _, controller, driver = line(baud=230_400)
+    received = start(driver, LONG)
+    blocks = [next(received)]
+    driver.stop()
+    assert not controller.moving
+    blocks += received
+    check_complete(driver, blocks)
+    np.testing.assert_allclose(blocks[-1].reference_velocity[-1], 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("every", [3000, 20_000])
+def test_flipped_bits_cost_no_sample(line, every):
+    """One byte in so many is damaged on its way to the driver, all the time while samples come."""
+    cable, controller, driver = line()
+    passed = 0
+
+    def damage(end, data):
+        nonlocal passed
+        if end == "far" or not controller.motions_started:
+            return data
+        before, passed = passed, passed + len(data)
+        if passed // every == before // every:
+            return data
+        at = every - 1 - before % every
+        return data[:at] + bytes([data[at] ^ 16]) + data[at + 1 :]
+
+    text = program("  FOR k := 1 TO 5 DO\n    MOVE JOINT TO {20, -30}\n    MOVE JOINT TO {0, 0}\n  ENDFOR")
+    checksum = driver.upload("p", text)
+    started = []
+
+    def damage_later(end, data):
+        return damage(end, data) if started else data
+
+    cable.tamper = damage_later
+    driver.start("p", checksum)
+    started.append(True)
+    check_complete(driver, list(driver.samples()))
+    assert passed > 5 * every
+    assert controller.motions_started == 1
+
+
+def test_a_lost_end_is_asked_for(line):
+    cable, _, driver = line(watchdog=0.2)
+    decoder, lost = HuntingDecoder(), []
+
+    def lose(end, data):
+        """Whole frames only, so that one can be taken out."""
+        if end == "far":
+            return data
+        kept = b""
+        for frame in decoder.feed(data):
+            if frame.type == tcp.End.TYPE and not lost:
+                lost.append(frame)
+            else:
+                kept += tcp.encode(_Raw(frame), frame.request)
+        return kept
+
+    checksum = driver.upload("p", SHORT)
+    cable.tamper = lose
+    driver.start("p", checksum)
+    check_complete(driver, list(driver.samples()))
+    assert len(lost) == 1
+
+
+class _Raw:
+    """A frame's payload, to be sent on as it is."""
+
+    def __init__(self, frame):
+        self.TYPE = frame.type
+        self._payload = frame.payload
+
+    def pack(self):
+        return self._payload
+
+
+def test_a_start_that_is_damaged_is_not_given_again(line):
+    cable, controller, driver = line(timeout=1.0, start_timeout=1.0)
+    checksum = driver.upload("p", SHORT)
+    driver.identify()
+    sent = []
+
+    def damage(end, data):
+        if end == "near" or checksum.encode() not in data:
+            return data
+        sent.append(data)
+        return data.replace(checksum[:8].encode(), b"00000000")
+
+    cable.tamper = damage
+    with pytest.raises(DriverError, match="did not answer start of p"):
+        driver.start("p", checksum)
+    assert len(sent) == 1
+    assert controller.motions_started == 0
+    with pytest.raises(DriverError, match="not open"):
+        driver.status()
+
+
+def test_an_upload_that_is_damaged_stores_nothing(line):
+    cable, _, driver = line(timeout=1.0)
+    cable.tamper = lambda end, data: data.replace(b"MOVE", b"MUVE") if end == "far" else data
+    with pytest.raises(DriverError, match="did not answer the program p"):
+        driver.upload("p", SHORT)
+    cable.tamper = None
+    assert driver.status().program == ""
+
+
+def test_the_wrong_baud_rate_is_noise(line):
+    """What another rate makes of the bits is modelled as what it is to a receiver: other bytes."""
+    cable, _, driver = line()
+    driver.close()
+    cable.tamper = lambda end, data: bytes(byte ^ 0x55 for byte in data) if end == "near" else data
+    with pytest.raises(ProtocolError, match="baud rate"):
+        create("serial", f"{cable.far},{FAST}", timeout=0.5).connect()
+
+
+def test_a_cable_is_as_slow_as_its_baud_rate():
+    """By the bytes that are still under way: the other end has no more than its share of what was sent."""
+    import time
+
+    import serial
+
+    with (
+        contextlib.closing(Cable(38_400)) as cable,
+        serial.Serial(cable.near, 38_400) as near,
+        serial.Serial(cable.far, 38_400, timeout=10) as far,
+    ):
+        began = time.monotonic()
+        near.write(bytes(range(256)) * 4)
+        received = far.read(1024)
+        elapsed = time.monotonic() - began
+        assert received == bytes(range(256)) * 4
+        assert elapsed > 0.9 * 1024 * 10 / 38_400  # a busy machine makes it slower, nothing makes it faster
