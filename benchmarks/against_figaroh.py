@@ -5,8 +5,8 @@
 Both get the same joint positions and torques, 5 kHz, 0.1 s to 4.54 s, and predict 4.54 s to 7.5 s, which neither saw.
 Measured torque and both predictions then go through one filter (20 Hz, zero phase), no sample is dropped. figaroh runs
 by its own classes in an environment of its own, made in a temporary folder (about 1 GB; `--python` takes one that is
-there); the columns of the coupled wrist motor are added to its regressor, and torque is filtered like positions, both of
-which it leaves to the user. Then one candidate of an excitation search of each is timed: six points, limits, objective.
+there); the columns of the coupled wrist motor are added to its regressor, and torque is filtered like positions: both
+it leaves to the user. Then one candidate of an excitation search of each is timed: six points, limits and objective.
 """
 
 from __future__ import annotations
