@@ -1,0 +1,113 @@
+"""Writes docs/reference.md from the code: commands, options, recipe keys, exit codes, effects.
+
+`python docs/make_reference.py` writes it; a test fails where it is out of date.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def reference() -> str:
+    """The page."""
+    lines = ["# Reference", "", "Written from the code by `docs/make_reference.py`.", "", "## Commands", ""]
+    lines += _commands()
+    lines += ["## Exit codes", "", "| code | class | what |", "| --- | --- | --- |", *_exit_codes(), ""]
+    lines += ["## Recipe keys", "", "| key | type | default |", "| --- | --- | --- |", *_keys(), ""]
+    lines += ["## Effects", "", "| name | what |", "| --- | --- |", *_effects(), ""]
+    return "\n".join(lines)
+
+
+def _commands() -> Iterator[str]:
+    import typer.main
+
+    from agent.cli import app
+
+    group = typer.main.get_command(app)
+    for name in sorted(group.commands):
+        command = group.commands[name]
+        arguments = [p for p in command.params if p.param_type_name == "argument"]
+        options = [p for p in command.params if p.param_type_name == "option" and p.name != "help"]
+        usage = " ".join(["agent", name, *(_metavar(p) for p in arguments)])
+        yield from (f"### `{usage}`", "", (command.help or "").strip(), "")
+        if options:
+            yield from ("| option | what | default |", "| --- | --- | --- |")
+            yield from (_option(option) for option in options)
+            yield ""
+
+
+def _metavar(argument: Any) -> str:
+    return argument.metavar or argument.name.upper()
+
+
+def _option(option: Any) -> str:
+    flags = ", ".join(option.opts)
+    value = "" if option.is_flag else f" {option.metavar or option.name.upper()}"
+    default = "" if option.is_flag or option.default in (None, ()) else f"`{option.default}`"
+    need = "required" if option.required else default
+    return f"| `{flags}{value}` | {option.help or ''} | {need} |"
+
+
+def _exit_codes() -> Iterator[str]:
+    import agent.errors
+
+    yield "| 0 | | done, and accepted where there is a gate |"
+    found = [e for e in vars(agent.errors).values() if isinstance(e, type) and issubclass(e, agent.errors.AgentError)]
+    for error in sorted(found, key=lambda e: e.exit_code):
+        yield f"| {error.exit_code} | `{error.__name__}` | {(error.__doc__ or '').strip()} |"
+    yield "| 130, 143 | | interrupted, after a controlled stop |"
+
+
+def _keys() -> Iterator[str]:
+    from agent.recipe.schema import RecipeDocument
+
+    yield from _section(RecipeDocument, "")
+
+
+def _section(model: Any, path: str) -> Iterator[str]:
+    from pydantic import BaseModel
+
+    for name, field in model.model_fields.items():
+        key = path + (field.alias or name)
+        kinds = [field.annotation, *getattr(field.annotation, "__args__", ())]
+        inner = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
+        if inner and not str(field.annotation).startswith("list"):
+            yield from _section(inner[0], f"{key}.")
+            continue
+        yield f"| `{key}` | {_kind(model, name, field)} | {_default(field)} |"
+
+
+def _kind(model: Any, name: str, field: Any) -> str:
+    schema = model.model_json_schema(by_alias=True)["properties"][field.alias or name]
+    options = schema.get("enum") or next((o["enum"] for o in schema.get("anyOf", []) if "enum" in o), None)
+    if options:
+        return ", ".join(f"`{option}`" for option in options)
+    if "description" in schema:
+        return schema["description"]
+    kinds = [schema.get("type"), *(option.get("type") for option in schema.get("anyOf", []))]
+    words = {"array": "list", "string": "text", "integer": "whole number"}
+    return next((words.get(kind, kind) for kind in kinds if kind and kind != "null"), "name")
+
+
+def _default(field: Any) -> str:
+    if field.is_required():
+        return "required"
+    value = getattr(field.default, "value", field.default)
+    return "" if value is None or value == [] else f"`{value}`"
+
+
+def _effects() -> Iterator[str]:
+    from agent.diagnosis import CATALOGUE
+
+    for name, effect in CATALOGUE.items():
+        words = (sys.modules[type(effect).__module__].__doc__ or "").strip().splitlines()
+        yield f"| `{name}` | {words[0] if words else ''} |"
+
+
+if __name__ == "__main__":
+    (ROOT / "docs" / "reference.md").write_text(reference(), encoding="utf-8")
