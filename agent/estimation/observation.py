@@ -8,13 +8,13 @@ result, which is a few times the cut-off in rate.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.errors import InputError
-from agent.estimation.filtering import FilterSettings, Motion, motions
+from agent.estimation.filtering import FilterSettings, Motion, motions, resolve_cutoff
 from agent.estimation.friction_terms import AxleMotion, FrictionTerm, axle_columns
 from agent.recording.log import Log
 from agent.robot import RobotDescription
@@ -118,14 +118,16 @@ class Observation:
 
 
 def observe(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -> Observation:
-    """Filter logs into an observation.
+    """Filter logs into an observation, all with the cut-off that the slowest sampling allows unless it is given.
 
     Raises:
         InputError: a log without torque, with other joints than the robot, or too short for the filter.
     """
+    for log in logs:
+        check_log(rigid.robot, log)
+    settings = replace(settings, cutoff=min(resolve_cutoff(log, settings) for log in logs))
     stretches = []
     for index, log in enumerate(logs):
-        check_log(rigid.robot, log)
         stretches += [filtered(rigid, index, motion) for motion in motions(log, settings)]
     return Observation(rigid.robot, rigid, tuple(stretches))
 

@@ -231,3 +231,11 @@ def test_friction_follows_the_coupling_of_the_motors(arm, multisine, make_log):
     friction = axle_columns(terms, AxleMotion.of(robot, q, qd)) @ coupling[[1]]
     assert np.allclose(friction[:, 0], np.sign(qd[:, 0] + qd[:, 1]))
     assert np.allclose(friction[:, 1], friction[:, 0])
+
+
+def test_logs_of_different_rates_get_one_filter(case, make_log):
+    robot, t, q, torque, noise, values = case
+    slow, fast = make_log(robot, t[::10], q[::10], torque[::10]), make_log(robot, t, q, torque + noise)
+    model = estimate(robot, [fast, slow], PAPER)
+    assert model.cutoff == pytest.approx(15.0)
+    assert np.all(np.abs(model.values - values) < 5 * model.standard_deviations + 0.1)
