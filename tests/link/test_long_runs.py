@@ -1,0 +1,112 @@
+"""Every driver against the emulator as a process of its own: quickly, and for ten minutes of real time."""
+
+import os
+import subprocess
+import sys
+import time
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.registry import create
+
+ROOT = Path(__file__).resolve().parents[2]
+WIRES = {
+    "tcp": ("tcp", "--driver", "tcp"),
+    "modbus": ("modbus", "--driver", "modbus"),
+    "serial": ("serial", "--driver", "serial", "--baud", "921600"),
+    "slow serial": ("serial", "--driver", "serial", "--baud", "460800"),
+    "rtu": ("serial", "--driver", "rtu", "--baud", "4000000"),
+}
+
+
+def program(cycles):
+    return (
+        "PROGRAM p HOLD, PROG_ARM=1\nVAR\n  k : INTEGER\nBEGIN\n"
+        f"  FOR k := 1 TO {cycles} DO\n    MOVE JOINT TO {{20, 10, -80, 20, 20, 20}}\n"
+        "    MOVE JOINT TO {0, 0, -90, 0, 0, 0}\n  ENDFOR\nEND p\n"
+    )
+
+
+@contextmanager
+def emulator(tmp_path, *options):
+    """The process, and the address it serves at."""
+    ready = tmp_path / "ready"
+    command = [sys.executable, "-m", "fake_controller", "--port", "0", "--ready-file", str(ready), *options]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout.readline()
+            yield process, ready.read_text(encoding="utf-8").strip()
+        finally:
+            process.terminate()
+
+
+def cpu_of(process):
+    """Seconds of CPU that a process has used."""
+    fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+@pytest.mark.parametrize("wire", ["modbus", "serial", "rtu"])
+def test_the_emulator_speaks_every_wire(tmp_path, wire):
+    name, *options = WIRES[wire]
+    with emulator(tmp_path, "--clock", "fast", *options) as (process, address):
+        with closing(create(name, address)) as driver:
+            driver.connect()
+            assert driver.identify().robot == "comau_ns16"
+            driver.start("p", driver.upload("p", program(1)))
+            sequence = np.concatenate([block.sequence for block in driver.samples()])
+            np.testing.assert_array_equal(sequence, np.arange(len(sequence)))
+            assert driver.gaps == ()
+        process.terminate()
+        assert process.wait(20) == 0
+
+
+@pytest.mark.verify
+def test_modbus_samples_per_second(tmp_path, measured):
+    """Six joints over loopback, as fast as the emulator moves its arm."""
+    name, *options = WIRES["modbus"]
+    with emulator(tmp_path, "--clock", "fast", *options) as (_, address), closing(create(name, address)) as driver:
+        driver.connect()
+        driver.start("p", driver.upload("p", program(30)))
+        began, cpu = time.monotonic(), time.process_time()
+        count = sum(len(block) for block in driver.samples())
+        rate, cost = count / (time.monotonic() - began), (time.process_time() - cpu) / count
+        assert driver.gaps == ()
+    measured("Modbus/TCP, six joints, loopback", rate, "samples/s", "at least 2 000", rate >= 2000)
+    measured("CPU of the Modbus driver", 1e6 * cost, "µs a sample", "")
+    assert rate >= 2000
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("wire", list(WIRES))
+def test_ten_minutes_without_loss(tmp_path, measured, wire):
+    """500 Hz in real time; every sample, once, in order. CPU of driver and reader, and of the whole emulator."""
+    seconds = float(os.environ.get("CALIBRATION_SOAK", "600"))
+    name, *options = WIRES[wire]
+    with (
+        emulator(tmp_path, "--clock", "real", *options) as (process, address),
+        closing(create(name, address)) as driver,
+    ):
+        driver.connect()
+        driver.start("p", driver.upload("p", program(10_000)))
+        began, cpu, theirs = time.monotonic(), time.process_time(), cpu_of(process)
+        count, last, stopped = 0, None, False
+        for block in driver.samples():
+            assert block.sequence[0] == count
+            assert last is None or block.time[0] > last
+            count, last = count + len(block), block.time[-1]
+            if not stopped and time.monotonic() - began > seconds:
+                elapsed = time.monotonic() - began
+                share, their_share = (time.process_time() - cpu) / elapsed, (cpu_of(process) - theirs) / elapsed
+                driver.stop()
+                stopped = True
+        assert driver.gaps == ()
+    assert count >= 0.99 * 500 * seconds
+    measured(f"{wire}: samples in {seconds:.0f} s, lost", f"{count}, 0", "", "0 lost")
+    measured(f"{wire}: CPU of the driver at 500 Hz", 100 * share, "% of a core", "below 35 %", share < 0.35)
+    measured(f"{wire}: CPU of the emulator at 500 Hz, simulation included", 100 * their_share, "% of a core", "")
+    assert share < 0.35
