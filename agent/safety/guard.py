@@ -175,7 +175,7 @@ class GuardedLink:
             raise
         if not over:
             self._stop()
-        elif not self._emulator and program.speed <= FIRST_SPEED:
+        elif not self._emulator:  # it was slow, or known before
             self._checked.add(self.identity.serial, program.stands_for or program.checksum)
 
     def close(self) -> None:

@@ -36,7 +36,7 @@ def check_period(identity: Identity, rate: float, address: str) -> None:
     Raises:
         ControllerError: it does not.
     """
-    if not (identity.period > 0 and abs(identity.period * rate - 1.0) <= 1e-6):
+    if not abs(identity.period * rate - 1.0) <= 1e-6:
         raise ControllerError(
             f"{address}: the controller samples every {1000 * identity.period:g} ms, the recipe asks for {rate:g} Hz: "
             "change record.rate"

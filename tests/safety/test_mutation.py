@@ -1,0 +1,27 @@
+"""No check of the safety layer can be taken away unnoticed."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.verify
+def test_every_check_is_tested(measured):
+    run = subprocess.run(
+        [sys.executable, str(Path(__file__).with_name("mutation.py"))],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    last = run.stdout.strip().splitlines()[-1]
+    measured("safety layer: changes noticed by its tests", last, "", "all", run.returncode == 0)
+    assert run.returncode == 0, run.stdout
