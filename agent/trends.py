@@ -78,7 +78,7 @@ class Trend:
             "joint": self.joint,
             "kind": self.kind,
             "change": self.change,
-            "standard_deviation": self.deviation,
+            "standard_deviation": self.deviation if np.isfinite(self.deviation) else None,
             "probability_by_chance": self.probability,
             "since": self.since or None,
             "alarm": self.alarm,

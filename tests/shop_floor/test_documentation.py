@@ -1,4 +1,4 @@
-"""Every command of the documentation is run as it stands there; generated pages are up to date; links lead somewhere."""
+"""Every command of the documentation is run as it stands there; generated pages are up to date; no link is dead."""
 
 from __future__ import annotations
 
