@@ -47,7 +47,8 @@ def link_prior(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
     """Mean and standard deviation (10 n + n,) of the links' standard parameters and the rotor inertias.
 
     A link's size is its radius of gyration, at least a tenth of the reach; a massless link has at least 2 % of the
-    robot's mass, or of what its torques could hold. A rotor may be as large as the torque and acceleration seen allow.
+    robot's mass, or of what its torques could hold, and all of that where the URDF has no masses at all. A rotor may be
+    as large as the torque and acceleration seen allow.
     """
     robot, dynamics = observation.robot, observation.rigid.dynamics
     links = dynamics.standard_parameters().reshape(-1, 10)
@@ -56,7 +57,9 @@ def link_prior(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
     reach = max(float(reach), 0.1)
     gravity = max(float(np.linalg.norm(robot.gravity)), 1.0)
     torque = _largest_torque(observation)
-    mass = np.maximum(links[:, 0], 0.02 * max(links[:, 0].sum(), torque.max() / gravity / reach))
+    liftable = torque.max() / gravity / reach
+    least = 0.02 * max(links[:, 0].sum(), liftable) if links[:, 0].sum() > 0 else liftable
+    mass = np.maximum(links[:, 0], least)
     gyration = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(axis=1), 0) / 2 / mass)
     radius = np.maximum(gyration, 0.1 * reach)
     scale = mass[:, None] * np.stack([np.ones_like(mass), *[radius] * 3, *[radius**2] * 6], axis=1)

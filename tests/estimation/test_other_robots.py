@@ -6,6 +6,7 @@ that is fitted, coarse encoders, noisy torque.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +16,7 @@ import pinocchio as pin
 import pytest
 
 from agent.estimation import EstimationSettings, IdentifiedModel, estimate
+from agent.export import export_model
 from agent.recording import Log, import_log, read_log, write_log
 from agent.robot import RobotDescription
 from agent.validation import predict_log, validate
@@ -160,6 +162,15 @@ def test_a_joint_that_never_moves_is_named_and_spoils_nothing(arm, recorded):
     assert np.all(np.isfinite(model.values))
     assert np.all(np.isfinite(model.covariance))
     assert any("J3" in note or "f0_3" in note or "joint_3" in note for note in model.notes)
+
+
+def test_a_urdf_without_any_inertia_is_enough(arm, recorded, tmp_path):
+    robot = arm(6, seed=1)
+    bare = replace(robot, urdf=re.sub("<inertial>.*?</inertial>", "", robot.urdf))
+    fit, other = (recorded(robot, 500, 20, seed) for seed in (1, 2))
+    model = estimate(bare, [fit], EstimationSettings.create(method="consistent"))
+    assert held_out(model, other) < 0.03
+    assert all(path.is_file() for path in export_model(model, tmp_path))
 
 
 def test_a_log_of_mostly_standstill_does_not_spoil_the_fit(arm, recorded):
