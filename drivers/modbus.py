@@ -280,7 +280,7 @@ class ModbusDriver:
     def _begin(self, motion: Motion, motion_id: bytes) -> None:
         link = self._connected()
         self._motion = motion
-        self._ring = RingReader(link, self._session, motion, motion_id, self._joints, self._slots)
+        self._ring = RingReader(link, self._session, motion, motion_id, self._joints, self._slots, self._beat_if_due)
         self._silence = 0.0
         self._turned = time.monotonic()
         self._guarded = True
@@ -306,8 +306,9 @@ class ModbusDriver:
         interval = self._agreed / 4
         ring = self._ring if self._guarded else None
         try:
-            if time.monotonic() - self._beaten >= interval or (ring is not None and ring.wants_room):
+            if ring is not None and ring.wants_room:
                 self._beat()
+            self._beat_if_due()
             if ring is None:
                 return interval
             more = ring.poll()
@@ -319,6 +320,10 @@ class ModbusDriver:
         self._check_room()
         self._check_silence(ring)
         return 0.0 if more else min(_POLL, interval / 2)
+
+    def _beat_if_due(self) -> None:
+        if time.monotonic() - self._beaten >= self._agreed / 4:
+            self._beat()
 
     def _beat(self) -> None:
         self._beaten = time.monotonic()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -17,10 +18,20 @@ _ATTEMPTS = 3  # at a sample that arrives damaged; then it is lost
 
 
 class RingReader:
-    """Follows one motion. `expected` is the next sequence number; `shown_from` the one the ring begins with."""
+    """Follows one motion. `expected` is the next sequence number; `shown_from` the one the ring begins with.
+
+    `beat_if_due` is called between two reads: on a slow line a few of them last as long as a watchdog.
+    """
 
     def __init__(
-        self, link: ModbusLink, session: int, motion: Motion, motion_id: bytes, joints: int, slots: int
+        self,
+        link: ModbusLink,
+        session: int,
+        motion: Motion,
+        motion_id: bytes,
+        joints: int,
+        slots: int,
+        beat_if_due: Callable[[], None],
     ) -> None:
         self.expected = 0
         self.shown_from = 0
@@ -30,6 +41,7 @@ class RingReader:
         self._motion_id = motion_id
         self._joints = joints
         self._slots = slots
+        self._beat_if_due = beat_if_due
         self._damaged = 0
         self._produced = 0
         self._heartbeat: int | None = None
@@ -87,6 +99,7 @@ class RingReader:
         begin, end = wire.RING + slot * size, wire.RING + (slot + count) * size
         registers: list[int] = []
         for at in range(begin, end, wire.MAX_READ):
+            self._beat_if_due()
             registers += self._link.read_registers(at, min(wire.MAX_READ, end - at))
         slots = wire.unpack_slots(np.array(registers, np.uint16), self._joints, self.expected)
         taken = len(slots.sequence)

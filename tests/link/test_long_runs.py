@@ -42,6 +42,7 @@ def emulator(tmp_path, *options):
             yield process, ready.read_text(encoding="utf-8").strip()
         finally:
             process.terminate()
+            process.communicate(timeout=60)
 
 
 def cpu_of(process):
