@@ -22,9 +22,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-#: Commands of the contract that this version does not have yet.
-NOT_YET = ("blind-check",)
-
 RecipePath = Annotated[Path, typer.Argument(metavar="RECIPE", help="recipe file (YAML)")]
 Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="more messages")]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="warnings and the result only")]
@@ -215,6 +212,27 @@ def diagnose(
         print(diagnosis_text(found.result))
 
 
+@app.command("blind-check")
+def blind_check(
+    cases: Annotated[int, typer.Option("--cases", metavar="N", help="runs to make")] = 400,
+    seed: Annotated[int, typer.Option("--seed", metavar="S", help="of everything that is drawn")] = 1,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="folder, gone on with")] = Path("blind_check"),
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Runs of the fake controller with a withheld effect, diagnosed without the key, then scored."""
+    from agent.blind_check import BlindCheck
+    from agent.blind_check.report import summary_text
+    from agent.console import print_json
+
+    scores = BlindCheck(cases, seed, out).run(_console(verbose, quiet))
+    if as_json:
+        print_json(scores)
+    else:
+        print(summary_text(scores))
+
+
 @app.command()
 def trajectories(as_json: AsJson = False) -> None:
     """Stored loops, by robot, tool, sub-region and checksum."""
@@ -298,7 +316,10 @@ def history(
         if as_json:
             import json
 
-            print(json.dumps(history_json(past, runs)))
+            from agent.trends import watch
+
+            data = {**history_json(past, runs), "watch": [one.to_dict() for one in watch(runs)]}
+            print(json.dumps(data))
             return
     print(history_table(runs))
 
@@ -396,10 +417,6 @@ def emulator(context: typer.Context) -> None:
 
 def main() -> None:
     """Entry point: runs the command and turns every error into one message and its exit code."""
-    arguments = sys.argv[1:]
-    if arguments and arguments[0] in NOT_YET:
-        print(f"agent {arguments[0]}: this command is not there yet in this version", file=sys.stderr)
-        sys.exit(2)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     signal.signal(signal.SIGTERM, _terminate)
     try:

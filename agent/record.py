@@ -271,8 +271,11 @@ class _Aligner:
         for (start, _), chain in zip(stretches, chains, strict=True):
             stop = min(start + len(chain.t), len(time))
             write_planned(time[start:stop], chain.q[: stop - start], chain.qd[: stop - start])
-        self.cycle_starts = [float(time[start] - time[0]) for start, _ in stretches[approaches:]]
-        return [float(time[start]) for start, _ in stretches[approaches:]]
+        motion = list(zip(stretches, chains, strict=True))[approaches:]
+        # A program with stops in its cycle repeats where it makes the same way again, not at every stop.
+        starts = [start for (start, _), chain in motion if chain is motion[0][1]]
+        self.cycle_starts = [float(time[start] - time[0]) for start in starts]
+        return [float(time[start]) for start in starts]
 
 
 def moving_stretches(reference: np.ndarray, rest: int) -> list[tuple[int, int]]:

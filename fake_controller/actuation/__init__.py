@@ -25,6 +25,7 @@ from fake_controller.actuation.measurement import (
     TorqueConstant,
     TorqueOffset,
 )
+from fake_controller.actuation.outside import RoughBearing, RubbingBrake, WanderingTorque
 
 _FORMS: tuple[type[Effect], ...] = (
     Stribeck,
@@ -54,6 +55,9 @@ _FORMS: tuple[type[Effect], ...] = (
 #: Simulated forms by the name of the effect.
 EFFECTS: dict[str, type[Effect]] = {form.name: form for form in _FORMS}
 
+#: Those that the vocabulary has no name for: what a diagnosis must call unknown.
+OUTSIDE: dict[str, type[Effect]] = {form.name: form for form in (RoughBearing, WanderingTorque, RubbingBrake)}
+
 
 def load_effect(data: Mapping[str, Any]) -> Effect:
     """An effect from {"effect": name, "joints": [names], "parameters": {…}}; the last two may be absent.
@@ -65,9 +69,10 @@ def load_effect(data: Mapping[str, Any]) -> Effect:
     if unknown:
         raise InputError(f"effect: unknown key {min(unknown)!r}; allowed are effect, joints, parameters")
     name = data.get("effect")
-    if name not in EFFECTS:
-        raise InputError(f"effect: {name!r} is not simulated; known are {', '.join(sorted(EFFECTS))}")
-    return EFFECTS[name].from_parameters(tuple(data.get("joints", ())), data.get("parameters", {}))
+    known = EFFECTS | OUTSIDE
+    if name not in known:
+        raise InputError(f"effect: {name!r} is not simulated; known are {', '.join(sorted(known))}")
+    return known[name].from_parameters(tuple(data.get("joints", ())), data.get("parameters", {}))
 
 
-__all__ = ["EFFECTS", "Effect", "load_effect"]
+__all__ = ["EFFECTS", "OUTSIDE", "Effect", "load_effect"]

@@ -7,10 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
-from agent.cli import NOT_YET
-
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -25,15 +21,6 @@ def test_help_loads_nothing_heavy():
     run = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert "calibrate" in run.stdout
-
-
-@pytest.mark.parametrize("command", NOT_YET)
-def test_a_command_that_is_not_there_says_so_and_is_not_listed(run_agent, command: str):
-    run = run_agent(command, "anything")
-    assert run.returncode == 2
-    assert run.stderr.strip() == f"agent {command}: this command is not there yet in this version"
-    listed = [line.split()[0] for line in run_agent("--help").stdout.splitlines() if line.split()]
-    assert command not in listed
 
 
 def test_unknown_command_is_usage(run_agent):

@@ -1,0 +1,219 @@
+"""Which runs a blind check makes: drawn from a seed, over effects, joints and sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from agent.robot import RobotDescription
+
+#: Runs that share one individual machine, its reference model, and the programs that it runs.
+GROUP = 8
+
+#: Share of each kind of run. `small`: an effect too small to matter. `outside`: one the catalogue has no form for.
+SHARES = {"none": 0.375, "one": 0.375, "two": 0.1, "outside": 0.08, "small": 0.07}
+
+OUTSIDE = ("rough_bearing", "wandering_torque", "rubbing_brake")
+_ARM = ("payload", "base_tilt", "inertial_mismatch", "contact", "time_delay", "interpolator_mismatch")
+_GEARS = {"joint_elasticity", "backlash"}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run: `machine` and `motion` (of its programs) are seeds; `effects` as the fake controller takes them.
+
+    `strength` multiplies the size that an effect of this kind usually has on a machine in need of repair.
+    """
+
+    number: int
+    kind: str
+    machine: int
+    motion: int
+    strength: float
+    effects: tuple[dict[str, Any], ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return {**asdict(self), "effects": list(self.effects)}
+
+
+def draw_cases(count: int, seed: int, robot: RobotDescription) -> list[Case]:
+    """`count` runs in random order; every effect of the vocabulary comes up equally often."""
+    rng = np.random.default_rng([seed, 77])
+    kinds = [str(kind) for kind in rng.permutation(_kinds(count))]
+    names = _Deck(tuple(_sizes(robot, 0, 1.0, rng)), rng)
+    outside = _Deck(OUTSIDE, rng)
+    cases = []
+    for number, kind in enumerate(kinds):
+        strength = float(np.exp(rng.uniform(np.log(0.5), np.log(2.0))))
+        if kind == "small":
+            strength *= 0.03
+        if kind == "outside":
+            chosen = [outside.draw()]
+        else:
+            chosen = [names.draw() for _ in range({"none": 0, "two": 2}.get(kind, 1))]
+        effects = tuple(draw_effect(name, robot, strength, rng) for name in chosen)
+        while _collide(effects):
+            effects = tuple(draw_effect(name, robot, strength, rng) for name in (chosen[0], names.draw()))
+        machine = 1000 * (seed % 1_000_000) + number // GROUP
+        cases.append(Case(number, kind, machine, machine + 500, strength, effects))
+    return cases
+
+
+def _kinds(count: int) -> list[str]:
+    """Kinds of `count` runs by the largest remainder, so that even a dozen has some of each."""
+    wanted = {kind: share * count for kind, share in SHARES.items()}
+    counts = {kind: int(value) for kind, value in wanted.items()}
+    rest = sorted(wanted, key=lambda kind: counts[kind] - wanted[kind])
+    for kind in rest[: count - sum(counts.values())]:
+        counts[kind] += 1
+    return [kind for kind, times in counts.items() for _ in range(times)]
+
+
+class _Deck:
+    """Names in random order, each once before any comes again."""
+
+    def __init__(self, names: tuple[str, ...], rng: np.random.Generator):
+        self._names, self._rng, self._left = names, rng, []
+
+    def draw(self) -> str:
+        if not self._left:
+            self._left = [str(name) for name in self._rng.permutation(self._names)]
+        return self._left.pop()
+
+
+def _collide(effects: tuple[dict[str, Any], ...]) -> bool:
+    """Two effects that are one, or two gears in one place."""
+    if len(effects) < 2:
+        return False
+    first, second = effects
+    gears = {first["effect"], second["effect"]} <= _GEARS
+    return first["effect"] == second["effect"] or (gears and first["joints"] == second["joints"])
+
+
+def draw_effect(name: str, robot: RobotDescription, strength: float, rng: np.random.Generator) -> dict[str, Any]:
+    """Where and how an effect sits on the arm, `strength` times as large as usual."""
+    n = robot.dof
+    allowed = range(n)
+    if name in _GEARS:
+        allowed = range(min(n, 3))  # the hand's gears are too stiff to tell at these rates
+    elif name == "encoder_offset" and n > 2:
+        allowed = range(1, n - 1)  # an offset about the vertical, or of the last joint, shows in no torque
+    joint = int(rng.choice(list(allowed)))
+    joints = [] if name in _ARM else [robot.joint_names[joint]]
+    if name == "wrist_coupling":
+        first, second = sorted(rng.choice(range(max(0, n - 3), n), 2, replace=False))
+        joints = [robot.joint_names[first], robot.joint_names[second]]
+    make = (_sizes(robot, joint, strength, rng) | _outside_sizes(robot, joint, strength, rng))[name]
+    return {"effect": name, "joints": joints, "parameters": _plain(make())}
+
+
+def _sizes(
+    robot: RobotDescription, k: int, s: float, rng: np.random.Generator
+) -> dict[str, Callable[[], dict[str, Any]]]:
+    """Parameters of every effect of the vocabulary; at s = 1 a few percent of nominal torque."""
+    n, nominal, fastest = robot.dof, _nominal(robot)[k], float(robot.max_velocity[k])
+    sign = float(rng.choice([-1.0, 1.0]))
+    draw = rng.uniform
+    return {
+        "stribeck": lambda: {"rise": 0.06 * s * nominal, "speed": draw(0.02, 0.08) * fastest},
+        "asymmetric_friction": lambda: {
+            "coulomb": sign * min(0.25 * s, 0.8),
+            "viscous_fraction": sign * min(0.3 * s, 0.8),
+        },
+        "load_dependent_friction": lambda: {"coefficient": 0.12 * s},
+        "viscous_nonlinearity": lambda: {"torque": 0.08 * s * nominal, "speed": draw(0.02, 0.06) * fastest},
+        "thermal_friction": lambda: {
+            "start": -25.0,
+            "time_constant": draw(10, 60),
+            "coulomb_rate": 0.012 * s,
+            "viscous_rate": 0.02 * s,
+        },
+        "presliding": lambda: {"share": draw(0.6, 0.9), "travel": 0.02 * s},
+        "friction_change": lambda: {"coulomb": 1 + 0.4 * s, "viscous": 1 + draw(0, 0.5) * s},
+        "joint_elasticity": lambda: {"stiffness": _inertia(robot, k) * (2 * np.pi * draw(7, 11)) ** 2 / s},
+        "backlash": lambda: {"gap": 0.002 * s},
+        "torque_ripple": lambda: {
+            "amplitude": 0.06 * s * nominal,
+            "order": float(rng.choice([0.5, 1.0, 2.0])),
+            "phase": draw(0, 6),
+        },
+        "wrist_coupling": lambda: {"factor": sign * 0.25 * s},
+        "payload": lambda: {"mass": 3 * s, "centre": [*draw(-0.05, 0.05, 2), draw(0.02, 0.2)]},
+        "gravity_spring": lambda: {
+            "preload": 0.6 * s * nominal,
+            "rate": draw(0, 1) * s * nominal,
+            "angle": draw(-1, 1),
+        },
+        "dress_pack": lambda: {
+            "stiffness": 0.05 * s * nominal,
+            "centre": draw(-1, 1),
+            "hysteresis": 0.02 * s * nominal,
+        },
+        "base_tilt": lambda: {"roll": sign * 0.02 * s, "pitch": draw(-0.02, 0.02) * s},
+        "inertial_mismatch": lambda: {
+            "link": float(rng.integers(2, n + 1)),
+            "scale": 1 + 0.2 * s,
+            "points": [[4 * s, *draw(-0.3, 0.3, 3)]],
+        },
+        "contact": lambda: {
+            "force": _direction(rng) * 120 * s,
+            "start": draw(5, 50),
+            "duration": draw(0.5, 3),
+        },
+        "torque_constant": lambda: {"scale": 1 + sign * 0.1 * s},
+        "torque_offset": lambda: {"offset": sign * 0.06 * s * nominal},
+        "time_delay": lambda: {"delay": 0.006 * s},
+        "encoder_offset": lambda: {"offset": sign * 0.02 * s},
+        "interpolator_mismatch": lambda: {"rate": 1 + sign * 0.02 * s, "blend": draw(0, 0.08) * s},
+    }
+
+
+def _outside_sizes(
+    robot: RobotDescription, k: int, s: float, rng: np.random.Generator
+) -> dict[str, Callable[[], dict[str, Any]]]:
+    nominal, seed = _nominal(robot)[k], float(rng.integers(1_000_000))
+    return {
+        "rough_bearing": lambda: {"amplitude": 0.15 * s * nominal, "patch": rng.uniform(0.04, 0.15), "seed": seed},
+        "wandering_torque": lambda: {
+            "amplitude": 0.05 * s * nominal,
+            "memory": float(np.exp(rng.uniform(np.log(0.2), np.log(2.0)))),
+            "seed": seed,
+        },
+        "rubbing_brake": lambda: {
+            "drag": 0.1 * s * nominal,
+            "on": rng.uniform(0.2, 0.8),
+            "off": rng.uniform(0.5, 2),
+            "seed": seed,
+        },
+    }
+
+
+def _nominal(robot: RobotDescription) -> np.ndarray:
+    """(n,) [N·m]; a hundred where the description has none."""
+    return np.nan_to_num(robot.nominal_torque, nan=100.0)
+
+
+def _inertia(robot: RobotDescription, k: int) -> float:
+    """[kg·m²] that joint k sees in the middle of its range."""
+    from agent.robot.dynamics import Dynamics
+
+    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
+    return float(Dynamics(robot).mass_matrix(0.5 * (lower + upper))[k, k])
+
+
+def _direction(rng: np.random.Generator) -> np.ndarray:
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and lists of numbers, as JSON has them."""
+    if isinstance(value, dict):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_plain(entry) for entry in value]
+    return float(value)

@@ -1,0 +1,192 @@
+"""The whole blind check: draw, seal, record and diagnose, open the key, judge. A rerun goes on where it stopped."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from agent.blind_check.cases import GROUP, Case, draw_cases
+from agent.blind_check.key import key_text, open_key, seal
+from agent.blind_check.runs import link_recipe, record_motions
+from agent.blind_check.scoring import outcome, score
+from agent.console import Console
+from agent.errors import AgentError, InputError
+from agent.run import write_atomically
+from drivers.errors import DriverError
+
+#: A log of the first two motions is about this long [s], two cycles and the way to where they start.
+CYCLE = 10.0
+_QUIET = Console(verbosity=-1)
+
+
+@dataclass(frozen=True)
+class BlindCheck:
+    """What to do: runs, seed, folder, and the duration of one cycle of every motion [s]."""
+
+    count: int
+    seed: int
+    folder: Path
+    robot: str = "comau_ns16"
+    cycle: float = CYCLE
+
+    def run(self, console: Console) -> dict[str, Any]:
+        """Do what is not done yet; returns the scores, which are also in `blind_check.json` and `blind_check.md`.
+
+        Raises:
+            InputError: no runs, or a folder with another check in it.
+        """
+        from agent.blind_check.report import report_text
+        from agent.robot import load_robot
+
+        if self.count < 1:
+            raise InputError(f"blind check: --cases {self.count}: at least one run is needed")
+        robot = load_robot(self.robot)
+        cases = draw_cases(self.count, self.seed, robot)
+        text = key_text(self.seed, self.robot, cases)
+        digest = seal(self.folder, text)
+        console.step(f"{self.count} runs; SHA-256 of the key, which stays closed until the last diagnosis: {digest}")
+        self._diagnose_all(cases, console)
+        open_key(self.folder, text)
+        console.step(f"the key is open: {self.folder / 'key.json'}")
+        entries = [self._judge(case, console) for case in cases]
+        scores = {"schema": "blind-check/1", "key_sha256": digest, "robot": self.robot, **score(entries)}
+        write_atomically(self.folder / "blind_check.json", json.dumps(scores, indent=1) + "\n")
+        write_atomically(self.folder / "blind_check.md", report_text(scores))
+        return scores
+
+    def _diagnose_all(self, cases: Sequence[Case], console: Console) -> None:
+        with _Diagnosing(self.folder) as diagnosing:
+            for case in cases:
+                answer = self._folder(case) / "diagnosis.json"
+                if answer.exists():
+                    continue
+                logs, reason = self._record(case)
+                found = {"error": reason} if reason else diagnosing.ask(self._job(case, logs))
+                write_atomically(answer, json.dumps(found) + "\n")
+                console.progress(f"run {case.number + 1} of {len(cases)} diagnosed")
+
+    def _record(self, case: Case) -> tuple[list[Path], str]:
+        """Logs of a run, or why there are none; what its group shares is made where it is missing."""
+        self._prepare_group(case)
+        programs = {path.stem: path.read_text(encoding="utf-8") for path in sorted(self._group(case).glob("*.pdl"))}
+        try:
+            return record_motions(self.robot, case.machine, case.effects, programs, self._folder(case), _QUIET), ""
+        except (AgentError, DriverError) as error:
+            return [], str(error)
+
+    def _prepare_group(self, case: Case) -> None:
+        """Model of the machine from effect-free motions, the programs of the runs, and their set-points.
+
+        The controller's interpolator is never quite ours, so what a run should be like is not our plan: it is what
+        this controller makes of the same programs without an effect.
+        """
+        from agent.blind_check.motions import draw_programs
+        from agent.estimation import estimate
+        from agent.recording import read_log
+        from agent.robot import load_robot
+
+        folder = self._group(case)
+        if (folder / "model.json").exists():
+            return
+        robot, recipe = load_robot(self.robot), link_recipe(self.robot, "127.0.0.1:9")
+        programs = draw_programs(recipe, case.motion, self.cycle)
+        record_motions(self.robot, case.machine, (), programs, folder, _QUIET)
+        for name, text in programs.items():
+            write_atomically(folder / f"{name}.pdl", text)
+        others = draw_programs(recipe, case.machine, self.cycle)
+        logs = record_motions(self.robot, case.machine, (), others, folder / "identification", _QUIET)
+        model = estimate(robot, [read_log(log, robot) for log in logs])
+        for log in logs:
+            log.unlink()
+        model.save(folder / "model.json")
+
+    def _judge(self, case: Case, console: Console) -> dict[str, Any]:
+        """The case with its diagnosis, the one without its effect, and the oracle. Logs of clear cases are let go."""
+        folder = self._folder(case)
+        kept = folder / "judged.json"
+        if kept.exists():
+            return json.loads(kept.read_text(encoding="utf-8"))
+        found = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+        entry = {**case.to_dict(), **found}
+        logs = sorted(folder.glob("*.mcap"))
+        if case.kind in ("one", "two") and "error" not in found:
+            entry.update(self._second_opinions(case, found["result"], logs))
+        entry["outcome"] = outcome(entry)
+        write_atomically(kept, json.dumps(entry) + "\n")
+        console.progress(f"run {case.number + 1}: {entry['outcome']}")
+        if entry["outcome"] in ("right", "in class"):
+            for log in logs:
+                log.unlink()
+        return entry
+
+    def _second_opinions(self, case: Case, result: dict[str, Any], logs: Sequence[Path]) -> dict[str, Any]:
+        from agent.blind_check.oracle import reference_closures
+        from agent.blind_check.worker import diagnose_job
+        from agent.console import finite
+
+        names = sorted({effect["effect"] for effect in case.effects})
+        withheld = diagnose_job(self._job(case, logs), without=names)
+        closures = reference_closures(withheld.dataset, case.effects, result["gap"], case.number)
+        return finite({"withheld": withheld.result, "closures": closures})
+
+    def _folder(self, case: Case) -> Path:
+        return self.folder / "runs" / f"{case.number:04d}"
+
+    def _group(self, case: Case) -> Path:
+        """Machines are numbered as they come: their seed would tell of the key."""
+        return self.folder / "machines" / f"{case.number // GROUP:04d}"
+
+    def _job(self, case: Case, logs: Sequence[Path]) -> dict[str, Any]:
+        """All that a diagnosis is told."""
+        group = self._group(case)
+        return {
+            "robot": self.robot,
+            "model": str(group / "model.json"),
+            "logs": [str(log) for log in logs],
+            "planned": [str(group / log.name) for log in logs],
+        }
+
+
+class _Diagnosing:
+    """The diagnosing process; started with the first job."""
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+        self._process: subprocess.Popen[str] | None = None
+
+    def __enter__(self) -> _Diagnosing:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._process is not None:
+            assert self._process.stdin is not None
+            self._process.stdin.close()
+            self._process.terminate()
+            self._process.wait()
+
+    def ask(self, job: dict[str, Any]) -> dict[str, Any]:
+        """Its answer to one job.
+
+        Raises:
+            RuntimeError: the process died.
+        """
+        if self._process is None:
+            command = [sys.executable, "-m", "agent.blind_check.worker", str(self._folder)]
+            environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+            )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps(job) + "\n")
+        self._process.stdin.flush()
+        answer = self._process.stdout.readline()
+        if not answer:
+            raise RuntimeError("the diagnosing process of the blind check has died; its message is above")
+        return json.loads(answer)

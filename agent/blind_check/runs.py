@@ -1,0 +1,93 @@
+"""Runs of the fake controller, recorded over the real link: it is a process of its own that reads a sealed file."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from agent.console import Console
+from agent.errors import ControllerError
+from agent.recipe import Recipe, load_recipe
+
+_RECIPE = """\
+robot: {robot}
+controller: {{driver: tcp, address: "{address}"}}
+motion:
+  speed: 1 m/s
+  via_points: {{count: 2, box: {{centre: [1, 0, 1], size: [1, 1, 1], orientation: [0, 0, 0], cone: 0}}}}
+"""
+_PATIENCE = 20.0  # s
+
+
+def link_recipe(robot: str, address: str) -> Recipe:
+    """What `agent record` would be told about this controller."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "recipe.yaml"
+        path.write_text(_RECIPE.format(robot=robot, address=address), encoding="utf-8")
+        return load_recipe(path)
+
+
+@contextmanager
+def fake_controller(robot: str, machine: int, effects: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """A controller as a process; gives its address. The file with its effects is gone before anything moves.
+
+    Raises:
+        ControllerError: it does not start, for example because an effect cannot be simulated.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        sealed = Path(folder) / "effects.json"
+        sealed.write_text(json.dumps(list(effects)), encoding="utf-8")
+        command = [sys.executable, "-m", "fake_controller", "--robot", robot, "--seed", str(machine)]
+        command += ["--clock", "fast", "--port", "0", "--watchdog", "5", "--effects", str(sealed)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        assert process.stdout is not None
+        greeting = process.stdout.readline()
+    try:
+        if " at " not in greeting:
+            _, errors = process.communicate()
+            raise ControllerError(f"blind check: the fake controller does not start: {errors.strip()}")
+        yield greeting.split(" at ")[1].split(",")[0]
+    finally:
+        process.terminate()
+        try:
+            process.communicate(timeout=_PATIENCE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+
+
+def record_motions(
+    robot: str,
+    machine: int,
+    effects: Sequence[Mapping[str, Any]],
+    programs: Mapping[str, str],
+    folder: Path,
+    console: Console,
+) -> list[Path]:
+    """Start a controller, run the programs one after the other, and record a log of each; returns their paths.
+
+    Raises:
+        ControllerError, SafetyError, DriverError: the arm did not do it.
+        InputError: a program that cannot be planned.
+    """
+    from agent.planning import plan_statements
+    from agent.record import open_link
+
+    folder.mkdir(parents=True, exist_ok=True)
+    logs = []
+    with fake_controller(robot, machine, effects) as address:
+        recipe = link_recipe(robot, address)
+        with open_link(recipe, console, True, folder) as link:
+            for name, text in programs.items():
+                log = folder / f"{name}.mcap"
+                log.unlink(missing_ok=True)  # of a check that was stopped in the middle of it
+                program, chains = plan_statements(recipe, text, f"{name}.pdl", link.position())
+                link.run(program, text, log, name, chains, sum(chain.duration for chain in chains))
+                logs.append(log)
+    return logs
