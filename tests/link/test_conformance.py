@@ -165,22 +165,28 @@ class TamperedCable(Cable):
     def __init__(self):
         super().__init__(BAUD)
         self.silent = False
-        self._said = bytearray()
+        self._said = []  # what the driver said, from one answer to the next
+        self._answered = threading.Event()
         self.tamper = self._pass
 
     def replay(self):
-        with serial.Serial(self.far, BAUD, timeout=0.1) as port:
-            # In pieces, as the line would carry them, and whatever is answered is taken off the line.
-            for at in range(0, len(self._said), 4096):
-                port.write(bytes(self._said[at : at + 4096]))
-                while port.read(4096):
-                    pass
+        said, self._said = self._said, []
+        with serial.Serial(self.far, BAUD) as port:
+            for data in said:
+                self._answered.clear()
+                port.write(data)
+                self._answered.wait(0.1)
+                port.reset_input_buffer()
 
     def _pass(self, end, data):
-        if end == "far":
-            self._said += data
-            return data
-        return b"" if self.silent else data
+        if end == "near":
+            self._answered.set()
+            return b"" if self.silent else data
+        if self._answered.is_set() or not self._said:
+            self._said.append(b"")
+            self._answered.clear()
+        self._said[-1] += data
+        return data
 
 
 class LineBench(FakeBench):
