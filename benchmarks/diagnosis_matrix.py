@@ -221,7 +221,8 @@ def main() -> None:
             print(f"{name}: {error}")
             continue
         start = time.process_time()
-        result = diagnose(robot, logs, model).result
+        found = diagnose(robot, logs, model)
+        result = found.result
         seconds = time.process_time() - start
         outcome = judge(result, truth)
         counts[outcome] += 1
@@ -230,10 +231,11 @@ def main() -> None:
             flush=True,
         )
         if arguments.withheld and truth:
-            result = diagnose(robot, logs, model, without=[name]).result
+            found = diagnose(robot, logs, model, without=[name])
+            result = found.result
             confident = result["verdict"] == "explained"
             counts["withheld: confident" if confident else "withheld: abstains"] += 1
-            print(f"      without: {short(result)}", flush=True)
+            print(f"      without: {short(result)} closed {found.finding.closed:.3f}", flush=True)
     print(dict(counts))
 
 

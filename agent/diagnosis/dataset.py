@@ -14,9 +14,8 @@ from agent.errors import InputError
 from agent.estimation.estimate import EstimationSettings, estimate
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.model import EFFECTS, IdentifiedModel
-from agent.estimation.observation import observe
+from agent.estimation.observation import Observation, observe
 from agent.estimation.prior import physical_prior
-from agent.estimation.selection import paper_terms
 from agent.recording.log import Log
 from agent.robot import RobotDescription
 
@@ -26,6 +25,7 @@ _BLOCKS = 5
 _STICTION = 0.3  # of the Coulomb level
 _STANDSTILL = 0.004  # of the highest speed
 _NEAR_STANDSTILL = 0.05  # s
+_USUAL_ERROR = 0.04
 _LEAST_BACKGROUND = 0.002  # of nominal
 
 
@@ -73,7 +73,7 @@ def assemble(
     scale = reference.scale
     background = np.maximum(_moving_error(model), _LEAST_BACKGROUND * scale)
     if not given:
-        background = np.maximum(background, 0.003 * scale)
+        background = _expected_error(robot, observation)
     signals: list[Signals] = []
     rows: list[list[np.ndarray]] = [[] for _ in range(n)]
     index: list[np.ndarray] = []
@@ -107,6 +107,14 @@ def assemble(
     return Dataset(
         robot, model, given, fit, residual, speed, time, log, tuple(logs), rate, observation.stretches[0].motion.cutoff
     )
+
+
+def _expected_error(robot: RobotDescription, observation: Observation) -> np.ndarray:
+    """(n,) [N·m] what a model of these logs usually leaves, where no other logs tell: 4 % of the torque."""
+    torque = np.concatenate([stretch.torque for stretch in observation.stretches])
+    usual = _USUAL_ERROR * np.std(torque, axis=0)
+    least = np.where(np.isfinite(robot.nominal_torque), 0.5 * _USUAL_ERROR / 4 * robot.nominal_torque, 0.0)
+    return np.maximum(np.maximum(usual, least), 1e-9)
 
 
 def _moving_error(model: IdentifiedModel) -> np.ndarray:
@@ -169,18 +177,17 @@ def _stored_precision(model: IdentifiedModel) -> np.ndarray:
 
 
 def plain_model(robot: RobotDescription, logs: Sequence[Log], cutoff: float | None) -> IdentifiedModel:
-    """A model of bodies and the plainest friction, fitted to the logs themselves: what it cannot absorb is a gap."""
+    """A model of bodies and of friction that is alike both ways, fitted to the logs: what it cannot absorb is a gap."""
     found = estimate(robot, logs, EstimationSettings.create(cutoff=cutoff))
-    reversals = [
-        next(term.reversal for term in found.terms if term.axle == axle and term.form == "coulomb")
-        for axle in range(robot.dof)
-    ]
-    terms = paper_terms(reversals)
     count = len(found.independent)
-    places = {(term.axle, term.form): count + k for k, term in enumerate(found.terms)}
-    kept = np.array([*range(count), *(places[term.axle, term.form] for term in terms)])
+    alike = [k for k, term in enumerate(found.terms) if term.form not in ("offset", "viscous_asymmetry")]
+    kept = np.array([*range(count), *(count + k for k in alike)])
     return replace(
-        found, terms=terms, values=found.values[kept], covariance=found.covariance[np.ix_(kept, kept)], effects=()
+        found,
+        terms=tuple(found.terms[k] for k in alike),
+        values=found.values[kept],
+        covariance=found.covariance[np.ix_(kept, kept)],
+        effects=(),
     )
 
 

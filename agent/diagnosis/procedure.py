@@ -253,6 +253,8 @@ class Search:
             lost = self._total(without) - total
             margin = max(NEAR_FLOOR * self.rows, NEAR * lost)
             rivals, behind = [], np.inf
+            twins = [s for s in step.scores if s.candidate.effect.name in candidate.effect.twins]
+            twin = any(s.candidate.joints == candidate.joints and lost - s.gain <= margin for s in twins)
             for score in step.eligible:
                 if score.candidate.place == candidate.place:
                     continue
@@ -262,12 +264,12 @@ class Search:
                     rivals.append(score.candidate.place)
                 elif short > margin:
                     behind = min(behind, short / margin)
-            ranked.append((lost, candidate, tuple(rivals[:2]), behind))
+            ranked.append((lost, candidate, tuple(rivals[:2]), behind, twin))
         ranked.sort(key=lambda entry: -entry[0])
         causes = tuple(entry[1] for entry in ranked)
         rivals = tuple(entry[2] for entry in ranked)
-        probability = tuple(_probability(behind, closed) for *_, behind in ranked)
-        verdict = "ambiguous" if rivals[0] else "explained"
+        probability = tuple(_probability(entry[3], closed) for entry in ranked)
+        verdict = "ambiguous" if rivals[0] or ranked[0][4] else "explained"
         return Finding(verdict, self.fit.with_chosen(causes), causes, rivals, probability, closed, noisy, tuple(steps))
 
 

@@ -33,9 +33,10 @@ class Effect(ABC):
     """One effect of the vocabulary.
 
     `scope` is joint, pair, arm or base. `limits` are the simpler forms that it turns into at the border of its
-    parameters: it has to do better than they do to be named. `practical` is the smallest torque that matters, root mean
-    square over nominal. `once` marks an effect that happens once, so that another log tells nothing about it;
-    `refined` are the nonlinear parameters worth a finer search around the best of the grid.
+    parameters: it has to do better than they do to be named. `twins` are forms that equal it by definition unless the
+    data tell them apart: where they do as well it is not named with confidence, in the catalogue or not. `practical`
+    is the smallest torque that matters, root mean square over nominal. `once` marks an effect that happens once, so
+    that another log tells nothing about it; `refined` are the nonlinear parameters worth a finer search.
     """
 
     name: ClassVar[str]
@@ -47,6 +48,7 @@ class Effect(ABC):
     practical: ClassVar[float] = 0.01
     look_at: ClassVar[str]
     limits: ClassVar[tuple[str, ...]] = ()
+    twins: ClassVar[tuple[str, ...]] = ()
     once: ClassVar[bool] = False
     refined: ClassVar[tuple[str, ...]] = ()
 

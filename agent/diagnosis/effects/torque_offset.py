@@ -13,6 +13,7 @@ class TorqueOffset(Effect):
     source = "Swevers, Verdonck, De Schutter, IEEE Control Systems 27 (2007)"
     signature = "constant residual"
     confused_with = ("asymmetric_friction", "gravity_spring", "dress_pack")
+    twins = ("asymmetric_friction",)
     look_at = "zero of the current sensor of this drive; a constant force such as a hose or a balancer"
 
     def names(self, settings):

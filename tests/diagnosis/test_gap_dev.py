@@ -1,0 +1,64 @@
+"""Every run of the development set, against the model of its baseline."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from agent.diagnosis import diagnose, extended_model
+from agent.estimation import IdentifiedModel
+from agent.validation import validate
+
+
+@pytest.fixture(scope="module")
+def answers(shared_data):
+    return json.loads((shared_data / "gap-dev/ANSWERS.json").read_text())
+
+
+def test_nothing_is_found_where_nothing_is(diagnosed, measured):
+    result = diagnosed(0).result
+    measured("gap-dev, run without an effect", result["verdict"], "", "no_gap", result["verdict"] == "no_gap")
+    assert result["verdict"] == "no_gap"
+    assert result["causes"] == []
+
+
+@pytest.mark.parametrize("case", [1, 2, 3, 4])
+def test_the_effect_and_its_joint_are_named(diagnosed, answers, case, measured):
+    result = diagnosed(case).result
+    (truth,) = answers[f"case_{case:02d}"]
+    joints = [f"joint_{truth['joint']}"] if "joint" in truth else []
+    cause = result["causes"][0]
+    right = (cause["effect"], cause["joints"]) == (truth["id"], joints)
+    measured(f"gap-dev {case}, {truth['id']}", f"{cause['effect']} {cause['joints']}", "", "named right", right)
+    assert result["verdict"] == "explained"
+    assert right
+    assert len(result["causes"]) == 1
+    assert cause["closure"] > 0.85
+
+
+def test_the_sizes_are_those_of_the_key(diagnosed, answers):
+    mass = diagnosed(2).result["causes"][0]["parameters"]["mass"]
+    assert mass == pytest.approx(answers["case_02"][0]["mass"], rel=0.02)
+    stiffness = diagnosed(3).result["causes"][0]["parameters"]["stiffness"]
+    assert stiffness == pytest.approx(answers["case_03"][0]["k"], rel=0.15)
+    delay = diagnosed(4).result["causes"][0]["parameters"]["delay"]
+    assert delay == pytest.approx(answers["case_04"][0]["delay"], abs=4e-4)
+
+
+@pytest.mark.parametrize("case", [2, 4])
+def test_a_withheld_effect_is_not_replaced_by_a_confident_wrong_name(arm, baseline, runs, answers, case):
+    (truth,) = answers[f"case_{case:02d}"]
+    result = diagnose(arm, runs(case), baseline, without=[truth["id"]]).result
+    assert result["verdict"] in ("unknown", "ambiguous")
+    assert truth["id"] not in json.dumps(result["causes"])
+    assert result["where"][0]["share"] > 0
+
+
+def test_a_model_with_the_effect_predicts_what_the_model_did_not(diagnosed, baseline, runs, tmp_path):
+    path = tmp_path / "extended.json"
+    extended_model(diagnosed(2)).save(path)
+    before = validate(baseline, runs(2))["overall"]["normalised_rmse"]
+    after = validate(IdentifiedModel.load(path), runs(2))["overall"]["normalised_rmse"]
+    assert np.max(after) < 0.01 < np.max(before)

@@ -1,0 +1,102 @@
+"""The result by the definitions of the contract, and what is said of bad input."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.diagnose import diagnosis_text
+from agent.diagnosis import CATALOGUE, diagnose
+from agent.diagnosis.report import diagnosis_report
+from agent.errors import InputError
+
+VOCABULARY = (
+    "stribeck asymmetric_friction load_dependent_friction viscous_nonlinearity thermal_friction presliding "
+    "friction_change joint_elasticity backlash torque_ripple wrist_coupling payload gravity_spring dress_pack "
+    "base_tilt inertial_mismatch contact torque_constant torque_offset time_delay encoder_offset interpolator_mismatch"
+).split()
+
+
+def test_the_catalogue_is_the_vocabulary():
+    assert list(CATALOGUE) == VOCABULARY
+    for effect in CATALOGUE.values():
+        assert effect.formula and effect.source and effect.signature and effect.look_at
+        assert set(effect.confused_with) | set(effect.limits) | set(effect.twins) <= set(VOCABULARY)
+
+
+@pytest.mark.parametrize("case", [0, 1])
+def test_figures_hold_to_their_definitions(diagnosed, case):
+    result = diagnosed(case).result
+    json.dumps(result, allow_nan=False)
+    assert result["schema"] == "diagnosis/1"
+    gap = result["gap"]
+    before, after, floor = (np.array(gap[key]) for key in ("before", "after", "floor"))
+    b, a, f = (np.mean(part**2) for part in (before, after, floor))
+    if b < 1.21 * f:
+        assert result["closure"] is None
+    else:
+        assert result["closure"] == pytest.approx((b - a) / (b - f))
+    shares = {entry["joint"]: entry["share"] for entry in result["where"]}
+    assert sum(shares.values()) == pytest.approx(1)
+    excess = np.maximum(before**2 - floor**2, 0)
+    assert [shares[name] for name in gap["joints"]] == pytest.approx(excess / excess.sum())
+    assert {fold["held_out"] for fold in result["folds"]} == {"excite.mcap", "moves.mcap", "slow.mcap"}
+    assert all(fold["held_out"] not in fold["fitted_on"] for fold in result["folds"])
+    for cause in result["causes"]:
+        assert 0 < cause["probability"] <= 1
+
+
+def test_the_page_and_the_text_name_the_cause(diagnosed):
+    page = diagnosis_report(diagnosed(1))
+    assert "joint_2: most likely stribeck" in page
+    assert "lubrication" in page
+    assert "stribeck on joint_2" in diagnosis_text(diagnosed(1).result)
+
+
+def test_one_log_is_split_and_the_answer_repeats(arm, baseline, runs):
+    one = runs(1)[2:]
+    first, second = (diagnose(arm, one, baseline).result for _ in range(2))
+    assert json.dumps(first) == json.dumps(second)
+    assert first["causes"][0]["joints"] == ["joint_2"]
+    assert len(first["folds"]) > 1
+    assert any("one motion only" in warning for warning in first["warnings"])
+
+
+def test_the_joint_that_moves_alone_shows_the_motion_gap(arm, baseline, runs):
+    logs = []
+    for log in runs(0)[1:]:
+        planned = np.array(log.reference_position)
+        late = np.roll(planned, 10, axis=0)
+        late[:10] = planned[:1]
+        logs.append(replace(log, planned_position=planned, reference_position=late))
+    result = diagnose(arm, logs, baseline).result
+    assert [cause["effect"] for cause in result["causes"]] == ["interpolator_mismatch"]
+    assert max(result["motion_gap"]["after"]) < 0.3 * max(result["motion_gap"]["before"])
+
+
+def test_bad_input_is_said_plainly(arm, baseline, runs):
+    with pytest.raises(InputError, match="no logs"):
+        diagnose(arm, [], baseline)
+    with pytest.raises(InputError, match="squeak"):
+        diagnose(arm, runs(0), baseline, without=["squeak"])
+    other = [replace(runs(0)[0], joint_names=tuple("abcdef"))]
+    with pytest.raises(InputError, match="its joints are"):
+        diagnose(arm, other, baseline)
+    short = [replace(runs(0)[0], segments=((0, 60),))]
+    with pytest.raises(InputError, match="longest stretch"):
+        diagnose(arm, short, baseline)
+
+
+def test_clipped_torque_and_a_still_joint_are_mentioned(arm, baseline, runs):
+    log = runs(0)[2]
+    assert log.effort is not None
+    effort, position = log.effort.copy(), log.position.copy()
+    limit = np.quantile(np.abs(effort[:, 1]), 0.9)
+    effort[:, 1] = np.clip(effort[:, 1], -limit, limit)
+    position[:, 5] = position[0, 5]
+    warnings = diagnose(arm, [replace(log, effort=effort, position=position)], baseline).warnings
+    assert any("joint_2" in text and "clipped" in text for text in warnings)
+    assert any("joint_6 never moves" in text for text in warnings)
