@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.errors import InputError
-from agent.motion.program import Move, Statement
+from agent.motion.program import Move, Statement, Target
 from agent.safety.motion import PlannedProgram
 
 if TYPE_CHECKING:
@@ -93,8 +93,8 @@ def _with_speed(move: Move, factor: float) -> Move:
 
 
 def _key(move: Move) -> tuple[object, ...]:
-    targets = [
-        b"" if target is None else np.asarray(getattr(target, "pose", getattr(target, "position", None))).tobytes()
-        for target in (move.target, move.via)
-    ]
-    return (move.type, move.fly, move.settings, *targets)
+    return (move.type, move.fly, move.settings, _place(move.target), _place(move.via))
+
+
+def _place(target: Target | None) -> bytes:
+    return np.asarray(getattr(target, "pose", getattr(target, "position", ()))).tobytes()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from ipaddress import ip_address
+
 import numpy as np
 
 from agent.errors import ControllerError, InputError, SafetyError
@@ -122,7 +124,10 @@ def unsafe_in_motion(status: Status) -> str | None:
 def is_loopback(address: str) -> bool:
     """Whether an address of the form host:port is on this machine."""
     host = address.rsplit(":", 1)[0].strip("[]")
-    return host in ("localhost", "::1") or host.startswith("127.")
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:  # a name: only the one that is this machine everywhere
+        return host == "localhost"
 
 
 def needs_person(status: Status, address: str) -> bool:

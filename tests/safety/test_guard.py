@@ -368,8 +368,9 @@ def test_only_the_emulator_on_this_machine_is_not_asked_about(bench):
     for address in ("", "localhost:9100", "[::1]:9100"):
         bench.open(yes=False, address=address).close()
     assert bench.asked == []
-    with pytest.raises(InputError, match="nobody confirmed"):
-        bench.open(yes=False, address="10.1.2.3:9100")
+    for address in ("10.1.2.3:9100", "127.robots.example:9100", "/dev/ttyUSB0:115200"):
+        with pytest.raises(InputError, match="nobody confirmed"):
+            bench.open(yes=False, address=address)
 
 
 def authorisation(chosen: PlannedProgram, **changes: object) -> Authorisation:
@@ -502,6 +503,18 @@ def test_the_slow_version_is_one_turn_at_no_more_than_the_first_speed(bench):
     planned = interpolator.plan(tuple(list(parse_program(slow.text, "slow").run())[:1]), HOME)
     np.testing.assert_allclose(planned.q[-1], targets[0].position, atol=1e-9)
     assert planned.path_speed.max() <= FIRST_SPEED
+
+
+def test_every_way_is_gone_slowly_also_from_the_same_place(bench):
+    from agent.motion import FlyInterpolator
+    from agent.motion.pdl2 import write_program
+
+    goals = [HOME + np.radians([angle, 0, 0, 0, 0, 0]) for angle in (5.0, 0.0, -5.0, 0.0)]
+    moves = [Move(MoveType.JOINT, JointTarget(goal), MotionSettings()) for goal in goals]
+    text = write_program("ways", moves * 2, bench.robot)
+    interpolator = FlyInterpolator(bench.robot, period=0.002)
+    slow = slow_version(PlannedProgram("ways", text, ()), bench.robot, interpolator, HOME)
+    assert len(slow.chains) == 4
 
 
 def test_a_program_is_cut_where_the_arm_stops():
