@@ -236,6 +236,7 @@ class RegisterMap:
         self._session, self._request = values["session"], values["request"]
         self._watchdog = min(max(values["watchdog"] / 1000, self._shortest), LONGEST_WATCHDOG)
         self._heard, self._silence, self._upload = True, 0.0, None
+        self._controller.reach("connect")
         self._answer = _no_answer(values, wire.Outcome.DONE, watchdog=round(self._watchdog * 1000))
         return None
 

@@ -59,6 +59,7 @@ class ModbusServer:
     def _run(self, controller: Controller, watchdog: float, memory: int, waits: bool) -> None:
         self.controller = controller
         self.registers = RegisterMap(controller, watchdog, memory, waits)
+        controller.when_restarting.append(self.drop_clients)
         self._failure: OSError | None = None
         started = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(started)), name="modbus", daemon=True)

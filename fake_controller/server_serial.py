@@ -288,6 +288,7 @@ class SerialServer:
             self._watchdog = min(max(hello.watchdog_ms / 1000, self._shortest), LONGEST_WATCHDOG)
             self._upload = None
             self._sent, self._end_sent = self._produced, True
+        self.controller.reach("connect")
         self._reply(Welcome(VERSION, round(self._watchdog * 1000)), request)
 
     def _start(self, name: str, checksum: str, motion_id: bytes, request: int) -> None:
