@@ -176,14 +176,18 @@ def _sampled(path: Path, shape: PathShape, law: TimeLaw, period: float) -> SetPo
 
 
 def _stretch(path: Path, samples: SetPoints, limits: ArmLimits, period: float) -> np.ndarray:
-    """(S,) the factor by which time would have to be stretched at each sample for every limit to hold there."""
+    """(S,) the factor by which time would have to be stretched at each sample for every limit to hold there.
+
+    Programmed speeds of the TCP count as limits: a change of speed from move to move may not come late.
+    """
     knot = np.minimum(np.searchsorted(path.s, samples.s + path.s[0]), len(path.s) - 1)
-    linear, turn, linear_change, turn_change = cartesian_rates(samples) / path.rules[knot, rules.CARTESIAN]
-    cartesian = limits.cartesian
-    speed = np.maximum(linear / cartesian.linear_speed, turn / cartesian.rotational_speed)
-    acceleration = np.maximum(
-        linear_change / cartesian.linear_acceleration, turn_change / cartesian.rotational_acceleration
-    )
+    linear, turn, linear_change, turn_change = cartesian_rates(samples)
+    rule, cartesian = path.rules[knot], limits.cartesian
+    limited = rule[:, rules.CARTESIAN]
+    speed = linear / np.minimum(cartesian.linear_speed * limited, rule[:, rules.LINEAR])
+    np.maximum(speed, turn / np.minimum(cartesian.rotational_speed * limited, rule[:, rules.ROTATIONAL]), out=speed)
+    acceleration = linear_change / (cartesian.linear_acceleration * limited)
+    np.maximum(acceleration, turn_change / (cartesian.rotational_acceleration * limited), out=acceleration)
     jerk = np.zeros(len(speed))
     # Joint by joint: reducing over the short axis of (S, n) costs five times as much.
     for k in range(len(limits.speed)):

@@ -324,3 +324,12 @@ def test_a_statement_that_moves_nothing_leaves_the_others_as_they_are(fly, home,
     plain = fly.plan([line(corner[0], fly=True), line(corner[1])], home)
     repeated = fly.plan([line(corner[0], fly=True), replace(line(corner[0]), fly=True), line(corner[1])], home)
     assert np.array_equal(plain.q, repeated.q)
+
+
+def test_each_move_keeps_its_own_speed_across_a_corner(fly, home, corner):
+    for speeds in ((0.4, 0.1), (0.1, 0.4)):
+        program = [line(corner[0], fly=True, linear_speed=speeds[0]), line(corner[1], linear_speed=speeds[1])]
+        trajectory = fly.plan(program, home)
+        for k, speed in enumerate(speeds):
+            own = trajectory.path_speed[trajectory.move == k]
+            assert own.max() == pytest.approx(speed, rel=1e-3)
