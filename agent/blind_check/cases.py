@@ -101,7 +101,7 @@ def draw_effect(name: str, robot: RobotDescription, strength: float, rng: np.ran
     if name in _GEARS:
         allowed = range(min(n, 3))  # the hand's gears are too stiff to tell at these rates
     elif name == "encoder_offset" and n > 2:
-        allowed = range(1, n - 1)  # an offset about the vertical, or of the last joint, shows in no torque
+        allowed = range(1, min(n - 1, 3))  # about the vertical it shows in no torque, in the hand in hardly any
     joint = int(rng.choice(list(allowed)))
     joints = [] if name in _ARM else [robot.joint_names[joint]]
     if name == "wrist_coupling":

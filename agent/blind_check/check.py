@@ -108,6 +108,9 @@ class BlindCheck:
 
     def _judge(self, case: Case, console: Console) -> dict[str, Any]:
         """The case with its diagnosis, the one without its effect, and the oracle. Logs of clear cases are let go."""
+        from agent.blind_check.size import MATTERS, torque_change
+        from agent.robot import load_robot
+
         folder = self._folder(case)
         kept = folder / "judged.json"
         if kept.exists():
@@ -115,6 +118,10 @@ class BlindCheck:
         found = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
         entry = {**case.to_dict(), **found}
         logs = sorted(folder.glob("*.mcap"))
+        if case.effects and "error" not in found:
+            entry["size"] = torque_change(load_robot(self.robot), logs, [self._group(case) / log.name for log in logs])
+            if case.kind == "one" and entry["size"] < MATTERS:
+                entry["kind"] = "small"
         if case.kind in ("one", "two") and "error" not in found:
             entry.update(self._second_opinions(case, found["result"], logs))
         entry["outcome"] = outcome(entry)

@@ -69,7 +69,10 @@ def report_text(scores: Scores) -> str:
     lines += ["", "## Figures", "", "```", *_figures(scores), "```", "", "## Confusion", ""]
     lines += ["Rows: what was there. First the number of runs, then what was said, most often first.", ""]
     lines += ["```", *_matrix(scores), "```", "", "## Power", ""]
-    lines += ["Size: how far the normalised RMSE of the worst joint rises over effect-free runs.", ""]
+    lines += [
+        "Size: root mean square change of the worst joint's torque against the same motion without the effect.",
+        "",
+    ]
     lines += ["| size, % of nominal | found | named |", "| --- | --- | --- |"]
     for row in scores["power"]:
         upper = "more" if row["to"] is None else f"{100 * row['to']:.1f}"
@@ -91,7 +94,8 @@ def report_text(scores: Scores) -> str:
 def case_text(line: Mapping[str, Any]) -> str:
     """One run: what was there, what was said."""
     there = " + ".join(_effect(effect) for effect in line["effects"]) or "nothing"
-    text = f"run {line['number']} ({line['kind']}), {there}: {line['outcome']}"
+    size = "" if line.get("size") is None else f", torque changed by {100 * line['size']:.1f} %"
+    text = f"run {line['number']} ({line['kind']}), {there}{size}: {line['outcome']}"
     if "said" not in line:
         return text
     said = line["said"]

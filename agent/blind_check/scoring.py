@@ -92,7 +92,7 @@ def score(entries: Sequence[Entry]) -> dict[str, Any]:
         "too_small_left_alone": _proportion(small, lambda e: e["outcome"] in ("right", "in class")),
         "withheld": _withheld(named),
         "closure": _closures(named),
-        "power": _power(free, [e for e in named + small if len(e["effects"]) == 1]),
+        "power": _power([e for e in named + small if len(e["effects"]) == 1]),
         "calibration": _calibration([e for e in done if e["kind"] != "small" and e["result"]["causes"]]),
         "confusion": _confusion([e for e in done if len(e["effects"]) == 1 and e["kind"] != "small"], free),
         "diagnosis_cpu_seconds": float(np.median(seconds)) if seconds else None,
@@ -180,23 +180,12 @@ def _closures(entries: Sequence[Entry]) -> dict[str, Any]:
     }
 
 
-def gap_size(entry: Entry, quiet: np.ndarray) -> float:
-    """Largest excess of the gap over effect-free runs on any joint, normalised RMSE."""
-    before = np.array(entry["result"]["gap"]["before"])
-    return float(np.sqrt(np.max(np.maximum(before**2 - quiet**2, 0.0))))
-
-
-def _power(free: Sequence[Entry], entries: Sequence[Entry]) -> list[dict[str, Any]]:
-    """Share found and named by the size of what the effect does to the torque; gaps of set-points are apart."""
-    if not entries:
-        return []
-    zero = np.zeros(len(entries[0]["result"]["gap"]["before"]))
-    quiet = np.median([e["result"]["gap"]["before"] for e in free], axis=0) if free else zero
+def _power(entries: Sequence[Entry]) -> list[dict[str, Any]]:
+    """Share found and named by how much the effect changes the torque; the set-points have no such size."""
     seen = [e for e in entries if e["effects"][0]["effect"] != "interpolator_mismatch"]
-    sizes = np.array([gap_size(e, quiet) for e in seen])
     rows = []
     for low, high in pairwise(_POWER_EDGES):
-        here = [e for e, size in zip(seen, sizes, strict=True) if low <= size < high]
+        here = [e for e in seen if low <= e["size"] < high]
         rows.append(
             {
                 "from": low,
@@ -250,7 +239,7 @@ def _said(entry: Entry) -> str:
 
 def _line(entry: Entry) -> dict[str, Any]:
     """One run without its gaps and regimes."""
-    line = {key: entry[key] for key in ("number", "kind", "strength", "effects", "outcome")}
+    line = {key: entry.get(key) for key in ("number", "kind", "strength", "size", "effects", "outcome")}
     for name in ("result", "withheld"):
         if name in entry:
             found = entry[name]

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
     from agent.recording.log import Log
 
-_REST = 3  # samples of equal set-points that make a stop
 
 _FORBIDDEN = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.fork", "socket.connect")
 _LISTING = ("os.listdir", "os.scandir")
@@ -96,11 +95,12 @@ def diagnose_job(job: Mapping[str, Any], without: Sequence[str] = ()) -> Diagnos
 
 def _planned_as(log: Log, other: Log) -> Log:
     """The log with the executed set-points of another as its plan, laid from stop to stop; none if stops differ."""
+    from agent.blind_check.size import REST
     from agent.record import moving_stretches
 
     assert log.reference_position is not None
     assert other.reference_position is not None
-    here, there = (moving_stretches(entry.reference_position, _REST) for entry in (log, other))
+    here, there = (moving_stretches(entry.reference_position, REST) for entry in (log, other))
     if len(here) != len(there):
         return replace(log, planned_position=None)
     planned = np.full(log.position.shape, np.nan)

@@ -28,6 +28,7 @@ def entry(kind, effects=(), verdict="no_gap", causes=(), before=0.01, worst="joi
         "number": 0,
         "kind": kind,
         "strength": 1.0,
+        "size": 0.03,
         "effects": [{"effect": name, "joints": list(where), "parameters": {}} for name, where in effects],
         "seconds": 5.0,
         "result": {

@@ -1,0 +1,134 @@
+"""The diagnosing process apart, and a dozen runs from end to end."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from agent.blind_check import BlindCheck
+from agent.console import Console
+from agent.errors import InputError
+from agent.run import sha256_text
+
+ROOT = Path(__file__).resolve().parents[2]
+QUIET = Console(verbosity=-1)
+
+
+def test_no_run_is_refused(tmp_path):
+    with pytest.raises(InputError, match="at least one run"):
+        BlindCheck(0, 1, tmp_path).run(QUIET)
+
+
+def test_the_diagnosis_can_open_nothing_near_the_key_but_what_it_is_told(tmp_path):
+    script = (
+        "import os, sys\n"
+        "from agent.blind_check.worker import Guard\n"
+        "folder = sys.argv[1]\n"
+        "guard = Guard(folder)\n"
+        "guard.allowed = {os.path.realpath(os.path.join(folder, 'told.json'))}\n"
+        "guard.closed = True\n"
+        "sys.addaudithook(guard)\n"
+        "print(open(os.path.join(folder, 'told.json')).read())\n"
+        "def tried(what):\n"
+        "    try: what()\n"
+        "    except PermissionError: return 'refused'\n"
+        "    return 'done'\n"
+        "import socket, subprocess\n"
+        "print(tried(lambda: open(os.path.join(folder, 'key.json'))))\n"
+        "print(tried(lambda: open(os.path.join(folder, 'x', '..', 'key.json'))))\n"
+        "print(tried(lambda: os.listdir(folder)))\n"
+        "print(tried(lambda: subprocess.run(['cat', os.path.join(folder, 'key.json')])))\n"
+        "print(tried(lambda: socket.create_connection(('127.0.0.1', 9))))\n"
+    )
+    (tmp_path / "told.json").write_text("told")
+    (tmp_path / "key.json").write_text("secret")
+    run = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, cwd=ROOT)
+    assert run.stdout.split() == ["told", *["refused"] * 5], run.stderr
+
+
+@pytest.fixture(scope="module")
+def dozen(tmp_path_factory) -> Path:
+    """Folder of twelve short runs, checked."""
+    folder = tmp_path_factory.mktemp("blind") / "check"
+    BlindCheck(12, 11, folder, cycle=4.0).run(QUIET)
+    return folder
+
+
+def test_a_dozen_runs_are_recorded_diagnosed_and_scored(dozen):
+    scores = json.loads((dozen / "blind_check.json").read_text())
+    assert scores["runs"] == 12
+    assert scores["not_recorded"] == []
+    assert sum(sum(kinds.values()) for kinds in scores["outcomes"].values()) == 12
+    assert scores["false_alarms"]["of"] >= 4
+    assert scores["top_1"]["count"] >= 1
+    assert (dozen / "blind_check.md").read_text().startswith("# Blind check")
+
+
+def test_the_key_is_the_one_that_was_sealed(dozen):
+    sealed = (dozen / "key.sha256").read_text().split()[0]
+    assert sha256_text((dozen / "key.json").read_text()) == sealed
+    assert json.loads((dozen / "blind_check.json").read_text())["key_sha256"] == sealed
+
+
+def test_nothing_but_the_key_tells_what_was_built_in(dozen):
+    key = json.loads((dozen / "key.json").read_text())
+    machines = {str(case["machine"]) for case in key["cases"]}
+    for path in dozen.glob("runs/*/diagnosis.json"):
+        assert not machines & set(path.read_text().replace('"', " ").split())
+    for path in dozen.rglob("*.mcap"):
+        data = path.read_bytes()
+        assert not any(effect["effect"].encode() in data for case in key["cases"] for effect in case["effects"])
+
+
+def test_a_rerun_goes_on_and_does_nothing_twice(dozen):
+    def stamps():
+        return {path: path.stat().st_mtime_ns for path in dozen.rglob("diagnosis.json")}
+
+    before = stamps()
+    lost = sorted(before)[3]
+    number = int(lost.parent.name)
+    lost.unlink()
+    (lost.parent / "judged.json").unlink()
+    BlindCheck(12, 11, dozen, cycle=4.0).run(QUIET)
+    after = stamps()
+    assert {path for path in before if after[path] != before[path]} == {lost}
+    assert json.loads((lost.parent / "judged.json").read_text())["number"] == number
+
+
+@pytest.mark.verify
+def test_blind_check(measured):
+    """The whole of it; what is finished is kept in `.verify/`, and the page goes into the documentation."""
+    folder = ROOT / ".verify" / "blind_check"
+    scores = BlindCheck(400, 1, folder).run(Console())
+    (ROOT / "docs" / "blind-check.md").write_text((folder / "blind_check.md").read_text(encoding="utf-8"))
+    alarms = scores["false_alarms"]["count"]
+    figures = (
+        ("false alarms in effect-free runs", alarms, "at most 1 of 150", alarms <= 1),
+        ("first cause right", scores["top_1"]["share"], "at least 0.9", scores["top_1"]["share"] >= 0.9),
+        ("right joint", scores["joint"]["share"], "at least 0.95", scores["joint"]["share"] >= 0.95),
+        (
+            "effects outside the catalogue called unknown",
+            scores["unknowns_recognised"]["share"],
+            "at least 0.8",
+            scores["unknowns_recognised"]["share"] >= 0.8,
+        ),
+        (
+            "median closure over the oracle's",
+            scores["closure"]["of_oracle"],
+            "at least 0.9",
+            scores["closure"]["of_oracle"] >= 0.9,
+        ),
+        (
+            "confident wrong names with the true effect withheld",
+            scores["withheld"]["confident_wrong_names"]["share"],
+            "at most 0.1",
+            scores["withheld"]["confident_wrong_names"]["share"] <= 0.1,
+        ),
+    )
+    for what, value, target, ok in figures:
+        measured(f"blind check: {what}", value, "", target, ok)
+    assert scores["runs"] == 400
