@@ -16,9 +16,11 @@ _VERDICTS = {
 
 def diagnosis_summary(result: dict[str, Any]) -> str:
     """One sentence from a result of schema diagnosis/1."""
-    if not result["causes"]:
+    # the controller's path is a matter of its own: it is in the table, not in the sentence about torque
+    named = [cause for cause in result["causes"] if cause["effect"] != "interpolator_mismatch"] or result["causes"]
+    if not named:
         return _VERDICTS[result["verdict"]]
-    causes = " and ".join(_cause(cause) for cause in result["causes"])
+    causes = " and ".join(_cause(cause) for cause in named)
     return f"{_VERDICTS[result['verdict']].rstrip('.')}: {causes}."
 
 

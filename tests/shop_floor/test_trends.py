@@ -29,7 +29,7 @@ def test_wear_of_one_axle_is_told_from_warm_up_of_all(write_runs, seed: int, coo
 
 @pytest.mark.parametrize("cooling", [False, True])
 def test_no_alarm_without_drift(write_runs, cooling: bool):
-    for seed in range(20):
+    for seed in range(8):
         one, _ = _watch(write_runs(20, seed + (100 if cooling else 0), cooling=cooling))
         assert one.alarms == ()
         assert one.warnings == ()
@@ -77,3 +77,25 @@ def test_an_arm_of_two_axles_goes_by_the_warm_up_within_its_runs(write_runs):
     assert [trend.joint for trend in one.alarms] == ["joint_1"]
     one, _ = _watch(write_runs(20, 9, two_axles))
     assert one.alarms == ()
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("cooling", [False, True])
+def test_how_often_it_is_right(write_runs, measured, cooling: bool):
+    """Twenty runs each, warm-up of up to 5 % on all axles, wear of 10 % on one or on none."""
+    false_alarms = found = wrong = 0
+    histories = 100
+    for seed in range(histories):
+        one, _ = _watch(write_runs(20, 10_000 + seed, cooling=cooling))
+        false_alarms += bool(one.alarms)
+        one, _ = _watch(write_runs(20, 20_000 + seed, wear=seed % 6, cooling=cooling))
+        joints = [trend.joint for trend in one.alarms]
+        found += joints == [f"joint_{seed % 6 + 1}"]
+        wrong += any(joint != f"joint_{seed % 6 + 1}" for joint in joints)
+    case = "simulated histories, " + ("warm-up along with time" if cooling else "warm-up at random")
+    measured(f"{case}: alarms without wear", 100 * false_alarms / histories, "%", "at most 1 %", false_alarms <= 1)
+    measured(f"{case}: wear found on its axle alone", 100 * found / histories, "%", "at least 90 %", found >= 90)
+    measured(f"{case}: alarm on another axle", 100 * wrong / histories, "%", "at most 2 %", wrong <= 2)
+    assert false_alarms <= 1
+    assert found >= 90
+    assert wrong <= 2
