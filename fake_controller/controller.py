@@ -324,14 +324,14 @@ class Controller:
 
     def _restart(self) -> None:
         """Power off and on: connections, programs and memory are gone, and the drives are off."""
+        for cut in self.when_restarting:  # first: nobody sees the state of a controller that is off
+            cut()
         self.stop(EndReason.SHUTDOWN, "the controller restarts")
         with self._lock:
             self._programs.clear()
             self._motion_ids.clear()
             self._ring = Ring()
             self.state = State(drives_on=False, emulator=self.state.emulator)
-        for cut in self.when_restarting:
-            cut()
 
     def _check_ready(self) -> None:
         state = self.state
