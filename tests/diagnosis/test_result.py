@@ -13,17 +13,36 @@ from agent.diagnosis import CATALOGUE, diagnose
 from agent.diagnosis.report import diagnosis_report
 from agent.errors import InputError
 
-VOCABULARY = (
-    "stribeck asymmetric_friction load_dependent_friction viscous_nonlinearity thermal_friction presliding "
-    "friction_change joint_elasticity backlash torque_ripple wrist_coupling payload gravity_spring dress_pack "
-    "base_tilt inertial_mismatch contact torque_constant torque_offset time_delay encoder_offset interpolator_mismatch"
-).split()
+VOCABULARY = [
+    "stribeck",
+    "asymmetric_friction",
+    "load_dependent_friction",
+    "viscous_nonlinearity",
+    "thermal_friction",
+    "presliding",
+    "friction_change",
+    "joint_elasticity",
+    "backlash",
+    "torque_ripple",
+    "wrist_coupling",
+    "payload",
+    "gravity_spring",
+    "dress_pack",
+    "base_tilt",
+    "inertial_mismatch",
+    "contact",
+    "torque_constant",
+    "torque_offset",
+    "time_delay",
+    "encoder_offset",
+    "interpolator_mismatch",
+]
 
 
 def test_the_catalogue_is_the_vocabulary():
     assert list(CATALOGUE) == VOCABULARY
     for effect in CATALOGUE.values():
-        assert effect.formula and effect.source and effect.signature and effect.look_at
+        assert all((effect.formula, effect.source, effect.signature, effect.look_at))
         assert set(effect.confused_with) | set(effect.limits) | set(effect.twins) <= set(VOCABULARY)
 
 
