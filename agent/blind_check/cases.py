@@ -10,7 +10,7 @@ import numpy as np
 
 from agent.robot import RobotDescription
 
-#: Runs that share one individual machine, its reference model, and the programs that it runs.
+#: Runs that share one individual machine and its reference model.
 GROUP = 8
 
 #: Share of each kind of run. `small`: an effect too small to matter. `outside`: one the catalogue has no form for.
@@ -59,7 +59,7 @@ def draw_cases(count: int, seed: int, robot: RobotDescription) -> list[Case]:
         while _collide(effects):
             effects = tuple(draw_effect(name, robot, strength, rng) for name in (chosen[0], names.draw()))
         machine = 1000 * (seed % 1_000_000) + number // GROUP
-        cases.append(Case(number, kind, machine, machine + 500, strength, effects))
+        cases.append(Case(number, kind, machine, 1_000_000_000 + 1000 * (seed % 1_000_000) + number, strength, effects))
     return cases
 
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agent.blind_check.cases import GROUP, Case, draw_cases
 from agent.blind_check.key import key_text, open_key, seal
 from agent.blind_check.runs import link_recipe, record_motions
@@ -22,6 +24,8 @@ from drivers.errors import DriverError
 
 #: A log of the first two motions is about this long [s], two cycles and the way to where they start.
 CYCLE = 10.0
+_PLAIN = "without_effect"
+_NOWHERE = "127.0.0.1:9"  # plans are drawn without a controller
 _QUIET = Console(verbosity=-1)
 
 
@@ -72,39 +76,46 @@ class BlindCheck:
                 console.progress(f"run {case.number + 1} of {len(cases)} diagnosed")
 
     def _record(self, case: Case) -> tuple[list[Path], str]:
-        """Logs of a run, or why there are none; what its group shares is made where it is missing."""
-        self._prepare_group(case)
-        programs = {path.stem: path.read_text(encoding="utf-8") for path in sorted(self._group(case).glob("*.pdl"))}
+        """Logs of a run, or why there are none; the model of its machine is made where it is missing.
+
+        The controller's interpolator is never quite ours, so what a run should be like is not our plan: it is what
+        this controller makes of the same programs without an effect. Of that run the diagnosis sees set-points only.
+        """
+        from agent.blind_check.motions import draw_programs
+
+        self._make_model(case)
+        folder = self._folder(case)
         try:
-            return record_motions(self.robot, case.machine, case.effects, programs, self._folder(case), _QUIET), ""
+            programs = draw_programs(link_recipe(self.robot, _NOWHERE), case.motion, self.cycle)
+            for log in record_motions(self.robot, case.machine, (), programs, folder / _PLAIN, _QUIET):
+                self._keep_set_points(log, folder / f"{log.stem}.npy")
+            return record_motions(self.robot, case.machine, case.effects, programs, folder, _QUIET), ""
         except (AgentError, DriverError) as error:
             return [], str(error)
 
-    def _prepare_group(self, case: Case) -> None:
-        """Model of the machine from effect-free motions, the programs of the runs, and their set-points.
+    def _keep_set_points(self, log: Path, path: Path) -> None:
+        from agent.recording import read_log
+        from agent.robot import load_robot
 
-        The controller's interpolator is never quite ours, so what a run should be like is not our plan: it is what
-        this controller makes of the same programs without an effect.
-        """
+        np.save(path, read_log(log, load_robot(self.robot)).reference_position)
+
+    def _make_model(self, case: Case) -> None:
+        """Estimate from effect-free motions of the same machine, other ones than those of its runs."""
         from agent.blind_check.motions import draw_programs
         from agent.estimation import estimate
         from agent.recording import read_log
         from agent.robot import load_robot
 
-        folder = self._group(case)
-        if (folder / "model.json").exists():
+        path = self._model(case)
+        if path.exists():
             return
-        robot, recipe = load_robot(self.robot), link_recipe(self.robot, "127.0.0.1:9")
-        programs = draw_programs(recipe, case.motion, self.cycle)
-        record_motions(self.robot, case.machine, (), programs, folder, _QUIET)
-        for name, text in programs.items():
-            write_atomically(folder / f"{name}.pdl", text)
-        others = draw_programs(recipe, case.machine, self.cycle)
-        logs = record_motions(self.robot, case.machine, (), others, folder / "identification", _QUIET)
+        robot = load_robot(self.robot)
+        programs = draw_programs(link_recipe(self.robot, _NOWHERE), case.machine, self.cycle)
+        logs = record_motions(self.robot, case.machine, (), programs, path.with_suffix(""), _QUIET)
         model = estimate(robot, [read_log(log, robot) for log in logs])
         for log in logs:
             log.unlink()
-        model.save(folder / "model.json")
+        model.save(path)
 
     def _judge(self, case: Case, console: Console) -> dict[str, Any]:
         """The case with its diagnosis, the one without its effect, and the oracle. Logs of clear cases are let go."""
@@ -118,8 +129,9 @@ class BlindCheck:
         found = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
         entry = {**case.to_dict(), **found}
         logs = sorted(folder.glob("*.mcap"))
+        plain = [folder / _PLAIN / log.name for log in logs]
         if case.effects and "error" not in found:
-            entry["size"] = torque_change(load_robot(self.robot), logs, [self._group(case) / log.name for log in logs])
+            entry["size"] = torque_change(load_robot(self.robot), logs, plain)
             if case.kind == "one" and entry["size"] < MATTERS:
                 entry["kind"] = "small"
         if case.kind in ("one", "two") and "error" not in found:
@@ -128,7 +140,7 @@ class BlindCheck:
         write_atomically(kept, json.dumps(entry) + "\n")
         console.progress(f"run {case.number + 1}: {entry['outcome']}")
         if entry["outcome"] in ("right", "in class"):
-            for log in logs:
+            for log in (*logs, *plain):
                 log.unlink()
         return entry
 
@@ -145,18 +157,17 @@ class BlindCheck:
     def _folder(self, case: Case) -> Path:
         return self.folder / "runs" / f"{case.number:04d}"
 
-    def _group(self, case: Case) -> Path:
+    def _model(self, case: Case) -> Path:
         """Machines are numbered as they come: their seed would tell of the key."""
-        return self.folder / "machines" / f"{case.number // GROUP:04d}"
+        return self.folder / "machines" / f"{case.number // GROUP:04d}.json"
 
     def _job(self, case: Case, logs: Sequence[Path]) -> dict[str, Any]:
         """All that a diagnosis is told."""
-        group = self._group(case)
         return {
             "robot": self.robot,
-            "model": str(group / "model.json"),
+            "model": str(self._model(case)),
             "logs": [str(log) for log in logs],
-            "planned": [str(group / log.name) for log in logs],
+            "planned": [str(log.with_suffix(".npy")) for log in logs],
         }
 
 

@@ -102,22 +102,17 @@ def best_fit(fit: Fit, kind: Effect, joints: tuple[int, ...]) -> Score | None:
 
 
 def _wrong(fit: Fit, true: set[str], joint: int, freedom: int, rng: np.random.Generator) -> Candidate | None:
-    """An effect that is not there, on the same joint, whose freedom is nearest to the truth's."""
-    best: Candidate | None = None
+    """An effect that is not there, on the same joint, with the freedom nearest to the truth's; drawn among equals."""
     names = [n for n, e in CATALOGUE.items() if n not in true and e.scope == "joint" and not e.once]
+    distances = {}
     for name in rng.permutation(names):
         kind = CATALOGUE[str(name)]
-        if (joint,) not in kind.places(fit.reference.robot):
-            continue
-        found = best_fit(fit, kind, (joint,))
-        if found is None:
-            continue
-        distance = abs(kind.freedom(found.candidate.settings) - freedom)
-        if best is None or distance < abs(best.effect.freedom(best.settings) - freedom):
-            best = found.candidate
-        if distance == 0:
-            break
-    return best
+        if (joint,) in kind.places(fit.reference.robot) and (settings := kind.settings(fit, (joint,))):
+            distances[kind] = abs(kind.freedom(settings[0]) - freedom)
+    if not distances:
+        return None
+    found = best_fit(fit, min(distances, key=lambda kind: distances[kind]), (joint,))
+    return None if found is None else found.candidate
 
 
 def closure(dataset: Dataset, fit: Fit, gap: Mapping[str, Any]) -> float | None:

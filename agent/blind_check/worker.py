@@ -75,7 +75,7 @@ def _answer(job: dict[str, Any]) -> dict[str, Any]:
 
 
 def diagnose_job(job: Mapping[str, Any], without: Sequence[str] = ()) -> Diagnosis:
-    """Diagnose logs whose planned set-points are those of other logs of the same programs.
+    """Diagnose logs whose plan is in files of set-points.
 
     Raises:
         InputError: as in `diagnose`.
@@ -87,26 +87,25 @@ def diagnose_job(job: Mapping[str, Any], without: Sequence[str] = ()) -> Diagnos
 
     robot = load_robot(job["robot"])
     logs = [
-        _planned_as(read_log(Path(log), robot), read_log(Path(planned), robot))
+        _planned_as(read_log(Path(log), robot), np.load(planned))
         for log, planned in zip(job["logs"], job["planned"], strict=True)
     ]
     return diagnose(robot, logs, IdentifiedModel.load(Path(job["model"])), without=without)
 
 
-def _planned_as(log: Log, other: Log) -> Log:
-    """The log with the executed set-points of another as its plan, laid from stop to stop; none if stops differ."""
+def _planned_as(log: Log, set_points: np.ndarray) -> Log:
+    """The log with executed set-points (T, n) of another run as its plan, from stop to stop; none if stops differ."""
     from agent.blind_check.size import REST
     from agent.record import moving_stretches
 
     assert log.reference_position is not None
-    assert other.reference_position is not None
-    here, there = (moving_stretches(entry.reference_position, REST) for entry in (log, other))
+    here, there = (moving_stretches(points, REST) for points in (log.reference_position, set_points))
     if len(here) != len(there):
         return replace(log, planned_position=None)
     planned = np.full(log.position.shape, np.nan)
     for (start, _), (first, last) in zip(here, there, strict=True):
         stop = min(start + last - first, len(planned))
-        planned[start:stop] = other.reference_position[first : first + stop - start]
+        planned[start:stop] = set_points[first : first + stop - start]
     return replace(log, planned_position=planned)
 
 
