@@ -10,6 +10,19 @@ from typing import Annotated, Any
 
 import typer
 
+from agent import cli_shop_floor
+from agent.cli_options import (
+    AsJson,
+    Cutoff,
+    Logs,
+    Quiet,
+    RecipePath,
+    RobotOption,
+    RunsFolder,
+    Verbose,
+    Yes,
+    console_for,
+)
 from agent.errors import AgentError, InputError
 
 app = typer.Typer(
@@ -21,21 +34,6 @@ app = typer.Typer(
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-RecipePath = Annotated[Path, typer.Argument(metavar="RECIPE", help="recipe file (YAML)")]
-Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="more messages")]
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="warnings and the result only")]
-Yes = Annotated[bool, typer.Option("--yes", help="the cell is clear: move without asking")]
-AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on stdout")]
-RobotOption = Annotated[str, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")]
-Cutoff = Annotated[float | None, typer.Option("--cutoff", metavar="HZ", help="cut-off of the torque filter")]
-RunsFolder = Annotated[Path, typer.Option("--logs", metavar="DIR", help="where runs are kept")]
-RunArgument = Annotated[str, typer.Argument(metavar="RUN", help="run folder, or its name")]
-Serial = Annotated[str | None, typer.Option("--serial", metavar="S", help="serial of one machine")]
-Authorised = Annotated[
-    Path | None, typer.Option("--authorisation", metavar="FILE", help="a person's word that allows unattended motion")
-]
-Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="MCAP logs")]
 
 
 class Terminated(BaseException):
@@ -67,7 +65,7 @@ def check(recipe: RecipePath, as_json: AsJson = False, verbose: Verbose = False,
     from agent.console import print_json
     from agent.recipe import load_recipe
 
-    findings = check_recipe(load_recipe(recipe), _console(verbose, quiet))
+    findings = check_recipe(load_recipe(recipe), console_for(verbose, quiet))
     if as_json:
         print_json(findings.to_dict())
     else:
@@ -89,7 +87,7 @@ def plan(
     from agent.recipe import load_recipe
 
     loaded = load_recipe(recipe)
-    result = plan_recipe(loaded, out or Path(f"{recipe.stem}_plan"), _console(verbose, quiet))
+    result = plan_recipe(loaded, out or Path(f"{recipe.stem}_plan"), console_for(verbose, quiet))
     if as_json:
         print_json(result.to_dict())
     else:
@@ -111,7 +109,7 @@ def calibrate(
     from agent.console import print_json
     from agent.recipe import load_recipe
 
-    console = _console(verbose, quiet)
+    console = console_for(verbose, quiet)
     outcome = run_job(load_recipe(recipe), console, logs=logs, resume=resume, yes=yes)
     if as_json:
         print_json(outcome.result)
@@ -135,7 +133,7 @@ def record(
     from agent.record import record_program_file
 
     log = out or program.with_suffix(".mcap")
-    recorded = record_program_file(load_recipe(recipe), program, log, _console(verbose, quiet), yes=yes)
+    recorded = record_program_file(load_recipe(recipe), program, log, console_for(verbose, quiet), yes=yes)
     print(recorded.path)
 
 
@@ -158,7 +156,7 @@ def estimate(
     from agent.console import print_json
     from agent.identify import estimate_files
 
-    model, text = estimate_files(robot, logs, out, cutoff, method, _console(verbose, quiet), export)
+    model, text = estimate_files(robot, logs, out, cutoff, method, console_for(verbose, quiet), export)
     if as_json:
         print_json(model)
     else:
@@ -178,7 +176,7 @@ def validate(
     from agent.console import print_json
     from agent.identify import validate_files, validation_text
 
-    result = validate_files(model, logs, cutoff, _console(verbose, quiet))
+    result = validate_files(model, logs, cutoff, console_for(verbose, quiet))
     if as_json:
         print_json(result)
     else:
@@ -205,7 +203,7 @@ def diagnose(
     from agent.console import print_json
     from agent.diagnose import diagnose_files, diagnosis_text
 
-    found = diagnose_files(robot, model, logs, cutoff, without or [], report, _console(verbose, quiet))
+    found = diagnose_files(robot, model, logs, cutoff, without or [], report, console_for(verbose, quiet))
     if as_json:
         print_json(found.result)
     else:
@@ -226,7 +224,7 @@ def blind_check(
     from agent.blind_check.report import summary_text
     from agent.console import print_json
 
-    scores = BlindCheck(cases, seed, out).run(_console(verbose, quiet))
+    scores = BlindCheck(cases, seed, out).run(console_for(verbose, quiet))
     if as_json:
         print_json(scores)
     else:
@@ -249,148 +247,6 @@ def trajectories(as_json: AsJson = False) -> None:
         print("no stored loops yet: `agent plan` and `agent calibrate` keep what they find", file=sys.stderr)
 
 
-@app.command()
-def recalibrate(
-    recipe: RecipePath,
-    logs: RunsFolder = Path("logs"),
-    authorisation: Authorised = None,
-    yes: Yes = False,
-    as_json: AsJson = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
-) -> None:
-    """For cron and timers: run the stored loop again, re-estimate, judge, and keep what is accepted. No search."""
-    from agent.console import print_json
-    from agent.recalibrate import recalibrate as run_job
-    from agent.recipe import load_recipe
-    from agent.safety.authorisation import load_authorisation
-
-    allowed = None if authorisation is None else load_authorisation(authorisation)
-    outcome = run_job(load_recipe(recipe), _console(verbose, quiet), logs, yes, allowed)
-    if as_json:
-        print_json(outcome.result or {"schema": "recalibration/1", "skipped": outcome.skipped})
-    else:
-        if outcome.run is not None:
-            print(outcome.summary(), file=sys.stderr)
-        print(outcome.run or outcome.summary())
-    raise typer.Exit(0 if outcome.accepted else 3)
-
-
-@app.command()
-def schedule(
-    recipe: RecipePath,
-    logs: RunsFolder = Path("logs"),
-    at: Annotated[str, typer.Option("--at", metavar="HH:MM", help="time of day")] = "02:00",
-    authorisation: Authorised = None,
-    install: Annotated[bool, typer.Option("--install", help="write the systemd units of this user")] = False,
-) -> None:
-    """Print (or install) a systemd service and timer, and a crontab line, that recalibrate by the clock."""
-    from agent.recipe import load_recipe
-    from agent.safety.authorisation import load_authorisation
-    from agent.schedule import install as write_units
-    from agent.schedule import make_schedule, next_steps
-
-    if authorisation is not None:
-        load_authorisation(authorisation)
-    made = make_schedule(load_recipe(recipe), logs, Path.cwd(), at, authorisation)
-    if not install:
-        print(made.text(), end="")
-        return
-    for path in write_units(made):
-        print(path)
-    print(next_steps(made), file=sys.stderr)
-
-
-@app.command()
-def history(
-    logs: RunsFolder = Path("logs"),
-    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="runs of this robot only")] = None,
-    serial: Serial = None,
-    as_json: AsJson = False,
-) -> None:
-    """Past runs: what they found, and what the gate said."""
-    from agent.history import history_json, history_table, open_history
-
-    with open_history(logs) as past:
-        runs = past.runs(robot, serial)
-        if as_json:
-            import json
-
-            from agent.trends import watch
-
-            data = {**history_json(past, runs), "watch": [one.to_dict() for one in watch(runs)]}
-            print(json.dumps(data))
-            return
-    print(history_table(runs))
-
-
-@app.command()
-def compare(
-    before: RunArgument,
-    after: RunArgument,
-    logs: RunsFolder = Path("logs"),
-    as_json: AsJson = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
-) -> None:
-    """Which parameters moved between two runs by more than their uncertainty, and what that does to torque."""
-    from agent.compare import compare_runs
-    from agent.console import print_json
-    from agent.history import find_run
-
-    result = compare_runs(find_run(logs, before), find_run(logs, after), _console(verbose, quiet))
-    if as_json:
-        print_json(result.to_dict())
-    else:
-        print(result.text())
-
-
-@app.command()
-def report(
-    run: Annotated[str | None, typer.Argument(metavar="[RUN]", help="run folder, or its name")] = None,
-    index: Annotated[bool, typer.Option("--index", help="a page over all runs, with the trends")] = False,
-    logs: RunsFolder = Path("logs"),
-    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="with --index: of this robot only")] = None,
-    serial: Serial = None,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
-) -> None:
-    """Make the HTML page of a run again, or the page over all runs. Prints its path."""
-    from agent.history import find_run
-    from agent.reports import report_again, write_index
-
-    if (run is None) == (not index):
-        raise InputError("report: name a run, or give --index for the page over all of them")
-    if run is None:
-        print(write_index(logs, robot, serial))
-    else:
-        print(report_again(find_run(logs, run), _console(verbose, quiet)))
-
-
-@app.command()
-def apply(
-    run: Annotated[str | None, typer.Argument(metavar="[RUN]", help="run folder, or its name")] = None,
-    previous: Annotated[bool, typer.Option("--previous", help="back to the model before")] = False,
-    logs: RunsFolder = Path("logs"),
-    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="with --previous: of this robot")] = None,
-    serial: Serial = None,
-    as_json: AsJson = False,
-) -> None:
-    """Make a run's model the robot's current one. Writes to no controller."""
-    from agent.apply import apply_previous, apply_run
-    from agent.console import print_json
-    from agent.history import find_run
-
-    if (run is None) == (not previous):
-        raise InputError("apply: name the run whose model shall be current, or give --previous")
-    applied = apply_previous(logs, robot, serial) if run is None else apply_run(logs, find_run(logs, run))
-    if as_json:
-        print_json(applied.to_dict())
-    else:
-        print(f"{applied.robot} {applied.serial}: the current model is that of {applied.run}", file=sys.stderr)
-        print(applied.model)
-
-
 @app.command("import")
 def import_(
     files: Annotated[list[Path], typer.Argument(metavar="IN... OUT.mcap", help="tables, then the log to write")],
@@ -405,7 +261,7 @@ def import_(
     if len(files) < 2:
         raise InputError("import: name at least one table and the log to write: agent import … IN OUT.mcap")
     for note in import_files(robot, mapping, files[:-1], files[-1]):
-        _console(verbose, quiet).say(note)
+        console_for(verbose, quiet).say(note)
     print(files[-1])
 
 
@@ -413,6 +269,9 @@ def import_(
 def emulator(context: typer.Context) -> None:
     """Start the fake controller as a process of its own (`agent emulator --help` for its options)."""
     os.execv(sys.executable, [sys.executable, "-m", "fake_controller", *context.args])
+
+
+app.registered_commands += cli_shop_floor.app.registered_commands
 
 
 def main() -> None:
@@ -458,9 +317,3 @@ def _terminate(*_: Any) -> None:
 def _fail(message: str, code: int) -> None:
     print(f"agent: {message}", file=sys.stderr)
     sys.exit(code)
-
-
-def _console(verbose: bool, quiet: bool) -> Any:
-    from agent.console import Console
-
-    return Console(verbosity=1 if verbose else -1 if quiet else 0)
