@@ -52,6 +52,7 @@ def estimate_files(
     """
     from agent.estimation import EstimationSettings, estimate
 
+    _check_output(out, paths)
     description = load_robot(robot)
     logs = read_logs(paths, description, console)
     if export is not None and method is None:
@@ -64,6 +65,16 @@ def estimate_files(
 
         written += export_model(model, export)
     return model.to_dict(), "\n".join([model.text(), *(str(path) for path in written)])
+
+
+def _check_output(out: Path, paths: list[Path]) -> None:
+    # Before the work: a fit takes time, and a log that is overwritten is lost.
+    if out.is_dir():
+        raise InputError(f"{out}: is a folder; name the model file to write")
+    if not out.absolute().parent.is_dir():
+        raise InputError(f"{out}: there is no folder {out.parent} to write the model file in")
+    if out.exists() and any(path.exists() and path.samefile(out) for path in paths):
+        raise InputError(f"{out}: is one of the logs; name another file for the model")
 
 
 def validate_files(model_path: Path, paths: list[Path], cutoff: float | None, console: Console) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.console import Console, finite
-from agent.errors import InputError
+from agent.errors import AgentError, InputError
 from agent.planning import PlannedMotion, check_cell, program_text, search_loop
 from agent.recipe import Recipe, ViaBox, ViaPointList
 from agent.run import write_atomically
@@ -54,13 +54,24 @@ def plan_recipe(recipe: Recipe, folder: Path, console: Console) -> PlanFiles:
 
     Raises:
         InputError: as in `plan_once`, or the folder holds a plan already.
+        AgentError: the folder cannot be made.
     """
     from agent.report import plan_report
 
     if (folder / "plan.json").exists():
         raise InputError(f"{folder}: holds a plan already; name another folder with -o, or move it away")
-    motion, found = search_loop(recipe, console)
-    check_cell(recipe, motion.loop.trajectory)
+    made = not folder.exists()
+    try:  # before the search, which may take long
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise AgentError(f"{folder}: no folder for the plan can be made there: {error.strerror}") from None
+    try:
+        motion, found = search_loop(recipe, console)
+        check_cell(recipe, motion.loop.trajectory)
+    except BaseException:
+        if made:
+            folder.rmdir()
+        raise
     text, data = program_text(recipe, motion), motion_data(recipe, motion, found)
     files = PlanFiles(
         folder,
@@ -69,7 +80,6 @@ def plan_recipe(recipe: Recipe, folder: Path, console: Console) -> PlanFiles:
         describe(recipe, motion),
         {kind: float(values.max()) for kind, values in data.limit_use.items()},
     )
-    folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / "program.pdl", text)
     write_atomically(folder / "plan.html", plan_report(data, text))
     write_atomically(folder / "plan.json", json.dumps(finite({**files.to_dict(), "search": found}), indent=2) + "\n")

@@ -205,6 +205,8 @@ def record_program_file(
         for chain in chains:
             check_cell(recipe, chain)
         total = sum(chain.duration for chain in chains)
+        if total == 0:
+            raise InputError(f"{program}: the program moves nothing, so there is nothing to record; add a MOVE")
         recording = link.run(name, text, log, motion_name(program), chains, total)
     report_losses(recording, console)
     return recording

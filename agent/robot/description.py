@@ -231,6 +231,7 @@ def _load_file(path: Path) -> RobotDescription:
         links = {link.get("name") for link in ElementTree.fromstring(urdf).iter("link")}
     except ElementTree.ParseError as error:
         raise InputError(f"{urdf_path}: not valid XML: {error}") from None
+    _check_numbers(urdf_path, urdf)
     if entry.tip_frame not in links and entry.tip_frame not in elements:
         raise InputError(f"{path}: tip_frame: the URDF has no link {entry.tip_frame!r}")
     for link in entry.bodies:
@@ -249,6 +250,32 @@ def _load_file(path: Path) -> RobotDescription:
             for link, capsules in entry.bodies.items()
         },
     )
+
+
+#: Attributes of the URDF that are read as numbers, by element.
+_NUMBERS = {
+    "origin": ("xyz", "rpy"),
+    "axis": ("xyz",),
+    "limit": ("lower", "upper"),
+    "mass": ("value",),
+    "inertia": ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"),
+}
+
+
+def _check_numbers(path: Path, urdf: str) -> None:
+    # The URDF library only prints what it cannot read and goes on without that inertia.
+    root = ElementTree.fromstring(urdf)
+    for owner in (*root.iter("link"), *root.iter("joint")):
+        for element in owner.iter():
+            for key in _NUMBERS.get(element.tag, ()):
+                text = element.get(key, "0")
+                try:
+                    finite = bool(np.isfinite([float(word) for word in text.split()]).all())
+                except ValueError:
+                    finite = False
+                if not finite:
+                    place = f"{owner.tag} {owner.get('name')!r}: {element.tag} {key}"
+                    raise InputError(f"{path}: {place}: finite numbers are expected, not {text!r}")
 
 
 def _joint(path: Path, entry: _JointEntry, elements: dict[str | None, ElementTree.Element]) -> Joint:

@@ -1,0 +1,64 @@
+"""Faults that users met once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+URDF = """<robot name="r"><link name="base"/>
+<link name="l1"><inertial><mass value="{mass}"/>
+<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j1" type="revolute"><parent link="base"/><child link="l1"/><axis xyz="{axis}"/>
+<limit lower="{lower}" upper="1" effort="1" velocity="1"/></joint></robot>"""
+ROBOT = "name: r\nurdf: r.urdf\ntip_frame: l1\njoints: [{name: j1, max_velocity: 1, max_acceleration: 1}]\n"
+
+
+@pytest.mark.parametrize(
+    ("fault", "named"),
+    [
+        ({"mass": "heavy"}, "link 'l1': mass value"),
+        ({"mass": "nan"}, "link 'l1': mass value"),
+        ({"axis": "a b c"}, "joint 'j1': axis xyz"),
+        ({"lower": "abc"}, "joint 'j1': limit lower"),
+        ({"lower": "nan"}, "joint 'j1': limit lower"),
+    ],
+)
+def test_a_urdf_with_something_else_for_a_number_is_refused_by_name(tmp_path: Path, fault, named):
+    from agent.errors import InputError
+    from agent.robot import load_robot
+
+    (tmp_path / "r.urdf").write_text(URDF.format(**{"mass": "1", "axis": "0 0 1", "lower": "-1"} | fault))
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    with pytest.raises(InputError, match=named):
+        load_robot(tmp_path / "robot.yaml")
+
+
+def test_a_plan_that_has_no_place_is_refused_before_the_search(write_recipe, run_agent, tmp_path: Path):
+    (tmp_path / "file").write_text("")
+    result = run_agent("plan", str(write_recipe("127.0.0.1:9")), "-o", str(tmp_path / "file"))
+    assert result.returncode == 1
+    assert "no folder for the plan can be made there" in result.stderr
+    assert "search" not in result.stderr
+
+
+def test_estimate_never_writes_the_model_over_a_log(run_agent, tmp_path: Path):
+    log = tmp_path / "motion.mcap"
+    log.write_bytes(b"data of a day")
+    result = run_agent("estimate", "--robot", "comau_ns16", "-o", str(log), str(log))
+    assert result.returncode == 2
+    assert "is one of the logs" in result.stderr
+    assert log.read_bytes() == b"data of a day"
+
+
+def test_a_program_that_moves_nothing_is_refused_and_no_log_is_claimed(
+    write_recipe, run_agent, start_controller, tmp_path: Path
+):
+    program = tmp_path / "still.pdl"
+    program.write_text("PROGRAM still\nBEGIN\nEND still\n")
+    recipe = write_recipe(start_controller("--clock", "fast").address)
+    result = run_agent("record", str(recipe), "--program", str(program), "--yes")
+    assert result.returncode == 2
+    assert "moves nothing" in result.stderr
+    assert not program.with_suffix(".mcap").exists()
+    assert not result.stdout
