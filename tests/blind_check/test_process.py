@@ -54,7 +54,7 @@ def test_the_diagnosis_can_open_nothing_near_the_key_but_what_it_is_told(tmp_pat
 def dozen(tmp_path_factory) -> Path:
     """Folder of twelve short runs, checked."""
     folder = tmp_path_factory.mktemp("blind") / "check"
-    BlindCheck(12, 11, folder, cycle=4.0).run(QUIET)
+    BlindCheck(12, 11, folder, cycle=2.5).run(QUIET)
     return folder
 
 
@@ -93,7 +93,7 @@ def test_a_rerun_goes_on_and_does_nothing_twice(dozen):
     number = int(lost.parent.name)
     lost.unlink()
     (lost.parent / "judged.json").unlink()
-    BlindCheck(12, 11, dozen, cycle=4.0).run(QUIET)
+    BlindCheck(12, 11, dozen, cycle=2.5).run(QUIET)
     after = stamps()
     assert {path for path in before if after[path] != before[path]} == {lost}
     assert json.loads((lost.parent / "judged.json").read_text())["number"] == number
