@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from agent.errors import InputError
 from agent.estimation.blocks import Partition, partition
 from agent.estimation.choice import choose
@@ -97,10 +99,11 @@ def estimate(
     """Identify base parameters and friction from logs. `tool` is part of what is expected of the last link.
 
     Raises:
-        InputError: no logs, or one that cannot be used (see `observe`).
+        InputError: no logs, logs in which nothing moves or no torque is, or one that cannot be used (see `observe`).
     """
     if not logs:
         raise InputError("no logs were given, so there is nothing to estimate from")
+    _check_motion(logs)
     settings = settings or EstimationSettings()
     rigid, names, combinations = rigid_bodies(robot, tool)
     observation = observe(rigid, logs, settings.filter)
@@ -115,6 +118,14 @@ def estimate(
     else:
         method, found = settings.method, ESTIMATORS[settings.method](problem)
     return build_model(problem, found, method, names, combinations, logs)
+
+
+def _check_motion(logs: Sequence[Log]) -> None:
+    names = ", ".join(str(log.path) for log in logs)
+    if all(np.ptp(log.position, axis=0).max(initial=0.0) == 0.0 for log in logs):
+        raise InputError(f"{names}: no joint moves, so there is nothing to estimate from; record a motion")
+    if all(log.effort is not None and not log.effort.any() for log in logs):
+        raise InputError(f"{names}: the torque is zero throughout; is its channel recorded, is its map right?")
 
 
 def rigid_bodies(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 URDF = """<robot name="r"><link name="base"/>
@@ -62,3 +63,18 @@ def test_a_program_that_moves_nothing_is_refused_and_no_log_is_claimed(
     assert "moves nothing" in result.stderr
     assert not program.with_suffix(".mcap").exists()
     assert not result.stdout
+
+
+@pytest.mark.parametrize(("moving", "said"), [(False, "no joint moves"), (True, "the torque is zero")])
+def test_logs_without_motion_or_torque_are_refused(moving, said):
+    from agent.errors import InputError
+    from agent.estimation import estimate
+    from agent.recording.log import Log
+    from agent.robot import load_robot
+
+    robot, t = load_robot("comau_ns16"), np.arange(2000) / 500
+    position = np.outer(np.sin(3 * t) if moving else np.zeros(2000), np.ones(robot.dof))
+    still = np.zeros_like(position)
+    log = Log(Path("a.mcap"), robot.joint_names, t, position, None, still, None, None, 500.0, 0.0, ((0, 2000),))
+    with pytest.raises(InputError, match=said):
+        estimate(robot, [log])
