@@ -18,6 +18,7 @@ EXCESS = 0.6  # over the background on one joint before something counts as unex
 NEAR = 0.04  # of what is explained: forms this close are told apart by simplicity alone
 NEAR_FLOOR = 0.02
 PRACTICAL = 0.003  # of nominal, root mean square torque of an effect where it acts most
+UNFIT = 0.5  # of what a cause leaves, explained by a shape of its own kind
 MOST = 3
 _FIRSTS = 4
 
@@ -39,7 +40,7 @@ class Step:
 class Finding:
     """The outcome: the fit with its causes, who equals whom, how much of the excess is closed, and the steps.
 
-    `rivals[k]` are places that the data cannot tell from cause k, `ratio[k]` how far behind the next other one is.
+    `rivals[k]` are places that the data cannot tell from cause k.
     """
 
     verdict: str
@@ -239,6 +240,12 @@ class Search:
                 return self._pruned(others)
         return chosen
 
+    def _unfit(self, fit: Fit) -> Score | None:
+        """A shape of the same kind on the same joint that explains half of what a cause leaves: its form is in doubt."""
+        least = max(2 * LEAST_GAIN * self.rows, UNFIT * self._excess(fit))
+        left = self.scan(fit).eligible
+        return next((s for s in left if s.gain > least and self._imitates(fit.chosen, s)), None)
+
     def _worst(self, energy: np.ndarray) -> tuple[int, ...]:
         return (int(np.argmax(energy)),)
 
@@ -267,10 +274,16 @@ class Search:
             ranked.append((lost, candidate, tuple(rivals[:2]), behind, twin))
         ranked.sort(key=lambda entry: -entry[0])
         causes = tuple(entry[1] for entry in ranked)
-        rivals = tuple(entry[2] for entry in ranked)
+        rivals = [entry[2] for entry in ranked]
+        odd = self._unfit(fit)
+        if odd is not None:
+            at = next(k for k, c in enumerate(causes) if self._imitates((c,), odd))
+            rivals[at] = tuple(dict.fromkeys((odd.candidate.place, *rivals[at])))[:2]
         probability = tuple(_probability(entry[3], closed) for entry in ranked)
         verdict = "ambiguous" if rivals[0] or ranked[0][4] else "explained"
-        return Finding(verdict, self.fit.with_chosen(causes), causes, rivals, probability, closed, noisy, tuple(steps))
+        return Finding(
+            verdict, self.fit.with_chosen(causes), causes, tuple(rivals), probability, closed, noisy, tuple(steps)
+        )
 
 
 #: Shapes over speed and over position: two of one kind on one joint would only imitate a third.

@@ -4,8 +4,8 @@ import numpy as np
 
 from agent.diagnosis.effects.effect import Effect
 
-_DURATIONS = (0.3, 0.6, 1.2, 2.5, 5.0)  # s
-_STARTS = 0.1  # s
+_DURATIONS = (0.3, 0.4, 0.55, 0.75, 1.0, 1.35, 1.8, 2.4, 3.2, 4.2)  # s
+_STARTS = 0.05  # s
 _EDGE = 0.15  # of the duration, at either end
 
 
