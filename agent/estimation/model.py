@@ -283,6 +283,12 @@ class IdentifiedModel:
         )
         if len(base) != len(model.independent) or model.covariance.shape != (len(values), len(values)):
             raise ValueError("the numbers of parameters and the size of their covariance differ")
+        if model.projection.shape != (len(base), len(model.standard_names)):
+            raise ValueError("the projection does not fit the numbers of base and standard parameters")
+        if model.residual_rmse.shape != (robot.dof,):
+            raise ValueError(f"residual_rmse has one value for each of {robot.dof} joints")
+        if not all(np.isfinite(v).all() for v in (values, model.covariance, model.projection)):
+            raise ValueError("parameters, covariance and projection have to be finite")
         for term in model.terms:
             if term.form not in FORMS:
                 raise ValueError(f"unknown friction form {term.form!r}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -78,3 +79,28 @@ def test_logs_without_motion_or_torque_are_refused(moving, said):
     log = Log(Path("a.mcap"), robot.joint_names, t, position, None, still, None, None, 500.0, 0.0, ((0, 2000),))
     with pytest.raises(InputError, match=said):
         estimate(robot, [log])
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("projection", None), ("projection", [[1.0]]), ("residual_rmse", None), ("covariance", "nan")],
+)
+def test_a_model_file_that_was_damaged_by_hand_is_refused(tmp_path: Path, key, value):
+    from agent.errors import InputError
+    from agent.estimation import EstimationSettings, IdentifiedModel, estimate
+    from agent.recording.log import Log
+    from agent.robot import load_robot
+
+    (tmp_path / "r.urdf").write_text(URDF.format(mass="1", axis="0 1 0", lower="-1"))
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    robot, t = load_robot(tmp_path / "robot.yaml"), np.arange(2000)[:, None] / 500
+    q = 0.5 * np.sin(3 * t)
+    log = Log(Path("a.mcap"), ("j1",), t[:, 0], q, None, -0.9 * q, None, None, 500.0, 0.0, ((0, 2000),))
+    data = estimate(robot, [log], EstimationSettings.create(method="weighted")).to_dict()
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(data))
+    assert IdentifiedModel.load(path).robot.name == "r"
+    damaged = np.full_like(data[key], np.nan, dtype=float).tolist() if value == "nan" else value
+    path.write_text(json.dumps({**data, key: damaged}))
+    with pytest.raises(InputError, match="incomplete or damaged"):
+        IdentifiedModel.load(path)
