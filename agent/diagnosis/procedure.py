@@ -241,7 +241,7 @@ class Search:
         return chosen
 
     def _unfit(self, fit: Fit) -> Score | None:
-        """A shape of the same kind on the same joint that explains half of what a cause leaves: its form is in doubt."""
+        """A shape of the same kind on the same joint that explains half of what a cause leaves."""
         least = max(2 * LEAST_GAIN * self.rows, UNFIT * self._excess(fit))
         left = self.scan(fit).eligible
         return next((s for s in left if s.gain > least and self._imitates(fit.chosen, s)), None)

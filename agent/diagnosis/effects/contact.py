@@ -10,7 +10,7 @@ _EDGE = 0.15  # of the duration, at either end
 
 
 class Contact(Effect):
-    """τ = −Jᵀ F over one stretch of time in one log, F constant but for its edges: a force on the tip."""
+    """τ = −Jᵀ F over one stretch of time in each of some logs, F constant but for its edges: a force on the tip."""
 
     name = "contact"
     scope = "arm"
@@ -22,7 +22,7 @@ class Contact(Effect):
     once = True
 
     def settings(self, survey, joints):
-        """Where three force components leave least of the residual, one window in each log, then the best two."""
+    """τ = −Jᵀ F over one stretch of time in each of some logs, F constant but for its edges: a force on the tip."""
         found = []
         for signals, residual, sigma in zip(survey.signals, survey.residuals, survey.sigmas, strict=True):
             time = signals.time[signals.kept]
@@ -43,20 +43,36 @@ class Contact(Effect):
                 best = int(np.argmax(gain))
                 found.append((float(gain[best]), signals.log_index, float(starts[best]), duration))
         found.sort(reverse=True)
-        return [{"log": float(log), "start": start, "duration": long} for _, log, start, long in found[:6]]
+        best: dict[int, tuple[float, float]] = {}
+        for _, log, start, long in found:
+            best.setdefault(log, (start, long))
+        first = found[0][0] if found else 0.0
+        settings = [_windows([(log, start, long)]) for gain, log, start, long in found[:4] if gain > 0.5 * first]
+        entries = [(log, *window) for log, window in best.items()]
+        return settings + [_windows(entries[:count]) for count in range(2, len(entries) + 1)]
 
     def names(self, settings):
-        return ("force_x", "force_y", "force_z")
+        logs = [key.removeprefix("start_") for key in settings if key.startswith("start_")]
+        return tuple(f"force_{axis}_{log}" for log in logs for axis in "xyz")
 
     def columns(self, signals, joints, settings):
         n = signals.q.shape[1]
-        block = np.zeros((len(signals.time), n, 3))
-        if signals.log_index == int(settings["log"]):
-            duration = settings["duration"] / (1 - _EDGE)
-            since = signals.time - settings["start"] + 0.5 * (duration - settings["duration"])
+        logs = [int(key.removeprefix("start_")) for key in settings if key.startswith("start_")]
+        block = np.zeros((len(signals.time), n, 3 * len(logs)))
+        if signals.log_index in logs:
+            at = 3 * logs.index(signals.log_index)
+            start, lasting = (settings[f"{key}_{signals.log_index}"] for key in ("start", "duration"))
+            duration = lasting / (1 - _EDGE)
+            since = signals.time - start + 0.5 * (duration - lasting)
             window = np.clip(np.minimum(since, duration - since) / (_EDGE * duration), 0, 1)
             inside = window > 0
             if inside.any():
                 jacobian = signals.reference.links.tcp_jacobian(signals.q[inside])[:, :3]
-                block[inside] = -np.swapaxes(jacobian, 1, 2) * window[inside, None, None]
+                block[inside, :, at : at + 3] = -np.swapaxes(jacobian, 1, 2) * window[inside, None, None]
         return {joint: block[:, joint] for joint in range(n)}
+
+
+def _windows(entries: list[tuple[int, float, float]]) -> dict[str, float]:
+    """Settings of one window (log, start, duration) in each of some logs."""
+    named = (((f"start_{log}", start), (f"duration_{log}", lasting)) for log, start, lasting in entries)
+    return {key: value for pair in named for key, value in pair}
