@@ -22,7 +22,7 @@ class Contact(Effect):
     once = True
 
     def settings(self, survey, joints):
-    """τ = −Jᵀ F over one stretch of time in each of some logs, F constant but for its edges: a force on the tip."""
+        """Where three force components leave least: single windows, then one in each of several logs."""
         found = []
         for signals, residual, sigma in zip(survey.signals, survey.residuals, survey.sigmas, strict=True):
             time = signals.time[signals.kept]
