@@ -162,7 +162,7 @@ def _step_table(number: int, step: Step, rows: float, names: tuple[str, ...]) ->
 
 def _testable(diagnosis: Diagnosis) -> Section:
     rows = [(_plain(e["effect"]), e["joint"] or "arm", e["why"]) for e in diagnosis.result["not_testable"]]
-    text = ("Smallest effect found with 1 % false alarms and 80 % power against the smallest that matters.",)
+    text = ("Smallest effect that would stand out of the background here against the smallest that matters.",)
     return Section(
         "Not testable here", text, (Table("not-testable", ("effect", "where", "why"), rows),) if rows else ()
     )

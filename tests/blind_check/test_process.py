@@ -58,6 +58,7 @@ def dozen(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.verify
 def test_a_dozen_runs_are_recorded_diagnosed_and_scored(dozen):
     scores = json.loads((dozen / "blind_check.json").read_text())
     assert scores["runs"] == 12
@@ -68,12 +69,14 @@ def test_a_dozen_runs_are_recorded_diagnosed_and_scored(dozen):
     assert (dozen / "blind_check.md").read_text().startswith("# Blind check")
 
 
+@pytest.mark.verify
 def test_the_key_is_the_one_that_was_sealed(dozen):
     sealed = (dozen / "key.sha256").read_text().split()[0]
     assert sha256_text((dozen / "key.json").read_text()) == sealed
     assert json.loads((dozen / "blind_check.json").read_text())["key_sha256"] == sealed
 
 
+@pytest.mark.verify
 def test_nothing_but_the_key_tells_what_was_built_in(dozen):
     key = json.loads((dozen / "key.json").read_text())
     machines = {str(case["machine"]) for case in key["cases"]}
@@ -84,6 +87,7 @@ def test_nothing_but_the_key_tells_what_was_built_in(dozen):
         assert not any(effect["effect"].encode() in data for case in key["cases"] for effect in case["effects"])
 
 
+@pytest.mark.verify
 def test_a_rerun_goes_on_and_does_nothing_twice(dozen):
     def stamps():
         return {path: path.stat().st_mtime_ns for path in dozen.rglob("diagnosis.json")}
