@@ -125,8 +125,10 @@ def _boxes(recipe: Recipe) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 def limit_use(recipe: Recipe, trajectory: Trajectory) -> dict[str, np.ndarray]:
     """{kind: (S, n)} how much of each joint limit a trajectory uses; 1 is all of it."""
+    from agent.safety.cell import position_ranges
+
     robot = recipe.robot
-    lower, upper = robot.position_limits
+    lower, upper = position_ranges(robot, recipe.cell.joint_ranges)
     bounded = np.isfinite(lower) & np.isfinite(upper)
     centre, half = np.where(bounded, (lower + upper) / 2, 0.0), np.where(bounded, (upper - lower) / 2, np.inf)
     return {

@@ -115,6 +115,7 @@ def loop_problem(recipe: Recipe, speed: float) -> LoopProblem:
         settings=recipe.motion.settings_at(speed),
         tool=recipe.tool,
         keep_out=recipe.cell.keep_out,
+        joint_ranges=recipe.cell.joint_ranges,
         interpolator=recipe.search.interpolator,
         period=1.0 / recipe.record.rate,
     )
@@ -326,4 +327,4 @@ def _chain_key(moves: list[Statement]) -> tuple:
 def _cell(recipe: Recipe) -> Any:
     from agent.safety.cell import Cell
 
-    return Cell(recipe.robot, recipe.tool, recipe.cell.keep_out)
+    return Cell(recipe.robot, recipe.tool, recipe.cell.keep_out, recipe.cell.joint_ranges)

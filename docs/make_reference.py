@@ -90,7 +90,7 @@ def _kind(model: Any, name: str, field: Any) -> str:
     if "description" in schema:
         return schema["description"]
     kinds = [schema.get("type"), *(option.get("type") for option in schema.get("anyOf", []))]
-    words = {"array": "list", "string": "text", "integer": "whole number"}
+    words = {"array": "list", "string": "text", "integer": "whole number", "object": "mapping"}
     return next((words.get(kind, kind) for kind in kinds if kind and kind != "null"), "name")
 
 
@@ -98,7 +98,7 @@ def _default(field: Any) -> str:
     if field.is_required():
         return "required"
     value = getattr(field.default, "value", field.default)
-    return "" if value is None or value == [] else f"`{value}`"
+    return "" if value is None or value in ([], {}) else f"`{value}`"
 
 
 def _effects() -> Iterator[str]:

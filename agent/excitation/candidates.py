@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -34,6 +34,7 @@ class LoopProblem:
 
     `settings` are those of the loop's moves, `period` [s] the controller's. The arm stays away from itself and from the
     boxes of `keep_out` by the FLY distance of the settings: by so much the controller's blends may differ from ours.
+    `joint_ranges`: by joint name, (lower, upper) [rad, m] where the joint may go less far than it can.
     """
 
     robot: RobotDescription
@@ -41,6 +42,7 @@ class LoopProblem:
     settings: MotionSettings
     tool: Tool | None = None
     keep_out: tuple[KeepOut, ...] = ()
+    joint_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     interpolator: str = "fly"
     period: float = 0.002
 
@@ -73,7 +75,7 @@ class Candidates:
         )
         self._criterion = Criterion(problem.robot, problem.tool)
         self._dynamics = Dynamics(problem.robot, problem.tool)
-        self._cell = Cell(problem.robot, problem.tool, problem.keep_out)
+        self._cell = Cell(problem.robot, problem.tool, problem.keep_out, problem.joint_ranges)
         self._rotors = np.array([joint.rotor_inertia or 0.0 for joint in problem.robot.joints])
         self._max_torque = np.array([joint.max_torque or np.inf for joint in problem.robot.joints])
 

@@ -16,6 +16,7 @@ from agent.errors import InputError
 from agent.motion.program import MotionSettings
 from agent.recipe.schema import RecipeDocument, ToolSection, ViaPointsSection
 from agent.robot import RobotDescription, builtin_robots, load_robot
+from agent.units import Dimension, parse_quantity
 
 if TYPE_CHECKING:
     from agent.robot.dynamics import Tool
@@ -42,9 +43,13 @@ class KeepOut:
 
 @dataclass(frozen=True)
 class Cell:
-    """What stands around the robot."""
+    """What stands around the robot, and how far each joint may go there.
+
+    `joint_ranges`: by joint name, (lower, upper) [rad, m], where a cable or the cell allows less than the joint itself.
+    """
 
     keep_out: tuple[KeepOut, ...]
+    joint_ranges: dict[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -262,6 +267,11 @@ def _contradictions(
     if document.search.interpolator not in interpolators:
         message = f"there is no interpolator {document.search.interpolator!r}; allowed are {', '.join(interpolators)}"
         yield ("search", "interpolator"), message
+    for name in document.cell.joint_ranges:
+        try:
+            _joint_range(name, document, robot)
+        except InputError as error:
+            yield ("cell", "joint_ranges", name), str(error)
     like = document.motion.via_points.like
     if like is not None and not os.path.isfile(path.parent / like):
         yield ("motion", "via_points", "like"), f"{path.parent / like}: no such file; a program (.pdl) or a log (.mcap)"
@@ -286,7 +296,10 @@ def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Re
         robot=robot,
         tool=_tool(document.tool),
         controller=Controller(document.controller.driver, document.controller.address),
-        cell=Cell(tuple(KeepOut(entry.name, entry.box.min, entry.box.max) for entry in document.cell.keep_out)),
+        cell=Cell(
+            tuple(KeepOut(entry.name, entry.box.min, entry.box.max) for entry in document.cell.keep_out),
+            {name: _joint_range(name, document, robot) for name in document.cell.joint_ranges},
+        ),
         motion=MotionPlan(settings, _via_points(path, document.motion.via_points)),
         search=Search(**document.search.__dict__),
         record=Record(**document.record.__dict__),
@@ -295,6 +308,22 @@ def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Re
         gate=Gate(**document.gate.__dict__),
         recalibrate=Recalibrate(**document.recalibrate.__dict__),
     )
+
+
+def _joint_range(name: str, document: RecipeDocument, robot: RobotDescription) -> tuple[float, float]:
+    if name not in robot.joint_names:
+        raise InputError(f"{robot.name} has no such joint; allowed are {', '.join(robot.joint_names)}")
+    joint = robot.joints[robot.joint_names.index(name)]
+    dimension = Dimension.LENGTH if joint.prismatic else Dimension.ANGLE
+    lower, upper = (parse_quantity(value, dimension) for value in document.cell.joint_ranges[name])
+    unit = "m" if joint.prismatic else "rad"
+    if lower >= upper:
+        raise InputError(f"the lower end must come first and be below the upper; it is {lower:g} to {upper:g} {unit}")
+    if lower >= joint.upper or upper <= joint.lower:
+        raise InputError(
+            f"{lower:g} to {upper:g} {unit} is outside the joint's own range, {joint.lower:g} to {joint.upper:g} {unit}"
+        )
+    return lower, upper
 
 
 def _via_points(path: Path, section: ViaPointsSection) -> ViaPoints:

@@ -46,6 +46,22 @@ Frequency = _quantity(Dimension.FREQUENCY)
 Speed = _quantity(Dimension.SPEED)
 Ratio = _quantity(Dimension.RATIO)
 
+
+def _joint_position(value: Any) -> Any:
+    # Whether it is an angle or a length is the joint's to say, so the text stays until the robot is known.
+    try:
+        parse_quantity(value, Dimension.ANGLE)
+    except InputError as error:
+        try:
+            parse_quantity(value, Dimension.LENGTH)
+        except InputError:
+            raise ValueError(str(error)) from None
+    return value
+
+
+_POSITION = {"anyOf": [{"type": "number"}, {"type": "string"}], "description": "rad or m, by the kind of the joint"}
+JointPosition = Annotated[float | str, BeforeValidator(_joint_position), WithJsonSchema(_POSITION)]
+
 _FULL_TURN = 6.283185307179586
 
 
@@ -65,6 +81,7 @@ Pose = Annotated[tuple[Length, Length, Length, Angle, Angle, Angle], _listed("x,
 
 _Extent = Annotated[Length, Field(ge=0)]
 _Turn = Annotated[Angle, Field(ge=0, le=_FULL_TURN)]
+JointRange = Annotated[tuple[JointPosition, JointPosition], _listed("lower, upper", 2)]
 Extent = Annotated[tuple[_Extent, _Extent, _Extent], _listed("dx, dy, dz", 3)]
 Range = Annotated[tuple[_Extent, _Extent, _Extent, _Turn, _Turn, _Turn], _listed("dx, dy, dz, da, de, dr", 6)]
 Name = Annotated[str, Field(min_length=1, max_length=200, strict=True)]
@@ -118,6 +135,7 @@ class CellSection(Section):
     """What stands around the robot."""
 
     keep_out: Annotated[list[KeepOutEntry], Field(max_length=200)] = []
+    joint_ranges: dict[Name, JointRange] = {}
 
 
 class FlySection(Section):

@@ -18,9 +18,11 @@ robot: {robot}                  # built-in name, or path of a robot.yaml (from t
 
 controller: {{driver: {driver}, address: {address}}}
 
-# cell:                         # boxes that no part of the arm may enter, in the base frame
-#   keep_out:
+# cell:
+#   keep_out:                   # boxes that no part of the arm may enter, in the base frame
 #     - {{name: table, box: {{min: [0.4 m, -1 m, 0 m], max: [1.6 m, 1 m, 0.3 m]}}}}
+#   joint_ranges:               # where a cable allows less than the joint itself
+#     joint_4: [-200 deg, 200 deg]
 
 motion:
   speed: 1 m/s                  # of the tool centre point

@@ -115,7 +115,7 @@ class Cell:
     ):
         self.robot = robot
         self.tolerance = tolerance
-        self.lower, self.upper = _ranges(robot, joint_ranges or {})
+        self.lower, self.upper = position_ranges(robot, joint_ranges or {})
         self._model = _collision_model(robot, tool, keep_out, tool_radius)
         self.left_out = self._leave_out_what_always_touches()
 
@@ -322,7 +322,14 @@ def _samples(motion: Trajectory | np.ndarray) -> tuple[np.ndarray, np.ndarray | 
     return np.atleast_2d(np.asarray(motion, dtype=float)), None
 
 
-def _ranges(robot: RobotDescription, narrower: Mapping[str, tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
+def position_ranges(
+    robot: RobotDescription, narrower: Mapping[str, tuple[float, float]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) lower and (n,) upper ends of the joints' ranges [rad, m], where `narrower` allows less than the joint.
+
+    Raises:
+        InputError: a range for a joint that the robot has not, or an empty one.
+    """
     lower, upper = robot.position_limits
     for name, (low, high) in narrower.items():
         if name not in robot.joint_names:

@@ -88,6 +88,17 @@ def test_a_loop_through_a_keep_out_box_is_infeasible(problem_with: Any) -> None:
     assert "post" in score.reason
 
 
+def test_a_loop_beyond_a_cable_is_infeasible(problem_with: Any) -> None:
+    genome = genomes(1)[0]
+    reached = Candidates(problem_with()).loop(genome).trajectory.q[:, 3]
+    short = {"joint_4": (reached.min() - 0.1, reached.max() - 0.01)}
+    score = Candidates(problem_with(joint_ranges=short)).score(genome)
+    assert not score.feasible
+    assert "joint_4" in score.reason
+    long = {"joint_4": (reached.min() - 0.1, reached.max() + 0.1)}
+    assert Candidates(problem_with(joint_ranges=long)).score(genome).feasible
+
+
 def test_when_nothing_keeps_the_limits_the_nearest_miss_is_told(problem_with: Any) -> None:
     everywhere = KeepOut("everything", (-3.0, -3.0, -3.0), (3.0, 3.0, 3.0))
     with pytest.raises(InputError, match="everything") as error:

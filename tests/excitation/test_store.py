@@ -71,7 +71,8 @@ def test_it_is_found_by_what_it_was_searched_for(write_recipe: Any, tmp_path: Pa
         ("distance: 20 mm", "distance: 21 mm"),
         ("rate: 500 Hz", "rate: 250 Hz"),
         ("# tool:", "tool: {mass: 1 kg} # "),
-        ("# cell: ", "cell: {keep_out: [{name: a, box: {min: [0, 0, 0], max: [1, 1, 1]}}]} # "),
+        ("# cell:\n", "cell: {keep_out: [{name: a, box: {min: [0, 0, 0], max: [1, 1, 1]}}]}\n"),
+        ("# cell:\n", "cell: {joint_ranges: {joint_4: [-200 deg, 200 deg]}}\n"),
     ],
 )
 def test_what_changes_the_loop_changes_the_key(tmp_path: Path, old: str, new: str) -> None:

@@ -31,7 +31,8 @@ FULL = """\
 robot: comau_ns16
 tool: {frame: [0 mm, 0 mm, 120 mm, 0 deg, 90 deg, 0 deg], mass: 2.1 kg, centre_of_mass: [0 mm, 0 mm, 60 mm]}
 controller: {driver: tcp, address: 127.0.0.1:9100}
-cell: {keep_out: [{name: table, box: {min: [0.4 m, -1 m, 0 m], max: [1.6 m, 1 m, 0.3 m]}}]}
+cell: {keep_out: [{name: table, box: {min: [0.4 m, -1 m, 0 m], max: [1.6 m, 1 m, 0.3 m]}}],
+  joint_ranges: {joint_4: [-90 deg, 2]}}
 motion:
   speed: 500 mm/s
   fly: {type: FLY_NORM, trajectory: FLY_FROM, distance: 30 mm, percent: 80 %, stress: 40 %}
@@ -72,6 +73,7 @@ def test_every_value_arrives_in_si(recipe_file: Path) -> None:
     assert recipe.robot.name == "comau_ns16"
     assert (recipe.controller.driver, recipe.controller.address) == ("tcp", "127.0.0.1:9100")
     assert (recipe.cell.keep_out[0].name, recipe.cell.keep_out[0].minimum) == ("table", (0.4, -1.0, 0.0))
+    assert recipe.cell.joint_ranges == {"joint_4": (pytest.approx(-math.pi / 2), 2.0)}
     assert recipe.motion.speed == 0.5
     motion = recipe.motion.settings
     assert (motion.fly_type, motion.fly_trajectory) == (FlyType.FLY_NORM, FlyTrajectory.FLY_FROM)
@@ -103,7 +105,7 @@ def test_the_tool_weighs_where_the_recipe_says(recipe_file: Path) -> None:
 def test_what_is_left_out_has_the_contracts_values(recipe_file: Path) -> None:
     recipe = load_text(recipe_file, MINIMAL)
     assert recipe.tool is None
-    assert recipe.cell.keep_out == ()
+    assert (recipe.cell.keep_out, recipe.cell.joint_ranges) == ((), {})
     assert (recipe.motion.speed, recipe.motion.settings.fly_distance) == (1.0, 0.02)
     assert (recipe.search.population, recipe.search.generations, recipe.search.method) == (50, 40, "genetic")
     assert (recipe.record.rate, recipe.record.cycles, recipe.estimate.method) == (500.0, 100, "auto")
@@ -155,33 +157,39 @@ def test_a_clash_of_alternatives_is_named(recipe_file: Path, via_points: str, ke
 @pytest.mark.parametrize(
     ("old", "new", "line", "key", "message"),
     [
-        ("search: {population", "search: {populaton", 12, "search.populaton", "did you mean population?"),
-        ("speed: 500 mm/s", "speed: 500 mm", 6, "motion.speed", "m/s, cm/s, mm/s"),
-        ("speed: 500 mm/s", "speed: 2 m/s", 6, "motion.speed", "1.5 m/s"),
-        ("speed: 500 mm/s", "speed: -1 m/s", 6, "motion.speed", "greater than 0"),
-        ("speed: 500 mm/s", "speed: .nan", 6, "motion.speed", "finite"),
-        ("speed: 500 mm/s", "speed: true", 6, "motion.speed", "not true or false"),
-        ("speed: 500 mm/s", "speed:", 6, "motion.speed", "not nothing"),
-        ("distance: 30 mm", "distance: 30 deg", 7, "motion.fly.distance", "a unit of an angle"),
-        ("type: FLY_NORM", "type: FLY", 7, "motion.fly.type", "'FLY_NORM' or 'FLY_CART'"),
-        ("percent: 80 %", "percent: 80", 7, "motion.fly.percent", "less than or equal to 1"),
-        ("0 deg, 180 deg, 0 deg", "0 deg, 180 deg", 11, "motion.via_points.box.orientation", "3 values"),
-        ("500 mm, 600 mm", "500 mm, -600 mm", 11, "motion.via_points.box.size.1", "greater than or equal to 0"),
+        ("search: {population", "search: {populaton", 13, "search.populaton", "did you mean population?"),
+        ("speed: 500 mm/s", "speed: 500 mm", 7, "motion.speed", "m/s, cm/s, mm/s"),
+        ("speed: 500 mm/s", "speed: 2 m/s", 7, "motion.speed", "1.5 m/s"),
+        ("speed: 500 mm/s", "speed: -1 m/s", 7, "motion.speed", "greater than 0"),
+        ("speed: 500 mm/s", "speed: .nan", 7, "motion.speed", "finite"),
+        ("speed: 500 mm/s", "speed: true", 7, "motion.speed", "not true or false"),
+        ("speed: 500 mm/s", "speed:", 7, "motion.speed", "not nothing"),
+        ("distance: 30 mm", "distance: 30 deg", 8, "motion.fly.distance", "a unit of an angle"),
+        ("type: FLY_NORM", "type: FLY", 8, "motion.fly.type", "'FLY_NORM' or 'FLY_CART'"),
+        ("percent: 80 %", "percent: 80", 8, "motion.fly.percent", "less than or equal to 1"),
+        ("0 deg, 180 deg, 0 deg", "0 deg, 180 deg", 12, "motion.via_points.box.orientation", "3 values"),
+        ("500 mm, 600 mm", "500 mm, -600 mm", 12, "motion.via_points.box.size.1", "greater than or equal to 0"),
         ("mass: 2.1 kg", "mass: -2.1 kg", 2, "tool.mass", "greater than or equal to 0"),
         ("mass: 2.1 kg", "mass: 2.1 N", 2, "tool.mass", "kg, g"),
         ("max: [1.6 m", "max: [0.3 m", 4, "cell.keep_out.0.box", "on x it is 0.4 m to 0.3 m"),
+        ("joint_4: [", "joint_7: [", 5, "cell.joint_ranges.joint_7", "allowed are joint_1"),
+        ("[-90 deg, 2]", "[-90 deg]", 5, "cell.joint_ranges.joint_4", "lower, upper"),
+        ("[-90 deg, 2]", "[-90 mm, 2]", 5, "cell.joint_ranges.joint_4", "'mm' is a unit of a length"),
+        ("[-90 deg, 2]", "[-90 kg, 2]", 5, "cell.joint_ranges.joint_4.0", "'kg' is a unit of a mass"),
+        ("[-90 deg, 2]", "[2, -90 deg]", 5, "cell.joint_ranges.joint_4", "must come first"),
+        ("[-90 deg, 2]", "[13, 14]", 5, "cell.joint_ranges.joint_4", "outside the joint's own range"),
         ("driver: tcp", "driver: rs232", 3, "controller.driver", "tcp"),
-        ("population: 20", "population: 2.5", 12, "search.population", "integer"),
-        ("population: 20", "population: true", 12, "search.population", "integer"),
-        ("seed: 7", "seed: -7", 12, "search.seed", "greater than or equal to 0"),
-        ("method: random", "method: ransom", 12, "search.method", "'genetic' or 'random'"),
-        ("interpolator: fly", "interpolator: crawl", 12, "search.interpolator", "allowed are fly"),
-        ("cutoff: 20 Hz", "cutoff: 125 Hz", 14, "estimate.filter.cutoff", "half of record.rate"),
-        ("method: ordinary", "method: extraordinary", 14, "estimate.method", "'weighted'"),
-        ("every: 12 h", "every: 12 Hz", 17, "recalibrate.every", "min, h, d"),
-        ("speed: 0.2 m/s, ", "speed: 0.2 m/s, speed: 0.3 m/s, ", 15, "", "duplicate key"),
+        ("population: 20", "population: 2.5", 13, "search.population", "integer"),
+        ("population: 20", "population: true", 13, "search.population", "integer"),
+        ("seed: 7", "seed: -7", 13, "search.seed", "greater than or equal to 0"),
+        ("method: random", "method: ransom", 13, "search.method", "'genetic' or 'random'"),
+        ("interpolator: fly", "interpolator: crawl", 13, "search.interpolator", "allowed are fly"),
+        ("cutoff: 20 Hz", "cutoff: 125 Hz", 15, "estimate.filter.cutoff", "half of record.rate"),
+        ("method: ordinary", "method: extraordinary", 15, "estimate.method", "'weighted'"),
+        ("every: 12 h", "every: 12 Hz", 18, "recalibrate.every", "min, h, d"),
+        ("speed: 0.2 m/s, ", "speed: 0.2 m/s, speed: 0.3 m/s, ", 16, "", "duplicate key"),
         ("robot: comau_ns16", "robot: comau_ns61", 1, "robot", "comau_ns16"),
-        ("gate: {normalised_rmse: 0.05}", "gate: 0.05", 16, "gate", "normalised_rmse"),
+        ("gate: {normalised_rmse: 0.05}", "gate: 0.05", 17, "gate", "normalised_rmse"),
     ],
 )
 def test_a_fault_names_file_line_key_and_what_is_allowed(
