@@ -117,7 +117,7 @@ class Cell:
         self.tolerance = tolerance
         self.lower, self.upper = position_ranges(robot, joint_ranges or {})
         self._model = _collision_model(robot, tool, keep_out, tool_radius)
-        self.left_out = self._leave_out_what_always_touches()
+        self.left_out, self._largest_margins = self._try_many_postures()
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
@@ -125,7 +125,10 @@ class Cell:
         return tuple((pair.first, pair.second) for pair in self._model.pairs)
 
     def check(self, motion: Trajectory | np.ndarray, margin: float = 0.0) -> CellReport:
-        """Check a motion, a trajectory or joint positions (S, n): every distance at least `margin` [m]."""
+        """Check a motion, a trajectory or joint positions (S, n): every distance at least `margin` [m].
+
+        Between two bodies of the arm that are never far apart the margin is half their widest distance at most.
+        """
         q, times = _samples(motion)
         return self._report(q, None, times, margin)
 
@@ -152,13 +155,15 @@ class Cell:
             raise ValueError("joint positions must be finite")
         found = [*self._range_violations(q, stop, times)]
         pairs: tuple[PairClearance, ...] = ()
+        depth = 0.0
         if self._model.pairs:
-            search = _Search(self._model, q, stop, margin, self.tolerance)
+            search = _Search(self._model, q, stop, np.minimum(margin, self._largest_margins), self.tolerance)
             search.run()
             pairs = search.clearances()
             found += search.first_violation(times)
+            depth = max(depth, search.depth())
         clearance = min((pair.clearance for pair in pairs), default=np.inf)
-        depth = max([margin - clearance, *(violation.depth for violation in found), 0.0])
+        depth = max([depth, *(violation.depth for violation in found)])
         ends = [q] if stop is None else [q, q + stop]
         margins = np.min([np.minimum(end - self.lower, self.upper - end).min(axis=0) for end in ends], axis=0)
         first = min(found, key=lambda violation: violation.index, default=None)
@@ -179,33 +184,38 @@ class Cell:
                 found.append(Violation(self.robot.joint_names[joint], "", index, time, depth, 0.0, stopping))
         return found
 
-    def _leave_out_what_always_touches(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of bodies that overlap in every one of many postures: capsules too coarse to tell anything."""
+    def _try_many_postures(self) -> tuple[tuple[tuple[str, str], ...], np.ndarray]:
+        """What is left out, and the largest margin of each pair that stays.
+
+        Left out are pairs of the arm's bodies that overlap in every posture: capsules too coarse to tell anything. A
+        margin means nothing for two that no posture takes so far apart: neighbours but one, a wrist and its tool.
+        """
         from agent.robot.collision import KEEP_OUT
 
         if not self._model.pairs:
-            return ()
+            return (), np.zeros(0)
         lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in (self.lower, self.upper))
         postures = np.random.default_rng(0).uniform(lower, upper, (_POSTURES, self.robot.dof))
         postures[0] = np.clip(0.0, self.lower, self.upper)
-        touching = (self._model.distances(postures) < 0).all(axis=0)
-        always = [
-            pair
-            for pair, touches in zip(self._model.pairs, touching, strict=True)
-            if touches and not pair.second.startswith(KEEP_OUT)
-        ]
+        widest = self._model.distances(postures).max(axis=0)
+        own = np.array([not pair.second.startswith(KEEP_OUT) for pair in self._model.pairs])
+        touching = own & (widest < 0)
+        always = [pair for pair, touches in zip(self._model.pairs, touching, strict=True) if touches]
         self._model.leave_out(always)
-        return tuple((pair.first, pair.second) for pair in always)
+        largest = np.where(own, widest / 2, np.inf)[~touching]
+        return tuple((pair.first, pair.second) for pair in always), largest
 
 
 class _Search:
     """Branch and bound over stretches of the motion u and, where there is a `stop`, of the way to a stop s in [0, 1].
 
-    The posture is q(u) + s · stop(u), u counting samples. A stretch is the rectangle u0..u1, s0..s1; its bound is the
-    distance in its middle less what the joints can take away on the way to its edges.
+    `margin` (pairs,) [m]. The posture is q(u) + s · stop(u), u counting samples. A stretch is the rectangle u0..u1,
+    s0..s1; its bound is the distance in its middle less what the joints can take away on the way to its edges.
     """
 
-    def __init__(self, model: CollisionModel, q: np.ndarray, stop: np.ndarray | None, margin: float, tolerance: float):
+    def __init__(
+        self, model: CollisionModel, q: np.ndarray, stop: np.ndarray | None, margin: np.ndarray, tolerance: float
+    ):
         self.model, self.q, self.stop, self.margin, self.tolerance = model, q, stop, margin, tolerance
         reach = np.array([pair.reach for pair in model.pairs]).T  # (n, pairs)
         self.travelled = _cumulated(q) @ reach
@@ -252,8 +262,13 @@ class _Search:
         u, pair, stopping = self.first
         names = self.model.pairs[pair]
         time = None if times is None else float(np.interp(u, np.arange(len(times)), times))
-        depth = float(self.margin - self.smallest[pair])
-        return [Violation(names.first, names.second, int(u), time, depth, self.margin, stopping)]
+        margin = float(self.margin[pair])
+        depth = margin - float(self.smallest[pair])
+        return [Violation(names.first, names.second, int(u), time, depth, margin, stopping)]
+
+    def depth(self) -> float:
+        """How far the worst pair is beyond its margin [m]; negative where none is."""
+        return float(np.max(self.margin - self.smallest))
 
     def _postures(self, middle: np.ndarray) -> np.ndarray:
         postures = _at(self.q, middle[:, 0])
@@ -280,11 +295,12 @@ class _Search:
         better = found < self.smallest
         self.smallest = np.where(better, found, self.smallest)
         self.smallest_at = np.where(better, middle[nearest, 0], self.smallest_at)
-        violating = np.flatnonzero(distances.min(axis=1) < self.margin)
+        short = distances - self.margin
+        violating = np.flatnonzero(short.min(axis=1) < 0)
         if len(violating):
             row = violating[np.argmin(middle[violating, 0])]
             if self.first is None or middle[row, 0] < self.first[0]:
-                self.first = (float(middle[row, 0]), int(distances[row].argmin()), bool(middle[row, 1] > 0))
+                self.first = (float(middle[row, 0]), int(short[row].argmin()), bool(middle[row, 1] > 0))
 
     def _undecided(self, stretches: np.ndarray, bounds: np.ndarray) -> np.ndarray:
         """(R, pairs) where there may be a smaller clearance worth knowing, or an earlier violation."""

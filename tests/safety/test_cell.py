@@ -199,6 +199,18 @@ def test_impossible_joint_ranges_are_refused(ranges, reason):
         Cell(ROBOT, joint_ranges=ranges)
 
 
+def test_a_wide_margin_counts_for_the_cell_and_not_between_neighbours(trajectory_through):
+    motion = trajectory_through([REACHING, REACHING + np.radians([20, 0, 0, 0, 0, 0])])
+    both = Cell(ROBOT, tool(), [TABLE])
+    assert both.clearance(motion.q).min() < 0.1  # neighbours but one in the arm are always as near as that
+    assert Cell(ROBOT, tool()).check(motion, 0.2).collision is None
+    above = min(pair.clearance for pair in both.check(motion).pairs if pair.second == "keep-out table")
+    higher = Box("table", TABLE.minimum, (*TABLE.maximum[:2], TABLE.maximum[2] + above - 0.15))
+    report = Cell(ROBOT, tool(), [higher]).check(motion, 0.2)
+    assert (report.collision.second, report.collision.margin) == ("keep-out table", 0.2)
+    assert report.depth == pytest.approx(0.05, abs=0.01)
+
+
 def test_bodies_that_touch_in_every_posture_are_left_out_and_named():
     fat = (Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.1), 1.0),)
     cell = Cell(replace(ROBOT, bodies={**ROBOT.bodies, "link_3": fat}))
