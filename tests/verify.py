@@ -1,11 +1,14 @@
 """`make verify`: run the long figures piece by piece and write docs/measured.md.
 
 Each test marked `verify` is a piece. A finished piece is kept in `.verify/` with the commit it ran on, so an
-interrupted run goes on where it stopped; `--fresh` starts over.
+interrupted run goes on where it stopped; `--fresh` starts over, `--keep` also keeps what passed on earlier commits. The
+page names the commit of every piece. `tests/verify.py FOLDER…` runs the pieces of these folders or files alone; the
+others stand on the page as they were, or as not run.
 """
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
 import os
@@ -21,36 +24,56 @@ STATE = ROOT / ".verify"
 
 
 def main() -> int:
-    """0 if every piece passed."""
+    """0 if every piece that was run passed."""
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--fresh", action="store_true", help="forget every piece that is finished")
+    arguments.add_argument("--keep", action="store_true", help="keep what passed on earlier commits")
+    arguments.add_argument("only", nargs="*", help="folders or files of tests; all without any")
+    chosen = arguments.parse_args()
     STATE.mkdir(exist_ok=True)
     commit = _commit()
-    if "--fresh" in sys.argv:
+    if chosen.fresh:
         for old in STATE.glob("*.json*"):
             old.unlink()
-    nodes = _collect()
-    print(f"{len(nodes)} pieces", flush=True)
-    results = []
+    nodes = _collect([])
+    wanted = set(_collect(chosen.only)) if chosen.only else set(nodes)
+    print(f"{len(wanted)} of {len(nodes)} pieces", flush=True)
+    results = {node: kept for node in nodes if (kept := _kept(node)) is not None}
+    failed = False
     for node in nodes:
-        results.append(_run(node, commit))
-        print(f"{results[-1]['outcome']:7} {results[-1]['seconds']:7.1f} s  {node}", flush=True)
-        _write(results, commit)
-    return int(any(result["outcome"] == "failed" for result in results))
+        if node not in wanted:
+            continue
+        known = results.get(node)
+        if known is None or not (known["commit"] == commit or (chosen.keep and known["outcome"] == "passed")):
+            results[node] = _run(node, commit)
+        failed |= results[node]["outcome"] == "failed"
+        print(f"{results[node]['outcome']:7} {results[node]['seconds']:7.1f} s  {node}", flush=True)
+        _write([results.get(each) or _not_run(each) for each in nodes], commit)
+    return int(failed)
 
 
-def _collect() -> list[str]:
-    command = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-m", "verify"]
+def _collect(only: list[str]) -> list[str]:
+    command = [sys.executable, "-m", "pytest", "--collect-only", "-m", "verify", *only]
     listing = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout
     return [line for line in listing.splitlines() if "::" in line]
 
 
+def _file(node: str) -> Path:
+    return STATE / f"{hashlib.sha256(node.encode()).hexdigest()[:16]}.json"
+
+
+def _kept(node: str) -> dict | None:
+    done = _file(node)
+    return json.loads(done.read_text(encoding="utf-8")) if done.exists() else None
+
+
+def _not_run(node: str) -> dict:
+    return {"node": node, "commit": "", "outcome": "not run", "seconds": "", "at": "", "figures": [], "tail": []}
+
+
 def _run(node: str, commit: str) -> dict:
-    key = hashlib.sha256(node.encode()).hexdigest()[:16]
-    done = STATE / f"{key}.json"
-    if done.exists():
-        kept = json.loads(done.read_text(encoding="utf-8"))
-        if kept["commit"] == commit:
-            return kept
-    figures = STATE / f"{key}.jsonl"
+    done = _file(node)
+    figures = done.with_suffix(".jsonl")
     figures.unlink(missing_ok=True)
     started = time.monotonic()
     run = subprocess.run(
@@ -88,12 +111,13 @@ def _write(results: list[dict], commit: str) -> None:
     figures = [(figure, result) for result in results for figure in result["figures"]]
     short = [row for row in figures if not row[0]["ok"]]
     failed = [result for result in results if result["outcome"] == "failed"]
-    skipped = [result for result in results if result["outcome"] == "skipped"]
+    skipped = [result for result in results if result["outcome"] in ("skipped", "not run")]
     lines = [
         "# Measured",
         "",
         f"Written by `make verify` at commit {commit[:12]} on {datetime.now(UTC):%Y-%m-%d}: Python "
-        f"{platform.python_version()}, {platform.system()} {platform.machine()}, {os.cpu_count()} cores.",
+        f"{platform.python_version()}, {platform.system()} {platform.machine()}, {os.cpu_count()} cores. "
+        "Each piece names the commit that it ran on.",
         "",
         "## Shortfalls",
         "",
@@ -105,8 +129,14 @@ def _write(results: list[dict], commit: str) -> None:
     lines += [f"- not run: `{result['node']}` ({_reason(result)})" for result in skipped]
     lines += ["", "## Figures", "", "| what | measured | target |", "| --- | --- | --- |"]
     lines += [f"| {f['what']} | {_value(f)} | {f['target']}{'' if f['ok'] else ' (missed)'} |" for f, _ in figures]
-    lines += ["", "## Pieces", "", "| piece | outcome | seconds | when (UTC) |", "| --- | --- | --- | --- |"]
-    lines += [f"| `{r['node']}` | {r['outcome']} | {r['seconds']} | {r['at']} |" for r in results]
+    lines += [
+        "",
+        "## Pieces",
+        "",
+        "| piece | outcome | seconds | when (UTC) | commit |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    lines += [f"| `{r['node']}` | {r['outcome']} | {r['seconds']} | {r['at']} | {r['commit'][:7]} |" for r in results]
     (ROOT / "docs" / "measured.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -124,7 +154,8 @@ def _value(figure: dict) -> str:
 
 
 def _reason(result: dict) -> str:
-    return next((line.split(": ", 1)[-1] for line in result["tail"] if line.startswith("SKIPPED")), "skipped")
+    skips = (line.split(": ", 1)[-1] for line in result["tail"] if line.startswith("SKIPPED"))
+    return next(skips, "not in this run" if result["outcome"] == "not run" else "skipped")
 
 
 def _commit() -> str:
