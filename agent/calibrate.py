@@ -12,11 +12,10 @@ from agent import planning
 from agent.apply import origin, remember
 from agent.console import Console
 from agent.recipe import Recipe
-from agent.record import Recording, open_link, report_losses
+from agent.record import Recording
+from agent.record_plan import EXCITATION, record_plan, validation_logs
 from agent.result import build_result, provenance, run_data, typical_motion
 from agent.run import RunFolder, robot_lock, sha256_file
-
-EXCITATION = "excitation.mcap"
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None,
             plan = planning.plan_once(recipe, run, console)
             run.note(program=sha256_file(run.file("program.pdl")))
         with step(run, "record"):
-            recordings = _record(recipe, plan, run, console, logs, yes)
+            recordings = record_plan(recipe, plan, run, console, logs, yes)
         with step(run, "estimate"):
             model = _estimate(recipe, run, console)
         with step(run, "validate"):
@@ -77,43 +76,6 @@ def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None,
             outcome = _report(recipe, plan, run, recordings, model, validation)
         remember(run, console)
         return outcome
-
-
-def _record(
-    recipe: Recipe, plan: planning.Plan, run: RunFolder, console: Console, logs: Path, yes: bool
-) -> list[Recording]:
-    """Excitation, then validation motions; a finished log is kept, one that was cut is moved aside and run again."""
-    motions = {EXCITATION: plan.excitation}
-    motions |= {f"validation_{k + 1:02d}.mcap": motion for k, motion in enumerate(plan.validation)}
-    done = {name: found for name in motions if (found := _recorded(run, name))}
-    missing = {name: motion for name, motion in motions.items() if name not in done}
-    if missing:
-        with open_link(recipe, console, yes, logs) as link:
-            run.note(serial=link.identity.serial)
-            ready = planning.programs(recipe, list(missing.values()), link.position())
-            console.step(f"recording {len(missing)} motions, {sum(total for *_, total in ready):.0f} s of them")
-            for (name, motion), (text, chains, total) in zip(missing.items(), ready, strict=True):
-                _set_aside(run.file(name))
-                recording = link.run(motion.name, text, run.file(name), motion.kind, chains, total)
-                report_losses(recording, console)
-                run.finish(name, **recording.to_dict(), sha256=sha256_file(recording.path))
-                done[name] = recording
-    return [done[name] for name in motions]
-
-
-def _recorded(run: RunFolder, name: str) -> Recording | None:
-    entry = run.finished(name)
-    return Recording.from_dict(run.file(name), entry) if entry and run.file(name).exists() else None
-
-
-def _set_aside(log: Path) -> None:
-    """A log that a stopped run left is kept under another name: its data may be all there is of an incident."""
-    number = 1
-    while log.exists():
-        aside = log.with_suffix(f".stopped{number}.mcap")
-        if not aside.exists():
-            log.rename(aside)
-        number += 1
 
 
 def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
@@ -139,12 +101,8 @@ def _validate(recipe: Recipe, run: RunFolder, model: Any, console: Console) -> l
     from agent.validation import predict_log
 
     console.step("validating on unseen motions")
-    logs = read_logs(_validation_logs(run), recipe.robot, console)
+    logs = read_logs(validation_logs(run), recipe.robot, console)
     return [predict_log(model, log) for log in logs]
-
-
-def _validation_logs(run: RunFolder) -> list[Path]:
-    return sorted(run.path.glob("validation_[0-9][0-9].mcap"))
 
 
 def _report(
@@ -155,10 +113,12 @@ def _report(
     from agent.recording import read_log
     from agent.report import run_report
     from agent.reports import further_sections
+    from agent.validation import predict_log
 
-    sources = provenance(run.path, run.state, [run.file(EXCITATION), *_validation_logs(run)])
+    sources = provenance(run.path, run.state, [run.file(EXCITATION), *validation_logs(run)])
     result = build_result(recipe, plan, recordings, model, predictions, sources)
-    result["conditions"] = conditions(model, read_log(run.file(EXCITATION), recipe.robot))
+    log = read_log(run.file(EXCITATION), recipe.robot)
+    result["conditions"] = conditions(log, predict_log(model, log))
     run.write_json("result.json", result)
     typical = typical_motion(predictions)
     write_analysis(run.file("analysis.mcap"), read_log(run.file(typical.log), recipe.robot), typical)

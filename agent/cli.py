@@ -185,10 +185,13 @@ def validate(
 
 @app.command()
 def diagnose(
-    logs: Logs,
-    robot: RobotOption,
+    logs: Annotated[list[Path] | None, typer.Argument(metavar="LOG...", help="MCAP logs")] = None,
+    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")] = None,
     model: Annotated[
         Path | None, typer.Option("--model", metavar="MODEL", help="the model that is the simulator")
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option("--record", metavar="RECIPE", help="record first: the recipe's motions, no logs")
     ] = None,
     cutoff: Cutoff = None,
     without: Annotated[
@@ -196,18 +199,32 @@ def diagnose(
     ] = None,
     as_json: AsJson = False,
     report: Annotated[Path | None, typer.Option("--report", metavar="OUT.html", help="page to write")] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="MODEL", help="model file to write, with the effects found")
+    ] = None,
+    runs: Annotated[Path, typer.Option("--logs", metavar="DIR", help="where a recorded run is kept")] = Path("logs"),
+    yes: Yes = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """The gap between model and robot: where it lies, which effect causes it, how far it shrinks."""
     from agent.console import print_json
-    from agent.diagnose import diagnose_files, diagnosis_text
+    from agent.diagnose import Question, diagnose_files, diagnose_recording, diagnosis_text
 
-    found = diagnose_files(robot, model, logs, cutoff, without or [], report, console_for(verbose, quiet))
-    if as_json:
-        print_json(found.result)
+    question = Question(model, cutoff, tuple(without or ()), report, out)
+    console = console_for(verbose, quiet)
+    if record is not None:
+        if logs or robot:
+            raise InputError("diagnose: --record records its own logs of the recipe's robot: leave out LOG and --robot")
+        result = diagnose_recording(record, question, console, runs, yes)
+    elif not logs or not robot:
+        raise InputError("diagnose: name the robot and the logs (--robot R LOG...), or a recipe to record (--record)")
     else:
-        print(diagnosis_text(found.result))
+        result = diagnose_files(robot, logs, question, console)
+    if as_json:
+        print_json(result)
+    else:
+        print(diagnosis_text(result))
 
 
 @app.command("blind-check")

@@ -1,17 +1,21 @@
-"""From files to a diagnosis, and what it says to people."""
+"""From files, or from a robot, to a diagnosis, and what it says to people."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.console import Console
-from agent.identify import read_logs
-from agent.robot import load_robot
+from agent.identify import check_output, read_logs
+from agent.robot import RobotDescription, load_robot
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
+
+#: Slow motions beside the excitation loop: enough to hold one out, few enough to wait for.
+_VALIDATION_MOTIONS = 3
 
 _VERDICTS = {
     "no_gap": "no gap: nothing of practical size beyond what the model's own prediction error allows",
@@ -21,35 +25,111 @@ _VERDICTS = {
 }
 
 
-def diagnose_files(
-    robot: str,
-    model: Path | None,
-    paths: Sequence[Path],
-    cutoff: float | None,
-    without: Sequence[str],
-    report: Path | None,
-    console: Console,
-) -> Diagnosis:
-    """Diagnose logs; writes the report where one is asked for.
+@dataclass(frozen=True)
+class Question:
+    """What is asked of logs: against which model (None: one fitted to them), what is left out, what is written.
+
+    `report` is the page, `out` the file of the model with the effects found; None: neither.
+    """
+
+    model: Path | None = None
+    cutoff: float | None = None
+    without: tuple[str, ...] = ()
+    report: Path | None = None
+    out: Path | None = None
+
+
+def diagnose_files(robot: str, paths: Sequence[Path], question: Question, console: Console) -> dict[str, Any]:
+    """Diagnose logs; returns the result of CONTRACTS.md, 6, and writes what is asked for.
 
     Raises:
-        InputError: a robot, model or log that cannot be used, or an unknown effect.
+        InputError: a robot, model or log that cannot be used, an unknown effect, or an output that cannot be written.
     """
-    from agent.diagnosis import diagnose
+    return _diagnose(load_robot(robot), paths, question, console)
+
+
+def diagnose_recording(recipe: Path, question: Question, console: Console, runs: Path, yes: bool) -> dict[str, Any]:
+    """Record the recipe's motions into a run folder, then diagnose them; result and report are in the folder too.
+
+    Raises:
+        AgentError, DriverError: as in `agent calibrate`, before anything moves or after a controlled stop.
+    """
+    from agent import planning
+    from agent.calibrate import step
+    from agent.recipe import load_recipe
+    from agent.record_plan import record_plan
+    from agent.run import RunFolder, robot_lock, sha256_file
+
+    _check(question, [])
+    loaded = load_recipe(recipe)
+    few = min(loaded.validate.motions, _VALIDATION_MOTIONS)
+    loaded = replace(loaded, validate=replace(loaded.validate, motions=few))
+    with robot_lock(loaded.controller.driver, loaded.controller.address):
+        run = RunFolder.create(runs, loaded.robot.name, loaded.path)
+        run.note(kind="diagnose")
+        console.say(f"run {run.path}")
+        with step(run, "plan"):
+            plan = planning.plan_once(loaded, run, console)
+            run.note(program=sha256_file(run.file("program.pdl")))
+        with step(run, "record"):
+            recordings = record_plan(loaded, plan, run, console, runs, yes)
+        with step(run, "diagnose"):
+            console.step("diagnosing")
+            here = replace(question, report=question.report or run.file("report.html"))
+            result = _diagnose(loaded.robot, [recording.path for recording in recordings], here, console)
+            run.write_json("result.json", result)
+        run.complete(True)
+    return result
+
+
+def _diagnose(robot: RobotDescription, paths: Sequence[Path], question: Question, console: Console) -> dict[str, Any]:
+    from agent.diagnosis import diagnose, simulate, simulation_part
     from agent.estimation import IdentifiedModel
 
-    description = load_robot(robot)
-    reference = None if model is None else IdentifiedModel.load(model)
-    logs = read_logs(list(paths), description, console)
-    found = diagnose(description, logs, reference, cutoff, without)
+    _check(question, paths)
+    reference = None if question.model is None else IdentifiedModel.load(question.model)
+    logs = read_logs(list(paths), robot, console)
+    found = diagnose(robot, logs, reference, question.cutoff, question.without)
     for warning in found.warnings:
         console.warn(warning)
-    if report is not None:
+    simulated = simulate(found)
+    result = {**found.result, "simulation": simulation_part(found, simulated)}
+    if question.report is not None:
         from agent.diagnosis.report import diagnosis_report
         from agent.run import write_atomically
 
-        write_atomically(report, diagnosis_report(found))
-    return found
+        write_atomically(question.report, diagnosis_report(found, simulated))
+    if question.out is not None:
+        _write_model(found, question.out, console)
+    return result
+
+
+def _check(question: Question, logs: Sequence[Path]) -> None:
+    """Outputs that cannot be written are refused before the work.
+
+    Raises:
+        InputError: a folder, a missing folder, or a log or model that would be overwritten.
+    """
+    inputs = [*logs, *([question.model] if question.model else [])]
+    for out in (question.report, question.out):
+        if out is not None:
+            check_output(out, inputs)
+
+
+def _write_model(found: Diagnosis, out: Path, console: Console) -> None:
+    """The model with the effects found; what cannot be part of a model is said."""
+    from agent.diagnosis import extended_model
+
+    model = extended_model(found)
+    left_out = [c["effect"] for c in found.result["causes"] if c["effect"] not in {e.effect for e in model.effects}]
+    if left_out:
+        console.warn(
+            f"{out}: {' and '.join(left_out)} is left out of the model: it happens once, or in the set-points only"
+        )
+    if not found.finding.causes:
+        console.warn(f"{out}: no effect was found, so nothing is added to the model")
+        model = found.dataset.model
+    model.save(out)
 
 
 def diagnosis_text(result: dict[str, Any]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ def estimate_files(
     """
     from agent.estimation import EstimationSettings, estimate
 
-    _check_output(out, paths)
+    check_output(out, paths)
     description = load_robot(robot)
     logs = read_logs(paths, description, console)
     if export is not None and method is None:
@@ -67,14 +68,18 @@ def estimate_files(
     return model.to_dict(), "\n".join([model.text(), *(str(path) for path in written)])
 
 
-def _check_output(out: Path, paths: list[Path]) -> None:
-    # Before the work: a fit takes time, and a log that is overwritten is lost.
+def check_output(out: Path, paths: Sequence[Path]) -> None:
+    """Refuse a file that cannot be written, before the work: a fit takes time, and a log that is overwritten is lost.
+
+    Raises:
+        InputError: a folder, a missing folder, or one of the inputs (`paths`).
+    """
     if out.is_dir():
-        raise InputError(f"{out}: is a folder; name the model file to write")
+        raise InputError(f"{out}: is a folder; name the file to write")
     if not out.absolute().parent.is_dir():
-        raise InputError(f"{out}: there is no folder {out.parent} to write the model file in")
+        raise InputError(f"{out}: there is no folder {out.parent} to write it in")
     if out.exists() and any(path.exists() and path.samefile(out) for path in paths):
-        raise InputError(f"{out}: is one of the logs; name another file for the model")
+        raise InputError(f"{out}: is one of the logs or models that are read; name another file to write")
 
 
 def validate_files(model_path: Path, paths: list[Path], cutoff: float | None, console: Console) -> dict[str, Any]:

@@ -11,12 +11,13 @@ import numpy as np
 
 from agent import planning
 from agent.apply import apply_run, current_model, origin, remember
-from agent.calibrate import EXCITATION, step
+from agent.calibrate import step
 from agent.console import Console
 from agent.errors import AgentError, ControllerError, InputError
 from agent.history import PastRun, open_history
 from agent.recipe import Recipe
 from agent.record import Link, Recording, open_link, report_losses
+from agent.record_plan import EXCITATION
 from agent.reports import watch_lines
 from agent.result import provenance
 from agent.run import RunFolder, robot_lock, sha256_file
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from agent.estimation.refit import Refit
     from agent.excitation.store import StoredLoop
     from agent.recording.log import Log
+    from agent.validation import Prediction
 
 #: A run that is due within this part of its interval is due: a clock is never to the second.
 _EARLY = 0.01
@@ -107,10 +109,14 @@ def recalibrate(
         with step(run, "estimate"):
             log, found, comparison = _estimate(recipe, reference, run, console)
         with step(run, "validate"):
-            result = _judge(recipe, reference, run, recording, log, found, comparison)
+            from agent.conditions import conditions
+            from agent.validation import predict_log
+
+            prediction = predict_log(found.model, log)
+            result = _judge(recipe, reference, run, recording, found, comparison, conditions(log, prediction))
             result["diagnosis"] = _diagnosis(reference, run, result, log, console)
         with step(run, "report"):
-            _report(run, result, found, comparison, log)
+            _report(run, result, comparison, log, prediction)
         remember(run, console)
         if result["accepted"]:
             apply_run(logs, run.path)
@@ -223,14 +229,11 @@ def _judge(
     reference: Reference,
     run: RunFolder,
     recording: Recording,
-    log: Log,
     found: Refit,
     comparison: Comparison,
+    met: dict[str, Any],
 ) -> dict[str, Any]:
     """The content of `result.json`, with the gate's word and the reason if it is no."""
-    from agent.conditions import conditions
-
-    met = conditions(found.model, log)
     faults = gate_faults(recipe.gate.normalised_rmse, reference.model, found, met, comparison)
     nominal = found.model.robot.nominal_torque
     moved = [change for change in comparison.changes if change.moved]
@@ -330,15 +333,14 @@ def _diagnosis(reference: Reference, run: RunFolder, result: dict[str, Any], log
     return {"summary": f"{opening} {diagnosis_summary(found)}", "result": found}
 
 
-def _report(run: RunFolder, result: dict[str, Any], found: Refit, comparison: Comparison, log: Log) -> None:
+def _report(run: RunFolder, result: dict[str, Any], comparison: Comparison, log: Log, prediction: Prediction) -> None:
     from agent.analysis_log import write_analysis
     from agent.reports import recalibration_page
-    from agent.validation import predict_log
 
-    write_analysis(run.file("analysis.mcap"), log, predict_log(found.model, log))
+    write_analysis(run.file("analysis.mcap"), log, prediction)
     run.write_json("result.json", result)
     run.write_json("comparison.json", comparison.to_dict())
-    run.write_text("report.html", recalibration_page(run.path, result, found.model, comparison, log))
+    run.write_text("report.html", recalibration_page(result, comparison, log, prediction))
     run.complete(result["accepted"])
 
 

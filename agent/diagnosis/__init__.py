@@ -2,7 +2,8 @@
 
 from agent.diagnosis.diagnose import diagnose
 from agent.diagnosis.effects import CATALOGUE
+from agent.diagnosis.forward import Simulated, simulate, simulation_part
 from agent.diagnosis.model_effects import extended_model
 from agent.diagnosis.result import Diagnosis
 
-__all__ = ["CATALOGUE", "Diagnosis", "diagnose", "extended_model"]
+__all__ = ["CATALOGUE", "Diagnosis", "Simulated", "diagnose", "extended_model", "simulate", "simulation_part"]

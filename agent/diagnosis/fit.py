@@ -140,7 +140,7 @@ class Fit:
                 gram[cell][np.ix_(place, place)] += block[part].T @ block[part]
         count = np.array([part.stop - part.start for part in slices]) * len(rows)
         shared = {"cells": cells, "order": order, "slices": slices, "rows": rows, "gram": gram, "count": count}
-        return {**shared, "known": {}}
+        return {**shared, "known": {}, "made": {}}
 
     def _between(self, first: Candidate, second: Candidate) -> np.ndarray:
         """(cells, k, l) moments of two candidates with each other."""
@@ -227,21 +227,34 @@ class Fit:
     @property
     def values(self) -> list[np.ndarray]:
         """Per chosen effect (k,): its parameters fitted to all rows."""
-        parameters = self._solve(np.ones(self.cells, dtype=bool))[1]
-        ends = np.cumsum([len(c.names) for c in self.chosen])
-        return np.split(parameters[len(self.precision) :], ends[:-1]) if len(ends) else []
+        return self.fitted()[1]
 
     @property
     def change(self) -> np.ndarray:
         """(p,) change of the model's parameters, fitted to all rows together with the chosen effects."""
-        return self._solve(np.ones(self.cells, dtype=bool))[1][: len(self.precision)]
+        return self.fitted()[0]
+
+    def fitted(self, fold: Fold | None = None) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Change of the model's parameters (p,) and parameters of each chosen effect (k,): of all rows, or a fold's."""
+        train = np.ones(self.cells, dtype=bool) if fold is None else fold.train
+        change, effects = np.split(self._solve(train)[1], [len(self.precision)])
+        ends = np.cumsum([len(c.names) for c in self.chosen])
+        return change, np.split(effects, ends[:-1]) if len(ends) else []
 
     def candidate(self, effect: Effect, joints: tuple[int, ...], settings: Mapping[str, float]) -> Candidate:
         """Columns of an effect, filtered as the torque is."""
         return self.candidates([(effect, joints, settings)])[0]
 
     def candidates(self, wanted: Sequence[tuple[Effect, tuple[int, ...], Mapping[str, float]]]) -> list[Candidate]:
-        """Columns of several effects at once."""
+        """Columns of several effects at once; those asked for before are remembered."""
+        keys = [(effect, joints, tuple(settings.items())) for effect, joints, settings in wanted]
+        made = self._shared["made"]
+        new = {key: entry for key, entry in zip(keys, wanted, strict=True) if key not in made}
+        if new:
+            made.update(zip(new, self._make(list(new.values())), strict=True))
+        return [made[key] for key in keys]
+
+    def _make(self, wanted: Sequence[tuple[Effect, tuple[int, ...], Mapping[str, float]]]) -> list[Candidate]:
         parts: list[dict[int, list[np.ndarray]]] = [{} for _ in wanted]
         for signals, sigma in zip(self.signals, self.sigmas, strict=True):
             for kind in {effect for effect, *_ in wanted}:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from agent.diagnosis.effects import CATALOGUE
+from agent.diagnosis.forward import Simulated
 from agent.diagnosis.procedure import Step
 from agent.diagnosis.regimes import masks
 from agent.diagnosis.result import Diagnosis
@@ -18,7 +21,7 @@ _HEADLINES = {
 _REGIMES = ("standstill", "reversal", "low_speed", "high_speed", "high_load", "acceleration")
 
 
-def diagnosis_report(diagnosis: Diagnosis) -> str:
+def diagnosis_report(diagnosis: Diagnosis, simulated: Sequence[Simulated] = ()) -> str:
     """HTML text of the report."""
     result = diagnosis.result
     verdict = result["verdict"]

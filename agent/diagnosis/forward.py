@@ -1,0 +1,198 @@
+"""The gap in forward simulation: the same set-points run by the model alone, and by the model with the effects found.
+
+The arm is that of `agent.simulation`: rigid bodies and plain friction behind a servo of usual bandwidth, as late after
+the set-points as the measured motion is. Everything else that the model predicts (other friction terms, effects) is
+worked out along the motion that came out of the round before, the set-points at first, and acts in the next round as a
+torque from outside (waveform relaxation: Lelarasmee, Ruehli, Sangiovanni-Vincentelli, IEEE Trans. CAD 1, 1982). So every
+fitted form can drive the simulation, those with a memory too. Effects of the measurement are added to the simulated
+torque instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agent.diagnosis.model_effects import effect_torque, extended_model
+from agent.diagnosis.signals import Reference
+from agent.estimation.filtering import FilterSettings, Motion, motions, smooth_and_differentiate
+from agent.estimation.friction_terms import AxleMotion, axle_columns
+from agent.estimation.model import IdentifiedModel
+from agent.simulation import ForwardSimulation, RigidActuation, ServoGains
+
+if TYPE_CHECKING:
+    from agent.diagnosis.result import Diagnosis
+
+#: Of each log so much is simulated at most [s]; a simulation costs about a tenth of the motion's time.
+LONGEST = 10.0
+_ROUNDS = 2
+_POSITION_GAIN = 30.0  # 1/s
+_READING = ("torque_constant", "torque_offset", "time_delay")  # of the measurement: they move no arm
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """One log: what was measured, and what the model without and with the effects does with the same set-points.
+
+    time (S,) [s] of the log; errors (S, n), measured less simulated: `torque_before`, `torque_after` [N·m], filtered
+    alike, and `position_before`, `position_after` [rad]. `held_out`: the effects were fitted without this log.
+    """
+
+    log: str
+    time: np.ndarray
+    torque_before: np.ndarray
+    torque_after: np.ndarray
+    position_before: np.ndarray
+    position_after: np.ndarray
+    held_out: bool
+
+
+def simulate(diagnosis: Diagnosis) -> list[Simulated]:
+    """Simulate every log that has set-points, its longest stretch without a gap, at most `LONGEST` seconds of it."""
+    dataset = diagnosis.dataset
+    found = []
+    for number, log in enumerate(dataset.logs):
+        if log.reference_position is None:
+            continue
+        settings = FilterSettings(dataset.cutoff, dataset.model.order)
+        motion = max(motions(log, settings, reduce=False), key=lambda m: len(m.time))
+        motion = _cut(motion)
+        if motion.set_points is None or not np.all(np.isfinite(motion.set_points)):
+            continue
+        held_out = len(dataset.logs) > 1
+        extended = extended_model(diagnosis, without=number if held_out else None, once=True)
+        before = _follow(dataset.model, motion, number)
+        after = _follow(extended, motion, number) if extended.effects else before
+        torque = motion.low_pass(motion.torque)
+        found.append(
+            Simulated(
+                log.name,
+                motion.time[motion.kept],
+                torque - before[1],
+                torque - after[1],
+                (motion.q - before[0])[motion.kept],
+                (motion.q - after[0])[motion.kept],
+                held_out,
+            )
+        )
+    return found
+
+
+def simulation_part(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> dict[str, Any] | None:
+    """Plain figures per joint: root mean square error of torque over nominal, and of position [rad], all logs."""
+    if not simulated:
+        return None
+    nominal = diagnosis.dataset.robot.nominal_torque
+    unit = np.where(np.isfinite(nominal), nominal, 1.0)
+
+    def rms(name: str) -> np.ndarray:
+        return np.sqrt(np.mean(np.concatenate([getattr(s, name) for s in simulated]) ** 2, axis=0))
+
+    return {
+        "logs": [{"log": s.log, "seconds": float(s.time[-1] - s.time[0]), "held_out": s.held_out} for s in simulated],
+        "torque": {side: (rms(f"torque_{side}") / unit).tolist() for side in ("before", "after")},
+        "position": {side: rms(f"position_{side}").tolist() for side in ("before", "after")},
+    }
+
+
+def _cut(motion: Motion) -> Motion:
+    """The first `LONGEST` seconds, edges included."""
+    part = slice(0, int(LONGEST * motion.rate))
+    return replace(
+        motion,
+        time=motion.time[part],
+        q=motion.q[part],
+        qd=motion.qd[part],
+        qdd=motion.qdd[part],
+        torque=None if motion.torque is None else motion.torque[part],
+        set_points=None if motion.set_points is None else motion.set_points[part],
+    )
+
+
+def _follow(model: IdentifiedModel, motion: Motion, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (S, n) and filtered torque (S', n) of a model's arm that is given a motion's set-points."""
+    reading = tuple(entry for entry in model.effects if entry.effect in _READING)
+    arm = _Arm(replace(model, effects=tuple(e for e in model.effects if e not in reading)), motion, number)
+    position, extra = motion.set_points, arm.beyond(motion.set_points)
+    for _ in range(_ROUNDS):
+        position, torque = arm.run(extra)
+        extra = arm.beyond(position)
+    for entry in reading:
+        torque = torque + effect_torque(model, entry, arm.motion_of(position), torque)
+    return position, motion.low_pass(torque)
+
+
+class _Arm:
+    """Bodies, plain friction and servo of a model, and what the model predicts beyond them."""
+
+    def __init__(self, model: IdentifiedModel, motion: Motion, number: int):
+        self._model, self._motion, self._number = model, motion, number
+        self._reference = Reference(model)
+        robot = model.robot
+        self._coupling = robot.coupling
+        self._rotors = np.maximum(self._reference.rotors, 0.0)
+        friction = {form: np.zeros(robot.dof) for form in ("coulomb", "viscous", "quadratic")}
+        for term, value in zip(model.terms, model.values[len(model.independent) :], strict=True):
+            if term.form in friction:
+                friction[term.form][term.axle] = max(value, 0.0)
+        speed = np.abs(np.gradient(motion.set_points, 1 / motion.rate, axis=0) @ self._coupling.T)
+        self._friction = {**friction, "transition": np.maximum(1e-2 * speed.max(axis=0), 1e-6)}
+        bodies = np.mean([np.diag(self._reference.solid.mass_matrix(q)) for q in motion.set_points[::500]], axis=0)
+        self._inertia = bodies + robot.gear_ratios**2 * self._rotors
+
+    def run(self, extra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and torques (S, n) under the motion's set-points, against an `extra` torque (S, n)."""
+        motion, period = self._motion, 1 / self._motion.rate
+
+        def external(time: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+            return -extra[min(max(round(time / period), 0), len(extra) - 1)]
+
+        simulation = ForwardSimulation(
+            self._reference.solid,
+            self._rotors,
+            RigidActuation(**self._friction),
+            self._gains(),
+            period=period,
+            inner_rate=max(1000.0, motion.rate),
+            external=external,
+        )
+        simulation.rest(motion.set_points[0])
+        found = simulation.run(motion.set_points, np.gradient(motion.set_points, period, axis=0))
+        return found.motor_position @ np.linalg.inv(self._coupling).T, found.torque
+
+    def beyond(self, position: np.ndarray) -> np.ndarray:
+        """(S, n) torque that the model predicts along positions (S, n), less bodies and plain friction."""
+        moved, robot = self.motion_of(position), self._model.robot
+        q, qd, qdd = moved["q"], moved["qd"], moved["qdd"]
+        axles = AxleMotion.of(robot, q, qd, self._model.rigid.torque(q, qd, qdd, self._model.base_values))
+        columns = axle_columns(self._model.terms, axles)
+        torque = self._model.rigid.torque(q, qd, qdd, self._model.base_values)
+        values = self._model.values[len(self._model.independent) :]
+        torque = torque + columns * values @ self._coupling[[term.axle for term in self._model.terms]]
+        for entry in self._model.effects:
+            torque = torque + effect_torque(self._model, entry, moved, torque)
+        speed, f = qd @ self._coupling.T, self._friction
+        plain = f["coulomb"] * np.tanh(speed / f["transition"]) + f["viscous"] * speed
+        plain = plain + f["quadratic"] * np.abs(speed) * speed
+        rotors = robot.gear_ratios**2 * self._rotors * (qdd @ self._coupling.T)
+        return torque - self._reference.solid.inverse_dynamics(q, qd, qdd) - (plain + rotors) @ self._coupling
+
+    def motion_of(self, position: np.ndarray) -> dict[str, Any]:
+        """Smooth motion along positions (S, n), as effects take it."""
+        motion = self._motion
+        stop = min(1.5 * motion.pass_edge, 0.47 * motion.rate)
+        q, qd, qdd = smooth_and_differentiate(position, motion.rate, min(motion.pass_edge, 0.8 * stop), stop)
+        return {"time": motion.time, "q": q, "qd": qd, "qdd": qdd, "log": self._number}
+
+    def _gains(self) -> ServoGains:
+        """Usual ones, with the position loop as late behind the set-points as the measured motion is."""
+        motion = self._motion
+        speed = np.gradient(motion.set_points, 1 / motion.rate, axis=0)
+        energy = np.maximum(np.sum(speed**2, axis=0), 1e-12)
+        late = np.maximum(np.sum((motion.set_points - motion.q) * speed, axis=0) / energy - 1 / motion.rate, 0.0)
+        gain = np.minimum(_POSITION_GAIN, 1 / np.maximum(late, 1e-9))
+        usual = ServoGains.tuned(self._inertia, np.full(len(late), np.inf))
+        return replace(usual, position=gain, feedforward=1 - gain * late)
