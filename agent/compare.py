@@ -13,9 +13,12 @@ from agent.errors import InputError
 
 if TYPE_CHECKING:
     from agent.estimation import IdentifiedModel
+    from agent.recording.log import Log
 
 #: A parameter moved where the change is beyond this many of its standard deviations (one in a thousand by chance).
 BEYOND = 3.3
+#: Beside a cycle that is cut out of a log [s]: more than the filters drop at the ends.
+AROUND = 1.0
 
 
 @dataclass(frozen=True)
@@ -167,9 +170,9 @@ def compare_runs(before: Path, after: Path, console: Console) -> Comparison:
 
 
 def compare_models(
-    before: IdentifiedModel, after: IdentifiedModel, log: Any, before_name: str, after_name: str
+    before: IdentifiedModel, after: IdentifiedModel, log: Log, before_name: str, after_name: str
 ) -> Comparison:
-    """Compare two models of one robot along the motion of a log."""
+    """Compare two models of one robot along the motion of a log, one of its cycles where it repeats."""
     places = [{name: k for k, name in enumerate(model.names)} for model in (before, after)]
     deviation = change_deviations(before, after)
     kept = set(after.names[: len(after.independent)]) if share_base(before, after) else set()
@@ -179,7 +182,9 @@ def compare_models(
         for name, k in places[1].items()
         if name in places[0] and name not in kept
     )
-    difference, uncertainty = _torque_difference(before, after, log)
+    start, stop = log.middle_cycle()
+    part = log.between(start - AROUND, stop + AROUND)
+    difference, uncertainty = _torque_difference(before, after, part)
     return Comparison(
         before=before_name,
         after=after_name,
@@ -187,7 +192,7 @@ def compare_models(
         changes=changes,
         only_before=tuple(name for name in places[0] if name not in places[1]),
         only_after=tuple(name for name in places[1] if name not in places[0]),
-        motion=f"{log.path.parent.name}/{log.name}",
+        motion=("a cycle of " if log.cycle_starts else "") + f"{log.path.parent.name}/{log.name}",
         torque_rmse=np.sqrt(np.mean(difference**2, axis=0)),
         torque_largest=np.abs(difference).max(axis=0),
         deviation=uncertainty,
@@ -217,12 +222,11 @@ def share_base(before: IdentifiedModel, after: IdentifiedModel) -> bool:
     return np.array_equal(before.base_values, after.base_values)
 
 
-def _torque_difference(before: IdentifiedModel, after: IdentifiedModel, log: Any) -> tuple[np.ndarray, np.ndarray]:
+def _torque_difference(before: IdentifiedModel, after: IdentifiedModel, log: Log) -> tuple[np.ndarray, np.ndarray]:
     """(S, n) difference of the predictions [N·m], and (n,) root mean square of what uncertainty makes of it."""
     from agent.estimation.filtering import FilterSettings, motions
     from agent.estimation.refit import conditional_covariance
 
-    shared = share_base(before, after)
     settings = FilterSettings(after.cutoff, after.order)
     parts, variance, count = [], np.zeros(after.robot.dof), 0
     for m in motions(log, settings):
@@ -230,7 +234,7 @@ def _torque_difference(before: IdentifiedModel, after: IdentifiedModel, log: Any
         parts.append(m.low_pass(apart[1] - apart[0]))
         for model in (before, after):
             covariance = model.covariance
-            if shared:
+            if share_base(before, after):
                 b = len(model.independent)
                 covariance = np.zeros_like(model.covariance)
                 covariance[b:, b:] = conditional_covariance(model)

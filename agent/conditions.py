@@ -11,6 +11,7 @@ from agent.recording.log import Log
 
 if TYPE_CHECKING:
     from agent.estimation import IdentifiedModel
+    from agent.validation import Prediction
 
 #: Friction is compared at these shares of the highest speed the axle had in the loop.
 SHARES = (0.15, 0.6)
@@ -74,31 +75,24 @@ def _steady(term: Any, speed: float) -> float:
     return 0.0  # an offset and an asymmetry are no friction level; load friction counts from no load
 
 
-def warm_up(model: IdentifiedModel, log: Log) -> WarmUp:
+def warm_up(log: Log, prediction: Prediction) -> WarmUp:
     """How friction changed while the arm moved: its scale against the model's, cycle by cycle, over time.
 
-    For each cycle the scale is <F, F + e> / <F, F> over moving samples, F the model's friction torque and e what the
-    model leaves; the rate is the slope of a straight line through the cycles.
+    For each cycle the scale is <F, F + e> / <F, F>, F the model's friction torque and e what the model leaves; the rate
+    is the slope of a straight line through the cycles.
     """
-    from agent.estimation.filtering import FilterSettings, motions
-
-    n = model.robot.dof
+    n = prediction.model.robot.dof
     nothing = np.full(n, np.nan)
     starts = np.asarray(log.cycle_starts, dtype=float)
     if len(starts) < _FEWEST_CYCLES:
         return WarmUp(nothing, nothing)
     length = float(np.median(np.diff(starts)))
     numerator, denominator = np.zeros((len(starts), n)), np.zeros((len(starts), n))
-    for motion in motions(log, FilterSettings(model.cutoff, model.order)):
-        torque = model.predict(motion.q, motion.qd, motion.qdd, motion.time)
-        friction = torque - model.rigid.torque(motion.q, motion.qd, motion.qdd, model.base_values)
-        kept = motion.low_pass(np.hstack([motion.torque - torque, friction]))
-        error, force = kept[:, :n], kept[:, n:]
-        time = motion.time[motion.kept]
-        cycle = np.searchsorted(starts, time, side="right") - 1
-        inside = (cycle >= 0) & (time < starts[np.maximum(cycle, 0)] + length)
-        np.add.at(numerator, cycle[inside], force[inside] * error[inside])
-        np.add.at(denominator, cycle[inside], force[inside] ** 2)
+    for cycle, start in enumerate(starts):
+        inside = slice(*np.searchsorted(prediction.time, (start, start + length)))
+        force = prediction.friction[inside]
+        error = prediction.measured[inside] - prediction.predicted[inside]
+        numerator[cycle], denominator[cycle] = np.sum(force * error, axis=0), np.sum(force**2, axis=0)
     whole = np.all(denominator > 0, axis=1)
     if whole.sum() < _FEWEST_CYCLES:
         return WarmUp(nothing, nothing)
@@ -110,13 +104,18 @@ def warm_up(model: IdentifiedModel, log: Log) -> WarmUp:
     return WarmUp(rate, deviation)
 
 
-def conditions(model: IdentifiedModel, log: Log) -> dict[str, Any]:
-    """What `result.json` says of a run's conditions and of the friction it met, as plain data."""
+def conditions(log: Log, prediction: Prediction) -> dict[str, Any]:
+    """What `result.json` says of a run's conditions and of the friction it met, as plain data.
+
+    Args:
+        log: the excitation, of which `prediction` is.
+    """
     from agent.robot.drivetrain import axle_motion
 
+    model = prediction.model
     speed = np.gradient(log.position, log.t, axis=0) if log.velocity is None else log.velocity
     top = np.quantile(np.abs(axle_motion(model.robot, speed)), 0.99, axis=0)
-    found = warm_up(model, log)
+    found = warm_up(log, prediction)
     return {
         "cycles": len(log.cycle_starts),
         "motion_s": float(log.t[-1] - log.t[0]),

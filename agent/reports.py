@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from agent.compare import AROUND
 from agent.console import Console
 from agent.errors import InputError
 from agent.history import open_history, read_run
@@ -44,26 +45,15 @@ def further_sections(
     return sections
 
 
-def recalibration_page(
-    run: Path, result: dict[str, Any], model: IdentifiedModel, comparison: Comparison, log: Log
-) -> str:
-    """HTML of a recalibration's report."""
+def recalibration_page(result: dict[str, Any], comparison: Comparison, log: Log, prediction: Prediction) -> str:
+    """HTML of a recalibration's report; `prediction` is of its `log`."""
     from agent.report.comparison_sections import comparison_section
     from agent.report.log_sections import log_section
     from agent.report.recalibration_report import RecalibrationData, recalibration_report
     from agent.report.residual_sections import residual_section
-    from agent.validation import predict_log
 
-    prediction = predict_log(model, log)
-    # one cycle from the middle of the run, so that the plot can be read
-    cycles, middle = log.cycle_starts, len(log.cycle_starts) // 2
-    start, stop = (cycles[middle - 1], cycles[middle]) if len(cycles) > 1 else (0.0, log.t[-1])
-    chosen = np.flatnonzero((prediction.time >= start) & (prediction.time <= stop))
-    chosen = chosen[:: max(1, len(chosen) // 1500)]
-    parts = (prediction.time, prediction.measured, prediction.predicted, prediction.half_width)
-    time, measured, predicted, half_width = (part[chosen] for part in parts)
     sections = (comparison_section(comparison), residual_section([prediction]), log_section([log]))
-    data = RecalibrationData(result, model.rows(), (time, measured, predicted, half_width), sections)
+    data = RecalibrationData(result, prediction.model.rows(), _shown_cycle(log, prediction), sections)
     return recalibration_report(data)
 
 
@@ -116,6 +106,18 @@ def watch_lines(logs: Path, robot: str, serial: str) -> list[str]:
         return [line for one in watch(history.runs(robot, serial)) for line in one.lines()]
 
 
+def _shown_cycle(log: Log, prediction: Prediction) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Time (S,), measured, predicted and half width of the bounds (S, n) along one cycle, few enough to be drawn."""
+    from agent.validation import predict_log
+
+    start, stop = log.middle_cycle()
+    # bounds cost a regressor for every sample, so they are made for these alone
+    part = predict_log(prediction.model, log.between(start - AROUND, stop + AROUND))
+    chosen = np.flatnonzero((part.time >= start) & (part.time <= stop))
+    chosen = chosen[:: max(1, len(chosen) // 1500)]
+    return part.time[chosen], part.measured[chosen], part.predicted[chosen], part.half_width[chosen]
+
+
 def _calibration(run: Path, recipe: Recipe, result: dict[str, Any]) -> str:
     from agent.estimation import IdentifiedModel
     from agent.planning import replan
@@ -138,11 +140,12 @@ def _recalibration(run: Path, recipe: Recipe, result: dict[str, Any], console: C
     from agent.compare import Comparison
     from agent.estimation import IdentifiedModel
     from agent.identify import read_logs
+    from agent.validation import predict_log
 
     model = IdentifiedModel.load(run / "model.json")
     (log,) = read_logs([run / "excitation.mcap"], recipe.robot, console)
     comparison = Comparison.from_dict(json.loads((run / "comparison.json").read_text(encoding="utf-8")))
-    return recalibration_page(run, result, model, comparison, log)
+    return recalibration_page(result, comparison, log, predict_log(model, log))
 
 
 def _recipe(run: Path) -> Recipe:

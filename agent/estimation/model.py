@@ -100,13 +100,24 @@ class IdentifiedModel:
         Raises:
             InputError: the model has an effect that is not known here.
         """
+        return self.predict_parts(q, qd, qdd, time)[0]
+
+    def predict_parts(
+        self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, time: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What `predict` returns, and what the friction terms have in it; both (S, n) [N·m].
+
+        Raises:
+            InputError: the model has an effect that is not known here.
+        """
         rigid = self.rigid.torque(q, qd, qdd, self.base_values)
-        friction = axle_columns(self.terms, AxleMotion.of(self.robot, q, qd, rigid))
-        torque = rigid + friction * self.values[len(self.independent) :] @ self._friction_share
+        columns = axle_columns(self.terms, AxleMotion.of(self.robot, q, qd, rigid))
+        friction = columns * self.values[len(self.independent) :] @ self._friction_share
+        torque = rigid + friction
         motion = {"time": time, "q": q, "qd": qd, "qdd": qdd}
         for entry in self.effects:
             torque = torque + _effect(entry)(self, entry, motion, torque)
-        return torque
+        return torque, friction
 
     def prediction_interval(self, columns: np.ndarray, probability: float = 0.95) -> np.ndarray:
         """(S, n) half width [N·m] around a prediction from regressor columns (S, n, p), filtered as it is.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +51,36 @@ class Log:
     def name(self) -> str:
         """File name, as results report it."""
         return self.path.name
+
+    def between(self, start: float, stop: float) -> Log:
+        """The samples from `start` to `stop` [s], a view; times and cycle starts stay those of the whole log."""
+        first, last = np.searchsorted(self.t, (start, stop))
+        chosen = slice(first, last)
+
+        def part(values: np.ndarray | None) -> np.ndarray | None:
+            return None if values is None else values[chosen]
+
+        clipped = [(max(a, first) - first, min(b, last) - first) for a, b in self.segments]
+        return replace(
+            self,
+            t=self.t[chosen],
+            position=self.position[chosen],
+            velocity=part(self.velocity),
+            effort=part(self.effort),
+            reference_position=part(self.reference_position),
+            planned_position=part(self.planned_position),
+            segments=tuple((int(a), int(b)) for a, b in clipped if a < b),
+            cycle_starts=tuple(cycle for cycle in self.cycle_starts if start <= cycle < stop),
+        )
+
+    def middle_cycle(self) -> tuple[float, float]:
+        """Start and end [s] of the cycle nearest the middle of the log that has no gap; of all of it where none is."""
+        cycles = list(zip(self.cycle_starts, self.cycle_starts[1:], strict=False))
+        spans = [(self.t[a], self.t[b - 1]) for a, b in self.segments]
+        whole = [(start, stop) for start, stop in cycles if any(a <= start and stop <= b for a, b in spans)]
+        half = float(self.t[0] + self.t[-1]) / 2
+        everything = (float(self.t[0]), float(self.t[-1]))
+        return min(whole, key=lambda cycle: abs(sum(cycle) / 2 - half), default=everything)
 
 
 def motion_name(program: Path) -> str:

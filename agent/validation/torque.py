@@ -22,7 +22,8 @@ _MOVING = 1e-3  # of a joint's highest speed by the robot description
 class Prediction:
     """Measured and predicted torque of one log, both filtered alike, edges dropped. S samples, n joints.
 
-    time (S,) [s]; measured, predicted (S, n) [N·m]; moving (S,): where any joint moves.
+    time (S,) [s]; measured, predicted (S, n) [N·m]; friction (S, n): what the friction terms have in the prediction;
+    moving (S,): where any joint moves.
     """
 
     model: IdentifiedModel
@@ -31,6 +32,7 @@ class Prediction:
     time: np.ndarray
     measured: np.ndarray
     predicted: np.ndarray
+    friction: np.ndarray
     moving: np.ndarray
     _motions: tuple[Any, ...]
 
@@ -69,20 +71,21 @@ def predict_log(model: IdentifiedModel, log: Log, cutoff: float | None = None) -
     check_log(model.robot, log)
     settings = FilterSettings(model.cutoff if cutoff is None else cutoff, model.order)
     stretches = tuple(motions(log, settings, reduce=False))
-    time, measured, predicted, moving = [], [], [], []
+    time, torques, moving = [], [], []
     for motion in stretches:
-        torque = model.predict(motion.q, motion.qd, motion.qdd, motion.time)
+        parts = model.predict_parts(motion.q, motion.qd, motion.qdd, motion.time)
         time.append(motion.time[motion.kept])
-        measured.append(motion.low_pass(motion.torque))
-        predicted.append(motion.low_pass(torque))
+        torques.append(motion.low_pass(np.hstack([motion.torque, *parts])))
         moving.append(np.any(np.abs(motion.qd[motion.kept]) > _MOVING * model.robot.max_velocity, axis=1))
+    measured, predicted, friction = np.split(np.concatenate(torques), 3, axis=1)
     return Prediction(
         model=model,
         log=log.name,
         cutoff=resolve_cutoff(log, settings),
         time=np.concatenate(time),
-        measured=np.concatenate(measured),
-        predicted=np.concatenate(predicted),
+        measured=measured,
+        predicted=predicted,
+        friction=friction,
         moving=np.concatenate(moving),
         _motions=stretches,
     )
