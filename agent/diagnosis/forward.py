@@ -3,9 +3,9 @@
 The arm is that of `agent.simulation`: rigid bodies and plain friction behind a servo of usual bandwidth, as late after
 the set-points as the measured motion is. Everything else that the model predicts (other friction terms, effects) is
 worked out along the motion that came out of the round before, the set-points at first, and acts in the next round as a
-torque from outside (waveform relaxation: Lelarasmee, Ruehli, Sangiovanni-Vincentelli, IEEE Trans. CAD 1, 1982). So every
-fitted form can drive the simulation, those with a memory too. Effects of the measurement are added to the simulated
-torque instead.
+torque from outside (waveform relaxation: Lelarasmee, Ruehli, Sangiovanni-Vincentelli, IEEE Trans. CAD 1, 1982), so
+every fitted form can drive the simulation, those with a memory too. Effects of the measurement are added to the
+simulated torque instead.
 """
 
 from __future__ import annotations

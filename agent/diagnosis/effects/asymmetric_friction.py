@@ -10,7 +10,7 @@ class AsymmetricFriction(Effect):
 
     name = "asymmetric_friction"
     formula = "a · |s| + b · |w|"
-    source = "Armstrong, Control of Machines with Friction (1991); Janot, Gautier, Brunot, EMPS benchmark (2019)"
+    source = "Armstrong-Hélouvry, Control of Machines with Friction (1991); Janot, Gautier, Brunot, EMPS benchmark"
     signature = "residual of one sign while the joint moves either way, gone at standstill or growing with speed"
     confused_with = ("torque_offset",)
     look_at = "one-sided bearing load, seals, preload of a screw or belt"

@@ -12,7 +12,7 @@ class EncoderOffset(Effect):
 
     name = "encoder_offset"
     formula = "−a · ∂τ_bodies / ∂q_k"
-    source = "Khalil, Dombre, Modeling, Identification and Control of Robots (2002), ch. 11"
+    source = "torque expanded in q_k; Khalil, Dombre, Modeling, Identification and Control of Robots (2002)"
     signature = "residual like gravity turned about one joint, on this and the neighbouring joints"
     confused_with = ("inertial_mismatch", "gravity_spring", "base_tilt")
     look_at = "calibration mark of this joint; a motor, belt or encoder that was changed"

@@ -8,7 +8,7 @@ class FrictionChange(Effect):
 
     name = "friction_change"
     formula = "a · s + b · w"
-    source = "Bittencourt, Axelsson, J. Dynamic Systems, Measurement and Control 136 (2014)"
+    source = "Bittencourt, Axelsson, identification of wear in a robot joint, report LiTH-ISY-R-3058 (2013)"
     signature = "residual with the sign of the speed at all speeds, and growing in proportion to it"
     confused_with = ("torque_constant", "thermal_friction", "load_dependent_friction")
     look_at = "wear and lubrication of the gear, brake that drags, bearing preload"

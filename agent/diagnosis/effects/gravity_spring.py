@@ -10,7 +10,7 @@ class GravitySpring(Effect):
 
     name = "gravity_spring"
     formula = "Σ a_h · cos(h q) + b_h · sin(h q), h = 1 or 1, 2"
-    source = "Jubien, Gautier, IROS (2013); Dolinsky, Jenkinson, Colquhoun, J. Robotic Systems 24 (2007)"
+    source = "two pivots and a spring: Klimchik, Wu, Caro, Dumas, Furet, Pashkevich, arXiv:1311.6674 (2013)"
     signature = "residual that is a smooth function of the joint's own angle, like a pendulum's"
     confused_with = ("dress_pack", "inertial_mismatch", "torque_offset")
     look_at = "balancer: spring, gas pressure of the cylinder, its pivots"

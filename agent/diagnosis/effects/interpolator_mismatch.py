@@ -9,7 +9,7 @@ class InterpolatorMismatch(Effect):
     name = "interpolator_mismatch"
     scope = "arm"
     formula = "r(t) − p(t)"
-    source = "Villagrossi, Pedrocchi, Beschi, Molinari Tosatti, AIM (2013): the interpolator decides the motion"
+    source = "Villagrossi, Pedrocchi, Vicentini, Molinari Tosatti, AIM (2013): the interpolator decides the motion"
     signature = "torque at its floor, set-points away from the plan"
     look_at = "override, fly settings and acceleration ramps of the controller against those planned with"
 

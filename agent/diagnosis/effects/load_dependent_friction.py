@@ -10,7 +10,7 @@ class LoadDependentFriction(Effect):
 
     name = "load_dependent_friction"
     formula = "a · s · |τ_load|"
-    source = "Hamon, Gautier, Garrec, IROS (2010)"
+    source = "Bittencourt, Wernholt, Sander-Tavallaey, Brogårdh, IROS (2010)"
     signature = "residual with the sign of the speed, larger where the arm reaches out or accelerates"
     confused_with = ("friction_change", "torque_constant")
     look_at = "gear efficiency: tooth or wave-generator wear, overload"

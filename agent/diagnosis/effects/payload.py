@@ -18,7 +18,7 @@ class Payload(Effect):
     name = "payload"
     scope = "arm"
     formula = "Y_n · (m, m c, I(m, c)), a ball on the last link"
-    source = "Khalil, Gautier, Lemoine, ICRA (2007)"
+    source = "Atkeson, An, Hollerbach, Int. J. Robotics Research 5 (1986): loads"
     signature = "residual of weight and inertia on all joints, as of a mass at the flange"
     confused_with = ("inertial_mismatch", "base_tilt")
     look_at = "what hangs on the flange: tool, part, mass entered in the controller"

@@ -13,7 +13,7 @@ class TimeDelay(Effect):
     name = "time_delay"
     scope = "arm"
     formula = "τ(t − d) − τ(t)"
-    source = "Swevers, Verdonck, De Schutter, IEEE Control Systems 27 (2007)"
+    source = "by definition: the torque channel shifted against the position channel"
     signature = "residual on all joints wherever torque changes fast"
     confused_with = ("joint_elasticity",)
     look_at = "time stamps and filters of the torque and position channels"

@@ -10,7 +10,7 @@ class TorqueOffset(Effect):
 
     name = "torque_offset"
     formula = "a"
-    source = "Swevers, Verdonck, De Schutter, IEEE Control Systems 27 (2007)"
+    source = "by definition: a constant added to the torque channel"
     signature = "constant residual"
     confused_with = ("asymmetric_friction", "gravity_spring", "dress_pack")
     twins = ("asymmetric_friction",)

@@ -14,7 +14,7 @@ class TorqueRipple(Effect):
 
     name = "torque_ripple"
     formula = "a · cos(ν x) + b · sin(ν x)"
-    source = "Hung, Ding, IEE Proc. B 140 (1993); Simon, Sahinoglu, IEEE T-IE: harmonic gear torque ripple"
+    source = "Hung, Ding, IEE Proc. B 140 (1993)"
     signature = "a line in the residual over the angle of motor or gear, whatever the speed"
     confused_with = ()
     look_at = "motor orders: cogging, current sensor offsets; gear orders: damaged teeth, wave generator"

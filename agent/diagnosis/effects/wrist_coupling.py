@@ -15,7 +15,7 @@ class WristCoupling(Effect):
     name = "wrist_coupling"
     scope = "pair"
     formula = "τ = Cᵀ f(C q̇) − f(q̇), C with r in row j, column i"
-    source = "Gautier, Briot, Int. J. Robotics Research; Khalil, Dombre (2002), ch. 9: coupled wrists"
+    source = "power is kept, so torques go by the transpose: Khalil, Dombre (2002), coupled transmissions"
     signature = "residual on two wrist axes, each with the speed and acceleration of the other"
     confused_with = ("friction_change",)
     look_at = "motor_coupling in the robot description; coupling compensation of the controller"
