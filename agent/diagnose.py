@@ -105,11 +105,17 @@ def _diagnose(robot: RobotDescription, paths: Sequence[Path], question: Question
 
 
 def _check(question: Question, logs: Sequence[Path]) -> None:
-    """Outputs that cannot be written are refused before the work.
+    """What makes no sense is refused before the work, and before anything moves.
 
     Raises:
-        InputError: a folder, a missing folder, or a log or model that would be overwritten.
+        InputError: an output that cannot be written or would overwrite an input, an unknown effect, or no model.
     """
+    from agent.diagnosis import check_effects
+    from agent.estimation import IdentifiedModel
+
+    check_effects(question.without)
+    if question.model is not None:
+        IdentifiedModel.load(question.model)
     inputs = [*logs, *([question.model] if question.model else [])]
     for out in (question.report, question.out):
         if out is not None:

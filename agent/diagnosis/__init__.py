@@ -1,9 +1,18 @@
 """The sim-to-real gap: where it lies, which effect causes it, how far it shrinks."""
 
-from agent.diagnosis.diagnose import diagnose
+from agent.diagnosis.diagnose import check_effects, diagnose
 from agent.diagnosis.effects import CATALOGUE
 from agent.diagnosis.forward import Simulated, simulate, simulation_part
 from agent.diagnosis.model_effects import extended_model
 from agent.diagnosis.result import Diagnosis
 
-__all__ = ["CATALOGUE", "Diagnosis", "Simulated", "diagnose", "extended_model", "simulate", "simulation_part"]
+__all__ = [
+    "CATALOGUE",
+    "Diagnosis",
+    "Simulated",
+    "check_effects",
+    "diagnose",
+    "extended_model",
+    "simulate",
+    "simulation_part",
+]

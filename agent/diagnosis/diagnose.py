@@ -33,13 +33,20 @@ def diagnose(
     """
     if not logs:
         raise InputError("no logs were given, so there is nothing to diagnose")
-    for name in without:
-        if name not in CATALOGUE:
-            raise InputError(f"--without {name}: no such effect; known are {', '.join(CATALOGUE)}")
+    check_effects(without)
     dataset = assemble(robot, model, logs, cutoff)
     search = Search(dataset.fit, without)
     finding = search.run()
     return build(dataset, finding, search, motion_gap(logs), tuple(_warnings(robot, logs, model is not None)))
+
+
+def check_effects(names: Sequence[str]) -> None:
+    """Raises:
+    InputError: a name that is not in the vocabulary.
+    """
+    for name in names:
+        if name not in CATALOGUE:
+            raise InputError(f"--without {name}: no such effect; known are {', '.join(CATALOGUE)}")
 
 
 def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool) -> Iterator[str]:

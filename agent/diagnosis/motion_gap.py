@@ -15,7 +15,7 @@ NOTABLE = 5e-4  # rad, root mean square on the worst joint
 
 @dataclass(frozen=True, eq=False)
 class MotionGap:
-    """before, after, floor (n,) [rad]; rate a, shift b [s] and blend [s] of the last fit; per log the deviation."""
+    """before, after, floor (n,) [rad]; rate a, shift b [s] and blend [s] of the fit, 1, 0, 0 where it helps nothing."""
 
     before: np.ndarray
     after: np.ndarray
@@ -47,16 +47,19 @@ def motion_gap(logs: Sequence[Log]) -> MotionGap | None:
             return None
         pairs.append((log.t[good], log.planned_position[good], log.reference_position[good]))
     before = _rms([executed - planned for _, planned, executed in pairs])
-    if before.max() <= NOTABLE:
-        return MotionGap(before, before, _floor(logs, [e - p for _, p, e in pairs]), 1.0, 0.0, 0.0)
+    as_it_is = MotionGap(before, before, _floor(logs, [e - p for _, p, e in pairs]), 1.0, 0.0, 0.0)
+    if not as_it_is.notable:
+        return as_it_is
     fitted = [_fit(*pair) for pair in pairs]
     errors = []
     for number, pair in enumerate(pairs):
-        others = [found for k, found in enumerate(fitted) if k != number] or fitted
-        rate, blend = (float(np.median([found[k] for found in others])) for k in (0, 2))
+        others = [one for k, one in enumerate(fitted) if k != number] or fitted
+        rate, blend = (float(np.median([other[k] for other in others])) for k in (0, 2))
         errors.append(pair[2] - _executed(*pair[:2], rate, fitted[number][1], blend))
-    rate, shift, blend = (float(np.median([found[k] for found in fitted])) for k in range(3))
-    return MotionGap(before, _rms(errors), _floor(logs, errors), rate, shift, blend)
+    rate, shift, blend = (float(np.median([one[k] for one in fitted])) for k in range(3))
+    found = MotionGap(before, _rms(errors), _floor(logs, errors), rate, shift, blend)
+    # other corners and ramps are no change of rate: what one motion teaches then makes another one worse
+    return found if np.sum(found.after**2) < np.sum(before**2) else as_it_is
 
 
 def _rms(parts: Sequence[np.ndarray]) -> np.ndarray:
