@@ -21,8 +21,7 @@ from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.wire.modbus import Block
 
 # What goes wrong is told by exceptions; the library would print it as well.
-logging.getLogger("pymodbus").addHandler(logging.NullHandler())
-logging.getLogger("pymodbus").propagate = False
+logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
 _READ_ATTEMPTS = 2
 _FLOOD = 4096  # bytes without an answer among them

@@ -5,6 +5,8 @@ from __future__ import annotations
 from drivers.errors import ProtocolError
 from drivers.protocol import Gap, SampleBlock
 
+_JITTER = 25  # steps between two neighbours are none: 50 ms at 500 Hz
+
 
 class Sequencer:
     """Takes blocks as they come and gives every sample once, in order, from sequence number 0.
@@ -19,6 +21,8 @@ class Sequencer:
         self._gaps: list[Gap] = []
         self._held: dict[int, SampleBlock] = {}
         self._latest = float("-inf")
+        self._released = 0  # the sequence number after the last sample that was given
+        self._step: float | None = None  # [s] between samples, by the first of them
 
     @property
     def gaps(self) -> tuple[Gap, ...]:
@@ -34,7 +38,8 @@ class Sequencer:
         """The blocks that are in order now; may be none.
 
         Raises:
-            ProtocolError: old sequence numbers with new times, so the controller counts from the start again.
+            ProtocolError: old sequence numbers with new times, or neighbours far apart in time: the controller counts
+                from the start again.
         """
         first = int(block.sequence[0])
         if first < self.expected and block.time[0] > self._latest:
@@ -78,7 +83,23 @@ class Sequencer:
             self.duplicates += min(known, len(block))
             block = block.part(known) if known else block
             if len(block):
+                self._check_step(block)
                 ready.append(block)
                 self.expected += len(block)
+                self._released = self.expected
                 self._latest = float(block.time[-1])
         return ready
+
+    def _check_step(self, block: SampleBlock) -> None:
+        """A counter that was reset and has caught up since shows in the times only."""
+        if not self._released:
+            self._step = float(block.time[-1] - block.time[0]) / (len(block) - 1) if len(block) > 1 else None
+            return
+        steps, apart = self.expected + 1 - self._released, float(block.time[0]) - self._latest
+        if self._step is None:
+            self._step = apart / steps
+        elif apart > _JITTER * self._step * steps:
+            raise ProtocolError(
+                f"the controller's samples {self._released - 1} and {self.expected} are {apart:.3g} s apart: its "
+                "counter was reset in mid-motion"
+            )

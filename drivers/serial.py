@@ -14,6 +14,7 @@ from typing import Any
 from pymodbus.client import ModbusSerialClient
 from pymodbus.client.base import ModbusBaseSyncClient
 
+from drivers.errors import DriverError
 from drivers.frame_link import Link
 from drivers.frames import FrameDriver
 from drivers.modbus import MakeClient, ModbusDriver
@@ -21,7 +22,7 @@ from drivers.motion import Motion
 from drivers.serial_port import SerialChannel, open_port, parse_port
 from drivers.wire import modbus as registers
 from drivers.wire.serial import UPLOAD_BLOCK, HuntingDecoder, decode, frame_time, samples_per_second
-from drivers.wire.tcp import MAX_BATCH, Fetch
+from drivers.wire.tcp import MAX_BATCH, End, Fetch, Samples
 
 _FRAMES_IN_WATCHDOG = 3
 _RTU_EXCHANGE = 8 + 255  # bytes of the longest request and its answer
@@ -60,6 +61,8 @@ class SerialDriver(FrameDriver):
         self._watchdog = max(self._watchdog, _FRAMES_IN_WATCHDOG * frame_time(self._line.baud))
         self._progress = self._fetched = 0.0
         self._fetching: tuple[int, int] | None = None
+        self._starting = False
+        self._moved: float | None = None  # when the first message of a motion came whose start is not answered yet
 
     def start(self, name: str, checksum: str) -> None:
         """Run the stored program once; tells where its samples will come later than the motion."""
@@ -67,7 +70,11 @@ class SerialDriver(FrameDriver):
         carried = samples_per_second(self._line.baud, len(identity.joint_names))
         _say_if_slow(self._line.baud, carried, identity.period)
         self._progress = time.monotonic()
-        super().start(name, checksum)
+        self._moved, self._starting = None, True
+        try:
+            super().start(name, checksum)
+        finally:
+            self._starting = False
 
     def _open(self) -> Link:
         return Link(
@@ -93,17 +100,24 @@ class SerialDriver(FrameDriver):
 
     def _on_message(self, message: Any, request: int) -> None:
         self._progress = time.monotonic()
+        if self._moved is None and isinstance(message, (Samples, End)):
+            self._moved = self._progress
         super()._on_message(message, request)
 
     def _on_turn(self) -> None:
         """A damaged frame may have been the answer to a fetch, or the end: ask for what comes next."""
+        now = time.monotonic()
+        patience = _PATIENCE + frame_time(self._line.baud, _BUFFERED)
+        if self._starting and self._moved is not None and now - self._moved > patience:
+            raise DriverError(
+                f"the arm at {self.address} moves, but the answer to its start was lost; the link was closed, which "
+                "stops the arm"
+            )
         motion, link = self._motion, self._link
         if motion is None or link is None or motion.over or not link.guarded:
             return
-        now = time.monotonic()
         if motion.fetching != self._fetching:
             self._fetching, self._fetched = motion.fetching, now
-        patience = _PATIENCE + frame_time(self._line.baud, _BUFFERED)
         late = now - self._progress > patience
         if late or (motion.fetching is not None and now - self._fetched > patience):
             self._progress = now

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.errors import AgentError, InputError
-from fake_controller.servers import DRIVERS
+from fake_controller.servers import WIRES
 
 if TYPE_CHECKING:
     from fake_controller.controller import Controller
@@ -49,6 +49,9 @@ def main(arguments: list[str] | None = None) -> int:
     except OSError as error:
         where = options.serial_port or f"{options.address}:{options.port}"
         print(f"fake controller: cannot listen at {where}: {error.strerror}; is the port taken?", file=sys.stderr)
+        return 2
+    except ValueError as error:
+        print(f"fake controller: {options.scenario}: {error}; choose another --driver", file=sys.stderr)
         return 2
     try:
         if options.ready_file is not None:
@@ -107,9 +110,7 @@ def _parser() -> argparse.ArgumentParser:
         description="An emulated robot controller: it runs the PDL2 programs it is sent on a simulated arm.",
     )
     parser.add_argument("--robot", help="built-in robot (comau_ns16 if none is named), or path of a robot.yaml")
-    parser.add_argument(
-        "--driver", choices=DRIVERS, default="tcp", help="which driver's wire to speak; rtu is serial's"
-    )
+    parser.add_argument("--driver", choices=WIRES, default="tcp", help="which driver's wire to speak; rtu is serial's")
     parser.add_argument("--port", type=_port, default=9100, help="TCP port; 0 takes a free one and prints it")
     parser.add_argument("--address", default="127.0.0.1", help="where to listen; others cannot connect by default")
     parser.add_argument("--baud", type=_baud, default=115_200, help="of a serial line, bits per second")

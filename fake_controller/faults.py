@@ -2,13 +2,13 @@
 
 A fault waits for its phase and acts once. Those of the wire sit between a server and its line: servers send every
 frame through `Faults.send` and take what came through `Faults.heard`. Those of the machine are the controller's to
-suffer. Neither knows which wire it is.
+suffer. Neither knows which wire it is; `NOT_ON` has what makes no sense on which.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 #: When a fault strikes: as a client is greeted, as a program comes, as it is started, after so much motion, on a stop.
@@ -19,7 +19,7 @@ _EVERY = frozenset(PHASES)
 WIRE = {
     "refuse": frozenset({"connect"}),  # nobody listens
     "silent": _EVERY,  # nothing is sent any more, heartbeats neither
-    "drop": _EVERY,  # the connection ends in mid-frame
+    "drop": _EVERY,  # the connection ends in mid-frame; of a line the plug comes out
     "delay": _EVERY,  # by `value` seconds
     "reorder": _EVERY,  # a frame comes after the one behind it
     "duplicate": _EVERY,
@@ -42,6 +42,9 @@ MACHINE = {
     "full_memory": frozenset({"upload"}),
 }
 FAULTS = {**WIRE, **MACHINE}
+_ONE_ANSWER = "it sends one answer at a time, so none can overtake another"
+#: Faults that make no sense on a wire, and why.
+NOT_ON = {"reorder": {"modbus": _ONE_ANSWER, "rtu": _ONE_ANSWER}}
 _DEFAULT_VALUE = {"delay": 0.1, "override": 0.5, "slow": 3.0}
 _TOO_LONG = 60.0  # s; longer than anybody waits
 
@@ -74,6 +77,16 @@ class Fault:
         return self.value or _DEFAULT_VALUE.get(self.name, 0.0)
 
 
+def check_wire(faults: Iterable[Fault], wire: str) -> None:
+    """Raises:
+    ValueError: a fault makes no sense on this wire.
+    """
+    for fault in faults:
+        reason = NOT_ON.get(fault.name, {}).get(wire)
+        if reason is not None:
+            raise ValueError(f"{fault.name} makes no sense on {wire}: {reason}")
+
+
 class Faults:
     """Those that wait, and what has become of the wire. Thread-safe."""
 
@@ -82,8 +95,12 @@ class Faults:
         self._waiting = list(faults)
         self._armed: list[Fault] = []
         self._held: bytes | None = None
-        self._silent = False
-        self._deaf = False
+        self._silent = self._deaf = self.refusing  # nobody there: on a line that is all there is to notice
+
+    @property
+    def waiting(self) -> tuple[Fault, ...]:
+        """Those that did not strike yet."""
+        return tuple(self._waiting)
 
     @property
     def refusing(self) -> bool:
@@ -108,19 +125,23 @@ class Faults:
         """What arrives of what a client sent."""
         return b"" if self._deaf else data
 
+    def unplug(self) -> None:
+        """Nothing passes any more, either way."""
+        self._silent = self._deaf = True
+
     def heal(self) -> None:
         """A new client finds the wire in order; faults that did not strike yet still wait."""
         with self._lock:
             self._armed.clear()
             self._held = None
-            self._silent = self._deaf = False
+            self._silent = self._deaf = self.refusing
 
     def send(self, frame: bytes, transmit: Callable[[bytes], None], cut: Callable[[], None], spare: bool) -> None:
         """Send a frame as the wire lets it through.
 
         Args:
             transmit: puts bytes on the line.
-            cut: ends the connection.
+            cut: ends the connection; where there is none, `unplug`.
             spare: this frame is none that a single fault is spent on (a heartbeat).
 
         Raises:

@@ -21,6 +21,7 @@ from fake_controller.replies import Upload
 
 MEMORY = 400_000  # samples kept for a client that reads slower than the arm moves: 13 minutes
 LONGEST_WATCHDOG = 30.0  # s
+IDLE_LIMIT = 5.0  # s of silence after which nobody is taken to be at the other end
 
 _WRITABLE = {block.address: block for block in wire.BLOCKS if block.access == "write"}
 
@@ -66,6 +67,7 @@ class RegisterMap:
         self._driving = False
         self._worker = ThreadPoolExecutor(1, "command")
         self._closing = threading.Event()
+        controller.when_restarting.append(self._forget)
         self._beats = threading.Thread(target=self._beat, name="watchdog", daemon=True)
         self._beats.start()
 
@@ -258,6 +260,7 @@ class RegisterMap:
         if command in (wire.Command.UPLOAD_END, wire.Command.START):  # these take their time
             if command == wire.Command.START:
                 self._stop_wanted = False
+                self._controller.reach("start")  # now, while the answer to this very message is still to be sent
             self._worker.submit(self._carry_out, values)
         else:
             self._carry_out(values)
@@ -315,6 +318,13 @@ class RegisterMap:
         self._stop_wanted = True
         self._controller.stop(reason, message)
 
+    def _forget(self) -> None:
+        """Power off and on."""
+        self._session = self._request = 0
+        self._upload = None
+        self._answer = _no_answer()
+        self._state = wire.MotionState.NONE
+
     def _gone(self) -> bool:
         return self._session == 0 or self._silence >= self._watchdog or self._closing.is_set()
 
@@ -324,6 +334,8 @@ class RegisterMap:
             self._heartbeat += 1
             self._silence = 0.0 if self._heard else self._silence + interval
             self._heard = False
+            if self._silence >= IDLE_LIMIT:
+                self._controller.faults.heal()
             if self._driving and self._gone():
                 with contextlib.suppress(RuntimeError):
                     silent = f"nothing was heard from the client for {self._watchdog * 1000:.0f} ms"

@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from agent.documents import load_document
 from agent.recipe.schema import Time
-from fake_controller.faults import Fault
+from fake_controller.faults import NOT_ON, Fault
+from fake_controller.servers import WIRES
 
 #: Those that come with the package.
 FOLDER = Path(__file__).parent / "scenarios"
@@ -69,13 +70,34 @@ class ExpectSection(_Section):
 
 
 class Scenario(_Section):
-    """The whole file. `interrupt`: Ctrl-C after so much motion, where the fault strikes on the stop."""
+    """The whole file. `interrupt`: Ctrl-C after so much motion, where the fault strikes on the stop.
+
+    `elsewhere` has the wires, by name, on which it ends in another way than on most.
+    """
 
     title: str
     setup: SetupSection = SetupSection()
     faults: tuple[FaultSection, ...] = ()
     interrupt: Time | None = None
     expect: ExpectSection
+    elsewhere: dict[str, ExpectSection] = {}
+
+    @field_validator("elsewhere")
+    @classmethod
+    def _wires_there_are(cls, value: dict[str, ExpectSection]) -> dict[str, ExpectSection]:
+        for wire in value:
+            if wire not in WIRES:
+                raise ValueError(f"there is no wire {wire!r}; there are {', '.join(WIRES)}")
+        return value
+
+    @property
+    def wires(self) -> list[str]:
+        """Those on which all of its faults make sense."""
+        return [wire for wire in WIRES if not any(wire in NOT_ON.get(section.fault, {}) for section in self.faults)]
+
+    def expected(self, wire: str) -> ExpectSection:
+        """How it must end on this wire."""
+        return self.elsewhere.get(wire, self.expect)
 
     def build_faults(self) -> list[Fault]:
         """The faults themselves."""

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import logging
 import threading
+from collections.abc import Callable
+from typing import Any
 
 from pymodbus.framer import FramerType
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.server.base import ModbusBaseServer
+from pymodbus.server.requesthandler import ServerRequestHandler
+from pymodbus.simulator import SimDevice
 
+from drivers.wire.modbus import HEARTBEAT
 from fake_controller.controller import Controller
+from fake_controller.faults import Faults
 from fake_controller.registers import MEMORY, RegisterMap
+from fake_controller.servers import deaf_socket
 
 MAX_CONNECTIONS = 8
 
 # The library's own complaints about what clients send belong in no terminal.
-logging.getLogger("pymodbus").addHandler(logging.NullHandler())
-logging.getLogger("pymodbus").propagate = False
+logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
 
 class ModbusServer:
@@ -45,6 +52,7 @@ class ModbusServer:
     ) -> None:
         self._where = (address, port)
         self._run(controller, watchdog, memory, waits)
+        controller.when_restarting.append(self.drop_clients)
 
     def close(self) -> None:
         """Bring the arm to rest and stop listening."""
@@ -59,7 +67,6 @@ class ModbusServer:
     def _run(self, controller: Controller, watchdog: float, memory: int, waits: bool) -> None:
         self.controller = controller
         self.registers = RegisterMap(controller, watchdog, memory, waits)
-        controller.when_restarting.append(self.drop_clients)
         self._failure: OSError | None = None
         started = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(started)), name="modbus", daemon=True)
@@ -74,29 +81,40 @@ class ModbusServer:
         self._loop.set_exception_handler(lambda *_: None)  # a client's nonsense ends its connection, nothing else
         self._done = asyncio.Event()
         try:
-            self._server = self._create()
-            if not await self._server.listen():
-                raise OSError(errno.EADDRINUSE, "address cannot be used")
-            self._opened()
+            await self._open()
         except OSError as error:
             self._failure = error
             return
         finally:
             started.set()
         await self._done.wait()
+        await self._end()
+
+    async def _open(self) -> None:
+        if self.controller.faults.refusing:
+            self._deaf = deaf_socket(*self._where)
+            self._name(self._deaf.getsockname())
+            return
+        device, faults = self.registers.device(), self.controller.faults
+        self._server = _TcpServer(device, faults, framer=FramerType.SOCKET, address=self._where)
+        await _listen(self._server)
+        self._name(self._server.transport.sockets[0].getsockname())
+
+    async def _end(self) -> None:
+        if self.controller.faults.refusing:
+            self._deaf.close()
+            return
         self._drop()
         await self._server.shutdown()
 
-    def _create(self) -> ModbusBaseServer:
-        return _TcpServer(self.registers.device(), framer=FramerType.SOCKET, address=self._where)
-
-    def _opened(self) -> None:
-        (host, self.port), *_ = (handle.getsockname()[:2] for handle in self._server.transport.sockets)
+    def _name(self, where: tuple[str, int]) -> None:
+        host, self.port = where[:2]
         self.address = f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}"
 
     def _drop(self) -> None:
-        for client in list(self._server.active_connections.values()):
-            client.close()
+        if not self.controller.faults.refusing:
+            for client in list(self._server.active_connections.values()):
+                client.close()
 
 
 class ModbusRtuServer(ModbusServer):
@@ -119,21 +137,69 @@ class ModbusRtuServer(ModbusServer):
         self._baud = baud
         self._run(controller, watchdog, memory, waits)
 
-    def _create(self) -> ModbusBaseServer:
-        return ModbusSerialServer(
-            self.registers.device(), framer=FramerType.RTU, port=self.address, baudrate=self._baud
-        )
+    async def _open(self) -> None:
+        device, faults = self.registers.device(), self.controller.faults
+        self._server = _LineServer(device, faults, framer=FramerType.RTU, port=self.address, baudrate=self._baud)
+        await _listen(self._server)
 
-    def _opened(self) -> None:
-        pass
+    async def _end(self) -> None:
+        for line in list(self._server.active_connections.values()):
+            line.close()
+        await self._server.shutdown()
+
+
+class _Connection(ServerRequestHandler):
+    """One client; what it is sent and what it says goes through the faults of the wire."""
+
+    def __init__(self, server: ModbusBaseServer, faults: Faults, cut: Callable[[], None] | None = None) -> None:
+        super().__init__(server, None, None, None)
+        self._faults = faults
+        self._cut = cut or self.close
+
+    def send(self, data: bytes, addr: tuple | None = None) -> None:
+        """Called by the library with a whole answer. A delay holds up the loop: there is nobody else to serve."""
+        # The answer to a heartbeat tells nothing.
+        spare = getattr(self.last_pdu, "address", None) == HEARTBEAT.address
+        with contextlib.suppress(ConnectionResetError):
+            self._faults.send(data, super().send, self._cut, spare)
+
+    def data_received(self, data: bytes) -> None:
+        """Called by the library with whatever came."""
+        heard = self._faults.heard(data)
+        if heard:
+            super().data_received(heard)
 
 
 class _TcpServer(ModbusTcpServer):
     """With a limit on connections: one too many is closed at once."""
 
-    def callback_new_connection(self):  # type: ignore[no-untyped-def]
-        handler = super().callback_new_connection()
+    def __init__(self, device: SimDevice, faults: Faults, **options: Any) -> None:
+        super().__init__(device, **options)
+        self._faults = faults
+
+    def callback_new_connection(self) -> _Connection:
+        """Called by the library."""
+        connection = _Connection(self, self._faults)
         if len(self.active_connections) >= MAX_CONNECTIONS:
             # Its transport comes with the next turn of the loop; there is nothing to close before that.
-            self.loop.call_soon(self.loop.call_soon, handler.close)
-        return handler
+            self.loop.call_soon(self.loop.call_soon, connection.close)
+        else:
+            self._faults.heal()
+        return connection
+
+
+class _LineServer(ModbusSerialServer):
+    """A line has no connection that could be cut; the plug comes out."""
+
+    def __init__(self, device: SimDevice, faults: Faults, **options: Any) -> None:
+        super().__init__(device, **options)
+        self._faults = faults
+
+    def callback_new_connection(self) -> _Connection:
+        """Called by the library as the port is opened."""
+        return _Connection(self, self._faults, cut=self._faults.unplug)
+
+
+async def _listen(server: ModbusBaseServer) -> None:
+    if not await server.listen():
+        raise OSError(errno.EADDRINUSE, "address cannot be used")

@@ -46,10 +46,9 @@ from drivers.wire.tcp import (
 )
 from fake_controller.controller import Controller, RefusedRequest
 from fake_controller.execution import Slice
-from fake_controller.registers import LONGEST_WATCHDOG, MEMORY
+from fake_controller.registers import IDLE_LIMIT, LONGEST_WATCHDOG, MEMORY
 from fake_controller.replies import Upload, identity_reply, status_reply
 
-IDLE_LIMIT = 5.0  # s of silence after which nobody is taken to listen
 MAX_REPLIES = 64  # answers that wait for the line
 _WRITE_LIMIT = 30.0  # s
 
@@ -101,6 +100,7 @@ class SerialServer:
         self._watchdog = IDLE_LIMIT
         self._upload: Upload | None = None
         self._closing = threading.Event()
+        controller.when_restarting.append(self._forget)
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._read, self._write)]
         for thread in self._threads:
             thread.start()
@@ -139,8 +139,9 @@ class SerialServer:
                 samples.reference_velocity,
             )
             self._values[at] = np.stack(columns, axis=1)
+            # A counter that went back sends what it counts now: the client has to see it.
+            self._sent = max(first if first < self._produced else self._sent, end - depth)
             self._produced = end
-            self._sent = max(self._sent, end - depth)
             self._lock.notify_all()
 
     def on_end(self, reason: EndReason, samples: int, message: str) -> None:
@@ -160,7 +161,7 @@ class SerialServer:
             began = time.monotonic()
             try:
                 data = self._port.read(1)
-                data += self._port.read(self._port.in_waiting) if data else b""
+                data = self.controller.faults.heard(data + self._port.read(self._port.in_waiting) if data else b"")
             except (serial.SerialException, OSError, TypeError):  # pulled out, or closed by `close`
                 self._lost()
                 return
@@ -180,12 +181,16 @@ class SerialServer:
 
     def _lost(self) -> None:
         """Nobody listens."""
+        self._forget()
+        self.controller.faults.heal()
+        if self._driving:
+            self.controller.stop(EndReason.WATCHDOG, "the client is gone")
+
+    def _forget(self) -> None:
         with self._lock:
             self._greeted, self._gone = False, True
             self._replies.clear()
             self._lock.notify_all()
-        if self._driving:
-            self.controller.stop(EndReason.WATCHDOG, "the client is gone")
 
     def _write(self) -> None:
         beaten = 0.0
@@ -196,11 +201,15 @@ class SerialServer:
                     self._lock.wait_for(self._something, due)
                 data = self._next()
                 self._lock.notify_all()
-            if not data:
+            heartbeat = not data
+            if heartbeat:
                 beaten = time.monotonic()
                 data = encode(Heartbeat()) if self._greeted else b""
             try:
-                self._port.write(data)
+                if data:
+                    self.controller.faults.send(data, self._port.write, self.controller.faults.unplug, heartbeat)
+            except ConnectionResetError:
+                continue  # a line has nothing more to close
             except (serial.SerialException, OSError, TypeError):
                 self._lost()
                 if not self._port.is_open or self._closing.is_set():
@@ -288,6 +297,7 @@ class SerialServer:
             self._watchdog = min(max(hello.watchdog_ms / 1000, self._shortest), LONGEST_WATCHDOG)
             self._upload = None
             self._sent, self._end_sent = self._produced, True
+        self.controller.faults.heal()
         self.controller.reach("connect")
         self._reply(Welcome(VERSION, round(self._watchdog * 1000)), request)
 

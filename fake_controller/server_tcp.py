@@ -41,6 +41,7 @@ from drivers.wire.tcp import (
 from fake_controller.controller import Controller, RefusedRequest
 from fake_controller.execution import Slice
 from fake_controller.replies import Upload, identity_reply, samples_message, status_reply
+from fake_controller.servers import deaf_socket
 
 MAX_CONNECTIONS = 8
 WATCHDOG_RANGE = (0.05, 5.0)  # s
@@ -72,7 +73,10 @@ class TcpServer:
         self.controller = controller
         self.watchdog = watchdog
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
-        self._listener = _listen(address, port, family, deaf=controller.faults.refusing)
+        if controller.faults.refusing:
+            self._listener = deaf_socket(address, port)
+        else:
+            self._listener = socket.create_server((address, port), family=family, backlog=MAX_CONNECTIONS)
         host, self.port = self._listener.getsockname()[:2]
         self.address = f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}"
         self._lock = threading.Lock()
@@ -137,16 +141,8 @@ class TcpServer:
                     continue
                 session = Session(self, connection)
                 self._sessions.add(session)
+            self.controller.faults.heal()
             session.start()
-
-
-def _listen(address: str, port: int, family: socket.AddressFamily, deaf: bool) -> socket.socket:
-    """A listening socket; a deaf one holds its port, and whoever connects is refused."""
-    if not deaf:
-        return socket.create_server((address, port), family=family, backlog=MAX_CONNECTIONS)
-    bound = socket.socket(family)
-    bound.bind((address, port))
-    return bound
 
 
 class Session:
@@ -298,7 +294,6 @@ class Session:
             raise RefusedRequest(Refusal.BUSY, "another client holds the controller; close it first")
         self._watchdog = min(max(hello.watchdog_ms / 1000, self._server.watchdog), WATCHDOG_RANGE[1])
         self._greeted = True
-        self._controller.faults.heal()
         self._controller.reach("connect")
         self._send(Welcome(VERSION, round(self._watchdog * 1000)), request)
         threading.Thread(target=self._beat, name="heartbeat", daemon=True).start()

@@ -1,18 +1,22 @@
-"""Servers by the name of the driver they are for."""
+"""Servers by the name of the wire they speak."""
 
 from __future__ import annotations
 
 import contextlib
+import socket
 from typing import TYPE_CHECKING, Protocol
+
+from fake_controller.faults import check_wire
 
 if TYPE_CHECKING:
     from fake_controller.controller import Controller
 
-DRIVERS = ("tcp", "modbus", "serial", "rtu")
+#: Wires by name, with the name of the driver that speaks each.
+WIRES = {"tcp": "tcp", "modbus": "modbus", "serial": "serial", "rtu": "serial"}
 
 
 class Server(Protocol):
-    """`address` is what the driver of the same name takes."""
+    """`address` is what the driver of its wire takes."""
 
     address: str
 
@@ -23,16 +27,16 @@ class Server(Protocol):
 class _OnCable:
     """A serial server with a cable of its own, for machines without a serial port."""
 
-    def __init__(self, protocol: str, controller: Controller, baud: int, watchdog: float, waits: bool) -> None:
+    def __init__(self, wire: str, controller: Controller, baud: int, watchdog: float, waits: bool) -> None:
         from fake_controller.cable import Cable
 
         with contextlib.ExitStack() as undo:
             cable = Cable(baud)
             undo.callback(cable.close)
-            server = _on_port(protocol, controller, cable.near, baud, watchdog, waits)
+            server = _on_port(wire, controller, cable.near, baud, watchdog, waits)
             undo.callback(server.close)
             self._undo = undo.pop_all()
-        self.address = ",".join([cable.far, str(baud), *(["rtu"] if protocol == "rtu" else [])])
+        self.address = ",".join([cable.far, str(baud), *(["rtu"] if wire == "rtu" else [])])
 
     def close(self) -> None:
         """Bring the arm to rest, stop serving, and take the cable away."""
@@ -40,43 +44,56 @@ class _OnCable:
 
 
 def open_server(
-    driver: str,
+    wire: str,
     controller: Controller,
-    address: str,
-    port: int,
-    watchdog: float,
-    waits: bool,
-    baud: int,
-    serial_port: str | None,
+    address: str = "127.0.0.1",
+    port: int = 0,
+    watchdog: float = 0.05,
+    waits: bool = False,
+    baud: int = 4_000_000,
+    serial_port: str | None = None,
 ) -> Server:
     """A server that is open.
 
     Args:
-        driver: one of `DRIVERS`.
+        wire: one of `WIRES`.
         controller: what is served.
-        address, port: where to listen, for `tcp` and `modbus`.
+        address, port: where to listen, for `tcp` and `modbus`; port 0 takes a free one.
         watchdog: the shortest [s] that a client is granted.
         waits: the arm waits for a client that reads too slowly, as only an emulated one can.
         baud, serial_port: the line, for `serial` and `rtu`; without a port a cable of pseudo-terminals is made.
 
     Raises:
         OSError: the port is taken, or is not this machine's.
+        ValueError: a fault of the controller makes no sense on this wire.
     """
-    if driver == "tcp":
+    check_wire(controller.faults.waiting, wire)
+    if wire == "tcp":
         from fake_controller.server_tcp import TcpServer
 
         return TcpServer(controller, address, port, watchdog)
-    if driver == "modbus":
+    if wire == "modbus":
         from fake_controller.server_modbus import ModbusServer
 
         return ModbusServer(controller, address, port, watchdog, waits=waits)
     if serial_port is None:
-        return _OnCable(driver, controller, baud, watchdog, waits)
-    return _on_port(driver, controller, serial_port, baud, watchdog, waits)
+        return _OnCable(wire, controller, baud, watchdog, waits)
+    return _on_port(wire, controller, serial_port, baud, watchdog, waits)
 
 
-def _on_port(protocol: str, controller: Controller, port: str, baud: int, watchdog: float, waits: bool) -> Server:
-    if protocol == "rtu":
+def deaf_socket(address: str, port: int) -> socket.socket:
+    """It holds its port, and whoever connects is refused.
+
+    Raises:
+        OSError: the port is taken, or is not this machine's.
+    """
+    bound = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET)
+    bound.bind((address, port))
+    return bound
+
+
+def _on_port(wire: str, controller: Controller, port: str, baud: int, watchdog: float, waits: bool) -> Server:
+    if wire == "rtu":
         from fake_controller.server_modbus import ModbusRtuServer
 
         return ModbusRtuServer(controller, port, baud, watchdog, waits=waits)

@@ -1,4 +1,4 @@
-"""Hostile input at the server and at the driver: no crash, no unbounded memory, and the next peer is served."""
+"""Hostile input at every server and every driver: no crash, no unbounded memory, and the next peer is served."""
 
 from __future__ import annotations
 
@@ -8,23 +8,31 @@ import socket
 import struct
 import threading
 import zlib
+from collections.abc import Callable, Iterator
 from contextlib import closing
+from typing import Any, Protocol
 
 import numpy as np
 import pytest
+import serial
+from pymodbus.framer.rtu import FramerRTU
 
 from drivers.errors import DriverError
-from drivers.tcp import TcpDriver
-from drivers.wire import tcp
+from drivers.registry import create
+from drivers.wire import modbus, tcp
+from drivers.wire.serial import LeanSamples
 from fake_controller.build import build_controller
-from fake_controller.server_tcp import TcpServer
+from fake_controller.cable import Cable
+from fake_controller.servers import WIRES, open_server
 
-FRAMES = [pytest.param(2_000), pytest.param(100_000, marks=pytest.mark.verify)]
+FRAMES = [pytest.param(300, id="some"), pytest.param(100_000, id="all", marks=pytest.mark.verify)]
 GROWTH = 100  # MiB
+BAUD = 4_000_000
 CHECKSUM = "0" * 64
+SESSION = 5
 
 REQUESTS = (
-    tcp.Hello(1, 200, "x"),
+    tcp.Hello(1, 5000, "x"),
     tcp.Identify(),
     tcp.AskStatus(),
     tcp.UploadBegin("p", 40, CHECKSUM),
@@ -36,44 +44,141 @@ REQUESTS = (
     tcp.Heartbeat(),
 )
 VALUES = np.zeros((3, 2))
+IDENTITY = tcp.IdentityReply("small_arm", "1", "c", "1", ("a", "b"), 0.002)
 REPLIES = (
     tcp.Done(),
     tcp.Samples(0, np.arange(3) * 2_000_000, *(VALUES for _ in range(5))),
+    LeanSamples(0, np.arange(3) * 2_000_000, *(VALUES for _ in range(5))),
     tcp.End(0, 3, "done"),
     tcp.Refused(1, 0, 0, "no"),
     tcp.StatusReply(True, "auto", False, (), 1.0, True, False, "p", CHECKSUM, (0.0, 0.0), True),
-    tcp.IdentityReply("small_arm", "1", "c", "1", ("a", "b"), 0.002),
+    IDENTITY,
     tcp.Heartbeat(),
 )
 
 
-def sealed(kind: int, payload: bytes, request: int = 1) -> bytes:
-    """A frame whose checksum is right, whatever is in it."""
-    body = tcp.HEADER.pack(tcp.MAGIC, tcp.VERSION, kind, 0, len(payload), request) + payload
-    return body + struct.pack("<I", zlib.crc32(body))
+class Framing(Protocol):
+    """How a wire packs its messages, and what a test may change in them under a right checksum."""
+
+    def requests(self) -> list[bytes]:
+        """One sane frame of each kind that a client sends."""
+
+    def changed(self, rng: np.random.Generator, frame: bytes) -> bytes:
+        """The frame with one byte of its content changed, and its checksums right again."""
 
 
-def fuzzed(rng: np.random.Generator, sane: tuple[object, ...], wild: float) -> bytes:
-    """A frame: a sane message with bytes changed under a right checksum, or, at a share `wild`, something worse."""
-    message = sane[rng.integers(len(sane))]
-    payload = bytearray(message.pack())
+class Frames:
+    """Of `tcp` and `serial`."""
+
+    def requests(self) -> list[bytes]:
+        return [tcp.encode(message, 1) for message in REQUESTS]
+
+    def changed(self, rng: np.random.Generator, frame: bytes) -> bytes:
+        body = bytearray(frame[:-4])
+        if len(body) > tcp.HEADER.size:
+            body[rng.integers(tcp.HEADER.size, len(body))] = int(rng.integers(256))
+        return bytes(body) + struct.pack("<I", zlib.crc32(body))
+
+
+class Registers:
+    """Of `modbus` and `rtu`; a frame is unit, function, and what belongs to it, in the envelope of the wire."""
+
+    def __init__(self, rtu: bool) -> None:
+        self._rtu = rtu
+
+    def envelope(self, message: bytes, transaction: int = 1) -> bytes:
+        if self._rtu:
+            return message + FramerRTU.compute_CRC(message).to_bytes(2, "big")
+        return struct.pack(">HHH", transaction, 0, len(message)) + message
+
+    def message(self, frame: bytes) -> bytes:
+        return frame[:-2] if self._rtu else frame[6:]
+
+    def transaction(self, frame: bytes) -> int:
+        return 1 if self._rtu else struct.unpack_from(">H", frame)[0]
+
+    def requests(self) -> list[bytes]:
+        reads = [(block.address, block.registers) for block in modbus.BLOCKS] + [(modbus.RING, 100), (3000, 125)]
+        frames = [struct.pack(">BBHH", modbus.UNIT, 3, *read) for read in reads]
+        blank = {"session": SESSION, "watchdog": 5000, "name": "p", "size": 40, "checksum": b"", "motion": b"m" * 16}
+        for number, command in enumerate(modbus.Command):
+            frames.append(self._write(modbus.COMMAND, **blank, request=number + 1, command=command))
+        frames.append(self._write(modbus.UPLOAD, session=SESSION, offset=0, count=5, data=b"abcde"))
+        frames.append(self._write(modbus.HEARTBEAT, session=SESSION, count=1, taken=0))
+        return [self.envelope(frame) for frame in frames]
+
+    def changed(self, rng: np.random.Generator, frame: bytes) -> bytes:
+        message = bytearray(self.message(frame))
+        message[rng.integers(1, len(message))] = int(rng.integers(256))
+        content = 7 if message[1] == 16 else 3
+        if len(message) > content + 4:
+            message[-4:] = struct.pack(">I", zlib.crc32(message[content:-4]))
+        return self.envelope(bytes(message), self.transaction(frame))
+
+    def _write(self, block: modbus.Block, **values: Any) -> bytes:
+        registers = block.pack(**values)
+        head = struct.pack(">BBHHB", modbus.UNIT, 16, block.address, len(registers), 2 * len(registers))
+        return head + struct.pack(f">{len(registers)}H", *registers)
+
+
+FRAMINGS: dict[str, Frames | Registers] = {
+    "tcp": Frames(),
+    "serial": Frames(),
+    "modbus": Registers(rtu=False),
+    "rtu": Registers(rtu=True),
+}
+
+
+def fuzzed(rng: np.random.Generator, framing: Framing, frame: bytes, wild: float) -> bytes:
+    """A sane frame with its content changed under right checksums, or, at a share `wild`, something worse."""
     if rng.random() > wild:
-        if payload and rng.random() < 0.5:
-            payload[rng.integers(len(payload))] = int(rng.integers(256))
-        return sealed(message.TYPE, bytes(payload), int(rng.integers(0, 2**32)))
-    match int(rng.integers(5)):
+        return framing.changed(rng, frame)
+    damaged = bytearray(frame)
+    match int(rng.integers(4)):
         case 0:
             return rng.bytes(int(rng.integers(1, 300)))
         case 1:
-            return sealed(int(rng.integers(256)), rng.bytes(int(rng.integers(0, 300))))
+            return frame[: int(rng.integers(1, len(frame) + 1))]
         case 2:
-            frame = bytearray(sealed(message.TYPE, bytes(payload)))
-            frame[rng.integers(len(frame))] ^= 1 << int(rng.integers(8))
-            return bytes(frame)
-        case 3:
-            return sealed(message.TYPE, bytes(payload))[: int(rng.integers(1, 20))]
-        case _:
-            return tcp.HEADER.pack(tcp.MAGIC, tcp.VERSION, message.TYPE, 0, int(rng.integers(2**32)), 1)
+            damaged[rng.integers(len(damaged))] ^= 1 << int(rng.integers(8))
+        case _:  # lengths stand near the front
+            damaged[rng.integers(min(16, len(damaged)))] = int(rng.integers(256))
+    return bytes(damaged)
+
+
+class Plug:
+    """Bytes to and from an address, a socket's or a line's."""
+
+    def __init__(self, address: str) -> None:
+        self._line: serial.Serial | None = None
+        if address.startswith("/"):
+            self._line = serial.Serial(address.split(",")[0], BAUD, timeout=0.002, write_timeout=20)
+        else:
+            host, _, port = address.rpartition(":")
+            self._socket = socket.create_connection((host, int(port)), 20)
+            self._socket.settimeout(0.002)
+
+    def __enter__(self) -> Plug:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        (self._socket if self._line is None else self._line).close()
+
+    def send(self, data: bytes) -> None:
+        """All of it."""
+        if self._line is not None:
+            self._line.write(data)
+        else:
+            self._socket.sendall(data)
+
+    def swallow(self) -> None:
+        """What has come, or comes in a moment."""
+        if self._line is not None:
+            self._line.read(1)
+            self._line.read(self._line.in_waiting)
+        else:
+            with contextlib.suppress(TimeoutError):
+                self._socket.recv(1 << 16)
 
 
 def memory() -> float:
@@ -82,95 +187,193 @@ def memory() -> float:
 
 
 @pytest.mark.parametrize("frames", FRAMES)
-def test_fuzzed_frames_at_the_server(arm, measured, frames):
-    rng = np.random.default_rng(1)
-    sent = 0
-    with closing(TcpServer(build_controller(arm, 3, "fast"))) as server:
+@pytest.mark.parametrize("wire", WIRES)
+def test_fuzzed_frames_at_the_server(arm, measured, wire, frames):
+    rng, framing = np.random.default_rng(1), FRAMINGS[wire]
+    sane, sent = framing.requests(), 0
+    with closing(open_server(wire, build_controller(arm, 3, "fast"), baud=BAUD)) as server:
         before = memory()
         while sent < frames:
-            with socket.create_connection(("127.0.0.1", server.port), 20) as client:
-                reader = threading.Thread(target=_swallow, args=(client,), daemon=True)
-                reader.start()
-                with contextlib.suppress(OSError):
-                    client.sendall(tcp.encode(tcp.Hello(1, 5000, "fuzz"), 1))
-                    for _ in range(50):
-                        client.sendall(fuzzed(rng, REQUESTS, wild=0.02))
-                        sent += 1
-                    client.shutdown(socket.SHUT_WR)
-                reader.join(20)
+            with Plug(server.address) as client, contextlib.suppress(OSError):
+                client.send(sane[0])
+                for _ in range(50):
+                    client.send(fuzzed(rng, framing, sane[rng.integers(len(sane))], wild=0.05))
+                    sent += 1
+                    if sent % 5 == 0:
+                        client.swallow()
         growth = memory() - before
-        with closing(TcpDriver(server.address)) as driver:
-            _until_free(driver)
+        with closing(create(WIRES[wire], server.address)) as driver:
+            _connect_when_free(driver)
             assert driver.identify().robot == "small_arm"
-    measured("fuzzed frames at the TCP server", sent, "frames", "no crash", True)
-    measured("memory that grew by them", growth, "MiB", f"below {GROWTH}", growth < GROWTH)
+    measured(f"{wire}: fuzzed frames at the server, crashes", f"{sent}, 0", "", "none")
+    measured(f"{wire}: memory that grew by them", growth, "MiB", f"below {GROWTH}", growth < GROWTH)
     assert growth < GROWTH
 
 
 @pytest.mark.parametrize("frames", FRAMES)
-def test_fuzzed_frames_at_the_driver(measured, frames):
-    rng = np.random.default_rng(2)
-    before, taken = memory(), 0
-    with closing(_Foe()) as foe:
-        while taken < frames:
-            batch = [fuzzed(rng, REPLIES, wild=0.01) for _ in range(25)]
-            with closing(TcpDriver(foe.address, timeout=5.0, start_timeout=5.0)) as driver:
-                foe.batch = batch
-                try:
-                    driver.connect()
-                    driver.start("p", CHECKSUM)
-                    for block in driver.samples():
-                        assert block.position.shape[0] == len(block)
-                except DriverError:
-                    pass
-            taken += len(batch)
-    growth = memory() - before
-    measured("fuzzed frames at the TCP driver", taken, "frames", "no crash", True)
+@pytest.mark.parametrize("wire", WIRES)
+def test_fuzzed_frames_at_the_driver(measured, wire, frames):
+    before = memory()
+    with closing(FOES[wire](wire)) as foe:
+        while foe.fuzzed < frames:
+            driver = create(WIRES[wire], foe.address, timeout=0.03, start_timeout=0.1)
+            with closing(driver), contextlib.suppress(DriverError):
+                driver.connect()
+                driver.identify()
+                driver.start("p", CHECKSUM)
+                for block in driver.samples():
+                    assert block.position.shape[0] == len(block)
+        growth = memory() - before
+    measured(f"{wire}: fuzzed frames at the driver, crashes", f"{foe.fuzzed}, 0", "", "none")
+    measured(f"{wire}: memory that grew by them at the driver", growth, "MiB", f"below {GROWTH}", growth < GROWTH)
     assert growth < GROWTH
 
 
-class _Foe:
-    """Greets, takes the start, and answers with a batch of frames; one client at a time."""
+class Foe:
+    """Somebody at the far end of the wire; `answers` says with what, one client at a time."""
 
-    def __init__(self) -> None:
-        self.batch: list[bytes] = []
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
-        threading.Thread(target=self._serve, daemon=True).start()
+    def __init__(self, wire: str) -> None:
+        self.fuzzed = 0
+        self.framing = FRAMINGS[wire]
+        self._rng = np.random.default_rng(2)
+        self._undo = contextlib.ExitStack()
+        if WIRES[wire] == "serial":
+            cable = self._undo.enter_context(closing(Cable(BAUD)))
+            self._line = serial.Serial(cable.near, BAUD, timeout=0.05, write_timeout=20)
+            self._undo.callback(self._line.close)
+            self.address = f"{cable.far},{BAUD}" + (",rtu" if wire == "rtu" else "")
+            work = self._serve_line
+        else:
+            self._listener = self._undo.enter_context(socket.create_server(("127.0.0.1", 0)))
+            self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+            work = self._serve_sockets
+        threading.Thread(target=work, daemon=True).start()
 
     def close(self) -> None:
-        self._listener.close()
+        self._undo.close()
 
-    def _serve(self) -> None:
-        while True:
-            try:
+    def answers(self) -> Callable[[bytes], Iterator[bytes]]:
+        """A function from what came to what is sent, for a new client; no more to send ends the connection."""
+        raise NotImplementedError
+
+    def spoiled(self, frame: bytes) -> bytes:
+        """The frame, fuzzed and counted."""
+        self.fuzzed += 1
+        return fuzzed(self._rng, self.framing, frame, wild=0.05)
+
+    def _serve_sockets(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
                 connection, _ = self._listener.accept()
-            except OSError:
-                return
-            with connection, contextlib.suppress(OSError):
-                self._answer(connection)
+                answer = self.answers()
+                with connection, contextlib.suppress(OSError):
+                    while data := connection.recv(65536):
+                        for frame in answer(data):
+                            connection.sendall(frame)
 
-    def _answer(self, connection: socket.socket) -> None:
-        decoder = tcp.Decoder(tcp.MAX_REQUEST_PAYLOAD)
-        while data := connection.recv(65536):
+    def _serve_line(self) -> None:
+        answer = self.answers()
+        with contextlib.suppress(OSError, TypeError):  # closed by the test
+            while True:
+                data = self._line.read(1)
+                data += self._line.read(self._line.in_waiting)
+                for frame in answer(data):
+                    self._line.write(frame)
+
+
+class FramesFoe(Foe):
+    """Greets, says who it is, takes the start, and goes on with whatever; then it hangs up, or falls silent."""
+
+    BATCH = 100
+
+    def answers(self) -> Callable[[bytes], Iterator[bytes]]:
+        from drivers.wire.serial import HuntingDecoder
+
+        decoder = HuntingDecoder()
+
+        def answer(data: bytes) -> Iterator[bytes]:
             for frame in decoder.feed(data):
-                message = tcp.decode(frame)
-                if isinstance(message, tcp.Hello):
-                    connection.sendall(tcp.encode(tcp.Welcome(tcp.VERSION, 5000), frame.request))
-                elif isinstance(message, tcp.Start):
-                    connection.sendall(tcp.encode(tcp.Started(message.motion_id), frame.request))
-                    connection.sendall(b"".join(self.batch))
-                    connection.shutdown(socket.SHUT_RDWR)
-                    return
+                match tcp.decode(frame):
+                    case tcp.Hello():
+                        yield tcp.encode(tcp.Welcome(tcp.VERSION, 100), frame.request)
+                    case tcp.Identify():
+                        yield tcp.encode(IDENTITY, frame.request)
+                    case tcp.Start(motion_id=motion):
+                        yield tcp.encode(tcp.Started(motion), frame.request)
+                        for _ in range(self.BATCH):
+                            message = REPLIES[self._rng.integers(len(REPLIES))]
+                            yield self.spoiled(tcp.encode(message, int(self._rng.integers(4))))
+
+        return answer
 
 
-def _swallow(client: socket.socket) -> None:
-    with contextlib.suppress(OSError):
-        while client.recv(1 << 16):
-            pass
+class RegistersFoe(Foe):
+    """Has all the registers, and says another thing than they hold half of the time."""
+
+    def answers(self) -> Callable[[bytes], Iterator[bytes]]:
+        content = self._content()
+        state = {"session": 0, "request": 0, "motion": b"", "beat": 0}
+
+        def answer(data: bytes) -> Iterator[bytes]:
+            message = self.framing.message(data)
+            if len(message) < 6 or message[1] not in (3, 16):
+                return
+            function, address, count = struct.unpack_from(">BHH", message, 1)
+            if function == 16:
+                if address == modbus.COMMAND.address:
+                    state.update(modbus.COMMAND.unpack(struct.unpack(f">{count}H", message[7:])))
+                reply = message[:6]
+            else:
+                state["beat"] += 1
+                content.update(self._changing(state))
+                registers = [content.get(address + k, 0) for k in range(count)]
+                reply = struct.pack(f">BBB{count}H", modbus.UNIT, 3, 2 * count, *registers)
+            frame = self.framing.envelope(reply, self.framing.transaction(data))
+            yield self.spoiled(frame) if self._rng.random() < 0.5 else frame
+
+        return answer
+
+    def _content(self) -> dict[int, int]:
+        identity = {"robot": "small_arm", "serial": "1", "controller": "c", "software": "1"}
+        slots = modbus.slot_count(2)
+        blocks = {modbus.IDENTITY: modbus.IDENTITY.pack(
+            magic=modbus.MAGIC, version=modbus.VERSION, joints=2, period=2_000_000, slots=slots, **identity
+        )}  # fmt: skip
+        blocks |= {block: block.pack(names=("a", "b")) for block in modbus.NAMES}
+        blocks[modbus.END] = modbus.END.pack(message="done")
+        content = {block.address + k: value for block, registers in blocks.items() for k, value in enumerate(registers)}
+        rows = modbus.pack_slots(0, np.arange(slots) * 2_000_000, [np.zeros((slots, 2))] * 5)
+        return content | {modbus.RING + k: int(value) for k, value in enumerate(rows.ravel())}
+
+    def _changing(self, state: dict[str, Any]) -> dict[int, int]:
+        answer = modbus.ANSWER.pack(
+            session=state["session"],
+            request=state["request"],
+            outcome=modbus.Outcome.DONE,
+            refusal=0,
+            line=0,
+            column=0,
+            message="",
+            checksum=b"",
+            watchdog=100,
+        )
+        progress = modbus.PROGRESS.pack(
+            heartbeat=state["beat"] % 65536,
+            session=state["session"],
+            state=modbus.MotionState.RUNNING,
+            motion=state["motion"],
+            samples=state["beat"],
+            oldest=0,
+            reason=0,
+        )
+        pairs = ((modbus.ANSWER, answer), (modbus.PROGRESS, progress))
+        return {block.address + k: value for block, registers in pairs for k, value in enumerate(registers)}
 
 
-def _until_free(driver: TcpDriver) -> None:
+FOES: dict[str, type[Foe]] = {"tcp": FramesFoe, "serial": FramesFoe, "modbus": RegistersFoe, "rtu": RegistersFoe}
+
+
+def _connect_when_free(driver: Any) -> None:
     while True:
         try:
             driver.connect()

@@ -1,43 +1,49 @@
-"""Driver × fault × phase, through the command line: exit code, controlled stop, one motion, a log that can be read."""
+"""Wire × fault × phase, through the command line: exit code, controlled stop, one motion, a log that can be read."""
 
 from __future__ import annotations
 
 import pytest
 
 from drivers.wire.reasons import EndReason
-from fake_controller.faults import FAULTS, MACHINE, PHASES, Fault
+from fake_controller.faults import FAULTS, NOT_ON, PHASES, Fault
+from fake_controller.servers import WIRES
 
-DRIVERS = ("tcp", "modbus")
-#: Drivers whose fake servers pass their frames through `Faults`; of the others, what the machine does.
-FAULTY_WIRES = ("tcp",)
 #: Faults of the wire that lose nothing.
 HARMLESS = ("delay", "reorder", "duplicate", "slow")
+#: What a wire makes good by asking again.
+MADE_GOOD = {wire: {("corrupt", "streaming")} for wire in ("modbus", "serial", "rtu")}
+#: Wires on which answers are asked for: a client that is not heard does not learn that its start was taken.
+POLLED = ("modbus", "rtu")
 #: What the controller refuses a start for.
 STATES = ("emergency_stop", "drive_fault", "alarm", "protective_stop", "teach_mode")
 #: Of these the agent has to notice in time, so the arm moves in real time.
 SLOW_TO_SHOW = ("silent", "lost_client", "override")
-#: One of each, in the phase where it is worst.
-WORST = {
-    **{name: "streaming" for name in FAULTS},
-    "refuse": "connect",
-    "wrong_robot": "connect",
-    "wrong_program": "upload",
-    "full_memory": "upload",
+#: One of each, in the phase where it is worst; and on the other wires what they meet in their own way.
+QUICK = {
+    *(
+        ("tcp", name, next((phase for phase in ("streaming", "upload", "connect") if phase in phases), ""))
+        for name, phases in FAULTS.items()
+    ),
+    ("modbus", "drop", "start"),
+    ("serial", "drop", "streaming"),
+    ("rtu", "corrupt", "streaming"),
 }
 MATRIX = [
-    pytest.param(driver, name, phase, marks=() if driver == "tcp" and WORST[name] == phase else pytest.mark.verify)
-    for driver in DRIVERS
+    pytest.param(wire, name, phase, marks=() if (wire, name, phase) in QUICK else pytest.mark.verify)
+    for wire in WIRES
     for name in FAULTS
     for phase in PHASES
-    if phase in FAULTS[name] and (driver in FAULTY_WIRES or name in MACHINE)
+    if phase in FAULTS[name] and wire not in NOT_ON.get(name, {})
 ]
 
 
-def expected(name: str, phase: str) -> tuple[int, int, bool]:
+def expected(wire: str, name: str, phase: str) -> tuple[int, int, bool]:
     """Exit code, motions, and whether there is a log. A stop is the agent's after Ctrl-C: its own exit code stays."""
     if phase == "stop":
         return 130, 1, True
     if name in HARMLESS and not (name == "reorder" and phase in ("connect", "upload")):
+        return 0, 1, True
+    if (name, phase) in MADE_GOOD.get(wire, ()):
         return 0, 1, True
     if name == "emergency_stop":
         return 5, int(phase == "streaming"), phase == "streaming"
@@ -46,19 +52,20 @@ def expected(name: str, phase: str) -> tuple[int, int, bool]:
     if name == "override":
         return (5, 1, True) if phase in ("start", "streaming") else (4, 0, False)
     if phase == "start":
-        return 4, int(name not in ("restart", "wrong_program")), name == "lost_client"
+        return 4, int(name not in ("restart", "wrong_program")), name == "lost_client" and wire not in POLLED
     return 4, int(phase == "streaming"), phase == "streaming"
 
 
-@pytest.mark.parametrize(("driver", "name", "phase"), MATRIX)
-def test_fault(bench, assert_at_rest, assert_readable, driver, name, phase):
-    code, motions, logged = expected(name, phase)
-    real = name in SLOW_TO_SHOW or phase == "stop" or driver not in FAULTY_WIRES
+@pytest.mark.parametrize(("wire", "name", "phase"), MATRIX)
+def test_fault(bench, assert_at_rest, assert_readable, wire, name, phase):
+    code, motions, logged = expected(wire, name, phase)
+    real = name in SLOW_TO_SHOW or phase == "stop" or wire != "tcp"
+    moment = 1.0 if real else 0.4  # of motion: in real time the agent has to have had some of it
     controller = bench.serve(
-        [Fault(name, phase, 0.4 if phase == "streaming" else 0.0, 1.1 if name == "slow" else 0.0)],
-        driver,
+        [Fault(name, phase, moment if phase == "streaming" else 0.0, 1.1 if name == "slow" else 0.0)],
+        wire,
         clock="real" if real else "fast",
-        interrupt=0.4 if phase == "stop" else None,
+        interrupt=moment if phase == "stop" else None,
     )
     ended = bench.record()
     assert ended.code == code, ended.errors

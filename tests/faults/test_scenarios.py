@@ -8,25 +8,37 @@ import pytest
 
 from agent.errors import InputError
 from drivers.wire.reasons import EndReason
+from fake_controller.build import build_controller
 from fake_controller.faults import FAULTS, PHASES, Fault
 from fake_controller.scenario import builtin_scenarios, load_scenario
+from fake_controller.servers import open_server
 
 #: In the quick tests; each fault on its own is there already.
-QUICK = ("unruly_line", "emergency_stop_before_start", "override_not_full", "interrupted_and_cut")
+QUICK = {
+    ("unruly_line", "tcp"),
+    ("emergency_stop_before_start", "tcp"),
+    ("override_not_full", "modbus"),
+    ("interrupted_and_cut", "serial"),
+}
 
 
 @pytest.mark.parametrize(
-    "path",
+    ("path", "wire"),
     [
-        pytest.param(path, id=path.stem, marks=() if path.stem in QUICK else pytest.mark.verify)
+        pytest.param(
+            path, wire, id=f"{path.stem}-{wire}", marks=() if (path.stem, wire) in QUICK else pytest.mark.verify
+        )
         for path in builtin_scenarios()
+        for wire in load_scenario(path).wires
     ],
 )
-def test_scenario(bench, assert_at_rest, assert_readable, path: Path):
+def test_scenario(bench, assert_at_rest, assert_readable, path: Path, wire: str):
     scenario = load_scenario(path)
-    setup, expect = scenario.setup, scenario.expect
+    setup, expect = scenario.setup, scenario.expected(wire)
     state = setup.state.model_dump()
-    controller = bench.serve(scenario.build_faults(), clock=setup.clock, interrupt=scenario.interrupt, **state)
+    # Only TCP carries the samples as fast as the arm can move.
+    clock = setup.clock if wire == "tcp" else "real"
+    controller = bench.serve(scenario.build_faults(), wire, clock, interrupt=scenario.interrupt, **state)
     ended = bench.record()
     assert ended.code == expect.exit_code, ended.errors
     assert_at_rest(controller, expect.motions)
@@ -51,6 +63,7 @@ def test_every_fault_can_be_written_in_a_scenario(tmp_path: Path):
         ("faults: [{fault: refuse, phase: stop}]", "strikes in phase connect, not in 'stop'"),
         ("faults: [{fault: drop, phase: streaming, after: 1 kg}]", "after"),
         ("setup: {clock: slow}", "clock"),
+        ("elsewhere: {telex: {exit_code: 0}}", "there is no wire 'telex'"),
         ("surprise: 1", "unknown key"),
     ],
 )
@@ -64,3 +77,9 @@ def test_a_scenario_that_makes_no_sense(tmp_path: Path, text: str, said: str):
 def test_a_fault_out_of_place_cannot_be_built():
     with pytest.raises(ValueError, match="strikes in phase"):
         Fault("wrong_robot", "streaming")
+
+
+def test_a_fault_that_makes_no_sense_on_a_wire_is_refused(arm):
+    controller = build_controller(arm, 3, "fast", faults=[Fault("reorder", "streaming")])
+    with pytest.raises(ValueError, match="reorder makes no sense on modbus: it sends one answer at a time"):
+        open_server("modbus", controller)
