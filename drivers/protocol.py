@@ -5,7 +5,7 @@ Units are SI on the joint side: rad, rad/s, N·m (m, m/s, N on a prismatic joint
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
@@ -14,7 +14,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Identity:
-    """Who is at the far end. `period` [s] is the controller's interpolation and sampling period."""
+    """Who is at the far end. `period` [s] is the controller's interpolation and sampling period.
+
+    `watch_only` says why the link's samples do for watching a motion, not for identification; empty where they do.
+    """
 
     robot: str
     serial: str
@@ -22,6 +25,7 @@ class Identity:
     version: str
     joint_names: tuple[str, ...]
     period: float
+    watch_only: str = ""
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,7 @@ class Status:
 
     `mode` is `auto` or `teach`; `override` a fraction of one; `program` and `checksum` (SHA-256, hex, of the stored
     text) are empty where nothing is stored; `position` (n,) joint side; `emulator` says that no machine moves.
+    Where the wire does not tell the override, `override_known` is False and `override` is one.
     """
 
     drives_on: bool
@@ -43,6 +48,7 @@ class Status:
     checksum: str
     position: np.ndarray
     emulator: bool = False
+    override_known: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,17 +56,19 @@ class SampleBlock:
     """K consecutive samples. `sequence` (K,) counts them from 0 at the start of motion, so a gap shows.
 
     time (K,) controller time; position, velocity, torque and the set-points reference_position,
-    reference_velocity are (K, n). `received` is the receive time, seconds of the Unix clock.
+    reference_velocity are (K, n), and so is `current`, of the motors [A], where torque was computed from it. Velocity
+    and set-points are None on a wire that has none. `received` is the receive time, seconds of the Unix clock.
     """
 
     sequence: np.ndarray
     time: np.ndarray
     position: np.ndarray
-    velocity: np.ndarray
+    velocity: np.ndarray | None
     torque: np.ndarray
-    reference_position: np.ndarray
-    reference_velocity: np.ndarray
+    reference_position: np.ndarray | None
+    reference_velocity: np.ndarray | None
     received: float = field(default=0.0)
+    current: np.ndarray | None = None
 
     def __len__(self) -> int:
         """K."""
@@ -73,12 +81,17 @@ class SampleBlock:
             self.sequence[chosen],
             self.time[chosen],
             self.position[chosen],
-            self.velocity[chosen],
+            _part(self.velocity, chosen),
             self.torque[chosen],
-            self.reference_position[chosen],
-            self.reference_velocity[chosen],
+            _part(self.reference_position, chosen),
+            _part(self.reference_velocity, chosen),
             self.received,
+            _part(self.current, chosen),
         )
+
+
+def _part(values: np.ndarray | None, chosen: slice) -> np.ndarray | None:
+    return None if values is None else values[chosen]
 
 
 @dataclass(frozen=True)
@@ -130,3 +143,49 @@ class Driver(Protocol):
 
     def close(self) -> None:
         """Close the link; never raises."""
+
+
+@dataclass(frozen=True, eq=False)
+class ViaPoint:
+    """Where to go in a straight line of the tool: joint positions (n,) [rad, m].
+
+    `fly_tolerance` [m]: how far the arm may pass by; 0 is a stop. `linear_speed` [m/s] of the tool centre point.
+    """
+
+    position: np.ndarray
+    fly_tolerance: float
+    linear_speed: float
+
+
+@runtime_checkable
+class MeasuresCurrents(Protocol):
+    """A driver whose wire has motor currents; torque is computed from them.
+
+    `torque_per_ampere` (n, n) [N·m/A], joint side: whoever creates the driver sets it before the first motion.
+    """
+
+    torque_per_ampere: np.ndarray
+
+
+@runtime_checkable
+class TakesPoints(Protocol):
+    """A driver that is given via-points instead of a program. The last of them is a stop."""
+
+    def load(self, name: str, checksum: str, points: Sequence[ViaPoint]) -> None:
+        """Get ready to move through the points of the program of this name and checksum; `start` begins it."""
+
+
+@runtime_checkable
+class NeedsAPerson(Protocol):
+    """A driver whose `start` waits for somebody at the controller; `tell` says to them what to do."""
+
+    tell: Callable[[str], None]
+
+
+@runtime_checkable
+class TellsFacts(Protocol):
+    """A driver that knows more of the last motion than its samples say."""
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Names and values, for the log; those of durations and counts end in their unit."""

@@ -20,6 +20,7 @@ _BUILT_IN = {
     "tcp": "drivers.tcp:TcpDriver",
     "modbus": "drivers.modbus:ModbusDriver",
     "serial": "drivers.serial:create",
+    "cnr_comau": "drivers.cnr_comau:create",
 }
 
 _log = logging.getLogger(__name__)

@@ -276,3 +276,5 @@ def decode_joints(payload: bytes) -> tuple[int, tuple[float, ...]]:
 
 #: A text file in the folder of the programs, written once by whoever sets the link up: what no socket tells.
 IDENTITY_FILE = "agent_identity.json"
+#: Another one there: the name of the program that a start without points runs.
+PROGRAM_FILE = "agent_program.txt"

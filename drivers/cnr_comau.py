@@ -1,0 +1,375 @@
+"""The driver for a COMAU controller with CNR's open programs; docs/real-robot.md says what has to be there.
+
+Motion goes through the trajectory socket; where the arm is and how the controller feels come on two others. Samples
+come from the C5G Open node by way of a broker, or, where there is none, from the feedbacks. Programs go by FTP.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import secrets
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from drivers.cnr_address import CnrAddress, parse_address
+from drivers.cnr_files import Machine, ProgramFolder
+from drivers.cnr_motion import HAND_REST, Arm, CnrMotion, stop_reason
+from drivers.cnr_samples import BrokerLink, Counts
+from drivers.cnr_sockets import Answer, Sockets
+from drivers.errors import ConfigurationError, DriverError, RefusedError, SafetyRefused
+from drivers.protocol import Gap, Identity, SampleBlock, Status
+from drivers.wire import cnr as wire
+from drivers.wire.cnr import Feedback, MessageType, Mode, Point
+from drivers.wire.reasons import EndReason
+
+#: The feedback program rests so long between two messages [s].
+FEEDBACK_PERIOD = 0.02
+_SAMPLE_PATIENCE = 1.0  # s without a sample, at least
+_HAND_TIMEOUT = 600.0  # s for somebody to press START
+
+_log = logging.getLogger(__name__)
+
+
+def create(address: str, **options: Any) -> CnrDriver:
+    """The driver for an address of `drivers.cnr_address`; a `PointDriver` where it says `mode=points`.
+
+    Raises:
+        ConfigurationError: not an address.
+    """
+    parsed = parse_address(address)
+    if parsed.points:
+        from drivers.cnr_points import PointDriver
+
+        return PointDriver(parsed, **options)
+    return CnrDriver(parsed, **options)
+
+
+class CnrDriver:
+    """`drivers.protocol.Driver` on CNR's open programs: programs are stored by FTP and started by the socket, or by
+    hand.
+
+    Args:
+        address: where everything is.
+        timeout: how long [s] to wait for an answer.
+        start_timeout: the same for `start`, and for the arm to rest after `stop`.
+        buffer_limit: bytes of samples kept for a consumer that is behind; beyond it the motion is stopped.
+    """
+
+    def __init__(
+        self,
+        address: CnrAddress,
+        *,
+        timeout: float = 5.0,
+        start_timeout: float = 60.0,
+        buffer_limit: int = 512 * 1024 * 1024,
+    ) -> None:
+        self.torque_per_ampere = np.empty((0, 0))
+        self.tell: Callable[[str], None] = _log.warning
+        self._address = address
+        self._timeout = timeout
+        self._start_timeout = start_timeout
+        self._buffer_limit = buffer_limit
+        self._folder = ProgramFolder(address, timeout)
+        self._sockets: Sockets | None = None
+        self._broker: BrokerLink | None = None
+        self._machine: Machine | None = None
+        self._motion: CnrMotion | None = None
+        self._stored = "", ""
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """What is missing from the samples of the last motion; what the broker lost cannot be asked for again."""
+        return () if self._motion is None else self._motion.motion.sequencer.gaps
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """How the clocks of controller and samples lay in the last motion, and what did not come as it should."""
+        motion, broker = self._motion, self._broker
+        if motion is None or motion.match is None:
+            return {}
+        facts = {} if broker is None else _counted(broker.joiner.counts)
+        if motion.begun_at is not None:
+            facts["motion_start_s"] = f"{motion.begun_at:.6f}"
+        alignment = motion.match.alignment()
+        if alignment is not None:
+            facts["clock_offset_s"] = f"{alignment.offset:.9f}"
+            facts["clock_offset_uncertainty_s"] = f"{alignment.offset_deviation:.3g}"
+            facts["clock_offset_at_controller_time_s"] = f"{alignment.middle:.3f}"
+            facts["clock_drift_ppm"] = f"{1e6 * alignment.drift:.3g}"
+            facts["clock_drift_uncertainty_ppm"] = f"{1e6 * alignment.drift_deviation:.3g}"
+            facts["clock_feedbacks"] = str(alignment.count)
+        return facts
+
+    def connect(self) -> None:
+        """Open the sockets, read who is there, and listen to the broker."""
+        self.close()
+        self._motion = None
+        self._stored = "", ""
+        address = self._address
+        self._sockets = Sockets(address, self._timeout, self._on_turn, self._on_failure)
+        try:
+            self._machine = self._folder.machine()
+            self._sockets.watchdog = self._machine.watchdog
+            if address.broker is not None:
+                period = self._machine.identity.period
+                self._broker = BrokerLink(address.broker, address.topic, period, self._timeout, self._on_loss)
+        except BaseException:
+            self.close()
+            raise
+
+    def identify(self) -> Identity:
+        """Who the identity file says that is there; without a broker, samples come as often as feedbacks."""
+        self._connected()
+        assert self._machine is not None
+        who = self._machine.identity
+        if self._broker is not None:
+            return who
+        return Identity(
+            who.robot,
+            who.serial,
+            who.controller,
+            who.version,
+            who.joint_names,
+            FEEDBACK_PERIOD,
+            f"this link has no broker of C5G Open: some {1 / FEEDBACK_PERIOD:.0f} samples a second at uneven times, "
+            "without set-points, are too few for an identification; give mqtt=host:port in the address",
+        )
+
+    def status(self) -> Status:
+        """What the controller says of itself after this call. The override is not on this wire."""
+        sockets = self._connected()
+        assert self._machine is not None
+        state = sockets.fresh_status()
+        feedback = sockets.feedback()
+        moving = self._moves(feedback)
+        if not moving:
+            self._stored = self._read_stored()
+        name, checksum = self._stored
+        reason = stop_reason(state)
+        return Status(
+            drives_on=state.drives_powered == 1,
+            mode="auto" if state.mode == Mode.AUTO else "teach",
+            emergency_stop=state.e_stopped == 1,
+            alarms=(f"error {state.error_code}",) if state.in_error == 1 else (),
+            override=1.0,
+            cell_closed=reason is None or reason[0] is not EndReason.PROTECTIVE_STOP,
+            moving=moving,
+            program=name,
+            checksum=checksum,
+            position=np.radians(feedback.joints[: len(self._machine.identity.joint_names)]),
+            emulator=self._machine.emulator,
+            override_known=False,
+        )
+
+    def upload(self, name: str, text: str) -> str:
+        """Store a program by FTP; returns the SHA-256 (hex) of what was read back.
+
+        Raises:
+            RefusedError: not a program (with line and column, where the controller says), no room, or the arm moves.
+        """
+        if self._moves(self._connected().feedback()):
+            raise RefusedError("no program is stored while the arm moves; stop it first")
+        self._stored = "", ""
+        checksum = self._folder.store(name, text)
+        self._stored = name, checksum
+        return checksum
+
+    def start(self, name: str, checksum: str) -> None:
+        """Run the stored program once. Where the answer is lost the link is closed, so that the arm cannot go on."""
+        sockets = self._connected()
+        self._check_idle(sockets)
+        if self._folder.stored() != (name, checksum):
+            raise RefusedError(
+                f"the program that the controller has is not the {name!r} that was sent; nothing was started"
+            )
+        number = secrets.randbelow(2**31 - 1) + 1
+        self._begin(None if self._address.by_hand else lambda feedback: feedback.last_point_processed == number)
+        try:
+            if self._address.by_hand:
+                self._wait_for_a_person(sockets, name)
+            else:
+                self._command_start(sockets, f"the start of {name}", Point(sequence_number=number))
+        except RefusedError:
+            self._abandon()
+            raise
+        except BaseException:
+            self.close()
+            raise
+
+    def samples(self) -> Iterator[SampleBlock]:
+        """Samples of the motion, in order, each once; what arrived before an error is yielded before it is raised."""
+        if self._motion is None:
+            raise DriverError("there are no samples: nothing was started")
+        return self._motion.motion.blocks()
+
+    def stop(self) -> None:
+        """Ask for a stop on the path, wait until the arm rests, and empty the queue."""
+        sockets, motion = self._sockets, self._motion
+        if sockets is None or (sockets.failure is not None and (motion is None or motion.motion.over)):
+            return
+        if motion is not None:
+            motion.motion.stopping = True
+        answer = sockets.command(MessageType.STOP)
+        rests = sockets.wait_feedback(lambda: not sockets.feedback().is_moving, self._start_timeout)
+        if motion is not None:
+            rests = rests and motion.motion.wait(self._start_timeout)
+        if answer is None or not rests:
+            raise DriverError(
+                f"the controller at {self._address.host} {'did not answer' if answer is None else 'took'} the stop "
+                "command, but does not report the arm at rest; use the emergency stop"
+            )
+        sockets.command(MessageType.CANCEL)
+
+    def close(self) -> None:
+        """Close the link; a controller that still moves comes to rest by itself. Never raises."""
+        sockets, self._sockets = self._sockets, None
+        broker, self._broker = self._broker, None
+        if sockets is not None:
+            sockets.close()
+        if broker is not None:
+            broker.close()
+
+    def _connected(self) -> Sockets:
+        if self._sockets is None:
+            raise DriverError(f"the link to {self._address.host} is not open; connect first")
+        self._sockets.check()
+        return self._sockets
+
+    def _moves(self, feedback: Feedback) -> bool:
+        motion = self._motion
+        return bool(feedback.is_moving) or (motion is not None and motion.moving and not motion.motion.over)
+
+    def _read_stored(self) -> tuple[str, str]:
+        return self._folder.stored()
+
+    def _check_idle(self, sockets: Sockets) -> None:
+        if self._motion is not None and not self._motion.motion.over:
+            raise DriverError("the last motion is not over yet; read its samples to the end, or stop it")
+        if sockets.feedback().is_moving:
+            raise RefusedError("the arm moves already, by another program; wait for it, or stop it at the controller")
+
+    def _begin(self, is_over: Callable[[Feedback], bool] | None) -> CnrMotion:
+        """Listen to the motion that is about to start; `is_over` as in `CnrMotion`."""
+        assert self._machine is not None
+        joints = len(self._machine.identity.joint_names)
+        if self.torque_per_ampere.shape != (joints, joints):
+            raise ConfigurationError(
+                f"the link delivers motor currents of {joints} joints; torque_per_ampere has the shape "
+                f"{self.torque_per_ampere.shape}"
+            )
+        broker = self._broker
+        if broker is not None:
+            broker.joiner.take()
+            broker.joiner.forget_counts()
+        patience = max(_SAMPLE_PATIENCE, 2 * self._machine.watchdog)
+        arm = Arm(joints, self.identify().period, self.torque_per_ampere)
+        motion = CnrMotion(arm, self._buffer_limit, broker is not None, is_over, patience, self._what_is_silent)
+        self._motion = motion
+        assert self._sockets is not None
+        self._sockets.guarded = True
+        return motion
+
+    def _command_start(self, sockets: Sockets, what: str, point: Point) -> Answer:
+        """The answer to a start that was carried out.
+
+        Raises:
+            RefusedError: it was not; nothing has moved.
+            DriverError: no answer.
+        """
+        answer = sockets.command(MessageType.START, point, self._start_timeout)
+        if answer is None:
+            raise DriverError(
+                f"the controller at {self._address.host} did not answer {what} within {self._start_timeout:g} s; the "
+                "link was closed, which stops the arm. Go and look at it"
+            )
+        if not answer.success:
+            raise _refused_start(what, sockets.fresh_status(), point.sequence_number != 0)
+        assert self._motion is not None
+        self._motion.started = True
+        return answer
+
+    def _wait_for_a_person(self, sockets: Sockets, name: str) -> None:
+        motion = self._motion
+        assert motion is not None
+        motion.started = True
+        self.tell(
+            f"at the controller: select program {name}, drives on, selector at auto, and press START within "
+            f"{_HAND_TIMEOUT / 60:.0f} minutes. The recording begins with the first motion and ends when the arm has "
+            f"rested for {HAND_REST:g} s"
+        )
+        if not sockets.wait_feedback(lambda: motion.begun, _HAND_TIMEOUT):
+            raise DriverError(f"nobody started {name} within {_HAND_TIMEOUT / 60:.0f} minutes; nothing was recorded")
+
+    def _abandon(self) -> None:
+        """Nothing was started after all."""
+        self._motion = None
+        if self._sockets is not None:
+            self._sockets.guarded = False
+
+    def _what_is_silent(self) -> str:
+        broker = self._broker
+        if broker is None:
+            return "the broker was left"
+        topics = ", ".join(f"{self._address.topic}/{name}" for name in broker.joiner.silent_channels())
+        return f"nothing on {topics} at {broker.peer}; does the C5G Open node still run?"
+
+    # From here on in the reader thread of the sockets, but for `_on_loss`.
+
+    def _on_turn(self, feedbacks: list[Feedback]) -> None:
+        motion, broker, sockets = self._motion, self._broker, self._sockets
+        if broker is not None:
+            times, values = broker.joiner.take()
+            if motion is not None:
+                motion.samples(times, values)
+        if motion is None or sockets is None or motion.motion.over:
+            return
+        if feedbacks:
+            motion.feedbacks(feedbacks, sockets.last_status())
+        fault = motion.turn()
+        if motion.motion.too_full:
+            fault = DriverError(
+                f"{motion.motion.size >> 20} MiB of samples wait to be read; the motion was stopped: is the disk full?"
+            )
+        if fault is not None:
+            self._end_with(sockets, motion, fault)
+        sockets.guarded = not motion.motion.over
+
+    def _end_with(self, sockets: Sockets, motion: CnrMotion, fault: DriverError) -> None:
+        """The recording is worthless: stop the arm without waiting, and say why."""
+        with contextlib.suppress(DriverError):  # a link that is down stops the arm as well
+            sockets.post(MessageType.STOP)
+        motion.motion.finish(fault)
+
+    def _on_failure(self, error: DriverError) -> None:
+        if self._motion is not None:
+            self._motion.motion.finish(error)
+
+    def _on_loss(self, error: DriverError) -> None:
+        """The broker is gone (in its thread)."""
+        motion, sockets = self._motion, self._sockets
+        if motion is not None and sockets is not None and not motion.motion.over:
+            self._end_with(sockets, motion, error)
+
+
+def _refused_start(what: str, state: wire.Status, stored: bool) -> RefusedError:
+    reason = stop_reason(state)
+    if reason is None:
+        advice = (
+            "is the program translated and free of errors, does the trajectory program know how to start a stored one? "
+            "(start=hand in the address does without)"
+            if stored
+            else "was another trajectory left in its queue?"
+        )
+        return RefusedError(f"the controller refused {what} and does not say why; {advice}")
+    kind = SafetyRefused if reason[0] is EndReason.EMERGENCY_STOP else RefusedError
+    return kind(f"the controller refused {what}: {reason[1]}")
+
+
+def _counted(counts: Counts) -> dict[str, str]:
+    """What did not come as it should, for a log; nothing where all did."""
+    missing = {f"missing_{name}": str(count) for name, count in counts.missing.items()}
+    others = {"late": counts.late, "duplicate": counts.duplicate, "damaged": counts.damaged}
+    return {**missing, **{f"{name}_messages": str(count) for name, count in others.items()}}
