@@ -1,8 +1,236 @@
+"""A guard in front of a controller that does as told, and trajectories for it."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
+from dataclasses import dataclass, field, replace
+from datetime import date
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
 from agent.motion.trajectory import Trajectory
+from agent.robot import load_robot
+from agent.safety.authorisation import Authorisation
+from agent.safety.checked import CheckedPrograms
+from agent.safety.guard import GuardedLink
+from agent.safety.motion import PlannedProgram
+from drivers.tcp import TcpDriver
+from drivers.wire import tcp
+from drivers.wire.reasons import EndReason, Refusal
+
+HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
+NAMES = tuple(f"joint_{k}" for k in range(1, 7))
+
+
+@dataclass
+class Controller:
+    """What the peer says of itself, and what it was asked to do."""
+
+    robot: str = "comau_ns16"
+    serial: str = "NS16-7"
+    joints: tuple[str, ...] = NAMES
+    period: float = 0.002
+    stores: str = ""  # checksum it claims for every program
+    refuses: Refusal | None = None
+    lose_answer: bool = False
+    confirms_stop: bool = True
+    blocks: int = 10
+    end: EndReason = EndReason.DONE
+    vanish_after: int = -1
+    status: dict = field(default_factory=dict)
+    later: dict = field(default_factory=dict)  # state from the third block on
+    status_fails_later: bool = False
+    pushes: bool = False  # all blocks at once, not one a look
+    spacing: int = 2_500_000  # of the samples [ns]
+    starts: int = 0
+    stops: int = 0
+    asked: list[str] = field(default_factory=list)
+
+    def answer(self, message: object, state: dict) -> object:
+        self.asked.append(type(message).__name__)
+        match message:
+            case tcp.Hello():
+                return tcp.Welcome(tcp.VERSION, 2000)
+            case tcp.Identify():
+                return tcp.IdentityReply(self.robot, self.serial, "peer", "1", self.joints, self.period)
+            case tcp.AskStatus():
+                return tcp.StatusReply(**state)
+            case tcp.UploadBegin(name, _, checksum):
+                state |= {"program": name, "checksum": self.stores or checksum}
+                return tcp.Done()
+            case tcp.UploadEnd():
+                return tcp.Stored("swing", self.stores or state["checksum"])
+            case _:
+                return tcp.Done()
+
+
+class Peer(threading.Thread):
+    """Serves one client."""
+
+    def __init__(self, controller: Controller):
+        super().__init__(daemon=True)
+        self.controller = controller
+        self.listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"127.0.0.1:{self.listener.getsockname()[1]}"
+        self.start()
+
+    def run(self) -> None:
+        try:
+            connection, _ = self.listener.accept()
+        except OSError:
+            return
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with connection, suppress(OSError):
+            self._serve(connection)
+
+    def _serve(self, connection: socket.socket) -> None:
+        told, decoder = self.controller, tcp.Decoder(tcp.MAX_REQUEST_PAYLOAD)
+        state = {
+            "drives_on": True,
+            "mode": "auto",
+            "emergency_stop": False,
+            "alarms": (),
+            "override": 1.0,
+            "cell_closed": True,
+            "moving": False,
+            "program": "",
+            "checksum": "",
+            "position": tuple(HOME),
+            "emulator": False,
+            **told.status,
+        }
+        sent, running = 0, False
+
+        def send(message: object, request: int = 0) -> None:
+            connection.sendall(tcp.encode(message, request))
+
+        def block() -> None:
+            nonlocal sent, running
+            first = 100 * sent
+            values = np.zeros((100, 6))
+            stamps = (first + np.arange(100)) * told.spacing  # at first, a block is a quarter of a second
+            send(tcp.Samples(first, stamps.astype(np.int64), *(values for _ in range(5))))
+            sent += 1
+            if sent == 3:
+                state.update(told.later)
+            if sent == told.vanish_after:
+                connection.shutdown(socket.SHUT_RDWR)
+            elif sent == told.blocks:
+                running = False
+                send(tcp.End(told.end, 100 * sent, "as told"))
+
+        while data := connection.recv(65536):
+            for frame in decoder.feed(data):
+                message = tcp.decode(frame)
+                if isinstance(message, tcp.Heartbeat):
+                    continue
+                if isinstance(message, tcp.Start):
+                    told.starts += 1
+                    if told.lose_answer:
+                        connection.shutdown(socket.SHUT_RDWR)
+                        return
+                    if told.refuses is not None:
+                        send(tcp.Refused(told.refuses, 0, 0, "as told"), frame.request)
+                        continue
+                    send(tcp.Started(message.motion_id), frame.request)
+                    running = True
+                    for _ in range(told.blocks if told.pushes else 1):
+                        block()
+                elif isinstance(message, tcp.Stop):
+                    told.stops += 1
+                    if not told.confirms_stop:
+                        send(tcp.Refused(Refusal.INTERNAL, 0, 0, "no"), frame.request)
+                        continue
+                    send(tcp.Done(), frame.request)
+                    if running:
+                        running = False
+                        reason = EndReason.STOPPED if told.end is EndReason.DONE else told.end
+                        send(tcp.End(reason, 100 * sent, "as told"))
+                elif isinstance(message, tcp.AskStatus) and running:
+                    if told.status_fails_later and sent >= 3:
+                        send(tcp.Refused(Refusal.INTERNAL, 0, 0, "no"), frame.request)
+                    else:
+                        send(told.answer(message, state), frame.request)
+                    block()  # the guard looks at every block, so each look brings the next
+                else:
+                    send(told.answer(message, state), frame.request)
+
+
+class Bench:
+    """A guard in front of a peer; `asked` are the questions a person got, `warned` what was told."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self.controller = Controller()
+        self.robot = load_robot("comau_ns16")
+        self.checked = CheckedPrograms(folder / "checked_programs.json")
+        self.answer = False
+        self.asked: list[str] = []
+        self.warned: list[str] = []
+        self.guard: GuardedLink | None = None
+        self.address = ""
+
+    def build(self, yes: bool = True, address: str = "", rate: float = 500.0, **options: object) -> GuardedLink:
+        peer = Peer(self.controller)
+        self.address = peer.address
+
+        def ask(question: str) -> bool:
+            self.asked.append(question)
+            return self.answer
+
+        self.guard = GuardedLink(
+            TcpDriver(peer.address, timeout=2.0, start_timeout=2.0),
+            self.robot,
+            address or peer.address,
+            rate,
+            self.checked,
+            ask,
+            self.warned.append,
+            yes,
+            **options,
+        )
+        return self.guard
+
+    def open(self, **options: object) -> GuardedLink:
+        guard = self.build(**options)
+        guard.open()
+        return guard
+
+    def run(self, chosen: PlannedProgram, guard: GuardedLink | None = None) -> int:
+        """Send and run; how many samples came."""
+        guard = guard or self.open()
+        guard.send(chosen)
+        with guard.motion(chosen) as samples:
+            return sum(len(block) for block in samples)
+
+    def close(self) -> None:
+        if self.guard is not None:
+            self.guard.close()
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    """A guard that warns into a list and asks a person who says no."""
+    with closing(Bench(tmp_path)) as bench:
+        yield bench
+
+
+@pytest.fixture(scope="session")
+def program() -> Callable[..., PlannedProgram]:
+    """`program(speed, **changes)`: a small swing that says this speed of itself; changes are columns of its plan."""
+    return _program
+
+
+@pytest.fixture(scope="session")
+def authorisation() -> Callable[..., Authorisation]:
+    """`authorisation(program, **changes)`: what a person wrote for it."""
+    return _authorisation
 
 
 @pytest.fixture(scope="session")
@@ -18,3 +246,24 @@ def trajectory_through():
         return Trajectory(t, q, qd, qdd, np.full((len(t), 4, 4), np.nan), unknown, np.zeros(len(t), dtype=int))
 
     return build
+
+
+def _trajectory(speed: float = 0.1, start: np.ndarray = HOME, seconds: float = 1.0) -> Trajectory:
+    """A small swing of every joint; `speed` is what it says of its tool centre point."""
+    t = np.arange(0.0, seconds, 0.002)
+    swing = 0.05 * (1 - np.cos(2 * np.pi * t / seconds))[:, None]
+    rate = np.gradient(swing, 0.002, axis=0)
+    q, qd = start + swing * np.ones(6), rate * np.ones(6)
+    poses = np.repeat(np.eye(4)[None], len(t), axis=0)
+    return Trajectory(t, q, qd, np.zeros_like(q), poses, np.full(len(t), speed), np.zeros(len(t), int))
+
+
+def _program(speed: float = 0.1, **changes: object) -> PlannedProgram:
+    return PlannedProgram("swing", "PROGRAM swing", (replace(_trajectory(speed), **changes),))
+
+
+def _authorisation(chosen: PlannedProgram, **changes: object) -> Authorisation:
+    granted = Authorisation(
+        Path("word.yaml"), "comau_ns16", "NS16-7", chosen.checksum, 1.0, 60.0, date(2999, 1, 1), "M. Rossi"
+    )
+    return replace(granted, **changes)

@@ -1,4 +1,4 @@
-"""Takes the checks of the safety layer away, one at a time, and sees that a test of `test_guard.py` fails each time.
+"""Takes the checks of the safety layer away, one at a time, and sees that a test of the guard fails each time.
 
 Every `if` is made never true and negated, every statement that calls a check or a stop is left out, every returned
 condition is negated. `python tests/safety/mutation.py` lists the survivors; there must be none.
@@ -22,7 +22,7 @@ from types import ModuleType
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-TESTS = ROOT / "tests/safety/test_guard.py"
+TESTS = sorted(str(path) for path in ROOT.glob("tests/safety/test_guard*.py"))
 #: Modules of the layer; of one that holds more than that, the functions that belong to it.
 MODULES: dict[str, tuple[str, ...]] = {
     "agent/safety/guard.py": (),
@@ -148,7 +148,7 @@ def survives(mutant: Mutant | None) -> bool:
         if mutant is not None:
             sys.meta_path.insert(0, _Loader(mutant))
         options = ["-x", "-q", "-p", "no:cacheprovider", "-c", str(ROOT / "pyproject.toml")]
-        os._exit(int(pytest.main([*options, str(TESTS)])))
+        os._exit(int(pytest.main([*options, *TESTS])))
     until = time.monotonic() + LIMIT
     while time.monotonic() < until:
         ended, status = os.waitpid(child, os.WNOHANG)

@@ -1,0 +1,128 @@
+"""A program that is new to a machine runs slowly first, with somebody watching; what counts as that."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.errors import ControllerError, InputError
+from agent.motion.program import Delay, JointTarget, MotionSettings, Move, MoveType
+from agent.safety.checked import CheckedPrograms
+from agent.safety.first_run import FIRST_SPEED, slow_version, stop_to_stop
+from agent.safety.motion import PlannedProgram
+from drivers.errors import DriverError
+
+HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
+
+
+def test_nobody_watches_a_program_that_nobody_has_watched_before(bench, program, authorisation):
+    chosen = program(0.1)
+    guard = bench.open(yes=False, authorisation=authorisation(chosen))
+    with pytest.raises(InputError, match="has never run on serial NS16-7"):
+        bench.run(chosen, guard)
+    assert bench.controller.starts == 0
+
+
+def test_a_program_that_is_new_to_a_machine_runs_slowly_first(bench, program):
+    fast = program(0.8)
+    guard = bench.open()
+    assert guard.needs_slow_run(fast)
+    with pytest.raises(ControllerError, match="has never run on serial NS16-7"):
+        bench.run(fast, guard)
+    assert bench.controller.starts == 0
+    slow = replace(program(FIRST_SPEED), text="PROGRAM slow", stands_for=fast.checksum)
+    assert bench.run(slow, guard) == 1000
+    guard.close()
+    guard = bench.open()
+    assert not guard.needs_slow_run(fast)
+    assert bench.run(fast, guard) == 1000
+    bench.controller = replace(bench.controller, serial="NS16-8")
+    assert bench.open().needs_slow_run(fast), "another machine"
+    assert not bench.open().needs_slow_run(slow), "no slower than slow"
+
+
+def test_an_emulator_needs_no_slow_run(bench, program):
+    bench.controller.status = {"emulator": True}
+    assert bench.run(program(0.8)) == 1000
+    assert bench.run(program(0.1)) == 1000
+    assert not bench.checked.path.exists()
+
+
+def test_a_slow_run_that_was_cut_short_does_not_count(bench, program):
+    bench.controller.vanish_after = 4
+    with pytest.raises(DriverError):
+        bench.run(program(0.2))
+    assert not bench.checked.has("NS16-7", program(0.2).checksum)
+
+
+def test_a_slow_run_that_was_left_early_does_not_count(bench, program):
+    guard = bench.open()
+    guard.send(program())
+    with guard.motion(program()) as samples:
+        next(samples)
+    assert bench.controller.stops == 1
+    assert not bench.checked.has("NS16-7", program().checksum)
+
+
+def test_a_program_that_is_slow_by_itself_counts(bench, program):
+    assert bench.run(program(0.2)) == 1000
+    assert bench.checked.has("NS16-7", program().checksum)
+    assert len(json.loads(bench.checked.path.read_text(encoding="utf-8"))["programs"]) == 1
+
+
+def test_the_list_of_checked_programs(tmp_path: Path):
+    checked = CheckedPrograms(tmp_path / "deep" / "checked_programs.json")
+    assert not checked.has("a", "p")
+    checked.add("a", "p")
+    checked.add("a", "p")
+    checked.add("b", "q")
+    again = CheckedPrograms(checked.path)
+    assert again.has("a", "p")
+    assert again.has("b", "q")
+    assert not again.has("a", "q")
+    assert len(json.loads(checked.path.read_text(encoding="utf-8"))["programs"]) == 2
+    for damage in ("", "[]", '{"schema": "other", "programs": []}', '{"schema": "checked_programs/1"}'):
+        checked.path.write_text(damage, encoding="utf-8")
+        with pytest.raises(InputError, match="damaged"):
+            again.has("a", "p")
+
+
+def test_the_slow_version_is_one_turn_at_no_more_than_the_first_speed(bench):
+    from agent.motion import FlyInterpolator
+    from agent.motion.pdl2 import parse_program, write_program
+
+    settings = MotionSettings().changed(linear_speed=1.0)
+    targets = [JointTarget(HOME + np.radians([angle, 0, 0, 0, 0, 0])) for angle in (20.0, -20.0)]
+    swing = [Move(MoveType.JOINT, target, settings) for target in targets]
+    text = write_program("swing", swing * 5, bench.robot)
+    interpolator = FlyInterpolator(bench.robot, period=0.002)
+    slow = slow_version(PlannedProgram("swing", text, ()), bench.robot, interpolator, HOME)
+    assert slow.stands_for == hashlib.sha256(text.encode()).hexdigest()
+    assert 0.5 * FIRST_SPEED < slow.speed <= FIRST_SPEED
+    assert len(slow.chains) == 3, "from home, there, and back: the fourth stretch would be the second again"
+    planned = interpolator.plan(tuple(list(parse_program(slow.text, "slow").run())[:1]), HOME)
+    np.testing.assert_allclose(planned.q[-1], targets[0].position, atol=1e-9)
+    assert planned.path_speed.max() <= FIRST_SPEED
+
+
+def test_every_way_is_gone_slowly_also_from_the_same_place(bench):
+    from agent.motion import FlyInterpolator
+    from agent.motion.pdl2 import write_program
+
+    goals = [HOME + np.radians([angle, 0, 0, 0, 0, 0]) for angle in (5.0, 0.0, -5.0, 0.0)]
+    moves = [Move(MoveType.JOINT, JointTarget(goal), MotionSettings()) for goal in goals]
+    text = write_program("ways", moves * 2, bench.robot)
+    interpolator = FlyInterpolator(bench.robot, period=0.002)
+    slow = slow_version(PlannedProgram("ways", text, ()), bench.robot, interpolator, HOME)
+    assert len(slow.chains) == 4
+
+
+def test_a_program_is_cut_where_the_arm_stops():
+    stop, fly = (Move(MoveType.JOINT, JointTarget(HOME), MotionSettings(), fly=fly) for fly in (False, True))
+    assert list(stop_to_stop([fly, Delay(1.0), stop, stop, fly])) == [[fly, stop], [stop], [fly]]
+    assert list(stop_to_stop([stop])) == [[stop]]

@@ -1,0 +1,138 @@
+"""The watch while an arm moves: whatever ends a motion before its end ends it in a stop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from agent.errors import AgentError, ControllerError, SafetyError
+from agent.safety.guard import GuardedLink
+from agent.safety.motion import PlannedProgram
+from drivers.errors import DriverError, MotionStopped, RefusedError
+from drivers.wire.reasons import EndReason, Refusal
+
+HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("later", "said"),
+    [
+        ({"emergency_stop": True}, "emergency stop"),
+        ({"drives_on": False}, "drives went off"),
+        ({"alarms": ("4711",)}, "4711"),
+        ({"cell_closed": False}, "cell was opened"),
+        ({"mode": "teach"}, "mode was changed"),
+        ({"override": 0.9}, "90 %"),
+        ({"override": 1.2}, "120 %"),
+    ],
+)
+def test_what_changes_in_motion_stops_the_arm(bench, later, said, program):
+    """Also where the controller itself would go on."""
+    bench.controller.blocks, bench.controller.later = 50, later
+    taken = []
+    guard = bench.open()
+    guard.send(program())
+    with pytest.raises(SafetyError, match=said), guard.motion(program()) as samples:
+        taken.extend(samples)
+    assert bench.controller.stops >= 1
+    assert bench.controller.starts == 1
+    assert 3 <= len(taken) <= 6, "everything that came before the arm rested is handed out, and it rests soon"
+    assert not bench.checked.has("NS16-7", program().checksum)
+
+
+def test_a_state_that_cannot_be_read_any_more_stops_the_arm(bench, program):
+    bench.controller.blocks, bench.controller.status_fails_later = 50, True
+    with pytest.raises(ControllerError, match="cannot be read any more"):
+        bench.run(program())
+    assert bench.controller.stops >= 1
+
+
+def test_what_the_controller_stopped_is_told_as_it_tells_it(bench, program):
+    bench.controller.end = EndReason.PROTECTIVE_STOP
+    with pytest.raises(MotionStopped, match=r"protective stop.*run the command again"):
+        bench.run(program())
+
+
+def test_the_controllers_own_word_comes_before_what_the_state_says(bench, program):
+    bench.controller.blocks, bench.controller.end = 50, EndReason.EMERGENCY_STOP
+    bench.controller.later = {"emergency_stop": True}
+    with pytest.raises(MotionStopped, match=r"emergency stop.*as told"):
+        bench.run(program())
+    assert bench.controller.stops >= 1
+
+
+def test_a_look_costs_a_request_and_is_taken_five_times_a_second_of_motion(bench, program):
+    bench.controller.blocks, bench.controller.pushes, bench.controller.spacing = 40, True, 250_000
+    guard = bench.open(clock=lambda: 0.0)
+    before = bench.controller.asked.count("AskStatus") + 2  # the two before the start
+    bench.run(program(), guard)
+    assert 4 <= bench.controller.asked.count("AskStatus") - before <= 6
+
+
+def test_a_controller_whose_time_stands_still_is_looked_at_all_the_same(bench, program):
+    bench.controller.blocks, bench.controller.pushes, bench.controller.spacing = 40, True, 1
+    ticks = iter(range(10**6))
+    guard = bench.open(clock=lambda: 0.1 * next(ticks))
+    before = bench.controller.asked.count("AskStatus") + 2
+    bench.run(program(), guard)
+    assert bench.controller.asked.count("AskStatus") - before >= 10
+
+
+def test_a_link_that_drops_is_told_with_what_to_do(bench, program):
+    bench.controller.vanish_after = 4
+    with pytest.raises(DriverError, match=r"make sure that the arm rests.*run the command again") as dropped:
+        bench.run(program())
+    assert dropped.value.exit_code == 4
+    assert bench.controller.starts == 1
+
+
+def test_a_start_whose_answer_is_lost_is_not_repeated(bench, program):
+    bench.controller.lose_answer = True
+    with pytest.raises(DriverError, match="make sure that the arm rests"):
+        bench.run(program())
+    assert bench.controller.starts == 1
+
+
+def test_a_refused_start_is_not_repeated_and_not_stopped(bench, program):
+    bench.controller.refuses = Refusal.ALARM
+    with pytest.raises(RefusedError, match="alarm"):
+        bench.run(program())
+    assert (bench.controller.starts, bench.controller.stops) == (1, 0)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError, AgentError, SystemExit])
+def test_whatever_goes_wrong_with_the_samples_stops_the_arm(bench, error, program):
+    guard = bench.open()
+    guard.send(program())
+    with pytest.raises(error):
+        _take_one_and_raise(guard, program(), error)
+    assert (bench.controller.starts, bench.controller.stops) == (1, 1)
+
+
+def test_a_stop_that_is_not_confirmed_closes_the_link_and_says_so(bench, program):
+    bench.controller.confirms_stop = False
+    guard = bench.open()
+    guard.send(program())
+    with pytest.raises(KeyboardInterrupt):
+        _take_one_and_raise(guard, program(), KeyboardInterrupt)
+    assert len(bench.warned) == 1
+    assert "not confirmed" in bench.warned[0]
+    with pytest.raises(DriverError, match="connect first"):
+        guard.position()
+
+
+def test_a_closed_link_is_closed(bench):
+    guard = bench.open()
+    guard.close()
+    with pytest.raises(DriverError, match="connect first"):
+        guard.position()
+
+
+def _take_one_and_raise(guard: GuardedLink, chosen: PlannedProgram, error: type[BaseException]) -> None:
+    with guard.motion(chosen) as samples:
+        next(samples)
+        raise error("disk full, Ctrl-C, anything")
+
+
+def test_where_the_arm_stands(bench):
+    np.testing.assert_array_equal(bench.open().position(), HOME)
