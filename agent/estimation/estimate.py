@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.errors import InputError
-from agent.estimation.blocks import Partition, partition
+from agent.estimation.blocks import partition
 from agent.estimation.choice import choose
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.friction_terms import FrictionTerm, Reversal
+from agent.estimation.friction_terms import Reversal
 from agent.estimation.least_squares import ordinary, reweighted, weighted
 from agent.estimation.model import IdentifiedModel
-from agent.estimation.moments import collect
-from agent.estimation.observation import Observation, RigidBodies, observe
-from agent.estimation.prior import physical_prior
+from agent.estimation.observation import RigidBodies, observe
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.selection import ladder, paper_terms
 from agent.estimation.summary import build_model
@@ -111,7 +109,7 @@ def estimate(
     if settings.friction == "ladder":
         problem = ladder(observation, cells)
     else:
-        problem = pose(observation, cells, paper_terms([Reversal()] * robot.dof))
+        problem = Problem.pose(observation, cells, paper_terms([Reversal()] * robot.dof))
     problem = problem.with_own_trust()
     if settings.method == "auto":
         method, found = choose(problem, {name: ESTIMATORS[name] for name in _AUTO})
@@ -137,10 +135,3 @@ def rigid_bodies(
 
     base = base_parameters(robot)
     return RigidBodies(Dynamics(robot, tool), base.independent, base.projection), base.standard_names, base.names
-
-
-def pose(observation: Observation, cells: Partition, terms: tuple[FrictionTerm, ...]) -> Problem:
-    """The problem of fitting given terms; where they depend on the transmitted load, it is that of the URDF's links."""
-    prior = physical_prior(observation, terms)
-    load = prior.mean[: observation.rigid.count]
-    return Problem(observation, cells, terms, load, collect(observation, cells, terms, load), prior, 1.0)

@@ -130,7 +130,7 @@ def axle_columns(terms: tuple[FrictionTerm, ...], motion: AxleMotion) -> np.ndar
     """(S, T): each term's torque on its own axle per unit of its parameter."""
     for axle in {term.axle for term in terms}:
         motion.directions(axle, list(dict.fromkeys(t.reversal for t in terms if t.axle == axle and t.reversal)))
-    columns = np.empty((len(motion.speed), len(terms)))
+    columns = np.empty((len(terms), len(motion.speed))).T
     for k, term in enumerate(terms):
         columns[:, k] = _column(term, motion)
     return columns

@@ -35,7 +35,7 @@ def instrumental(problem: Problem) -> Estimate:
     for stretch in observation.stretches:
         simulated = filtered(observation.rigid, stretch.log_index, _simulate(problem, start, stretch.motion))
         instruments.append(replace(stretch, rigid=simulated.rigid))
-    moments = collect(observation, problem.partition, problem.terms, problem.load, instruments=instruments)
+    moments = collect(observation, problem.partition, problem.terms, problem.friction(), instruments=instruments)
     given = all(stretch.motion.set_points is not None for stretch in observation.stretches)
     source = "the controller's set-points" if given else "smoothed measured positions, as set-points are missing"
     return finish(problem, moments, start.weights, f"Instruments: the motion simulated along {source}.")

@@ -6,8 +6,9 @@ is arithmetic on small matrices, whatever the length of the logs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -33,7 +34,7 @@ class Moments:
     index: tuple[np.ndarray, ...]
     sums: tuple[np.ndarray, ...]
     rows: np.ndarray
-    _totals: dict[int, np.ndarray] = field(default_factory=dict)
+    _totals: dict[tuple[int, bytes], np.ndarray] = field(default_factory=dict)
 
     def weighted(self, weights: np.ndarray, cells: Cells = ALL_CELLS) -> np.ndarray:
         """(p + 1, p + 1): sum over cells and rows, the last row and column are the torque's."""
@@ -44,12 +45,11 @@ class Moments:
         return total
 
     def _over(self, joint: int, cells: Cells) -> np.ndarray:
-        """(2, c_i + 1, c_i + 1) sum over cells; that over all of them is asked for again and again."""
-        if isinstance(cells, slice) and cells == ALL_CELLS:
-            if joint not in self._totals:
-                self._totals[joint] = self.sums[joint].sum(axis=0)
-            return self._totals[joint]
-        return self.sums[joint][cells].sum(axis=0)
+        """(2, c_i + 1, c_i + 1) sum over cells; the same few sums are asked for again and again."""
+        key = joint, b"" if isinstance(cells, slice) else cells.tobytes()
+        if key not in self._totals:
+            self._totals[key] = self.sums[joint][cells].sum(axis=0)
+        return self._totals[key]
 
     def energy(self, parameters: np.ndarray, cells: Cells = ALL_CELLS) -> np.ndarray:
         """(2, n) squared residual left by parameters (p,), not below the round-off of this difference."""
@@ -82,14 +82,14 @@ def collect(
     observation: Observation,
     partition: Partition,
     terms: tuple[FrictionTerm, ...],
-    rigid_parameters: np.ndarray | None = None,
+    friction: Iterable[np.ndarray],
     trusted: Sequence[np.ndarray] | None = None,
     instruments: Sequence[Stretch] | None = None,
 ) -> Moments:
-    """Moments of the base parameters and these friction terms; `rigid_parameters` as in `joint_columns`.
+    """Moments of the base parameters and these terms, whose columns `friction` (S', T) gives stretch by stretch.
 
     `trusted`, per stretch (S', n), weights single rows between 0 and 1. With `instruments` the sums are Wᵀ Z, W the
-    same columns of other stretches: what instrumental variables solve with, but no squares for `energy`.
+    rigid-body columns of other stretches: what instrumental variables solve with, but no squares for `energy`.
     """
     n = observation.robot.dof
     cells = len(partition.cluster)
@@ -97,27 +97,22 @@ def collect(
     sums: list[np.ndarray] = []
     rows = np.zeros((cells, 2, n), dtype=int)
     still = standstill(observation)
-    for number, stretch in enumerate(observation.stretches):
+    for number, (stretch, columns) in enumerate(zip(observation.stretches, friction, strict=True)):
         labels, stopped = partition.labels[number], still[number]
-        others = None
-        if instruments is not None:
-            others = observation.joint_columns(instruments[number], terms, rigid_parameters)
-        for joint, (acting, columns) in enumerate(observation.joint_columns(stretch, terms, rigid_parameters)):
-            block = np.column_stack([columns, stretch.torque[:, joint]])
+        others = None if instruments is None else observation.joint_rows(instruments[number], terms, columns)
+        for joint, (acting, block) in enumerate(observation.joint_rows(stretch, terms, columns)):
             if len(sums) == joint:
                 index.append(acting)
                 sums.append(np.zeros((cells, 2, block.shape[1], block.shape[1])))
             if trusted is not None:
                 block *= np.sqrt(trusted[number][:, joint, None])
-            left = block
-            if others is not None:
-                left = np.column_stack([others[joint][1], stretch.torque[:, joint]])
+            left = block if others is None else next(others)[1]
             keys = 2 * labels + stopped[:, joint]
-            order = np.argsort(keys, kind="stable")
-            found, first = np.unique(keys[order], return_index=True)
-            for key, part in zip(found, np.split(order, first[1:]), strict=True):
-                sums[joint][key // 2, key % 2] += left[part].T @ block[part]
-                rows[key // 2, key % 2, joint] += len(part)
+            edges = [0, *(np.flatnonzero(np.diff(keys)) + 1).tolist(), len(keys)]
+            for first, stop in pairwise(edges):
+                cell, group = divmod(int(keys[first]), 2)
+                sums[joint][cell, group] += left[first:stop].T @ block[first:stop]
+                rows[cell, group, joint] += stop - first
     return Moments(observation.rigid.count + len(terms), tuple(index), tuple(sums), rows)
 
 

@@ -7,8 +7,9 @@ result, which is a few times the cut-off in rate.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +23,9 @@ from agent.robot import RobotDescription
 if TYPE_CHECKING:
     from agent.robot.dynamics import Dynamics
 
-_CHUNK = 4096
+#: Standard parameters of a kilogram of some size.
+_BODY = (1.0, 0.0, 0.0, 0.0, 0.01, 0.0, 0.01, 0.0, 0.0, 0.01)
+_CHUNK = 256  # samples of the regressor worked on at a time: it stays in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,24 +67,47 @@ class RigidBodies:
 
     def columns(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """(S, n, b)."""
-        from agent.robot.drivetrain import rotor_regressor
-
-        links = self.independent[self.independent < 10 * self.robot.dof]
-        rotors = self.independent[len(links) :] - 10 * self.robot.dof
         columns = np.empty((*q.shape, self.count))
-        for first in range(0, len(q), _CHUNK):
-            part = slice(first, first + _CHUNK)
-            columns[part, :, : len(links)] = self.dynamics.regressor(q[part], qd[part], qdd[part])[:, :, links]
-            columns[part, :, len(links) :] = rotor_regressor(self.robot, qdd[part])[:, :, rotors]
+        for part in _chunks(len(q)):
+            columns[part] = self._regressor(q[part], qd[part], qdd[part])[:, :, self.independent]
         return columns
+
+    def acting(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """(S, Σ b_i) what is other than zero of `columns`: for each joint those that `support` lists."""
+        joints = np.repeat(np.arange(self.robot.dof), [len(support) for support in self.support])
+        standard = self.independent[np.concatenate(self.support)]
+        place = joints * (11 * self.robot.dof) + standard
+        columns = np.empty((len(place), len(q)))
+        for part in _chunks(len(q)):
+            regressor = self._regressor(q[part], qd[part], qdd[part])
+            columns[:, part] = regressor.reshape(len(regressor), -1)[:, place].T
+        return columns.T
 
     def torque(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """(S, n) [N·m] for base parameters (b,)."""
-        torque = np.empty(q.shape)
-        for first in range(0, len(q), _CHUNK):
-            part = slice(first, first + _CHUNK)
-            torque[part] = self.columns(q[part], qd[part], qdd[part]) @ parameters
-        return torque
+        from agent.robot.drivetrain import rotor_regressor
+
+        # of all links with these base parameters some with mass, which Newton and Euler need: cheaper than the columns
+        bodies = np.append(np.tile(_BODY, self.robot.dof), np.zeros(self.robot.dof))
+        bodies = bodies + self._inverse @ (parameters - self.projection @ bodies)
+        links, rotors = np.split(bodies, [10 * self.robot.dof])
+        torque = self.dynamics.with_parameters(links).inverse_dynamics(q, qd, qdd)
+        return torque + rotor_regressor(self.robot, qdd) @ rotors
+
+    @cached_property
+    def _inverse(self) -> np.ndarray:
+        """(11 n, b) from base parameters to the shortest standard ones."""
+        return np.linalg.pinv(self.projection)
+
+    def _regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """(S, n, 11 n) of all standard parameters."""
+        from agent.robot.drivetrain import rotor_regressor
+
+        return np.concatenate([self.dynamics.regressor(q, qd, qdd), rotor_regressor(self.robot, qdd)], axis=2)
+
+
+def _chunks(size: int) -> Iterator[slice]:
+    return (slice(first, first + _CHUNK) for first in range(0, size, _CHUNK))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,22 +125,40 @@ class Observation:
 
         `rigid_parameters` (b,) give the load where a term needs it.
         """
+        friction = self.friction(stretch, terms, rigid_parameters)
+        return [(index, rows[:, :-1]) for index, rows in self.joint_rows(stretch, terms, friction)]
+
+    def friction(
+        self, stretch: Stretch, terms: tuple[FrictionTerm, ...], rigid_parameters: np.ndarray | None = None
+    ) -> np.ndarray:
+        """(S', T) each term's torque on its own axle, filtered; `rigid_parameters` as in `joint_columns`."""
         motion = stretch.motion
+        if not terms:
+            return np.empty((len(stretch.torque), 0))
         load = None
         if any(term.form == "load" for term in terms):
             assert rigid_parameters is not None
             load = self.rigid.torque(motion.q, motion.qd, motion.qdd, rigid_parameters)
-        axles_moving = AxleMotion.of(self.robot, motion.q, motion.qd, load)
-        friction = motion.low_pass(axle_columns(terms, axles_moving)) if terms else np.empty((len(stretch.torque), 0))
+        return motion.low_pass(axle_columns(terms, AxleMotion.of(self.robot, motion.q, motion.qd, load)))
+
+    def joint_rows(
+        self, stretch: Stretch, terms: tuple[FrictionTerm, ...], friction: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Joint after joint: indices (c,) into [base parameters, terms], and (S', c + 1): these columns, the torque.
+
+        `friction` (S', T) is that of the terms on their axles.
+        """
         coupling = self.robot.coupling
         axles = np.array([term.axle for term in terms], dtype=int)
-        result = []
         for joint, support in enumerate(self.rigid.support):
             share = coupling[axles, joint]
             felt = np.flatnonzero(share)
-            columns = np.hstack([stretch.rigid[joint], friction[:, felt] * share[felt]])
-            result.append((np.concatenate([support, self.rigid.count + felt]), columns))
-        return result
+            base = len(support)
+            rows = np.empty((base + len(felt) + 1, len(stretch.torque))).T
+            rows[:, :base] = stretch.rigid[joint]
+            np.multiply(friction[:, felt], share[felt], out=rows[:, base:-1])
+            rows[:, -1] = stretch.torque[:, joint]
+            yield np.concatenate([support, self.rigid.count + felt]), rows
 
 
 def observe(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -> Observation:
@@ -135,17 +179,16 @@ def observe(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -
 def filtered(rigid: RigidBodies, log_index: int, motion: Motion) -> Stretch:
     """Regressor columns of one motion and its torque, through the same filter."""
     assert motion.torque is not None
-    columns = rigid.columns(motion.q, motion.qd, motion.qdd)
-    narrow = [columns[:, joint, support] for joint, support in enumerate(rigid.support)]
-    blocks = motion.low_pass(np.hstack([*narrow, motion.torque, motion.qd]))
-    *per_joint, torque, speed = np.split(blocks, np.cumsum([b.shape[1] for b in (*narrow, motion.torque)]), axis=1)
+    columns = motion.low_pass(rigid.acting(motion.q, motion.qd, motion.qdd))
+    torque, speed = np.split(motion.low_pass(np.hstack([motion.torque, motion.qd])), 2, axis=1)
+    per_joint = np.split(columns, np.cumsum([len(support) for support in rigid.support])[:-1], axis=1)
     return Stretch(
         log_index=log_index,
         motion=motion,
         time=motion.time[motion.kept],
         speed=speed,
         torque=torque,
-        rigid=tuple(np.ascontiguousarray(block) for block in per_joint),
+        rigid=tuple(per_joint),
     )
 
 

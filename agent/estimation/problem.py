@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from agent.estimation.blocks import Partition
 from agent.estimation.friction_terms import FrictionTerm
-from agent.estimation.moments import Moments
+from agent.estimation.moments import Moments, collect
 from agent.estimation.observation import Observation
-from agent.estimation.prior import Prior
+from agent.estimation.prior import Prior, physical_prior
 from agent.estimation.solving import autocorrelation_time, iterate_weights, solve
 
 #: Weighted sum of moments (p + 1, p + 1) to parameters (p,).
@@ -32,6 +32,23 @@ class Problem:
     moments: Moments
     prior: Prior
     trust: float
+    _friction: list[np.ndarray] = field(default_factory=list)
+
+    @classmethod
+    def pose(
+        cls,
+        observation: Observation,
+        partition: Partition,
+        terms: tuple[FrictionTerm, ...],
+        load: np.ndarray | None = None,
+        trust: float = 1.0,
+    ) -> Problem:
+        """Of fitting these terms; without `load`, it is that of the URDF's links."""
+        prior = physical_prior(observation, terms)
+        load = prior.mean[: observation.rigid.count] if load is None else load
+        friction = (observation.friction(stretch, terms, load) for stretch in observation.stretches)
+        moments = collect(observation, partition, terms, friction)
+        return cls(observation, partition, terms, load, moments, prior, trust)
 
     def select(self, chosen: np.ndarray) -> Problem:
         """The same with some of the terms, by index."""
@@ -42,7 +59,16 @@ class Problem:
             terms=tuple(self.terms[k] for k in chosen),
             moments=self.moments.select(columns),
             prior=self.prior.select(columns),
+            _friction=[],
         )
+
+    def friction(self) -> list[np.ndarray]:
+        """Per stretch (S', T): the terms' filtered columns, worked out once."""
+        if not self._friction:
+            self._friction.extend(
+                self.observation.friction(stretch, self.terms, self.load) for stretch in self.observation.stretches
+            )
+        return self._friction
 
     def with_own_trust(self) -> Problem:
         """The same with the trust that the autocorrelation of its own residuals asks for, the joints' median."""
@@ -53,19 +79,19 @@ class Problem:
     def residuals(self, parameters: np.ndarray) -> list[np.ndarray]:
         """Per stretch (S', n) [N·m]: filtered measured torque minus what parameters (p,) explain."""
         result = []
-        for stretch in self.observation.stretches:
-            error = stretch.torque.copy()
-            for joint, (index, columns) in enumerate(self.observation.joint_columns(stretch, self.terms, self.load)):
-                error[:, joint] -= columns @ parameters[index]
+        for stretch, friction in zip(self.observation.stretches, self.friction(), strict=True):
+            error = np.empty(stretch.torque.shape)
+            for joint, (index, rows) in enumerate(self.observation.joint_rows(stretch, self.terms, friction)):
+                error[:, joint] = rows @ np.append(-parameters[index], 1.0)
             result.append(error)
         return result
 
     def correlation(self, rows: list[np.ndarray]) -> np.ndarray:
         """(p,) Xᵀ r for r given stretch by stretch (S', n)."""
         total = np.zeros(self.moments.parameters)
-        for stretch, block in zip(self.observation.stretches, rows, strict=True):
-            for joint, (index, columns) in enumerate(self.observation.joint_columns(stretch, self.terms, self.load)):
-                total[index] += columns.T @ block[:, joint]
+        for stretch, friction, given in zip(self.observation.stretches, self.friction(), rows, strict=True):
+            for joint, (index, block) in enumerate(self.observation.joint_rows(stretch, self.terms, friction)):
+                total[index] += block[:, :-1].T @ given[:, joint]
         return total
 
 

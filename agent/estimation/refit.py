@@ -25,9 +25,7 @@ from agent.estimation.blocks import partition
 from agent.estimation.estimate import ESTIMATORS, rigid_bodies
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.model import IdentifiedModel
-from agent.estimation.moments import collect
 from agent.estimation.observation import Observation, observe
-from agent.estimation.prior import physical_prior
 from agent.estimation.problem import Estimate, Problem, cross_validate
 from agent.estimation.solving import autocorrelation_time, reweight, solve_scaled
 from agent.estimation.summary import build_model
@@ -64,10 +62,7 @@ def refit(model: IdentifiedModel, logs: Sequence[Log], parameters: str = "fricti
     observation = observe(rigid, logs, FilterSettings(model.cutoff, model.order))
     observation = _without_effects(observation, model)
     cells = partition(observation.stretches)
-    prior = physical_prior(observation, model.terms)
-    load = model.base_values
-    moments = collect(observation, cells, model.terms, load)
-    problem = Problem(observation, cells, model.terms, load, moments, prior, 1.0)
+    problem = Problem.pose(observation, cells, model.terms, model.base_values)
     if parameters == "all":
         problem = problem.with_own_trust()
         found = ESTIMATORS[model.method](problem)

@@ -32,7 +32,7 @@ def huber(problem: Problem) -> Estimate:
             1 / np.maximum(1, np.abs(block) / (_TUNING * scale[stop.astype(int), np.arange(block.shape[1])]))
             for block, stop in zip(rows, still, strict=True)
         ]
-        moments = collect(observation, problem.partition, problem.terms, problem.load, trusted)
+        moments = collect(observation, problem.partition, problem.terms, problem.friction(), trusted)
         weights = 1 / scale**2
         parameters = solve(moments, weights, problem.prior, problem.trust)
         share = float(np.mean(np.concatenate(trusted) < 1))

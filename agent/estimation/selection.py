@@ -18,9 +18,8 @@ import numpy as np
 
 from agent.estimation.blocks import Partition
 from agent.estimation.friction_terms import FrictionTerm, Reversal
-from agent.estimation.moments import collect
 from agent.estimation.observation import Observation
-from agent.estimation.prior import Prior, physical_prior
+from agent.estimation.prior import Prior
 from agent.estimation.problem import Problem
 from agent.estimation.solving import clear_gain, iterate_weights, solve
 
@@ -71,8 +70,7 @@ def ladder(observation: Observation, partition: Partition) -> Problem:
     load = solve(problem.moments, weights, problem.prior, problem.trust)[: observation.rigid.count]
     candidates = (term for axle in range(n) for term in _candidates(axle, reversals[axle], float(fastest[axle])))
     terms = (*paper_terms(reversals), *candidates)
-    moments = collect(observation, partition, terms, load)
-    wide = Problem(observation, partition, terms, load, moments, physical_prior(observation, terms), problem.trust)
+    wide = Problem.pose(observation, partition, terms, load, problem.trust)
     return wide.select(_climb(wide, weights, len(problem.terms)))
 
 
@@ -96,9 +94,7 @@ def _with_reversals(observation: Observation, partition: Partition, grids: list[
             FrictionTerm(axle, "quadratic"),
         )
     )
-    prior = physical_prior(observation, terms)
-    load = prior.mean[: observation.rigid.count]
-    return Problem(observation, partition, terms, load, collect(observation, partition, terms), prior, 1.0)
+    return Problem.pose(observation, partition, terms)
 
 
 def _best_reversals(problem: Problem) -> tuple[Problem, list[Reversal]]:

@@ -56,12 +56,12 @@ def _noise(problem: Problem, found: Estimate) -> np.ndarray:
     without = np.sum(found.weights * found.held_out.sum(axis=0), axis=0)
     spectra = spectra * np.sqrt(np.maximum(without / np.maximum(within, 1e-300), 1.0))
     total = np.zeros((problem.moments.parameters,) * 2)
-    for stretch, scale in zip(observation.stretches, root, strict=True):
+    for stretch, friction, scale in zip(observation.stretches, problem.friction(), root, strict=True):
         size = len(stretch.time)
         grid = np.linspace(0, len(spectra) - 1, size // 2 + 1)
-        for joint, (index, columns) in enumerate(observation.joint_columns(stretch, problem.terms, problem.load)):
+        for joint, (index, rows) in enumerate(observation.joint_rows(stretch, problem.terms, friction)):
             density = np.interp(grid, np.arange(len(spectra)), spectra[:, joint])
-            spectrum = np.fft.rfft(columns * scale[:, joint, None], axis=0) * np.sqrt(density)[:, None]
+            spectrum = np.fft.rfft(rows[:, :-1] * scale[:, joint, None], axis=0) * np.sqrt(density)[:, None]
             coloured = np.fft.irfft(spectrum, size, axis=0)
             total[np.ix_(index, index)] += coloured.T @ coloured
     return total

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,7 +70,9 @@ class Dynamics:
 
         A massless link is given 1e-12 kg so that its first moment can be represented.
         """
-        other = Dynamics(self.robot, self.tool)
+        other = copy(self)
+        other._model = pin.Model(self._model)
+        other._data = other._model.createData()
         for k, block in enumerate(np.reshape(parameters, (self.dof, 10))):
             block = np.where(np.arange(10) == 0, np.where(abs(block[0]) < 1e-12, 1e-12, block[0]), block)
             other._model.inertias[k + 1] = pin.Inertia.FromDynamicParameters(block)
