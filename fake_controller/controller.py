@@ -71,10 +71,10 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class _Stored:
-    """A translated program; `size` in bytes and `checksum`, SHA-256 (hex), of its text."""
+    """A translated program, its text and the SHA-256 (hex) of that."""
 
     program: Program
-    size: int
+    text: bytes
     checksum: str
 
 
@@ -106,6 +106,8 @@ class Controller:
         self.serial = serial
         self.state = State()
         self.faults = faults or Faults()
+        self.clock = clock
+        self.forward = forward
         self.motions_started = 0
         self.ends: list[EndReason] = []
         self.when_restarting: list[Callable[[], None]] = []
@@ -114,7 +116,6 @@ class Controller:
         self._slowness = 1.0
         self._counter_zero = 0
         self._count = 0
-        self._clock = clock
         self._planner = Planner(interpolator)
         self._execution = Execution(plant, forward, robot.max_acceleration, PERIOD, clock.slice_samples)
         self._lock = threading.RLock()
@@ -139,6 +140,11 @@ class Controller:
         return self._position
 
     @property
+    def reference(self) -> np.ndarray:
+        """(n,) the set-point that was given last [rad]."""
+        return self._reference
+
+    @property
     def recorded(self) -> int:
         """Samples of the last motion that can still be fetched."""
         return self._ring.size
@@ -149,6 +155,12 @@ class Controller:
         with self._lock:
             stored = self._programs.get(self._last_stored.lower())
             return ("", "") if stored is None else (self._last_stored, stored.checksum)
+
+    def text(self, name: str) -> bytes:
+        """The stored text of a program; empty where there is none."""
+        with self._lock:
+            stored = self._programs.get(name.lower())
+        return b"" if stored is None else stored.text
 
     def history(self) -> str:
         """How often the arm was set in motion and how that ended, in one line."""
@@ -179,7 +191,7 @@ class Controller:
         with self._lock:
             if self.moving:
                 raise RefusedRequest(Refusal.MOVING, "no program is stored while one runs; stop it first")
-            others = [stored.size for key, stored in self._programs.items() if key != name.lower()]
+            others = [len(stored.text) for key, stored in self._programs.items() if key != name.lower()]
             if self._memory_full or len(others) >= MAX_PROGRAMS or sum(others) + size > MEMORY:
                 raise RefusedRequest(Refusal.MEMORY_FULL, "the program memory is full; delete programs")
 
@@ -200,7 +212,7 @@ class Controller:
             self.check_upload(name, len(data))
             if self._alter_next:
                 data, self._alter_next = data + b" ", False
-            stored = _Stored(program, len(data), hashlib.sha256(data).hexdigest())
+            stored = _Stored(program, data, hashlib.sha256(data).hexdigest())
             self._programs[name.lower()] = stored
             self._last_stored = name
         return stored.checksum
@@ -320,7 +332,7 @@ class Controller:
         with self._lock:
             for key, stored in self._programs.items():
                 other = hashlib.sha256(stored.checksum.encode()).hexdigest()
-                self._programs[key] = _Stored(stored.program, stored.size, other)
+                self._programs[key] = _Stored(stored.program, stored.text, other)
 
     def _restart(self) -> None:
         """Power off and on: connections, programs and memory are gone, and the drives are off."""
@@ -350,13 +362,13 @@ class Controller:
 
     def _move(self, chains: Iterator[Chain], switch: StopSwitch, listener: Listener) -> None:
         period_ns = round(PERIOD * 1e9)
-        origin = self._clock.now() + period_ns
+        origin = self.clock.now() + period_ns
         reason, message = EndReason.DONE, ""
         try:
             for samples in self._execution.run(chains, self._reference, switch):
                 count = self._count
                 time_ns = origin + period_ns * np.arange(count, count + len(samples), dtype=np.int64)
-                self._clock.wait_until(int(time_ns[-1]))
+                self.clock.wait_until(int(time_ns[-1]))
                 if self._slowness > 1.0:
                     time.sleep((self._slowness - 1.0) * PERIOD * len(samples))
                 first = count - self._counter_zero

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
-from collections.abc import Callable
+import shutil
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -46,6 +52,55 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(folder / "robot.yaml")
 
 
+class Broker:
+    """mosquitto on loopback until it is closed or killed; `address` is its host and port."""
+
+    def __init__(self) -> None:
+        program = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/usr/local/sbin")
+        if program is None:
+            pytest.skip("needs an MQTT broker: apt-get install mosquitto")
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.address = ("127.0.0.1", free.getsockname()[1])
+        self._folder = tempfile.TemporaryDirectory()
+        configuration = Path(self._folder.name) / "mosquitto.conf"
+        configuration.write_text(BROKER_CONFIGURATION.format(port=self.address[1]), encoding="utf-8")
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        self._process = subprocess.Popen([program, "-c", configuration], **quiet)
+        self._wait()
+
+    def kill(self) -> None:
+        """End it as a power cut does."""
+        self._process.kill()
+        self._process.wait()
+
+    def close(self) -> None:
+        """End it."""
+        self.kill()
+        self._folder.cleanup()
+
+    def _wait(self) -> None:
+        until = time.monotonic() + 10.0
+        while time.monotonic() < until and self._process.poll() is None:
+            with contextlib.suppress(OSError), socket.create_connection(self.address, 1.0):
+                return
+        self.close()
+        pytest.fail(f"mosquitto did not come up at {self.address}")
+
+
+@pytest.fixture(scope="session")
+def broker() -> Iterator[Broker]:
+    """An MQTT broker for everybody who leaves it running."""
+    with contextlib.closing(Broker()) as running:
+        yield running
+
+
+@pytest.fixture
+def own_broker() -> Iterator[Broker]:
+    """One that a test may end."""
+    with contextlib.closing(Broker()) as running:
+        yield running
+
+
 def _link(name: str, mass: float) -> str:
     return (
         f'<link name="{name}"><inertial><origin xyz="0.2 0 0"/><mass value="{mass}"/>'
@@ -70,6 +125,18 @@ URDF = (
     + _joint("elbow", "upper", "lower", 0.4)
     + '<joint name="end" type="fixed"><parent link="lower"/><child link="tip"/><origin xyz="0.4 0 0"/></joint></robot>'
 )
+
+#: Nothing that is queued is ever thrown away.
+BROKER_CONFIGURATION = """\
+listener {port} 127.0.0.1
+allow_anonymous true
+persistence false
+max_queued_messages 0
+max_queued_bytes 0
+max_inflight_messages 0
+set_tcp_nodelay true
+log_type none
+"""
 
 DESCRIPTION = """\
 name: small_arm
