@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from agent.console import Console
 from agent.errors import AgentError
-from agent.recipe import Recipe
+from agent.recipe import Recipe, examine_recipe
 
 #: Random loops that are run through the interpolator and the cell.
 LOOPS = 50
@@ -53,16 +54,28 @@ class Findings:
         return "\n".join(f"{'ok     ' if f.ok else 'PROBLEM'} {f.subject}: {f.message}" for f in self.findings)
 
 
-def check_recipe(recipe: Recipe, console: Console) -> Findings:
-    """Reach, limits, cell and controller of a recipe that could be read."""
-    console.step(f"checking {recipe.path}")
+def check_recipe(path: Path, console: Console) -> Findings:
+    """Recipe, reach, limits, cell and controller.
+
+    Where keys of the recipe are wrong that have a default, the rest is looked at with their defaults.
+
+    Raises:
+        InputError: no such file, or not YAML.
+    """
+    console.step(f"checking {path}")
+    recipe, faults = examine_recipe(path)
+    findings = [Finding("recipe", fault, 2) for fault in faults]
+    if recipe is None:
+        return Findings(tuple(findings))
     looks: tuple[tuple[str, Callable[[Recipe], str]], ...] = (
         ("sub-region", _reach),
         ("loops", _loops),
         ("validation", _validation),
         ("controller", _controller),
     )
-    findings = [Finding("recipe", f"{recipe.path} is complete; robot {recipe.robot.name}, {recipe.robot.dof} joints")]
+    if not faults:
+        complete = f"{path} is complete; robot {recipe.robot.name}, {recipe.robot.dof} joints"
+        findings.append(Finding("recipe", complete))
     for subject, look in looks:
         try:
             findings.append(Finding(subject, look(recipe)))
@@ -112,11 +125,11 @@ def _feasible(recipe: Recipe, speed: float, seed: int) -> str:
 
 
 def _controller(recipe: Recipe) -> str:
+    from agent.controller import create_driver
     from agent.safety.preconditions import check_identity
-    from drivers.registry import create
 
     address = recipe.controller.address
-    driver = create(recipe.controller.driver, address)
+    driver = create_driver(recipe, lambda _: None)
     try:
         driver.connect()
         identity = driver.identify()
@@ -127,10 +140,11 @@ def _controller(recipe: Recipe) -> str:
     state = [
         f"mode {status.mode}",
         f"drives {'on' if status.drives_on else 'off'}",
-        f"override {100 * status.override:.0f} %",
+        f"override {100 * status.override:.0f} %" if status.override_known else "override not readable on this link",
         f"cell {'closed' if status.cell_closed else 'open'}",
         *(["emergency stop pressed"] if status.emergency_stop else []),
         *(f"alarm {alarm}" for alarm in status.alarms),
+        *([identity.watch_only] if identity.watch_only else []),
     ]
     return (
         f"{identity.robot}, serial {identity.serial}, {identity.controller} {identity.version} at {address}, "

@@ -63,9 +63,8 @@ def check(recipe: RecipePath, as_json: AsJson = False, verbose: Verbose = False,
     """Validate recipe, reach, limits and cell, and ping the controller. Moves nothing."""
     from agent.check import check_recipe
     from agent.console import print_json
-    from agent.recipe import load_recipe
 
-    findings = check_recipe(load_recipe(recipe), console_for(verbose, quiet))
+    findings = check_recipe(recipe, console_for(verbose, quiet))
     if as_json:
         print_json(findings.to_dict())
     else:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import difflib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,6 +14,8 @@ from pydantic import BaseModel, ValidationError
 from agent.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
+#: Lists and mappings within each other; more is no document of ours, and costs a parser seconds.
+DEEPEST = 50
 
 
 def load_document(path: Path, model: type[Model]) -> Model:
@@ -39,7 +44,8 @@ def read_yaml(path: Path) -> Any:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as text: {error}") from None
     try:
-        data = YAML(typ="rt").load(text)
+        line = _too_deep(YAML(typ="rt").parse(text))
+        data = None if line else YAML(typ="rt").load(text)
     except MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise InputError(f"{path}:{line}: not valid YAML: {error.problem}") from None
@@ -47,9 +53,23 @@ def read_yaml(path: Path) -> Any:
         raise InputError(f"{path}: not valid YAML: {error}") from None
     except Exception as error:  # ruamel raises plain Python errors for dates, tags and depths that it cannot build
         raise InputError(f"{path}: not valid YAML: {type(error).__name__}: {error}") from None
+    if line:
+        raise InputError(f"{path}:{line}: lists and mappings are nested more than {DEEPEST} deep; a bracket missing?")
     if data is None:
         raise InputError(f"{path}: the file is empty")
     return data
+
+
+def _too_deep(events: Iterable[Any]) -> int:
+    """Line at which a YAML document gets too deep, 0 where it does not."""
+    from ruamel.yaml.events import CollectionEndEvent, CollectionStartEvent
+
+    depth = 0
+    for event in events:
+        depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+        if depth > DEEPEST:
+            return event.start_mark.line + 1
+    return 0
 
 
 def validate_document(path: Path, data: Any, model: type[Model]) -> Model:
@@ -58,13 +78,35 @@ def validate_document(path: Path, data: Any, model: type[Model]) -> Model:
     Raises:
         InputError: with one line per fault.
     """
+    faults = find_faults(path, data, model)
+    if faults:
+        raise InputError("\n".join(faults.values()))
+    return model.model_validate(data)
+
+
+def find_faults(path: Path, data: Any, model: type[BaseModel]) -> dict[tuple[Any, ...], str]:
+    """What is wrong with what `read_yaml` returned: a line for people by the location of each fault."""
     if not isinstance(data, dict):
-        raise InputError(f"{path}:1: a mapping of keys is expected, not {type(data).__name__}")
+        return {(): f"{path}:1: a mapping of keys is expected, not {type(data).__name__}"}
     try:
-        return model.model_validate(data)
+        model.model_validate(data)
     except ValidationError as error:
-        lines = [_describe(path, data, model, fault) for fault in error.errors()]
-        raise InputError("\n".join(lines)) from None
+        return {_location(fault): _describe(path, data, model, fault) for fault in error.errors()}
+    return {}
+
+
+def without_faults(data: Any, faults: Iterable[tuple[Any, ...]]) -> Any:
+    """A copy of a document in which the faulty keys are missing; where one is missing already, what should hold it."""
+    there = {location[: _depth(data, location)] for location in faults}
+    kept = copy.deepcopy(data)
+    # from the end, so that the places in a list still are what they were
+    for *above, last in sorted((place for place in there if place), key=_in_order, reverse=True):
+        holder = kept
+        with contextlib.suppress(KeyError, IndexError, TypeError):  # gone with what held it
+            for key in above:
+                holder = holder[key]
+            del holder[last]
+    return kept
 
 
 def line_of(data: Any, location: tuple[Any, ...]) -> int:
@@ -73,15 +115,29 @@ def line_of(data: Any, location: tuple[Any, ...]) -> int:
     for key in location:
         try:
             position = data.lc.data[key]
+            data = data[key]
         except (AttributeError, KeyError, TypeError, IndexError):
             break
         line = position[0] + 1
-        data = data[key]
     return line
 
 
+def _depth(data: Any, location: tuple[Any, ...]) -> int:
+    """How many keys of `location` lead somewhere."""
+    for depth, key in enumerate(location):
+        try:
+            data = data[key]
+        except (KeyError, IndexError, TypeError):
+            return depth
+    return len(location)
+
+
+def _in_order(location: tuple[Any, ...]) -> list[tuple[bool, Any]]:
+    return [(isinstance(key, str), key) for key in location]
+
+
 def _describe(path: Path, data: Any, model: type[BaseModel], fault: Any) -> str:
-    location = tuple(part for part in fault["loc"] if not (isinstance(part, str) and part.startswith("function-")))
+    location = _location(fault)
     message = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "extra_forbidden":
         allowed = _keys_at(model, location[:-1])
@@ -99,6 +155,10 @@ def _describe(path: Path, data: Any, model: type[BaseModel], fault: Any) -> str:
             message += f" (got {value!r})"
     key = ".".join(str(part) for part in location) or "document"
     return f"{path}:{line_of(data, location)}: {key}: {message}"
+
+
+def _location(fault: Any) -> tuple[Any, ...]:
+    return tuple(part for part in fault["loc"] if not (isinstance(part, str) and part.startswith("function-")))
 
 
 def _keys_at(model: Any, location: tuple[Any, ...]) -> list[str]:

@@ -64,7 +64,11 @@ class Loop:
 
 
 class Candidates:
-    """Turns genomes into loops, and scores them. Built once a process: it holds robot, interpolator and criterion."""
+    """Turns genomes into loops, and scores them. Built once a process: it holds robot, interpolator and criterion.
+
+    Raises:
+        InputError: a keep-out box that no motion of this arm can keep clear of.
+    """
 
     def __init__(self, problem: LoopProblem):
         self.problem = problem
@@ -76,6 +80,7 @@ class Candidates:
         self._criterion = Criterion(problem.robot, problem.tool)
         self._dynamics = Dynamics(problem.robot, problem.tool)
         self._cell = Cell(problem.robot, problem.tool, problem.keep_out, problem.joint_ranges)
+        self._cell.check_boxes(problem.settings.fly_distance)
         self._rotors = np.array([joint.rotor_inertia or 0.0 for joint in problem.robot.joints])
         self._max_torque = np.array([joint.max_torque or np.inf for joint in problem.robot.joints])
 

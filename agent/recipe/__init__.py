@@ -18,6 +18,7 @@ from agent.recipe.recipe import (
     ViaPoint,
     ViaPointList,
     ViaTube,
+    examine_recipe,
     load_recipe,
     recipe_schema,
 )
@@ -41,6 +42,7 @@ __all__ = [
     "ViaPoint",
     "ViaPointList",
     "ViaTube",
+    "examine_recipe",
     "load_recipe",
     "recipe_schema",
     "template",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.documents import line_of, read_yaml, validate_document
+from agent.documents import find_faults, line_of, read_yaml, without_faults
 from agent.errors import InputError
 from agent.motion.program import MotionSettings
 from agent.recipe.schema import RecipeDocument, ToolSection, ViaPointsSection
@@ -209,30 +209,51 @@ def load_recipe(path: Path | str) -> Recipe:
     Raises:
         InputError: with every fault as ``file:line: key: what is wrong, what is allowed``, one a line.
     """
+    recipe, faults = examine_recipe(path)
+    if faults or recipe is None:
+        raise InputError("\n".join(faults))
+    return recipe
+
+
+def examine_recipe(path: Path | str) -> tuple[Recipe | None, list[str]]:
+    """A recipe and all its faults, as lines. Keys that are wrong and may be left out have their defaults in it.
+
+    It is None where something is wrong that nothing can stand in for.
+
+    Raises:
+        InputError: no such file, or not YAML.
+    """
     path = Path(path)
     data = read_yaml(path)
-    faults = []
-    document = robot = None
-    try:
-        document = validate_document(path, data, RecipeDocument)
-    except InputError as error:
-        faults.append(str(error))
+    faults = find_faults(path, data, RecipeDocument)
+    lines = list(faults.values())
+    document = _document(path, data, faults)
+    robot = None
     name = data.get("robot") if isinstance(data, dict) else None
     if isinstance(name, str) and name:
         try:
             robot = load_robot(name if name in builtin_robots() else path.parent / name)
         except InputError as error:
-            faults.append(f"{path}:{line_of(data, ('robot',))}: robot: {error}")
+            lines.append(f"{path}:{line_of(data, ('robot',))}: robot: {error}")
         except (OSError, ValueError) as error:  # a name that is no path: too long, or with a null byte
-            faults.append(f"{path}:{line_of(data, ('robot',))}: robot: no such file can be: {error}"[:300])
-    if document is not None and robot is not None:
-        faults += [
-            f"{path}:{line_of(data, key)}: {'.'.join(key)}: {message}"
-            for key, message in _contradictions(path, document, robot)
-        ]
-    if faults or document is None or robot is None:
-        raise InputError("\n".join(faults))
-    return _recipe(path, document, robot)
+            lines.append(f"{path}:{line_of(data, ('robot',))}: robot: no such file can be: {error}"[:300])
+    if document is None or robot is None:
+        return None, lines
+    wrong = list(_contradictions(path, document, robot))
+    lines += [f"{path}:{line_of(data, key)}: {'.'.join(key)}: {message}" for key, message in wrong]
+    if any(key[:2] in (("motion", "via_points"), ("cell", "joint_ranges")) for key, _ in wrong):
+        return None, lines
+    return _recipe(path, document, robot), lines
+
+
+def _document(path: Path, data: Any, faults: dict[tuple[Any, ...], str]) -> RecipeDocument | None:
+    """The document without its faulty keys, or without what holds them, if it can be."""
+    while faults:
+        kept = without_faults(data, faults)
+        if kept == data:
+            return None
+        data, faults = kept, find_faults(path, kept, RecipeDocument)
+    return RecipeDocument.model_validate(data)
 
 
 def recipe_schema() -> dict[str, Any]:
@@ -249,7 +270,8 @@ def _contradictions(
 ) -> Iterator[tuple[tuple[str, ...], str]]:
     """What is wrong between values that are each right by themselves."""
     from agent.motion.interpolator import interpolator_names
-    from drivers.registry import available
+    from drivers.errors import ConfigurationError
+    from drivers.registry import available, create
 
     limits = robot.cartesian_limits
     speeds = {("motion", "speed"): document.motion.speed, ("validate", "speed"): document.validate_.speed}
@@ -263,6 +285,11 @@ def _contradictions(
     if document.controller.driver not in available():
         message = f"there is no driver {document.controller.driver!r}; allowed are {', '.join(available())}"
         yield ("controller", "driver"), message
+    else:
+        try:
+            create(document.controller.driver, document.controller.address)  # opens nothing
+        except ConfigurationError as error:
+            yield ("controller", "address"), str(error)
     interpolators = interpolator_names()
     if document.search.interpolator not in interpolators:
         message = f"there is no interpolator {document.search.interpolator!r}; allowed are {', '.join(interpolators)}"

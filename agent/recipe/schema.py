@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    WithJsonSchema,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import InitErrorDetails
 
 from agent.errors import InputError
@@ -63,6 +72,7 @@ _POSITION = {"anyOf": [{"type": "number"}, {"type": "string"}], "description": "
 JointPosition = Annotated[float | str, BeforeValidator(_joint_position), WithJsonSchema(_POSITION)]
 
 _FULL_TURN = 6.283185307179586
+_DECADE = 3652 * 86_400.0
 
 
 def _listed(names: str, count: int) -> BeforeValidator:
@@ -75,11 +85,15 @@ def _listed(names: str, count: int) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-Position = Annotated[tuple[Length, Length, Length], _listed("x, y, z", 3)]
-Orientation = Annotated[tuple[Angle, Angle, Angle], _listed("a, e, r", 3)]
-Pose = Annotated[tuple[Length, Length, Length, Angle, Angle, Angle], _listed("x, y, z, a, e, r", 6)]
+_FARTHEST = 100.0  # m: farther than any arm on any track
+_Place = Annotated[Length, Field(ge=-_FARTHEST, le=_FARTHEST)]
+_Heading = Annotated[Angle, Field(ge=-2 * _FULL_TURN, le=2 * _FULL_TURN)]
+Position = Annotated[tuple[_Place, _Place, _Place], _listed("x, y, z", 3)]
+Orientation = Annotated[tuple[_Heading, _Heading, _Heading], _listed("a, e, r", 3)]
+Pose = Annotated[tuple[_Place, _Place, _Place, _Heading, _Heading, _Heading], _listed("x, y, z, a, e, r", 6)]
 
-_Extent = Annotated[Length, Field(ge=0)]
+_Extent = Annotated[Length, Field(ge=0, le=_FARTHEST)]
+_Reach = Annotated[Length, Field(gt=0, le=_FARTHEST)]
 _Turn = Annotated[Angle, Field(ge=0, le=_FULL_TURN)]
 JointRange = Annotated[tuple[JointPosition, JointPosition], _listed("lower, upper", 2)]
 Extent = Annotated[tuple[_Extent, _Extent, _Extent], _listed("dx, dy, dz", 3)]
@@ -99,7 +113,7 @@ class ToolSection(Section):
     """What is mounted on the flange; all in the flange's frame."""
 
     frame: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    mass: Annotated[Mass, Field(ge=0)] = 0.0
+    mass: Annotated[Mass, Field(ge=0, le=10_000)] = 0.0
     centre_of_mass: Position | None = None
 
 
@@ -137,6 +151,15 @@ class CellSection(Section):
     keep_out: Annotated[list[KeepOutEntry], Field(max_length=200)] = []
     joint_ranges: dict[Name, JointRange] = {}
 
+    @field_validator("keep_out")
+    @classmethod
+    def _told_apart(cls, boxes: list[KeepOutEntry]) -> list[KeepOutEntry]:
+        names = [entry.name for entry in boxes]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"each box needs a name of its own; used more than once: {', '.join(twice)}")
+        return boxes
+
 
 class FlySection(Section):
     """The system variables of the FLY statement."""
@@ -168,7 +191,7 @@ class TubeSection(Section):
     """All within `radius` of a taught path (poses joined by straight lines) and `cone` of its orientation."""
 
     path: Annotated[list[Pose], Field(min_length=2, max_length=1000)]
-    radius: Annotated[Length, Field(gt=0)]
+    radius: _Reach
     cone: Annotated[Angle, Field(ge=0, le=_FULL_TURN / 2)] = 0.0
 
 
@@ -179,7 +202,7 @@ class ViaPointsSection(Section):
     box: BoxSection | None = None
     points: Annotated[list[PointEntry], Field(min_length=2, max_length=50)] | None = None
     like: Name | None = None
-    around: Annotated[Length, Field(gt=0)] | None = None
+    around: _Reach | None = None
     tube: TubeSection | None = None
 
     @model_validator(mode="wrap")
@@ -201,7 +224,7 @@ class ViaPointsSection(Section):
 class MotionSection(Section):
     """How the arm moves, and where."""
 
-    speed: Annotated[Speed, Field(gt=0)] = 1.0
+    speed: Annotated[Speed, Field(gt=0, le=100)] = 1.0
     fly: FlySection = FlySection()
     via_points: ViaPointsSection
 
@@ -241,20 +264,20 @@ class ValidateSection(Section):
     """The random motions that judge the model."""
 
     motions: Annotated[Count, Field(ge=1, le=10_000)] = 30
-    speed: Annotated[Speed, Field(gt=0)] = 0.1
+    speed: Annotated[Speed, Field(gt=0, le=100)] = 0.1
     seed: Seed = 2
 
 
 class GateSection(Section):
     """What is accepted."""
 
-    normalised_rmse: Annotated[Ratio, Field(gt=0)] = 0.03
+    normalised_rmse: Annotated[Ratio, Field(gt=0, le=1)] = 0.03
 
 
 class RecalibrateSection(Section):
     """How often, and what, is estimated again."""
 
-    every: Annotated[Time, Field(gt=0)] = 604_800.0
+    every: Annotated[Time, Field(gt=0, le=_DECADE)] = 604_800.0
     parameters: Literal["friction", "all"] = "friction"
 
 

@@ -117,7 +117,7 @@ class Cell:
         self.tolerance = tolerance
         self.lower, self.upper = position_ranges(robot, joint_ranges or {})
         self._model = _collision_model(robot, tool, keep_out, tool_radius)
-        self.left_out, self._largest_margins = self._try_many_postures()
+        self.left_out, self._largest_margins, self._widest = self._try_many_postures()
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
@@ -149,6 +149,22 @@ class Cell:
         if not self._model.pairs:
             return np.full(len(q), np.inf)
         return self._model.distances(np.asarray(q, dtype=float)).min(axis=1)
+
+    def check_boxes(self, margin: float = 0.0) -> None:
+        """Refuse boxes that no motion can keep clear of.
+
+        Raises:
+            InputError: a body of the arm is nearer than `margin` [m] to a box in every one of many postures.
+        """
+        from agent.robot.collision import KEEP_OUT
+
+        for pair, widest in zip(self._model.pairs, self._widest, strict=True):
+            if pair.second.startswith(KEEP_OUT) and widest < margin:
+                raise InputError(
+                    f"{pair.first} is in {pair.second}, or nearer to it than {1000 * margin:.0f} mm, in each of "
+                    f"{_POSTURES} postures all over the joint ranges: no motion can keep clear of it. Make the box "
+                    "smaller; where the robot itself stands there needs to be none"
+                )
 
     def _report(self, q: np.ndarray, stop: np.ndarray | None, times: np.ndarray | None, margin: float) -> CellReport:
         if not np.isfinite(q).all():
@@ -184,8 +200,8 @@ class Cell:
                 found.append(Violation(self.robot.joint_names[joint], "", index, time, depth, 0.0, stopping))
         return found
 
-    def _try_many_postures(self) -> tuple[tuple[tuple[str, str], ...], np.ndarray]:
-        """What is left out, and the largest margin of each pair that stays.
+    def _try_many_postures(self) -> tuple[tuple[tuple[str, str], ...], np.ndarray, np.ndarray]:
+        """What is left out; of each pair that stays, the largest margin and the widest distance found.
 
         Left out are pairs of the arm's bodies that overlap in every posture: capsules too coarse to tell anything. A
         margin means nothing for two that no posture takes so far apart: neighbours but one, a wrist and its tool.
@@ -193,7 +209,7 @@ class Cell:
         from agent.robot.collision import KEEP_OUT
 
         if not self._model.pairs:
-            return (), np.zeros(0)
+            return (), np.zeros(0), np.zeros(0)
         lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in (self.lower, self.upper))
         postures = np.random.default_rng(0).uniform(lower, upper, (_POSTURES, self.robot.dof))
         postures[0] = np.clip(0.0, self.lower, self.upper)
@@ -203,7 +219,7 @@ class Cell:
         always = [pair for pair, touches in zip(self._model.pairs, touching, strict=True) if touches]
         self._model.leave_out(always)
         largest = np.where(own, widest / 2, np.inf)[~touching]
-        return tuple((pair.first, pair.second) for pair in always), largest
+        return tuple((pair.first, pair.second) for pair in always), largest, widest[~touching]
 
 
 class _Search:

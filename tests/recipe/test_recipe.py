@@ -14,9 +14,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
+from agent.documents import read_yaml
 from agent.errors import InputError
 from agent.motion.program import FlyTrajectory, FlyType
-from agent.recipe import ViaBox, ViaLike, ViaPointList, ViaTube, load_recipe, recipe_schema, template
+from agent.recipe import ViaBox, ViaLike, ViaPointList, ViaTube, examine_recipe, load_recipe, recipe_schema, template
 from agent.recipe.schema import ESTIMATION_METHODS, SEARCH_METHODS, RecipeDocument, ToolSection
 from agent.units import Dimension
 
@@ -190,6 +191,12 @@ def test_a_clash_of_alternatives_is_named(recipe_file: Path, via_points: str, ke
         ("speed: 0.2 m/s, ", "speed: 0.2 m/s, speed: 0.3 m/s, ", 16, "", "duplicate key"),
         ("robot: comau_ns16", "robot: comau_ns61", 1, "robot", "comau_ns16"),
         ("gate: {normalised_rmse: 0.05}", "gate: 0.05", 17, "gate", "normalised_rmse"),
+        ("normalised_rmse: 0.05", "normalised_rmse: 5", 17, "gate.normalised_rmse", "less than or equal to 1"),
+        ("address: 127.0.0.1:9100", "address: 127.0.0.1", 3, "controller.address", "host:port is expected"),
+        ("[1.0 m, 0 m", "[1e300 m, 0 m", 12, "motion.via_points.box.centre.0", "less than or equal to 100"),
+        ("[500 mm,", "[1e9 mm,", 12, "motion.via_points.box.size.0", "less than or equal to 100"),
+        ("180 deg, 0 deg]", "180000 deg, 0 deg]", 12, "motion.via_points.box.orientation.1", "less than or equal to"),
+        ("0.3 m]}}]", "0.3 m]}}, {name: table, box: {min: [0, 0, 0], max: [1, 1, 1]}}]", 4, "cell.keep_out", "table"),
     ],
 )
 def test_a_fault_names_file_line_key_and_what_is_allowed(
@@ -258,7 +265,8 @@ def test_the_templates_commented_sections_are_valid(recipe_file: Path, marker: s
 @given(address=st.text(st.characters(codec="utf-8", exclude_categories=("C",)), min_size=1, max_size=30))
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_address_survives_the_template(recipe_file: Path, address: str) -> None:
-    assert load_text(recipe_file, template(address=address)).controller.address == address
+    recipe_file.write_text(template(address=address), encoding="utf-8")
+    assert read_yaml(recipe_file)["controller"]["address"] == address
 
 
 def test_the_names_of_methods_are_those_that_exist() -> None:
@@ -275,6 +283,34 @@ def test_the_schema_knows_every_key() -> None:
     assert schema["required"] == ["robot", "controller", "motion"]
     assert schema["additionalProperties"] is False
     assert "20 mm" in schema["$defs"]["FlySection"]["properties"]["distance"]["description"]
+
+
+@pytest.mark.parametrize(
+    "text", ["cell: " + "[" * 3000, "cell: " + "{a: " * 3000, "cell:\n  " + "- " * 3000, "a: " * 3000]
+)
+def test_a_document_nested_without_end_is_refused(recipe_file: Path, text: str) -> None:
+    (fault,) = faults_of(recipe_file, MINIMAL + text)
+    assert re.search(r"recipe\.yaml:[5-6]: .*(nested more than 50 deep|not allowed here)", fault)
+
+
+def test_what_is_right_can_be_looked_at_beside_what_is_wrong(recipe_file: Path) -> None:
+    text = (
+        FULL.replace("speed: 500 mm/s", "speed: 1 kg")
+        .replace("population", "populaton")
+        .replace("max: [1.6", "max: [0")
+    )
+    recipe_file.write_text(text, encoding="utf-8")
+    recipe, faults = examine_recipe(recipe_file)
+    assert [fault.split(": ")[1] for fault in faults] == [
+        "cell.keep_out.0.box",
+        "motion.speed",
+        "search.populaton",
+    ]
+    assert recipe is not None
+    assert (recipe.motion.speed, recipe.search.population, recipe.search.generations) == (1.0, 50, 10)
+    assert recipe.cell.keep_out == ()
+    recipe_file.write_text(FULL.replace("count: 6", "count: 1"), encoding="utf-8")
+    assert examine_recipe(recipe_file)[0] is None, "nothing stands in for a sub-region"
 
 
 TOKENS = [

@@ -1,0 +1,37 @@
+"""`agent check`: everything that is wrong, in one go, and what to do about it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from tests.shop_floor.conftest import RECIPE, agent
+
+TEXT = RECIPE.format(address="127.0.0.1:1", every="7 d")
+
+
+def _check(folder: Path, text: str) -> tuple[int, dict[str, list[str]]]:
+    (folder / "recipe.yaml").write_text(text, encoding="utf-8")
+    run = agent(folder, "check", "recipe.yaml", "--json", "-q")
+    problems: dict[str, list[str]] = {}
+    for finding in json.loads(run.stdout)["findings"]:
+        if not finding["ok"]:
+            problems.setdefault(finding["subject"], []).append(finding["message"])
+    return run.returncode, problems
+
+
+def test_faults_of_the_recipe_hide_no_others(tmp_path: Path):
+    text = TEXT.replace("cycles: 3", "cycles: three").replace("3 %", "300 %").replace("[1.0 m, 0 m", "[2.4 m, 0 m")
+    code, problems = _check(tmp_path, text)
+    assert code == 2
+    assert [fault.split(": ")[1] for fault in problems["recipe"]] == ["record.cycles", "gate.normalised_rmse"]
+    assert "out of reach" in problems["sub-region"][0]
+    assert "no controller answers" in problems["controller"][0]
+
+
+def test_a_box_around_the_base_is_said_to_be_just_that(tmp_path: Path):
+    box = "{name: stand, box: {min: [-0.4 m, -0.4 m, 0 m], max: [0.4 m, 0.4 m, 0.4 m]}}"
+    code, problems = _check(tmp_path, f"{TEXT}cell: {{keep_out: [{box}]}}\n")
+    assert code == 2
+    assert "link_1 is in keep-out stand" in problems["loops"][0]
+    assert "Make the box smaller" in problems["loops"][0]
