@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from agent.console import Console
+from agent.controller import create_driver, torque_facts
 from agent.recipe import Recipe
 from agent.run import robot_lock
 from agent.safety.checked import FILE, CheckedPrograms
@@ -47,10 +48,11 @@ class Recording:
 class Link:
     """An open controller link behind its guard, and the logs of what runs through it."""
 
-    def __init__(self, guard: GuardedLink, recipe: Recipe, console: Console):
+    def __init__(self, guard: GuardedLink, recipe: Recipe, console: Console, torque: dict[str, str]):
         self._guard = guard
         self._recipe = recipe
         self._console = console
+        self._torque = torque  # how it is obtained, for the logs
 
     @property
     def identity(self) -> Identity:
@@ -81,7 +83,7 @@ class Link:
             ControllerError, SafetyError, InputError: not ready to move, not allowed, or stopped while moving.
             DriverError: the link failed; what was received is in the log.
         """
-        program = PlannedProgram(name, text, tuple(chains))
+        program = self._planned(name, text, chains)
         if self._guard.needs_slow_run(program):
             program = self._run_slowly(program, log)
         return self._record(program, log, motion, total)
@@ -99,6 +101,8 @@ class Link:
         slow = slow_version(program, recipe.robot, interpolator, self.position())
         for chain in slow.chains:
             check_cell(recipe, chain)
+        if self._guard.takes_points:
+            slow = self._with_points(slow)
         self._console.step(
             f"{program.name} is new to serial {self.identity.serial}: first at no more than {FIRST_SPEED:g} m/s, "
             f"{slow.duration:.0f} s of motion; watch it"
@@ -107,7 +111,16 @@ class Link:
         name, chains = plan_statements(recipe, program.text, program.name, self.position())
         for chain in {id(chain): chain for chain in chains}.values():
             check_cell(recipe, chain)
-        return PlannedProgram(name, program.text, tuple(chains))
+        return self._planned(name, program.text, chains)
+
+    def _planned(self, name: str, text: str, chains: Sequence[Trajectory]) -> PlannedProgram:
+        program = PlannedProgram(name, text, tuple(chains))
+        return self._with_points(program) if self._guard.takes_points else program
+
+    def _with_points(self, program: PlannedProgram) -> PlannedProgram:
+        from agent.via_points import via_points
+
+        return replace(program, points=via_points(program, self._recipe.robot, self._recipe.tool))
 
     def _record(self, program: PlannedProgram, log: Path, motion: str, total: float) -> Recording:
         from agent.recording import LogWriter
@@ -115,6 +128,7 @@ class Link:
         guard, robot = self._guard, self._recipe.robot
         guard.send(program)
         aligner = _Aligner(program.chains, self.identity.period)
+        limits = {"watch_only": self.identity.watch_only} if self.identity.watch_only else {}
         try:
             with LogWriter(
                 log,
@@ -122,6 +136,7 @@ class Link:
                 robot=robot.name,
                 motion=motion,
                 sample_rate=1.0 / self.identity.period,
+                facts={**self._torque, **limits},
             ) as writer:
                 try:
                     with guard.motion(program) as samples:
@@ -130,6 +145,7 @@ class Link:
                             aligner.take(block.time, block.reference_position)
                             self._console.progress(f"{motion}: {aligner.elapsed:6.1f} of about {total:.0f} s of motion")
                 finally:
+                    writer.note(guard.facts)
                     for start in aligner.finish(writer.write_planned):
                         writer.cycle_start(start)
         finally:
@@ -145,25 +161,26 @@ def open_link(
     yes: bool,
     runs: Path,
     authorisation: Authorisation | None = None,
+    watching: bool = False,
 ) -> Iterator[Link]:
     """Lock the robot, connect, and check who is there.
 
     Args:
         runs: folder with the list of programs that have had their slow first run.
         authorisation: what a person wrote down for when nobody is there.
+        watching: nothing will be identified from what is recorded.
 
     Raises:
         BusyError: another run holds this robot.
-        ControllerError: another robot, or another period than the recipe's rate.
+        ControllerError: another robot, another period than the recipe's rate, or samples that are too few.
         InputError: nobody confirmed that the cell is clear.
         DriverError: nobody there, silent, or another protocol.
     """
-    from drivers.registry import create
-
     controller = recipe.controller
     with robot_lock(controller.driver, controller.address):
+        driver = create_driver(recipe, console.say)
         guard = GuardedLink(
-            create(controller.driver, controller.address),
+            driver,
             recipe.robot,
             controller.address,
             recipe.record.rate,
@@ -172,12 +189,13 @@ def open_link(
             console.warn,
             yes,
             authorisation,
+            watching=watching,
         )
         try:
             guard.open()
             who = guard.identity
             console.detail(f"{who.robot}, serial {who.serial}, {who.controller} {who.version}")
-            yield Link(guard, recipe, console)
+            yield Link(guard, recipe, console, torque_facts(recipe, driver))
         finally:
             guard.close()
 
@@ -200,7 +218,7 @@ def record_program_file(
         text = program.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{program}: cannot be read: {error}") from None
-    with open_link(recipe, console, yes, runs) as link:
+    with open_link(recipe, console, yes, runs, watching=True) as link:
         name, chains = plan_statements(recipe, text, str(program), link.position())
         for chain in chains:
             check_cell(recipe, chain)
@@ -250,9 +268,10 @@ class _Aligner:
         self.samples = 0
         self.cycle_starts: list[float] = []
 
-    def take(self, time: np.ndarray, reference: np.ndarray) -> None:
+    def take(self, time: np.ndarray, reference: np.ndarray | None) -> None:
         self._times.append(np.asarray(time))
-        self._references.append(np.asarray(reference))
+        if reference is not None:
+            self._references.append(np.asarray(reference))
         self.samples += len(time)
 
     @property
@@ -261,7 +280,7 @@ class _Aligner:
 
     def finish(self, write_planned: Callable[[np.ndarray, np.ndarray, np.ndarray], None]) -> list[float]:
         """Write the planned set-points; returns the controller times at which cycles start (all but the approach)."""
-        if not self.samples:
+        if not self._references:
             return []
         time = np.concatenate(self._times)
         stretches = moving_stretches(np.concatenate(self._references), round(self.REST / self._period))

@@ -240,7 +240,7 @@ class CnrDriver:
 
     def _moves(self, feedback: Feedback) -> bool:
         motion = self._motion
-        return bool(feedback.is_moving) or (motion is not None and motion.moving and not motion.motion.over)
+        return bool(feedback.is_moving) or (motion is not None and motion.started and not motion.motion.over)
 
     def _read_stored(self) -> tuple[str, str]:
         return self._folder.stored()

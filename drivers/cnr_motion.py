@@ -68,7 +68,6 @@ class CnrMotion:
     ) -> None:
         self.motion = Motion(limit)
         self.started = False  # set by the driver when the controller has said so
-        self.moving = False
         self.match = ClockMatch() if broker else None
         self.begun_at: float | None = None  # sample time [s] of the first change of the set-points
         self._arm = arm
@@ -143,8 +142,7 @@ class CnrMotion:
         """Is it over, and why?"""
         rested = self._rested(now, position)
         over = self._is_over is not None and self._is_over(feedback)
-        self.moving = bool(feedback.is_moving) or (self._is_over is None and self.begun and rested < _RESTING)
-        if self.moving:
+        if feedback.is_moving or (self._is_over is None and self.begun and rested < _RESTING):
             self._moved, self._quiet = True, 0
             return
         self._quiet += 1
@@ -178,7 +176,6 @@ class CnrMotion:
     def _over(self, reason: EndReason, message: str, now: float) -> None:
         self._end, self._end_time = (reason, message), now
         self._drained = 0.0
-        self.moving = False
 
     def _is_complete(self, match: ClockMatch) -> bool:
         """Whether the samples up to the end have come, or will not come."""

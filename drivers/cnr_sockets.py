@@ -18,8 +18,8 @@ from typing import NamedTuple
 from drivers.cnr_address import CnrAddress
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.tcp import open_socket
-from drivers.wire.cnr import CommType as Comm
 from drivers.wire.cnr import (
+    LITTLE,
     Decoder,
     Feedback,
     Message,
@@ -29,6 +29,7 @@ from drivers.wire.cnr import (
     Status,
     encode,
 )
+from drivers.wire.cnr import CommType as Comm
 
 _RECEIVE = 64 * 1024
 _TURN = 0.02  # s between two looks at what has to be done, where nothing comes
@@ -92,10 +93,10 @@ class Sockets:
                 opened.callback(made.connection.close)
                 return made
 
+            self._trajectory = connect(address.trajectory)
             self._feedback = connect(address.feedback)
             self._status = connect(address.status)
-            self._trajectory = connect(address.trajectory)
-            self._sockets = (self._feedback, self._status, self._trajectory)
+            self._sockets = (self._trajectory, self._feedback, self._status)
             self._thread = threading.Thread(target=self._run, name=f"sockets {address.host}", daemon=True)
             self._thread.start()
             opened.callback(self.close)
@@ -202,6 +203,7 @@ class Sockets:
                 )
             self.check()
             if not came:
+                self.command(MessageType.PING)  # whoever answers it in another protocol fails the link
                 raise DriverError(
                     f"{each.peer} accepts the connection, but says nothing within {self._timeout:g} s; is its program "
                     "active, or does another client hold it?"
@@ -229,8 +231,7 @@ class Sockets:
 
     def _send(self, target: _Socket, message: Message) -> None:
         self.check()
-        order = target.decoder.order or self._feedback.decoder.order
-        assert order is not None  # the controller spoke first
+        order = target.decoder.order or self._feedback.decoder.order or LITTLE
         try:
             target.connection.sendall(encode(message, order))
         except TimeoutError:

@@ -90,15 +90,17 @@ class JointStateLayout:
                 messages[:, offset : offset + 8 * length] = numbers.view(np.uint8)
 
 
-def layout_for(names: Sequence[str], velocity: bool = True, effort: bool = True) -> JointStateLayout:
-    """The layout of messages with these names, an empty frame_id, and velocity and effort or not."""
+def layout_for(
+    names: Sequence[str], velocity: bool = True, effort: bool = True, position: bool = True
+) -> JointStateLayout:
+    """The layout of messages with these names, an empty frame_id, and position, velocity and effort or not."""
     data = bytearray(b"\x00\x01\x00\x00" + bytes(8))
     data += struct.pack("<I", 1) + b"\0"
     data += bytes(-len(data) % 4) + struct.pack("<I", len(names))
     for name in names:
         text = name.encode() + b"\0"
         data += bytes(-len(data) % 4) + struct.pack("<I", len(text)) + text
-    for present in (True, velocity, effort):
+    for present in (position, velocity, effort):
         data += bytes(-len(data) % 4) + struct.pack("<I", len(names) if present else 0)
         if present:
             data += bytes((4 - len(data)) % 8) + bytes(8 * len(names))

@@ -6,7 +6,7 @@ import json
 import os
 import struct
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -25,6 +25,7 @@ from agent.recording.sequence import SequenceCheck
 STATES = "/joint_states"
 REFERENCES = "/joint_references"
 PLANNED = "/planned_joint_references"
+CURRENTS = "/motor_currents"
 STATUS = "/controller_status"
 RUN = "run"
 #: Longest stretch of data, and of waiting, that a killed process may lose [s]; the contract allows one second.
@@ -35,7 +36,7 @@ _NANO = 1_000_000_000
 class Samples(Protocol):
     """K samples of n joints, as a driver delivers them: (K,) and (K, n) arrays; None where there are no values.
 
-    `received` is the receive time [s], 0 where the driver has none.
+    `current` (K, n) of the motors [A]; `received` is the receive time [s], 0 where the driver has none.
     """
 
     sequence: np.ndarray
@@ -46,6 +47,7 @@ class Samples(Protocol):
     reference_position: np.ndarray | None
     reference_velocity: np.ndarray | None
     received: float
+    current: np.ndarray | None
 
 
 class LogFile:
@@ -58,6 +60,7 @@ class LogFile:
         joint_names: as in the robot description.
         sample_rate: nominal [Hz], or None where nobody knows.
         clock: receive time [s], where samples come without one.
+        facts: what else the record `run` says.
 
     Raises:
         InputError: the file exists.
@@ -72,14 +75,15 @@ class LogFile:
         motion: str,
         sample_rate: float | None,
         clock: Callable[[], float] = time.time,
+        facts: Mapping[str, str] | None = None,
     ):
         self._names = tuple(joint_names)
         self._clock = clock
         self._sequence = SequenceCheck()
-        self._run = {"robot": robot, "motion": motion}
+        self._run = {"robot": robot, "motion": motion, **(facts or {})}
         if sample_rate is not None:
             self._run["sample_rate_hz"] = f"{sample_rate:.12g}"
-        self._layouts: dict[tuple[bool, bool], JointStateLayout] = {}
+        self._layouts: dict[tuple[bool, bool, bool], JointStateLayout] = {}
         self._channels: dict[str, int] = {}
         self._first: int | None = None
         self._flushed = 0
@@ -116,6 +120,8 @@ class LogFile:
         if samples.reference_position is not None:
             references = (samples.reference_position, samples.reference_velocity, None)
             topics.append((REFERENCES, [None if values is None else np.asarray(values)[keep] for values in references]))
+        if samples.current is not None:
+            topics.append((CURRENTS, [None, None, np.asarray(samples.current)[keep]]))
         self._append(topics, stamps, np.full(len(stamps), received), np.asarray(samples.sequence)[keep])
         if self.lost > lost:
             self.event(f"{self.lost - lost} samples lost up to controller time {stamps[-1] / _NANO:.6f} s")
@@ -145,6 +151,10 @@ class LogFile:
     def cycle_start(self, time: float) -> None:
         """Note a controller time [s] at which the motion begins anew."""
         self._cycle_starts.append(time)
+
+    def note(self, facts: Mapping[str, str]) -> None:
+        """Add to what the record `run` says at the end."""
+        self._run |= facts
 
     def event(self, text: str) -> None:
         """Note what happened, on /controller_status at the receive time."""
@@ -202,7 +212,7 @@ class LogFile:
             start += room
 
     def _layout(self, arrays: list[np.ndarray | None]) -> JointStateLayout:
-        key = (arrays[1] is not None, arrays[2] is not None)
+        key = (arrays[1] is not None, arrays[2] is not None, arrays[0] is not None)
         if key not in self._layouts:
             self._layouts[key] = layout_for(self._names, *key)
         return self._layouts[key]
@@ -272,6 +282,7 @@ class _Block:
     reference_position: np.ndarray | None = None
     reference_velocity: np.ndarray | None = None
     received: float = 0.0
+    current: np.ndarray | None = None
 
 
 def nanoseconds(times: np.ndarray) -> np.ndarray:

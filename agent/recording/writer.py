@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
@@ -33,6 +33,7 @@ class LogWriter:
         sample_rate: nominal [Hz].
         clock: receive time [s], for blocks that come without one.
         backlog_limit: [bytes].
+        facts: what else the record `run` says.
 
     Raises:
         InputError: the file exists.
@@ -49,10 +50,11 @@ class LogWriter:
         sample_rate: float | None = None,
         clock: Callable[[], float] = time.time,
         backlog_limit: int = BACKLOG_LIMIT,
+        facts: Mapping[str, str] | None = None,
     ):
         self.path = Path(path)
         self.dropped = 0
-        self._file = LogFile(self.path, joint_names, robot, motion, sample_rate, clock)
+        self._file = LogFile(self.path, joint_names, robot, motion, sample_rate, clock, facts)
         self._limit = backlog_limit
         self._jobs: deque[tuple[int, Callable[[], None]]] = deque()
         self._backlog = 0
@@ -81,7 +83,8 @@ class LogWriter:
         """Add measured samples with their set-points. The arrays must not change afterwards."""
         if self._failure is not None:
             raise self._failure
-        arrays = (block.position, block.velocity, block.torque, block.reference_position, block.reference_velocity)
+        references = (block.reference_position, block.reference_velocity)
+        arrays = (block.position, block.velocity, block.torque, block.current, *references)
         size = sum(values.nbytes for values in arrays if values is not None) + block.time.nbytes
         if not self._put(size, lambda: self._file.write(block)):
             self.dropped += len(block.time)
@@ -94,6 +97,10 @@ class LogWriter:
     def cycle_start(self, time: float) -> None:
         """Note a controller time [s] at which the motion begins anew."""
         self._put(0, lambda: self._file.cycle_start(time))
+
+    def note(self, facts: Mapping[str, str]) -> None:
+        """Add to what the record `run` says at the end."""
+        self._put(0, lambda: self._file.note(facts))
 
     def event(self, text: str) -> None:
         """Note what happened on the link or to the robot."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent.errors import InputError
 from agent.robot.description import RobotDescription
 
 
@@ -19,6 +20,22 @@ def axle_motion(robot: RobotDescription, motion: np.ndarray) -> np.ndarray:
 def joint_torque(robot: RobotDescription, axle_torque: np.ndarray) -> np.ndarray:
     """(S, n) on the joints [N·m], from (S, n) on the axles."""
     return axle_torque @ robot.coupling
+
+
+def torque_per_ampere(robot: RobotDescription) -> np.ndarray:
+    """(n, n) Cᵀ diag(g k): torque on the joints per motor current [N·m/A], k the motors' torque constants.
+
+    Raises:
+        InputError: a joint's torque constant is not in the robot description.
+    """
+    constants = [joint.torque_constant for joint in robot.joints]
+    missing = [joint.name for joint in robot.joints if joint.torque_constant is None]
+    if missing:
+        raise InputError(
+            f"robot {robot.name}: the link delivers motor currents, and the description has no torque_constant for "
+            f"{', '.join(missing)}: add it [N·m/A, motor side] from the motors' data sheets"
+        )
+    return robot.coupling.T @ np.diag(robot.gear_ratios * np.array(constants, dtype=float))
 
 
 def joint_columns(robot: RobotDescription, axle_columns: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from agent.robot import RobotDescription
 from agent.safety.checked import CheckedPrograms
 from agent.safety.first_run import FIRST_SPEED
 from agent.safety.motion import PlannedProgram
+from agent.safety.pace import PaceCheck
 from agent.safety.preconditions import (
     check_identity,
     check_period,
@@ -26,10 +27,11 @@ from agent.safety.preconditions import (
     check_ready,
     needs_person,
     not_confirmed,
+    question,
     unsafe_in_motion,
 )
 from drivers.errors import DriverError, MotionStopped, RefusedError
-from drivers.protocol import Driver, Identity, SampleBlock, Status
+from drivers.protocol import Driver, Identity, SampleBlock, Status, TakesPoints, TellsFacts
 
 if TYPE_CHECKING:
     from agent.safety.authorisation import Authorisation
@@ -52,6 +54,7 @@ class GuardedLink:
         yes: a person said before that the cell is clear.
         authorisation: what a person wrote down for when nobody is there.
         clock: seconds, for the watch.
+        watching: the samples are for looking at, so a link that delivers too little to identify from will do.
     """
 
     def __init__(
@@ -66,6 +69,7 @@ class GuardedLink:
         yes: bool = False,
         authorisation: Authorisation | None = None,
         clock: Callable[[], float] = time.monotonic,
+        watching: bool = False,
     ) -> None:
         self.robot = robot
         self.address = address
@@ -77,8 +81,10 @@ class GuardedLink:
         self._yes = yes
         self._authorisation = authorisation
         self._clock = clock
+        self._watching = watching
         self._identity: Identity | None = None
         self._emulator = False
+        self._override_known = True
 
     @property
     def identity(self) -> Identity:
@@ -86,11 +92,16 @@ class GuardedLink:
         assert self._identity is not None, "open() comes first"
         return self._identity
 
+    @property
+    def takes_points(self) -> bool:
+        """Whether programs go to this controller as via-points."""
+        return isinstance(self._driver, TakesPoints)
+
     def open(self) -> None:
         """Connect, see who is there, and have a person's word where one is needed.
 
         Raises:
-            ControllerError: another robot, or another period than the recipe's rate.
+            ControllerError: another robot, another period than the recipe's rate, or samples that are too few.
             InputError: nobody confirmed that the cell is clear.
             DriverError: nobody there, silent, or another protocol.
         """
@@ -98,12 +109,16 @@ class GuardedLink:
             self._driver.connect()
             identity, status = self._driver.identify(), self._driver.status()
         check_identity(identity, self.robot, self.address)
-        check_period(identity, self._rate, self.address)
-        if self._authorisation is None and not self._yes and needs_person(status, self.address):
-            who = f"{identity.robot} (serial {identity.serial}) at {self.address}"
-            if not self._ask(f"{who} is about to move. Is the cell clear?"):
-                raise not_confirmed(self.address)
-        self._identity, self._emulator = identity, status.emulator
+        if not identity.watch_only:
+            check_period(identity, self._rate, self.address)
+        elif not self._watching:
+            raise ControllerError(f"{self.address}: {identity.watch_only}; agent record can watch as it is")
+        else:
+            self._warn(f"{self.address}: {identity.watch_only}")
+        unasked = self._authorisation is None and not self._yes and needs_person(status, self.address)
+        if unasked and not self._ask(question(identity, status, self.address)):
+            raise not_confirmed(self.address)
+        self._identity, self._emulator, self._override_known = identity, status.emulator, status.override_known
 
     def position(self) -> np.ndarray:
         """(n,) where the arm stands now [rad]."""
@@ -136,7 +151,7 @@ class GuardedLink:
             DriverError: refused, or the link failed.
         """
         with self._advice("put that right at the controller, then run the command again"):
-            checksum = self._driver.upload(program.name, program.text)
+            checksum = self._hand_over(program)
         if checksum != program.checksum:
             raise ControllerError(
                 f"{self.address}: the controller stored another text than program {program.name!r} that was sent; "
@@ -160,7 +175,7 @@ class GuardedLink:
 
         def samples() -> Iterator[SampleBlock]:
             nonlocal over
-            yield from self._watched()
+            yield from self._watched(program)
             over = True
 
         try:
@@ -178,9 +193,21 @@ class GuardedLink:
         elif not self._emulator:  # it was slow, or known before
             self._checked.add(self.identity.serial, program.stands_for or program.checksum)
 
+    @property
+    def facts(self) -> dict[str, str]:
+        """What the driver knows of the last motion beyond its samples."""
+        return self._driver.facts if isinstance(self._driver, TellsFacts) else {}
+
     def close(self) -> None:
         """Close the link; never raises."""
         self._driver.close()
+
+    def _hand_over(self, program: PlannedProgram) -> str:
+        """The checksum (SHA-256, hex) of what the controller would run."""
+        if not isinstance(self._driver, TakesPoints):
+            return self._driver.upload(program.name, program.text)
+        self._driver.load(program.name, program.checksum, program.points)
+        return program.checksum
 
     def _check(self, program: PlannedProgram) -> None:
         if self._authorisation is not None:
@@ -197,14 +224,20 @@ class GuardedLink:
         check_ready(status, self.address, program.name, program.checksum)
         check_plan(program, self.robot, status.position, self.address)
 
-    def _watched(self) -> Iterator[SampleBlock]:
+    def _watched(self, program: PlannedProgram) -> Iterator[SampleBlock]:
         """The samples, with a look at the controller's state now and then; what is left after a stop comes too."""
         fault: AgentError | None = None
+        pace = None if self._override_known else PaceCheck(program.chains)
         looked, looked_at = -np.inf, self._clock()
         try:
             for block in self._driver.samples():
                 yield block
                 now = float(block.time[-1])
+                if fault is None and pace is not None and block.reference_position is not None:
+                    reason = pace.take(block.time, block.reference_position)
+                    if reason is not None:
+                        fault = SafetyError(f"{self.address}: the arm was stopped: {reason}")
+                        self._stop()
                 if fault is None and (now - looked >= WATCH_INTERVAL or self._clock() - looked_at >= WATCH_INTERVAL):
                     fault = self._look()
                     looked, looked_at = now, self._clock()

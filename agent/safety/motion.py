@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drivers.protocol import ViaPoint
+
 if TYPE_CHECKING:
     from agent.motion.trajectory import Trajectory
 
@@ -16,13 +18,15 @@ if TYPE_CHECKING:
 class PlannedProgram:
     """PDL2 text under a name, and what we planned of it from stop to stop.
 
-    `stands_for`: checksum of the program that this one is the slow version of; empty for any other.
+    `stands_for`: checksum of the program that this one is the slow version of; empty for any other. `points`: the same
+    motion for a controller that takes via-points.
     """
 
     name: str
     text: str
     chains: tuple[Trajectory, ...]
     stands_for: str = ""
+    points: tuple[ViaPoint, ...] = ()
 
     @property
     def checksum(self) -> str:

@@ -122,12 +122,22 @@ def unsafe_in_motion(status: Status) -> str | None:
 
 
 def is_loopback(address: str) -> bool:
-    """Whether an address of the form host:port is on this machine."""
-    host = address.rsplit(":", 1)[0].strip("[]")
+    """Whether an address, host:port or a host with options after commas, is on this machine."""
+    first = address.split(",", 1)[0]
+    host, _, port = first.rpartition(":")
+    host = (host if port.isdigit() and host else first).strip("[]")
     try:
         return ip_address(host).is_loopback
     except ValueError:  # a name: only the one that is this machine everywhere
         return host == "localhost"
+
+
+def question(identity: Identity, status: Status, address: str) -> str:
+    """What somebody has to say yes to before anything moves."""
+    who = f"{identity.robot} (serial {identity.serial}) at {address}"
+    if status.override_known:
+        return f"{who} is about to move. Is the cell clear?"
+    return f"{who} is about to move. This link cannot read the override. Is the cell clear, and the override at 100 %?"
 
 
 def needs_person(status: Status, address: str) -> bool:

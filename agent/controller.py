@@ -1,0 +1,38 @@
+"""The recipe's controller: its driver, told what it has to know of the robot."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+from agent.recipe import Recipe
+from drivers.protocol import Driver, MeasuresCurrents, NeedsAPerson
+
+
+def create_driver(recipe: Recipe, tell: Callable[[str], None]) -> Driver:
+    """The driver that the recipe names, not connected yet; `tell` is for whoever stands at the controller.
+
+    Raises:
+        ConfigurationError: no such driver, or an address that it cannot use.
+        InputError: it delivers motor currents, and the robot description has no torque constants.
+    """
+    from agent.robot.drivetrain import torque_per_ampere
+    from drivers.registry import create
+
+    driver = create(recipe.controller.driver, recipe.controller.address)
+    if isinstance(driver, MeasuresCurrents):
+        driver.torque_per_ampere = torque_per_ampere(recipe.robot)
+    if isinstance(driver, NeedsAPerson):
+        driver.tell = tell
+    return driver
+
+
+def torque_facts(recipe: Recipe, driver: Driver) -> dict[str, str]:
+    """What a log says of how its torque was obtained; nothing where the controller delivers torque itself."""
+    if not isinstance(driver, MeasuresCurrents):
+        return {}
+    constants = {joint.name: joint.torque_constant for joint in recipe.robot.joints}
+    return {
+        "torque_source": "motor current x torque constant x gear ratio, through the motor coupling",
+        "torque_constants_nm_per_a": json.dumps(constants),
+    }
