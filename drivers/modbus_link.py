@@ -62,6 +62,7 @@ class ModbusLink:
         self.failure: DriverError | None = None
         self._unit = unit
         self._received = 0
+        self._understood = False  # an answer of this peer, once
         self._client = make_client(self._trace)
         self._on_turn = on_turn
         self._on_failure = on_failure
@@ -191,6 +192,7 @@ class ModbusLink:
         raise self._silence(what)
 
     def _checked(self, reply: ModbusPDU, what: str) -> ModbusPDU:
+        self._understood = True
         if not reply.isError():
             return reply
         code = getattr(reply, "exception_code", 0)
@@ -209,7 +211,7 @@ class ModbusLink:
         raise RefusedError(f"the controller at {self.peer} refused {what}: {reason}")
 
     def _silence(self, what: str) -> DriverError:
-        if self._received:
+        if self._received and not self._understood:
             return ProtocolError(
                 f"what answers at {self.peer} does not speak this protocol; is the address right, and that of the "
                 "Modbus server?"

@@ -12,48 +12,26 @@ from typing import Any
 import numpy as np
 import serial
 
-from drivers.errors import ProtocolError
 from drivers.wire.reasons import EndReason, Refusal
 from drivers.wire.serial import (
     LONGEST_FRAME,
     MAX_PAYLOAD,
     HuntingDecoder,
     LeanSamples,
-    decode,
     frame_time,
     samples_per_frame,
 )
-from drivers.wire.tcp import (
-    VERSION,
-    AskStatus,
-    Done,
-    End,
-    Fetch,
-    Frame,
-    Heartbeat,
-    Hello,
-    Identify,
-    Refused,
-    Start,
-    Started,
-    Stop,
-    Stored,
-    UploadBegin,
-    UploadBlock,
-    UploadEnd,
-    Welcome,
-    encode,
-)
+from drivers.wire.tcp import VERSION, End, Heartbeat, Hello, Welcome, encode
 from fake_controller.controller import Controller, RefusedRequest
 from fake_controller.execution import Slice
+from fake_controller.frame_client import FrameClient
 from fake_controller.registers import IDLE_LIMIT, LONGEST_WATCHDOG, MEMORY
-from fake_controller.replies import Upload, identity_reply, status_reply
 
 MAX_REPLIES = 64  # answers that wait for the line
 _WRITE_LIMIT = 30.0  # s
 
 
-class SerialServer:
+class SerialServer(FrameClient):
     """Serves one controller on one serial port. What the line cannot carry yet is kept, and sent after the motion.
 
     Args:
@@ -77,7 +55,7 @@ class SerialServer:
         memory: int = MEMORY,
         waits: bool = False,
     ) -> None:
-        self.controller = controller
+        super().__init__(controller)
         self.address = port
         self._shortest = max(watchdog, 3 * frame_time(baud, LONGEST_FRAME))
         self._waits = waits
@@ -94,11 +72,8 @@ class SerialServer:
         self._produced = self._sent = 0
         self._end: End | None = None
         self._end_sent = True
-        self._greeted = False
-        self._driving = False
         self._gone = True  # nothing was heard from the client for its watchdog
         self._watchdog = IDLE_LIMIT
-        self._upload: Upload | None = None
         self._closing = threading.Event()
         controller.when_restarting.append(self._forget)
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._read, self._write)]
@@ -242,55 +217,12 @@ class SerialServer:
 
     # Requests: in the reader's thread.
 
-    def _answer(self, frame: Frame) -> None:
-        try:
-            message = decode(frame)
-            if not isinstance(message, Heartbeat):
-                self._carry_out(message, frame.request)
-        except ProtocolError as error:
-            self._reply(Refused(Refusal.UNKNOWN_MESSAGE, 0, 0, str(error)), frame.request)
-        except RefusedRequest as refused:
-            self._reply(Refused(refused.reason, refused.line, refused.column, str(refused)), frame.request)
-
-    def _carry_out(self, message: Any, request: int) -> None:
-        controller = self.controller
-        if isinstance(message, Hello):
-            self._greet(message, request)
-            return
-        if not self._greeted:
-            raise RefusedRequest(Refusal.BAD_REQUEST, "the first message must be the greeting")
-        match message:
-            case Identify():
-                self._reply(identity_reply(controller), request)
-            case AskStatus():
-                self._reply(status_reply(controller), request)
-            case UploadBegin(name, size, checksum):
-                controller.check_upload(name, size)
-                self._upload = Upload(name, size, checksum)
-                self._reply(Done(), request)
-            case UploadBlock(offset, data):
-                self._current_upload().add(offset, data)
-                self._reply(Done(), request)
-            case UploadEnd():
-                upload, self._upload = self._current_upload(), None
-                self._reply(Stored(upload.name, controller.store(upload.name, upload.complete())), request)
-            case Start(name, checksum, motion_id):
-                self._start(name, checksum, motion_id, request)
-            case Stop():
-                controller.stop(EndReason.STOPPED, "stopped on command")
-                self._reply(Done(), request)
-            case Fetch(first, count):
-                self._fetch(first, count, request)
-            case _:
-                raise RefusedRequest(Refusal.UNKNOWN_MESSAGE, f"{type(message).__name__} is not a request")
-
     def _greet(self, hello: Hello, request: int) -> None:
         """A line has one client at a time; who greets again has been started again."""
         with self._lock:
             self._greeted = True
             self._replies.clear()
-        if hello.version < VERSION:
-            raise RefusedRequest(Refusal.UNSUPPORTED_VERSION, f"version {VERSION} of the link is spoken here")
+        self._check_version(hello)
         if self._driving:
             raise RefusedRequest(Refusal.BUSY, "the arm moves for the client before; wait until it rests")
         with self._lock:
@@ -301,32 +233,19 @@ class SerialServer:
         self.controller.reach("connect")
         self._reply(Welcome(VERSION, round(self._watchdog * 1000)), request)
 
-    def _start(self, name: str, checksum: str, motion_id: bytes, request: int) -> None:
-        self.controller.start(name, checksum, motion_id, self)
+    def _begin(self) -> None:
         with self._lock:
             self._produced = self._sent = 0
             self._end, self._end_sent = None, True
-            self._driving = True
-        try:
-            self._reply(Started(motion_id), request)
-        finally:
-            self.controller.go()
 
-    def _fetch(self, first: int, count: int, request: int) -> None:
+    def _fetched(self, first: int, count: int) -> LeanSamples | End:
         with self._lock:
             end = self._end
             if 0 <= first < self._produced and count > 0:
-                message: LeanSamples | End = self._samples(first, min(count, self._batch))
-            elif end is not None and self._end_sent:
-                message = end
-            else:
-                raise RefusedRequest(Refusal.NOT_AVAILABLE, f"there are no samples from {first} on")
-        self._reply(message, request)
-
-    def _current_upload(self) -> Upload:
-        if self._upload is None:
-            raise RefusedRequest(Refusal.BAD_REQUEST, "no upload has begun")
-        return self._upload
+                return self._samples(first, min(count, self._batch))
+            if end is not None and self._end_sent:
+                return end
+        raise RefusedRequest(Refusal.NOT_AVAILABLE, f"there are no samples from {first} on")
 
     def _reply(self, message: Any, request: int) -> None:
         with self._lock:

@@ -17,30 +17,19 @@ from drivers.wire.tcp import (
     MAX_BATCH,
     MAX_REQUEST_PAYLOAD,
     VERSION,
-    AskStatus,
     Decoder,
-    Done,
     End,
-    Fetch,
-    Frame,
     Heartbeat,
     Hello,
-    Identify,
     Refused,
-    Start,
-    Started,
-    Stop,
-    Stored,
-    UploadBegin,
-    UploadBlock,
-    UploadEnd,
+    Samples,
     Welcome,
-    decode,
     encode,
 )
 from fake_controller.controller import Controller, RefusedRequest
 from fake_controller.execution import Slice
-from fake_controller.replies import Upload, identity_reply, samples_message, status_reply
+from fake_controller.frame_client import FrameClient
+from fake_controller.replies import samples_message
 from fake_controller.servers import deaf_socket
 
 MAX_CONNECTIONS = 8
@@ -145,21 +134,18 @@ class TcpServer:
             session.start()
 
 
-class Session:
+class Session(FrameClient):
     """One client. Its reader thread carries out requests; another sends heartbeats; motion sends from its own."""
 
     def __init__(self, server: TcpServer, connection: socket.socket) -> None:
+        super().__init__(server.controller)
         self._server = server
-        self._controller = server.controller
         self._socket = connection
         self._socket.settimeout(SEND_LIMIT)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._send_lock = threading.Lock()
         self._closed = threading.Event()
         self._watchdog = IDLE_LIMIT
-        self._greeted = False
-        self._upload: Upload | None = None
-        self._driving = False  # this client's motion runs
         self._thread = threading.Thread(target=self._serve, name="session", daemon=True)
 
     def start(self) -> None:
@@ -191,13 +177,13 @@ class Session:
             self._read()
         except ProtocolError as error:
             with contextlib.suppress(OSError):
-                self._send(Refused(Refusal.BAD_REQUEST, 0, 0, f"{error}; the connection is closed"))
+                self._reply(Refused(Refusal.BAD_REQUEST, 0, 0, f"{error}; the connection is closed"))
         except OSError:
             pass
         finally:
             self.close()
             if self._driving:
-                self._controller.stop(EndReason.WATCHDOG, "the client is gone")
+                self.controller.stop(EndReason.WATCHDOG, "the client is gone")
             self._server.left(self)
             self._linger()
             self._socket.close()
@@ -224,99 +210,48 @@ class Session:
                     data = self._socket.recv(_RECEIVE)
                     if not data:
                         return
-                    data = self._controller.faults.heard(data)
+                    data = self.controller.faults.heard(data)
                 # A stall of this process is not the client's silence: no turn counts for more than it should last.
                 silence += min(time.monotonic() - began, interval)
                 for frame in decoder.feed(data):
                     silence = 0.0
                     self._answer(frame)
                 if self._driving and silence >= self._watchdog:
-                    self._controller.stop(
+                    self.controller.stop(
                         EndReason.WATCHDOG, f"nothing was heard from the client for {self._watchdog * 1000:.0f} ms"
                     )
                 if silence >= IDLE_LIMIT:
                     return
 
-    def _answer(self, frame: Frame) -> None:
-        try:
-            message = decode(frame)
-            if isinstance(message, Heartbeat):
-                return
-            self._carry_out(message, frame.request)
-        except ProtocolError as error:
-            self._send(Refused(Refusal.UNKNOWN_MESSAGE, 0, 0, str(error)), frame.request)
-        except RefusedRequest as refused:
-            self._send(Refused(refused.reason, refused.line, refused.column, str(refused)), frame.request)
-
-    def _carry_out(self, message: Any, request: int) -> None:
-        if isinstance(message, Hello):
-            self._greet(message, request)
-            return
-        if not self._greeted:
-            raise RefusedRequest(Refusal.BAD_REQUEST, "the first message must be the greeting")
-        match message:
-            case Identify():
-                self._send(identity_reply(self._controller), request)
-            case AskStatus():
-                self._send(status_reply(self._controller), request)
-            case UploadBegin(name, size, checksum):
-                self._controller.check_upload(name, size)
-                self._upload = Upload(name, size, checksum)
-                self._send(Done(), request)
-            case UploadBlock(offset, data):
-                self._current_upload().add(offset, data)
-                self._send(Done(), request)
-            case UploadEnd():
-                upload, self._upload = self._current_upload(), None
-                checksum = self._controller.store(upload.name, upload.complete())
-                self._send(Stored(upload.name, checksum), request)
-            case Start(name, checksum, motion_id):
-                self._controller.start(name, checksum, motion_id, self)
-                self._driving = True
-                try:
-                    self._send(Started(motion_id), request)
-                finally:
-                    self._controller.go()
-            case Stop():
-                self._controller.stop(EndReason.STOPPED, "stopped on command")
-                self._send(Done(), request)
-            case Fetch(first, count):
-                self._send(samples_message(*self._controller.fetch(first, min(count, MAX_BATCH))), request)
-            case _:
-                raise RefusedRequest(Refusal.UNKNOWN_MESSAGE, f"{type(message).__name__} is not a request")
-
     def _greet(self, hello: Hello, request: int) -> None:
         if self._greeted:
             raise RefusedRequest(Refusal.BAD_REQUEST, "the greeting comes once")
-        if hello.version < VERSION:
-            raise RefusedRequest(Refusal.UNSUPPORTED_VERSION, f"version {VERSION} of the link is spoken here")
+        self._check_version(hello)
         if not self._server.hold(self):
             raise RefusedRequest(Refusal.BUSY, "another client holds the controller; close it first")
         self._watchdog = min(max(hello.watchdog_ms / 1000, self._server.watchdog), WATCHDOG_RANGE[1])
         self._greeted = True
-        self._controller.reach("connect")
-        self._send(Welcome(VERSION, round(self._watchdog * 1000)), request)
+        self.controller.reach("connect")
+        self._reply(Welcome(VERSION, round(self._watchdog * 1000)), request)
         threading.Thread(target=self._beat, name="heartbeat", daemon=True).start()
 
     def _beat(self) -> None:
         while not self._closed.wait(self._watchdog / 4):
             self._send_or_close(Heartbeat())
 
-    def _current_upload(self) -> Upload:
-        if self._upload is None:
-            raise RefusedRequest(Refusal.BAD_REQUEST, "no upload has begun")
-        return self._upload
+    def _fetched(self, first: int, count: int) -> Samples:
+        return samples_message(*self.controller.fetch(first, min(count, MAX_BATCH)))
 
     def _send_or_close(self, message: Any) -> None:
         try:
-            self._send(message)
+            self._reply(message)
         except OSError:
             self.close()
 
-    def _send(self, message: Any, request: int = 0) -> None:
+    def _reply(self, message: Any, request: int = 0) -> None:
         frame = encode(message, request)
         with self._send_lock:
-            self._controller.faults.send(frame, self._socket.sendall, self._cut, isinstance(message, Heartbeat))
+            self.controller.faults.send(frame, self._socket.sendall, self._cut, isinstance(message, Heartbeat))
 
     def _cut(self) -> None:
         self._closed.set()

@@ -5,6 +5,7 @@ The frames are those of docs/wire-tcp.md, kept short, because a line is slow and
 
 from __future__ import annotations
 
+import contextlib
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -123,9 +124,23 @@ class HuntingDecoder(Decoder):
             except ProtocolError:
                 self._skip()
                 continue
-            if frame is None:
+            if frame is not None:
+                yield frame
+            elif not self._overtaken():
                 return
-            yield frame
+
+    def _overtaken(self) -> bool:
+        """Whether a whole frame stands behind the beginning of another: the length of that one is damaged, it would
+        wait for bytes that never come. What is in front of the whole one is thrown away."""
+        at = self._buffer.find(tcp.MAGIC, 1)
+        while at > 0:
+            with contextlib.suppress(ProtocolError, StopIteration):
+                next(Decoder(self._max_payload).feed(bytes(self._buffer[at:])))
+                self.rejected += at
+                del self._buffer[:at]
+                return True
+            at = self._buffer.find(tcp.MAGIC, at + 1)
+        return False
 
     def _skip(self) -> None:
         """To the next place where a frame may begin."""

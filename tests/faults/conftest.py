@@ -19,7 +19,7 @@ from agent.recording import read_log
 from fake_controller.build import build_controller
 from fake_controller.controller import PERIOD, Controller, State
 from fake_controller.faults import Fault, Faults
-from fake_controller.servers import WIRES, Server, open_server
+from fake_controller.servers import BROKER, WIRES, Server, open_server
 
 RECIPE = """
 robot: {robot}
@@ -75,13 +75,14 @@ class Interrupting(Faults):
 class Bench:
     """One fake controller, and an agent that records a short program with it."""
 
-    def __init__(self, arm: str, folder: Path, run: Callable[..., Ended]):
+    def __init__(self, arm: str, folder: Path, run: Callable[..., Ended], broker: Callable[[], tuple[str, int]]):
         self.folder = folder
         self.log = folder / "swing.mcap"
         self.recipe = folder / "recipe.yaml"
         self.program = folder / "swing.pdl"
         self._arm = arm
         self._run = run
+        self._broker = broker
         self._servers: list[Server] = []
         self._confirmed: tuple[str, ...] = ()
 
@@ -98,11 +99,15 @@ class Bench:
         controller = build_controller(self._arm, 3, clock)
         controller.faults = Faults(faults) if interrupt is None else Interrupting(faults, interrupt, number)
         controller.state = State(**state)
-        server = open_server(wire, controller, watchdog=0.5 if clock == "real" else 2.0, waits=clock == "fast")
+        watchdog = 2.0 if clock == "fast" else 0.5 if wire == "tcp" else 1.0  # where one asks and waits it takes longer
+        broker = self._broker() if wire == "cnr_comau" else BROKER
+        server = open_server(wire, controller, watchdog=watchdog, waits=clock == "fast", broker=broker)
         self._servers.append(server)
         # Nobody knows where a line leads: only on loopback an emulator needs no person's word.
-        self._confirmed = () if server.address.startswith("127.0.0.1:") else ("--yes",)
-        text = RECIPE.format(robot=self._arm, driver=WIRES[wire], address=server.address)
+        self._confirmed = () if server.address.startswith("127.0.0.1") else ("--yes",)
+        queued = any(fault.name in ("queue_full", "sequence_error") for fault in faults)
+        address = f"{server.address},mode=points" if queued else server.address
+        text = RECIPE.format(robot=self._arm, driver=WIRES[wire], address=address)
         self.recipe.write_text(text, encoding="utf-8")
         self.program.write_text(PROGRAM, encoding="utf-8")
         return controller
@@ -134,9 +139,9 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp
 
 
 @pytest.fixture
-def bench(arm: str, tmp_path: Path, run: Callable[..., Ended]) -> Iterator[Bench]:
+def bench(request: pytest.FixtureRequest, arm: str, tmp_path: Path, run: Callable[..., Ended]) -> Iterator[Bench]:
     """A bench whose servers end with the test."""
-    with closing(Bench(arm, tmp_path, run)) as bench:
+    with closing(Bench(arm, tmp_path, run, lambda: request.getfixturevalue("broker").address)) as bench:
         yield bench
 
 

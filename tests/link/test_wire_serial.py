@@ -67,9 +67,8 @@ def test_a_damaged_frame_costs_nothing_but_itself(data):
     damaged = bytearray(parts[bad])
     damaged[at // 8] ^= 1 << at % 8
     parts[bad] = bytes(damaged)
-    # A damaged length may swallow what follows until it has all come.
-    filler = bytes(wire.MAX_PAYLOAD + 64)
-    frames = list(wire.HuntingDecoder().feed(b"".join(parts) + filler))
+    # Nothing follows: a damaged length that announces more than ever comes must not hold up what has come.
+    frames = list(wire.HuntingDecoder().feed(b"".join(parts)))
     assert [frame.request for frame in frames] == [k + 1 for k in range(4) if k != bad]
 
 
