@@ -28,7 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: done.set())
 
-    from fake_controller.servers import open_server
+    from fake_controller.servers import NoBrokerError, open_server
 
     try:
         controller = _controller(options)
@@ -45,7 +45,13 @@ def main(arguments: list[str] | None = None) -> int:
             options.clock == "fast",
             options.baud,
             options.serial_port,
+            options.broker,
         )
+    except NoBrokerError as error:
+        print(
+            f"fake controller: {error}; start one (apt-get install mosquitto), or name it by --broker", file=sys.stderr
+        )
+        return 2
     except OSError as error:
         where = options.serial_port or f"{options.address}:{options.port}"
         print(f"fake controller: cannot listen at {where}: {error.strerror}; is the port taken?", file=sys.stderr)
@@ -115,6 +121,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--address", default="127.0.0.1", help="where to listen; others cannot connect by default")
     parser.add_argument("--baud", type=_baud, default=115_200, help="of a serial line, bits per second")
     parser.add_argument("--serial-port", help="a port of this machine; if none is named, a pseudo-terminal is made")
+    parser.add_argument(
+        "--broker", type=_broker, default="127.0.0.1:1883", help="MQTT broker that cnr_comau's samples go by"
+    )
     parser.add_argument("--seed", type=int, help="of the arm's true parameters and its noise; 0 if none is given")
     parser.add_argument("--clock", choices=("fast", "real"), help="as fast as it goes, or real time (if none is given)")
     parser.add_argument("--watchdog", type=_watchdog, help="shortest [s] that a client is granted, 0.05 to 5")
@@ -136,6 +145,13 @@ def _baud(text: str) -> int:
     if not 1200 <= baud <= 4_000_000:
         raise argparse.ArgumentTypeError(f"{baud} baud are none; 1200 to 4000000 are")
     return baud
+
+
+def _broker(text: str) -> tuple[str, int]:
+    host, colon, port = text.rpartition(":")
+    if not colon or not port.isdigit():
+        raise argparse.ArgumentTypeError(f"{text!r} is no broker; host:port is")
+    return host.strip("[]"), _port(port)
 
 
 def _watchdog(text: str) -> float:

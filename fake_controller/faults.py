@@ -25,7 +25,13 @@ WIRE = {
     "duplicate": _EVERY,
     "corrupt": _EVERY,  # one byte
     "lost_client": _EVERY,  # nothing of what the client sends arrives
+    "broker_gone": frozenset({"connect", "streaming"}),  # samples go by a broker, and none comes through any more
+    "topic_missing": frozenset({"connect", "streaming"}),  # one of its topics is not published any more
+    "queue_full": frozenset({"upload"}),  # of points; it never has room again
+    "sequence_error": frozenset({"upload"}),  # a point is taken for another than the next
 }
+#: Of these, those that go on until another client comes; a server asks whether they act.
+_LASTING = ("broker_gone", "topic_missing", "queue_full", "sequence_error")
 #: Faults of the machine and its controller.
 MACHINE = {
     "emergency_stop": _EVERY,
@@ -43,8 +49,14 @@ MACHINE = {
 }
 FAULTS = {**WIRE, **MACHINE}
 _ONE_ANSWER = "it sends one answer at a time, so none can overtake another"
+_WITHOUT_BROKER = dict.fromkeys(
+    ("tcp", "modbus", "serial", "rtu"), "samples come by no broker there, points in no queue"
+)
 #: Faults that make no sense on a wire, and why.
-NOT_ON = {"reorder": {"modbus": _ONE_ANSWER, "rtu": _ONE_ANSWER}}
+NOT_ON = {
+    "reorder": dict.fromkeys(("modbus", "rtu", "cnr_comau"), _ONE_ANSWER),
+    **dict.fromkeys(_LASTING, _WITHOUT_BROKER),
+}
 _DEFAULT_VALUE = {"delay": 0.1, "override": 0.5, "slow": 3.0}
 _TOO_LONG = 60.0  # s; longer than anybody waits
 
@@ -95,6 +107,7 @@ class Faults:
         self._waiting = list(faults)
         self._armed: list[Fault] = []
         self._held: bytes | None = None
+        self._lasting: set[str] = set()
         self._silent = self._deaf = self.refusing  # nobody there: on a line that is all there is to notice
 
     @property
@@ -117,9 +130,15 @@ class Faults:
                     self._silent = True
                 elif fault.name == "lost_client":
                     self._deaf = True
+                elif fault.name in _LASTING:
+                    self._lasting.add(fault.name)
                 elif fault.name in WIRE:
                     self._armed.append(fault)
         return [fault for fault in due if fault.name in MACHINE]
+
+    def acts(self, name: str) -> bool:
+        """Whether a fault that goes on until another client comes has struck."""
+        return name in self._lasting
 
     def heard(self, data: bytes) -> bytes:
         """What arrives of what a client sent."""
@@ -134,6 +153,7 @@ class Faults:
         with self._lock:
             self._armed.clear()
             self._held = None
+            self._lasting.clear()
             self._silent = self._deaf = self.refusing
 
     def send(self, frame: bytes, transmit: Callable[[bytes], None], cut: Callable[[], None], spare: bool) -> None:

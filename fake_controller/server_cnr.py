@@ -12,8 +12,9 @@ from fake_controller.server_cnr_ftp import ProgramFolder
 from fake_controller.server_cnr_mqtt import JointPublisher
 from fake_controller.server_cnr_reports import Reports
 from fake_controller.server_cnr_sockets import LockStep
+from fake_controller.servers import BROKER
 
-BROKER = ("127.0.0.1", 1883)
+SHORTEST_WATCHDOG = 0.5  # s
 
 
 class CnrServer:
@@ -23,12 +24,12 @@ class CnrServer:
         controller: what is served.
         address, port: where to listen; the trajectory's port, with feedback, status and FTP on the three that follow.
             Port 0 takes free ones.
-        watchdog: a moving arm stops when so long [s] no feedback was answered.
+        watchdog: a moving arm stops when so long [s] no feedback was answered; not below `SHORTEST_WATCHDOG`.
         broker: host and port of the MQTT broker.
         waits: the arm waits for its clients, as only an emulated one can.
 
     Raises:
-        OSError: a port is taken, the address is not this machine's, or no broker answers.
+        OSError: a port is taken, or the address is not this machine's; a `NoBrokerError` where no broker answers.
     """
 
     def __init__(
@@ -41,6 +42,7 @@ class CnrServer:
         waits: bool = False,
     ) -> None:
         self.controller = controller
+        watchdog = max(watchdog, SHORTEST_WATCHDOG)
         cut = self.drop_clients
         trajectory, feedback, status, ftp = (port + k if port else 0 for k in range(4))
         with ExitStack() as undo:

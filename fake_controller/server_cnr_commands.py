@@ -84,9 +84,14 @@ class TrajectoryPort(Port):
     def _take(self, client: Client, message: Message, point: Point) -> None:
         if self.queue.empty:
             self._controller.reach("upload")
-        outcome = self.queue.add(point)
+        if self._controller.faults.acts("queue_full"):
+            outcome = QueueStatus.BUSY
+        elif self._controller.faults.acts("sequence_error"):
+            outcome = QueueStatus.ERROR
+        else:
+            outcome = self.queue.add(point)
         taken = outcome is QueueStatus.READY
-        self._answer(client, message, taken, self.queue.status if taken else outcome, point.sequence_number)
+        self._answer(client, message, taken, self._queue_status() if taken else outcome, point.sequence_number)
 
     def _run_points(self, client: Client, message: Message) -> None:
         """Once there is a start and an end."""
@@ -123,11 +128,14 @@ class TrajectoryPort(Port):
         fit = state.drives_on and state.cell_closed and state.mode == "auto"
         return fit and not (state.emergency_stop or state.alarms or self._reports.moving)
 
+    def _queue_status(self) -> QueueStatus:
+        return QueueStatus.BUSY if self._controller.faults.acts("queue_full") else self.queue.status
+
     def _answer(
         self, client: Client, message: Message, done: bool, status: QueueStatus | None = None, number: int | None = None
     ) -> None:
         if number is None:
             number = 0 if message.type == MessageType.PING else self.queue.last
         code = ReplyCode.SUCCESS if done else ReplyCode.FAILURE
-        record = Point(queue_status=status or self.queue.status, sequence_number=number)
+        record = Point(queue_status=status or self._queue_status(), sequence_number=number)
         client.send(Message(message.type, CommType.REPLY, code, record))

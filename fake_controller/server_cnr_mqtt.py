@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import secrets
 import threading
 from collections.abc import Callable
@@ -25,6 +24,7 @@ from drivers.wire.cnr import (
 )
 from fake_controller.execution import Slice
 from fake_controller.faults import Faults
+from fake_controller.servers import NoBrokerError
 
 #: The node's clock: what it shows when the controller's shows nothing [µs], and how much faster it runs.
 CLOCK_OFFSET, CLOCK_DRIFT = 1_234_567_890, 5e-6
@@ -46,7 +46,7 @@ class JointPublisher:
         waits: wait for the broker where it is slower than the arm, as only an emulated arm can.
 
     Raises:
-        OSError: no broker answers there.
+        NoBrokerError: nobody there.
     """
 
     def __init__(
@@ -71,11 +71,14 @@ class JointPublisher:
         self._client.on_connect = self._connected
         self._client.on_subscribe = self._subscribed
         self._client.on_message = lambda *_: self._returned.release()
-        self._client.connect(*broker)
+        try:
+            self._client.connect(*broker)
+        except OSError as error:
+            raise NoBrokerError(f"no MQTT broker at {broker[0]}:{broker[1]}: {error.strerror or error}") from None
         self._client.loop_start()
         if not self._ready.wait(_PATIENCE):
             self.close()
-            raise OSError(errno.ETIMEDOUT, "no MQTT broker answers there")
+            raise NoBrokerError(f"whoever listens at {broker[0]}:{broker[1]} is no MQTT broker")
 
     def close(self) -> None:
         """Leave the broker."""
@@ -98,12 +101,17 @@ class JointPublisher:
         rows = {channel: values.tolist() for channel, values in columns.items()}
         stamps = np.round(time_ns * ((1 + CLOCK_DRIFT) / 1000)).astype(np.int64) + CLOCK_OFFSET
         for k, stamp in enumerate(stamps.tolist()):
-            for channel in CHANNELS:
+            for channel in self._channels():
                 late = CURRENTS_LATE if channel is CURRENTS else 0
                 self._send(f"{TOPIC}/{channel}", encode_joints(rows[channel][k], stamp + late), spare)
             self._published += 1
             if self._waits and self._published % _PACE == 0:
                 self._keep_pace()
+
+    def _channels(self) -> tuple[str, ...]:
+        if self._faults.acts("broker_gone"):
+            return ()
+        return CHANNELS[:-1] if self._faults.acts("topic_missing") else CHANNELS
 
     def _send(self, topic: str, payload: bytes, spare: bool) -> None:
         with contextlib.suppress(ConnectionResetError):

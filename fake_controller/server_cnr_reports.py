@@ -97,7 +97,7 @@ class Reports:
             self._last = _last_of(samples)
         for k in range(_EVERY - 1, len(samples), _EVERY):
             self._tell(time_ns[k], samples.position[k], samples.torque[k])
-            if self._waits:
+            if self._waits and self.silence < self._watchdog:
                 self._feedback.wait(self._watchdog)
 
     def on_end(self, reason: EndReason, samples: int, message: str) -> None:

@@ -12,7 +12,13 @@ if TYPE_CHECKING:
     from fake_controller.controller import Controller
 
 #: Wires by name, with the name of the driver that speaks each.
-WIRES = {"tcp": "tcp", "modbus": "modbus", "serial": "serial", "rtu": "serial"}
+WIRES = {"tcp": "tcp", "modbus": "modbus", "serial": "serial", "rtu": "serial", "cnr_comau": "cnr_comau"}
+#: Host and port of the MQTT broker that `cnr_comau` publishes to.
+BROKER = ("127.0.0.1", 1883)
+
+
+class NoBrokerError(OSError):
+    """No MQTT broker answers where one is expected."""
 
 
 class Server(Protocol):
@@ -52,19 +58,21 @@ def open_server(
     waits: bool = False,
     baud: int = 4_000_000,
     serial_port: str | None = None,
+    broker: tuple[str, int] = BROKER,
 ) -> Server:
     """A server that is open.
 
     Args:
         wire: one of `WIRES`.
         controller: what is served.
-        address, port: where to listen, for `tcp` and `modbus`; port 0 takes a free one.
+        address, port: where to listen, but for `serial` and `rtu`; port 0 takes a free one.
         watchdog: the shortest [s] that a client is granted.
         waits: the arm waits for a client that reads too slowly, as only an emulated one can.
         baud, serial_port: the line, for `serial` and `rtu`; without a port a cable of pseudo-terminals is made.
+        broker: host and port, for `cnr_comau`.
 
     Raises:
-        OSError: the port is taken, or is not this machine's.
+        OSError: the port is taken, or is not this machine's; a `NoBrokerError` where no broker answers.
         ValueError: a fault of the controller makes no sense on this wire.
     """
     check_wire(controller.faults.waiting, wire)
@@ -76,6 +84,10 @@ def open_server(
         from fake_controller.server_modbus import ModbusServer
 
         return ModbusServer(controller, address, port, watchdog, waits=waits)
+    if wire == "cnr_comau":
+        from fake_controller.server_cnr import CnrServer
+
+        return CnrServer(controller, address, port, watchdog, broker, waits)
     if serial_port is None:
         return _OnCable(wire, controller, baud, watchdog, waits)
     return _on_port(wire, controller, serial_port, baud, watchdog, waits)

@@ -144,6 +144,8 @@ urdf: arm.urdf
 tip_frame: tip
 cartesian_limits: {linear_speed: 1.5, linear_acceleration: 3, rotational_speed: 2, rotational_acceleration: 6}
 joints:
-  - {name: shoulder, gear_ratio: 100, nominal_motor_torque: 1, max_velocity: 2, max_acceleration: 6}
-  - {name: elbow, gear_ratio: -80, nominal_motor_torque: 1, max_velocity: 3, max_acceleration: 9}
+  - {name: shoulder, gear_ratio: 100, nominal_motor_torque: 1, torque_constant: 0.5, max_velocity: 2,
+     max_acceleration: 6}
+  - {name: elbow, gear_ratio: -80, nominal_motor_torque: 1, torque_constant: 0.4, max_velocity: 3,
+     max_acceleration: 9}
 """

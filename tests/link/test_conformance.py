@@ -4,6 +4,7 @@ import contextlib
 import socket
 import threading
 
+import numpy as np
 import pytest
 import serial
 
@@ -11,6 +12,7 @@ from drivers.conformance import DriverConformance
 from drivers.registry import create
 from fake_controller.build import build_controller
 from fake_controller.cable import Cable
+from fake_controller.server_cnr import CnrServer
 from fake_controller.server_modbus import ModbusRtuServer, ModbusServer
 from fake_controller.server_serial import SerialServer
 from fake_controller.server_tcp import TcpServer
@@ -159,6 +161,59 @@ class ModbusBench(SocketBench):
         return ModbusServer(self.controller, memory=2000, waits=True)
 
 
+class Relays:
+    """One in front of each port; the trajectory's is the first."""
+
+    def __init__(self, targets):
+        self.all = [Relay(target) for target in targets]
+        self.ports = [relay.address.rpartition(":")[2] for relay in self.all]
+
+    @property
+    def silent(self):
+        return self.all[0].silent
+
+    @silent.setter
+    def silent(self, value):
+        for relay in self.all:
+            relay.silent = value
+
+    def close(self):
+        for relay in self.all:
+            relay.close()
+
+    def replay(self):
+        self.all[0].replay()
+
+
+class CnrBench(SocketBench):
+    name = "cnr_comau"
+
+    def __init__(self, arm, undo, broker):
+        self.broker = broker
+        super().__init__(arm, undo)
+
+    def connect_wire(self):
+        server = CnrServer(self.controller, watchdog=2.0, broker=self.broker.address, waits=True)
+        self.undo.callback(server.close)
+        relays = Relays([*(("127.0.0.1", port) for port in server.ports), self.broker.address])
+        self.undo.callback(relays.close)
+        self.address = self.at(*relays.ports)
+        return relays
+
+    def at(self, trajectory, feedback, status, ftp, mqtt):
+        ports = f"trajectory={trajectory},feedback={feedback},status={status},ftp={ftp}"
+        return f"127.0.0.1,{ports},mqtt=127.0.0.1:{mqtt}"
+
+    def driver(self):
+        driver = self.created(self.address)
+        driver.torque_per_ampere = np.diag([50.0, -32.0])  # gear ratio times torque constant
+        return driver
+
+    def created(self, address, **options):
+        _, _, port = address.rpartition(":")
+        return super().created(address if "," in address else self.at(*[port] * 5), **options)
+
+
 class TamperedCable(Cable):
     """A cable that can be listened to, and made to lose what the controller says."""
 
@@ -245,7 +300,8 @@ class RtuBench(LineBench):
 @pytest.fixture
 def bench(request, arm):
     with contextlib.ExitStack() as undo:
-        yield request.cls.bench(arm, undo)
+        needs = [request.getfixturevalue("broker")] if request.cls.bench is CnrBench else []
+        yield request.cls.bench(arm, undo, *needs)
 
 
 class TestTcp(DriverConformance):
@@ -262,3 +318,7 @@ class TestSerial(DriverConformance):
 
 class TestModbusRtu(DriverConformance):
     bench = RtuBench
+
+
+class TestCnrComau(DriverConformance):
+    bench = CnrBench

@@ -17,6 +17,7 @@ from fake_controller.build import build_controller
 from fake_controller.execution import Slice
 from fake_controller.faults import Fault
 from fake_controller.server_cnr import CnrServer
+from fake_controller.servers import NoBrokerError
 
 CLOCK_OFFSET = 1_234_567_890  # µs of the topics' clock before the controller's
 TOPICS = (
@@ -314,7 +315,7 @@ def test_a_stored_program_runs_to_its_end_and_every_sample_is_published(bench, b
         ("target_joints_velocities", np.degrees(recorded.reference_velocity), 0),
         ("real_joints_positions", np.degrees(recorded.position), 0),
         ("real_joints_velocities", np.degrees(recorded.velocity), 0),
-        ("motor_currents", recorded.torque / [100, -80], 200),  # gear ratios; 1 N·m/A
+        ("motor_currents", recorded.torque / [50, -32], 200),  # gear ratio times torque constant
     ):
         times, published = samples.until(topic, until)
         np.testing.assert_array_equal(times[np.isin(times, stamps + late)], stamps + late)
@@ -568,8 +569,50 @@ def test_a_topic_in_real_time(serve, broker):
     np.testing.assert_allclose(np.diff(times), 2000, atol=1)
 
 
+@pytest.mark.parametrize(("fault", "silent"), [("broker_gone", TOPICS), ("topic_missing", ["motor_currents"])])
+def test_topics_that_fall_silent(serve, broker, fault, silent):
+    bench = serve(faults=[Fault(fault, "connect")])
+    bench.trajectory_when_free()
+    samples = bench.connected(Samples(broker))
+    for topic in set(TOPICS) - set(silent):
+        samples.first(topic)
+    feedback = bench.feedback()
+    feedback.until(lambda record: record[feedback.TIME] > feedback.all[0][feedback.TIME] + 100)
+    assert not any(samples.messages[topic] for topic in silent)
+
+
+@pytest.mark.parametrize(("fault", "status"), [("queue_full", 2), ("sequence_error", 3)])
+def test_a_queue_that_takes_nothing(serve, fault, status):
+    link = serve(faults=[Fault(fault, "upload")]).trajectory()
+    header, body = link.ask(point(1, (20, -30)))
+    assert (header[3], body[1]) == (2, status)
+
+
+def test_a_restart_forgets_programs_and_clients(serve):
+    bench = serve(faults=[Fault("restart", "start")])
+    link = bench.trajectory()
+    bench.store(SHORT)
+    with pytest.raises((EOFError, ConnectionResetError)):
+        link.ask(start(1))
+    bench.trajectory_when_free()
+    assert bench.ftp().nlst() == ["agent_identity.json"]
+
+
+def test_counters_that_begin_anew(serve, broker):
+    bench = serve(faults=[Fault("reset_counters", "streaming", 0.5)])
+    samples = bench.connected(Samples(broker))
+    feedback, link = bench.feedback(), bench.trajectory()
+    bench.store(SHORT)
+    assert link.done(start(1))
+    feedback.until_rest()
+    times = np.array([record[feedback.TIME] for record in feedback.all])
+    assert (np.diff(times) < 0).sum() == 1
+    stamps, _ = samples.until("motor_currents", CLOCK_OFFSET)
+    assert (np.diff(stamps) < 0).sum() == 1
+
+
 def test_without_a_broker_nothing_is_served(arm):
     with socket.create_server(("127.0.0.1", 0)) as free:
         nobody = free.getsockname()
-    with pytest.raises(OSError, match="refused"):
+    with pytest.raises(NoBrokerError, match=f"no MQTT broker at 127.0.0.1:{nobody[1]}"):
         CnrServer(build_controller(arm, 3, "fast"), broker=nobody)
