@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 #: The controller's interpolator is not ours: so much may it be ahead or behind, of the time and in seconds.
 SHARE, ALLOWANCE = 0.2, 0.5
-#: Set-points that rest so long [s] have ended a stretch; slower than this [rad/s, m/s] they rest.
-REST, STILL = 0.006, 1e-3
+#: Set-points that rest so long [s] have ended a stretch.
+REST = 0.006
 #: A stretch is the planned one if it begins where that begins, and a plan shorter than this is none [rad, or m].
 NEAR, SHORTEST = 0.05, 1e-3
 
@@ -45,7 +45,7 @@ class PaceCheck:
         self._last = float(time[-1]), reference[-1]
         steps = np.linalg.norm(np.diff(reference, axis=0), axis=1)
         for k, (step, passed) in enumerate(zip(steps, np.diff(time), strict=True)):
-            if step <= STILL * passed:
+            if step == 0.0:
                 self._rested += passed
                 if self._rested >= REST:
                     self._began = None

@@ -168,6 +168,7 @@ class Bench:
     def __init__(self, folder: Path):
         self.folder = folder
         self.controller = Controller()
+        self.driver: type[TcpDriver] = TcpDriver
         self.robot = load_robot("comau_ns16")
         self.checked = CheckedPrograms(folder / "checked_programs.json")
         self.answer = False
@@ -185,7 +186,7 @@ class Bench:
             return self.answer
 
         self.guard = GuardedLink(
-            TcpDriver(peer.address, timeout=2.0, start_timeout=2.0),
+            self.driver(peer.address, timeout=2.0, start_timeout=2.0),
             self.robot,
             address or peer.address,
             rate,
