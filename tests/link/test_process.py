@@ -1,6 +1,7 @@
 """The fake controller as a process of its own, as a user starts it."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -66,3 +67,16 @@ def test_an_unknown_robot():
     with process("--robot", "no_such_robot") as running:
         assert running.wait(60) == 2
         assert "no_such_robot" in running.stderr.read()
+
+
+def test_a_link_whose_samples_need_a_broker(broker):
+    with process("--driver", "cnr_comau", "--port", "0", "--clock", "fast", "--broker", "127.0.0.1:1") as running:
+        assert running.wait(60) == 2
+        assert "no MQTT broker at 127.0.0.1:1: " in (said := running.stderr.read())
+        assert "apt-get install mosquitto" in said
+    host, port = broker.address
+    with process("--driver", "cnr_comau", "--port", "0", "--broker", f"{host}:{port}") as running:
+        line = running.stdout.readline()
+        assert re.search(rf" at 127.0.0.1,trajectory=\d+,feedback=\d+,status=\d+,ftp=\d+,mqtt={host}:{port},", line)
+        running.send_signal(signal.SIGTERM)
+        assert running.wait(20) == 0
