@@ -161,6 +161,9 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         )
     if result["closure"] is not None:
         lines.append(f"closure {result['closure']:.3f}")
+    if result.get("simulation"):
+        before, after = (100 * max(result["simulation"]["torque"][side]) for side in ("before", "after"))
+        lines.append(f"worst joint in forward simulation: {before:.2f} % of nominal torque, then {after:.2f} %")
     if result["next_experiment"] is not None:
         lines.append(f"run next: {result['next_experiment']['motion']}")
     if result["not_testable"]:

@@ -87,9 +87,13 @@ class BlindCheck:
         folder = self._folder(case)
         try:
             programs = draw_programs(link_recipe(self.robot, _NOWHERE), case.motion, self.cycle)
-            for log in record_motions(self.robot, case.machine, (), programs, folder / _PLAIN, _QUIET):
+            logs = record_motions(self.robot, case.machine, case.effects, programs, folder, _QUIET)
+            plain = logs  # without an effect the same machine would only repeat itself, noise and all
+            if case.effects:
+                plain = record_motions(self.robot, case.machine, (), programs, folder / _PLAIN, _QUIET)
+            for log in plain:
                 self._keep_set_points(log, folder / f"{log.stem}.npy")
-            return record_motions(self.robot, case.machine, case.effects, programs, folder, _QUIET), ""
+            return logs, ""
         except (AgentError, DriverError) as error:
             return [], str(error)
 
@@ -141,7 +145,7 @@ class BlindCheck:
         console.progress(f"run {case.number + 1}: {entry['outcome']}")
         if entry["outcome"] in ("right", "in class"):
             for log in (*logs, *plain):
-                log.unlink()
+                log.unlink(missing_ok=True)
         return entry
 
     def _second_opinions(self, case: Case, result: dict[str, Any], logs: Sequence[Path]) -> dict[str, Any]:

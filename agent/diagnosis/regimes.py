@@ -2,29 +2,58 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from agent.diagnosis.dataset import Dataset
 
+#: Regimes of speed, load and position, as the map of a report shows them.
+SHOWN = (
+    "standstill",
+    "reversal",
+    "low_speed",
+    "high_speed",
+    "high_load",
+    "acceleration",
+    "position_low",
+    "position_middle",
+    "position_high",
+)
+BANDS = ((0.0, 1.0), (1.0, 5.0), (5.0, 15.0), (15.0, np.inf))  # Hz
+
 _LEAST = 0.05
 _NEAR_REVERSAL = 0.15  # s
+_BLOCK = 1.0  # s
+_RESAMPLED = 200
+_PROBABILITY = 0.9
+_PHASES = 12
 
 
-def regimes(dataset: Dataset, error: np.ndarray, joint: int) -> list[dict]:
-    """Shares of Σ e² of one joint's (S',) error; regimes overlap. `of_samples` is the share of time spent there."""
-    energy = error**2
-    total = max(float(np.nansum(energy)), 1e-300)
-    result = []
-    for name, mask in masks(dataset, joint).items():
-        share = float(np.nansum(energy[mask]) / total)
-        if share >= _LEAST:
-            result.append({"name": name, "share": share, "of_samples": float(np.mean(mask))})
-    result += _bands(dataset, error)
-    return sorted(result, key=lambda entry: -entry["share"])
+def regimes(dataset: Dataset, error: np.ndarray, joint: int, floor: float = 0.0) -> list[dict]:
+    """Shares of Σ (e² − f²) of one joint's (S,) held-out error above its `floor` f; regimes overlap.
+
+    `interval` is 90 % of a bootstrap over blocks of a second, as errors last (Künsch, Annals of Statistics 17, 1989);
+    `of_samples` is the share of time spent there.
+    """
+    excess = np.where(np.isfinite(error), error**2 - floor**2, 0.0)
+    blocks = _block_numbers(dataset)
+    found = [
+        {"name": name, **_share(excess, mask, blocks), "of_samples": float(np.mean(mask))}
+        for name, mask in masks(dataset, joint).items()
+    ]
+    found += [
+        {"name": f"frequency {_band_name(*band)}", "share": share, "interval": None, "of_samples": 1.0}
+        for band, share in zip(BANDS, band_shares(dataset, error), strict=True)
+    ]
+    phase = motor_phase_share(dataset, error, joint)
+    if phase is not None:
+        found.append({"name": "motor_phase", "share": phase, "interval": None, "of_samples": 1.0})
+    return sorted((entry for entry in found if entry["share"] >= _LEAST), key=lambda entry: -entry["share"])
 
 
 def masks(dataset: Dataset, joint: int) -> dict[str, np.ndarray]:
-    """(S',) bool of each regime of a joint."""
+    """(S,) bool of each regime of a joint: those of `SHOWN`, then logs or their cycles."""
     speed = dataset.speed[:, joint]
     magnitude = np.abs(speed)
     fastest = max(float(magnitude.max()), 1e-9)
@@ -39,43 +68,92 @@ def masks(dataset: Dataset, joint: int) -> dict[str, np.ndarray]:
         near[max(0, at - reach) : at + reach + 1] = True
     low, high = float(q.min()), float(q.max())
     third = (high - low) / 3
-    found = {
-        "standstill": standing,
-        "reversal": near & ~standing,
-        "low_speed": (magnitude < 0.1 * fastest) & ~standing,
-        "high_speed": magnitude > 0.6 * fastest,
-        "high_load": load > np.quantile(load, 0.75),
-        "acceleration": acceleration > np.quantile(acceleration, 0.75),
-        "position_low": q < low + third,
-        "position_middle": (q >= low + third) & (q <= high - third),
-        "position_high": q > high - third,
-    }
-    for number, log in enumerate(dataset.logs):
-        here = dataset.log == number
-        starts = [s for s in log.cycle_starts if s < dataset.time[here].max()]
-        if len(starts) < 2:
-            found[f"log {log.name}"] = here
-            continue
-        for cycle, start in enumerate(starts):
-            end = starts[cycle + 1] if cycle + 1 < len(starts) else np.inf
-            found[f"log {log.name} cycle {cycle + 1}"] = here & (dataset.time >= start) & (dataset.time < end)
-    return found
+    regions = (
+        standing,
+        near & ~standing,
+        (magnitude < 0.1 * fastest) & ~standing,
+        magnitude > 0.6 * fastest,
+        load > np.quantile(load, 0.75),
+        acceleration > np.quantile(acceleration, 0.75),
+        q < low + third,
+        (q >= low + third) & (q <= high - third),
+        q > high - third,
+    )
+    return dict(zip(SHOWN, regions, strict=True)) | dict(_in_time(dataset))
 
 
-def _bands(dataset: Dataset, error: np.ndarray) -> list[dict]:
-    """Shares of frequency bands, from one spectrum a motion."""
-    edges = (0.0, 1.0, 5.0, 15.0, np.inf)
-    energy = np.zeros(len(edges) - 1)
+def band_shares(dataset: Dataset, error: np.ndarray) -> np.ndarray:
+    """(4,) shares of Σ e² in `BANDS`, from one spectrum a motion of one joint's (S,) error."""
+    energy = np.zeros(len(BANDS))
+    edges = [low for low, _ in BANDS]
     for part in np.split(error, dataset.fit.cuts):
         clean = np.nan_to_num(part)
         power = np.abs(np.fft.rfft(clean)) ** 2
         frequency = np.fft.rfftfreq(len(clean), 1 / dataset.rate)
         band = np.searchsorted(edges, frequency, side="right") - 1
-        energy += np.bincount(np.minimum(band, len(energy) - 1), power, len(energy))
-    names = ("below 1 Hz", "1-5 Hz", "5-15 Hz", "above 15 Hz")
-    shares = energy / max(energy.sum(), 1e-300)
-    return [
-        {"name": f"frequency {name}", "share": float(share), "of_samples": 1.0}
-        for name, share in zip(names, shares, strict=True)
-        if share >= _LEAST
-    ]
+        energy += np.bincount(band, power, len(BANDS))
+    return energy / max(energy.sum(), 1e-300)
+
+
+def motor_phase_share(dataset: Dataset, error: np.ndarray, joint: int) -> float | None:
+    """Share of Σ e² that goes with the angle of the joint's own motor within a turn, where it turns slowly enough.
+
+    Slowly: two periods a turn stay below the cut-off. What one value a phase and turn would explain of noise is taken
+    off. None where the motor makes less than three such turns, or moves a slide.
+    """
+    robot = dataset.robot
+    if robot.joints[joint].prismatic:
+        return None
+    gear = abs(float(robot.gear_ratios[joint]))
+    angle = gear * np.concatenate([s.axles.position[s.kept, joint] for s in dataset.fit.signals])
+    speed = gear * np.abs(np.concatenate([s.axles.speed[s.kept, joint] for s in dataset.fit.signals]))
+    slow = np.isfinite(error) & (speed < np.pi * dataset.cutoff) & (speed > 0)
+    turns = float(np.sum(speed[slow])) / dataset.rate / (2 * np.pi)
+    if turns < 3:
+        return None
+    phase = (np.mod(angle[slow], 2 * np.pi) / (2 * np.pi) * _PHASES).astype(int) % _PHASES
+    left = error[slow] - np.mean(error[slow])
+    count = np.bincount(phase, minlength=_PHASES)
+    mean = np.bincount(phase, left, _PHASES) / np.maximum(count, 1)
+    total = float(np.sum(left**2))
+    explained = float(np.sum(count * mean**2)) / max(total, 1e-300) - 1 / turns
+    return max(explained, 0.0) * total / max(float(np.nansum(error**2)), 1e-300)
+
+
+def _in_time(dataset: Dataset) -> Iterator[tuple[str, np.ndarray]]:
+    """Each log's cycles; thirds of a log without cycles."""
+    for number, log in enumerate(dataset.logs):
+        here = dataset.log == number
+        if not here.any():
+            continue
+        last = dataset.time[here].max()
+        starts = [start for start in log.cycle_starts if start < last]
+        what = "cycle"
+        if len(starts) < 2:
+            first = dataset.time[here].min()
+            starts, what = [first + k * (last - first) / 3 for k in range(3)], "third"
+        for k, (start, end) in enumerate(zip(starts, [*starts[1:], np.inf], strict=True)):
+            yield f"log {log.name} {what} {k + 1}", here & (dataset.time >= start) & (dataset.time < end)
+
+
+def _block_numbers(dataset: Dataset) -> np.ndarray:
+    """(S,) number of the second of its log that each row lies in."""
+    within = (dataset.time / _BLOCK).astype(int)
+    return np.unique(np.column_stack([dataset.log, within]), axis=0, return_inverse=True)[1].ravel()
+
+
+def _share(excess: np.ndarray, mask: np.ndarray, blocks: np.ndarray) -> dict:
+    inside, total = np.bincount(blocks, excess * mask), np.bincount(blocks, excess)
+    if total.sum() <= 0:
+        return {"share": 0.0, "interval": None}
+    draws = np.random.default_rng(0).multinomial(len(total), np.full(len(total), 1 / len(total)), _RESAMPLED)
+    of_draws = draws @ inside / np.maximum(draws @ total, 1e-9 * total.sum())
+    tail = 0.5 * (1 - _PROBABILITY)
+    interval = np.clip(np.quantile(of_draws, [tail, 1 - tail]), 0, 1)
+    return {"share": float(np.clip(inside.sum() / total.sum(), 0, 1)), "interval": interval.tolist()}
+
+
+def _band_name(low: float, high: float) -> str:
+    if low == 0:
+        return f"below {high:g} Hz"
+    return f"above {low:g} Hz" if np.isinf(high) else f"{low:g}-{high:g} Hz"

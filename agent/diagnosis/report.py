@@ -1,171 +1,217 @@
-"""The page of a diagnosis: for the technician first, then every step of the procedure."""
+"""The page of a diagnosis: what a technician needs first, then the figures, then every step of the procedure."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from agent.diagnosis.effects import CATALOGUE
-from agent.diagnosis.forward import Simulated
+from agent.diagnosis.forward import Simulated, simulation_part
 from agent.diagnosis.procedure import Step
-from agent.diagnosis.regimes import masks
+from agent.diagnosis.report_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
 from agent.diagnosis.result import Diagnosis
-from agent.report.figures import SERIES, Figure, new_plot, to_figure
+from agent.diagnosis.words import IN_WORDS, REGIMES, how_sure, name, place
 from agent.report.page import Page, Section, Table, render
 
 _HEADLINES = {
     "no_gap": "No gap: model and robot agree within what the model's own prediction error allows.",
     "unknown": "There is a gap, and no effect of the catalogue closes it.",
 }
-_REGIMES = ("standstill", "reversal", "low_speed", "high_speed", "high_load", "acceleration")
+_MOST_STEPS = 8
+_MOST_SCORES = 6
 
 
 def diagnosis_report(diagnosis: Diagnosis, simulated: Sequence[Simulated] = ()) -> str:
     """HTML text of the report."""
-    result = diagnosis.result
-    verdict = result["verdict"]
-    sections = [_findings(diagnosis), _where(diagnosis), _figures(diagnosis), _steps(diagnosis), _testable(diagnosis)]
+    verdict = diagnosis.result["verdict"]
+    sections = [
+        _cause_section(diagnosis),
+        _where_section(diagnosis),
+        _closure_section(diagnosis, simulated),
+        _steps_section(diagnosis),
+        _testability_section(diagnosis),
+    ]
     colour = {"no_gap": "good", "explained": "bad"}.get(verdict, "plain")
     title = f"Gap between model and {diagnosis.dataset.robot.name}"
-    return render(Page(title, _headline(diagnosis), colour, sections))
+    return render(Page(title, headline(diagnosis.result), colour, sections))
 
 
-def _headline(diagnosis: Diagnosis) -> str:
-    result = diagnosis.result
+def headline(result: Mapping[str, Any]) -> str:
+    """The verdict in one sentence."""
     if not result["causes"]:
-        return _HEADLINES.get(result["verdict"], _HEADLINES["unknown"])
+        text = _HEADLINES.get(result["verdict"], _HEADLINES["unknown"])
+        return text + (f" It is on {_worst_joints(result)}." if result["verdict"] == "unknown" else "")
     cause = result["causes"][0]
-    where = " and ".join(cause["joints"]) or "the whole arm"
-    sure = "most likely" if result["verdict"] == "explained" else "possibly"
-    return f"{where}: {sure} {_plain(cause['effect'])} (probability {cause['probability']:.2f})."
+    sure = how_sure(result["verdict"], cause["probability"])
+    effect = cause["effect"]
+    return f"{place(cause)}: {sure} {name(effect)}: {IN_WORDS[effect]} (probability {cause['probability']:.2f})."
 
 
-def _plain(name: str) -> str:
-    return name.replace("_", " ")
+def _worst_joints(result: Mapping[str, Any]) -> str:
+    largest = [entry["joint"] for entry in result["where"] if entry["share"] > 0.25]
+    return " and ".join(largest or [result["where"][0]["joint"]])
 
 
-def _findings(diagnosis: Diagnosis) -> Section:
+def _cause_section(diagnosis: Diagnosis) -> Section:
     result = diagnosis.result
-    text = list(diagnosis.warnings)
-    rows = []
-    for cause in result["causes"]:
-        effect = CATALOGUE[cause["effect"]]
-        text.append(f"{_plain(cause['effect'])}: look at {effect.look_at}.")
-        others = ", ".join(f"{_plain(e['effect'])} {' '.join(e['joints'])}".strip() for e in cause["equivalent_to"])
-        closure = "-" if cause["closure"] is None else f"{100 * cause['closure']:.0f} %"
-        parameters = ", ".join(f"{key} {value:.4g}" for key, value in cause["parameters"].items())
-        where = ", ".join(cause["joints"]) or "arm"
-        rows.append((_plain(cause["effect"]), where, f"{cause['probability']:.2f}", closure, others or "-", parameters))
+    text = [sentence for cause in result["causes"] for sentence in _about_cause(cause)]
+    if result["verdict"] == "unknown":
+        text += [f"{sentence}." for sentence in _where_sentences(result)]
     if result["next_experiment"] is not None:
         text.append(f"Run next: {result['next_experiment']['motion']}.")
-    header = ("cause", "where", "probability", "closes", "as good", "parameters")
-    return Section("What it is", text, (Table("causes", header, rows),) if rows else ())
-
-
-def _where(diagnosis: Diagnosis) -> Section:
-    result, names = diagnosis.result, diagnosis.dataset.robot.joint_names
-    gap = result["gap"]
-    share = {entry["joint"]: entry["share"] for entry in result["where"]}
-    floor = gap["floor"] or [float("nan")] * len(names)
+    text += [f"Mind: {warning}." for warning in diagnosis.warnings]
     rows = [
-        (name, *(f"{100 * part[k]:.3f}" for part in (gap["before"], gap["after"], floor)), f"{100 * share[name]:.1f}")
-        for k, name in enumerate(names)
+        (f"{name(cause['effect'])}, {place(cause)}", key.replace("_", " "), f"{value:.4g}")
+        for cause in result["causes"]
+        for key, value in cause["parameters"].items()
     ]
-    header = ("joint", "before [%]", "after [%]", "floor [%]", "share of the gap [%]")
-    text = ["Torque error held out, over nominal joint torque (in N·m / 100 where a joint has none)."]
-    motion = result["motion_gap"]
-    if motion["before"] is not None:
-        worst = 1e3 * max(motion["before"])
-        text.append(f"Planned against executed set-points: {worst:.3f} mrad root mean square on the worst joint.")
-    return Section("Where it is", text, (Table("gap", header, rows), _map(diagnosis), _timeline(diagnosis)))
+    tables = (Table("parameters", ("cause", "parameter", "value (SI)"), rows),) if rows else ()
+    return Section("What it is", text or ["Nothing to look for."], tables)
 
 
-def _map(diagnosis: Diagnosis) -> Figure:
-    """Joint × regime: error of the model in units of its own background."""
-    dataset = diagnosis.dataset
-    values = np.full((dataset.robot.dof, len(_REGIMES)), np.nan)
-    for joint in range(dataset.robot.dof):
-        found = masks(dataset, joint)
-        relative = (diagnosis.before[:, joint] / dataset.fit.sigma[:, joint]) ** 2
-        for column, name in enumerate(_REGIMES):
-            if np.any(found[name] & np.isfinite(relative)):
-                values[joint, column] = np.sqrt(np.nanmean(relative[found[name]]))
-    plot, axes = new_plot(height=0.5 * dataset.robot.dof + 1.2)
-    axis = axes[0, 0]
-    image = axis.imshow(values, cmap="viridis", aspect="auto", vmin=0, vmax=max(3.0, float(np.nanmax(values))))
-    axis.set_xticks(range(len(_REGIMES)), [_plain(name) for name in _REGIMES])
-    axis.set_yticks(range(dataset.robot.dof), list(dataset.robot.joint_names))
-    axis.grid(False)
-    for joint in range(values.shape[0]):
-        for column in range(values.shape[1]):
-            if np.isfinite(values[joint, column]):
-                axis.text(column, joint, f"{values[joint, column]:.1f}", ha="center", va="center", color="white")
-    plot.colorbar(image, ax=axis, label="error / background")
-    caption = "Error of the model, joint by regime, in units of its own held-out error: about 1 where nothing is wrong."
-    return to_figure("regimes", caption, plot, tuple(_REGIMES), values)
-
-
-def _timeline(diagnosis: Diagnosis) -> Figure:
-    """Error over time on the worst joint of each log, before and after."""
-    dataset = diagnosis.dataset
-    names = [entry["joint"] for entry in diagnosis.result["where"]]
-    joint = dataset.robot.joint_names.index(names[0])
-    plot, axes = new_plot(height=1.7 * len(dataset.logs), rows=len(dataset.logs))
-    rows = []
-    for number, (log, axis) in enumerate(zip(dataset.logs, axes[:, 0], strict=True)):
-        here = np.flatnonzero(dataset.log == number)
-        here = here[:: max(1, len(here) // 1500)]
-        before, after = diagnosis.before[here, joint], diagnosis.after[here, joint]
-        axis.plot(dataset.time[here], before, label="before", color=SERIES[1])
-        axis.plot(dataset.time[here], after, label="after", color=SERIES[0])
-        axis.set_ylabel(f"{log.name}\n[N·m]")
-        rows.append(np.column_stack([np.full(len(here), number), dataset.time[here], before, after]))
-    axes[0, 0].legend(ncols=2, fontsize=7)
-    axes[-1, 0].set_xlabel("time [s]")
-    header = ("log", "t_s", "before", "after")
-    return to_figure("timeline", f"Torque error of {names[0]} over time.", plot, header, np.concatenate(rows))
-
-
-def _figures(diagnosis: Diagnosis) -> Section:
-    result = diagnosis.result
-    text = [f"Held out: {fold['held_out']}, fitted on {', '.join(fold['fitted_on'])}." for fold in result["folds"]]
-    if result["closure"] is not None:
-        text.append(f"Closure of the torque gap: {result['closure']:.3f}.")
-    return Section("How far it shrinks", text)
-
-
-def _steps(diagnosis: Diagnosis) -> Section:
-    tables = []
-    rows_of = diagnosis.dataset.fit.count.sum()
-    for number, step in enumerate(diagnosis.finding.steps[:8]):
-        tables.append(_step_table(number, step, rows_of, diagnosis.dataset.robot.joint_names))
-    text = (
-        "Each scan adds every effect, everywhere, to what is chosen already, fitted together with the model under the "
-        "uncertainty stored in it and scored on motions left out. Gain: held-out squared error taken away, in units of "
-        "the model's own background.",
+def _about_cause(cause: Mapping[str, Any]) -> Iterator[str]:
+    effect = CATALOGUE[cause["effect"]]
+    closes = ""
+    if cause["closure"] is not None:
+        closes = f" It closes {100 * cause['closure']:.0f} % of the gap on motion that it was not fitted to."
+    together = " for it and what cannot be told from it" if cause["equivalent_to"] else ""
+    yield (
+        f"{place(cause)}, {name(effect.name)}: {IN_WORDS[effect.name]}. "
+        f"Probability {cause['probability']:.2f}{together}.{closes}"
     )
-    return Section("Steps", text, tables)
+    yield f"Look at: {effect.look_at}."
+    yield f"It shows as: {effect.signature}."
+    if cause["equivalent_to"]:
+        others = "; ".join(
+            f"{name(other['effect'])} on {place(other)} ({IN_WORDS[other['effect']]})"
+            for other in cause["equivalent_to"]
+        )
+        yield f"These logs cannot tell it from: {others}."
+
+
+def _where_section(diagnosis: Diagnosis) -> Section:
+    result = diagnosis.result
+    gap = result["gap"]
+    share = {entry["joint"]: entry for entry in result["where"]}
+    floor = gap["floor"] or [float("nan")] * len(gap["joints"])
+    rows = [
+        (joint, *(f"{100 * part[k]:.2f}" for part in (gap["before"], gap["after"], floor)), _share(share[joint]))
+        for k, joint in enumerate(gap["joints"])
+    ]
+    unit = "of nominal joint torque, in N·m / 100 where a joint has none"
+    text = [f"{sentence}." for sentence in _where_sentences(result)]
+    text.append(f"Errors of torque are root mean squares on motion held out, in % ({unit}).")
+    header = ("joint", "before [%]", "after [%]", "floor [%]", "share of the gap")
+    joint = diagnosis.dataset.robot.joint_names.index(result["where"][0]["joint"])
+    parts = (Table("gap", header, rows), regime_map(diagnosis), band_map(diagnosis), timeline(diagnosis, joint))
+    return Section("Where it is", text, parts)
+
+
+def _share(entry: Mapping[str, Any]) -> str:
+    text = f"{100 * entry['share']:.0f} %"
+    interval = entry.get("interval")
+    return text if interval is None else f"{text} ({100 * interval[0]:.0f} to {100 * interval[1]:.0f})"
+
+
+def _where_sentences(result: Mapping[str, Any]) -> Iterator[str]:
+    """The joints that carry the gap, each with the regimes in which more of it lies than time is spent there."""
+    if result["verdict"] == "no_gap":
+        return
+    for entry in result["where"]:
+        if entry["share"] < 0.15:
+            continue
+        marked = [r for r in entry["regimes"] if r["name"] in REGIMES and r["share"] > 1.4 * r["of_samples"]]
+        marked += [r for r in entry["regimes"] if r["name"] == "motor_phase" and r["share"] > 0.3]
+        where = ", ".join(f"{REGIMES[r['name']]} ({_share(r)} of it)" for r in marked[:3])
+        yield f"{entry['joint']} has {_share(entry)} of the gap" + (f", mostly {where}" if where else "")
+
+
+def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Section:
+    result, robot = diagnosis.result, diagnosis.dataset.robot
+    text = []
+    if result["closure"] is not None:
+        text.append(f"{100 * result['closure']:.0f} % of the torque gap is closed, counted down to the floor.")
+    text += [f"Held out: {fold['held_out']}, fitted on {', '.join(fold['fitted_on'])}." for fold in result["folds"]]
+    parts: list[Any] = [before_and_after(diagnosis)]
+    motion = result["motion_gap"]
+    if diagnosis.motion is not None and diagnosis.motion.notable:
+        floor = motion["floor"] or [float("nan")] * robot.dof
+        rows = [
+            (joint, *(f"{1e3 * part[k]:.3f}" for part in (motion["before"], motion["after"], floor)))
+            for k, joint in enumerate(robot.joint_names)
+        ]
+        text.append("What was executed is not what was planned; torque is judged on the executed motion.")
+        parts.append(Table("motion-gap", ("joint", "before [mrad, mm]", "after", "floor"), rows))
+    figures = simulation_part(diagnosis, simulated)
+    if figures is None:
+        text.append("No log has set-points without a gap, so nothing was simulated.")
+    else:
+        parts += [_simulation_table(diagnosis, figures), simulated_torque(diagnosis, simulated)]
+        text.append(
+            "Forward simulation: the arm of the model runs the same set-points behind a servo as late as the measured "
+            "one, without the effects and with them, and is compared with what was measured. What is left of it on "
+            "every joint is the servo's, which is not known better."
+        )
+    return Section("How far it shrinks", text, parts)
+
+
+def _simulation_table(diagnosis: Diagnosis, figures: Mapping[str, Any]) -> Table:
+    torque, position = figures["torque"], figures["position"]
+    rows = [
+        (
+            joint,
+            f"{100 * torque['before'][k]:.2f}",
+            f"{100 * torque['after'][k]:.2f}",
+            f"{1e3 * position['before'][k]:.3f}",
+            f"{1e3 * position['after'][k]:.3f}",
+        )
+        for k, joint in enumerate(diagnosis.dataset.robot.joint_names)
+    ]
+    header = ("joint", "torque, model [%]", "with effects [%]", "position, model [mrad, mm]", "with effects")
+    return Table("simulation", header, rows)
+
+
+def _steps_section(diagnosis: Diagnosis) -> Section:
+    rows = float(diagnosis.dataset.fit.count.sum())
+    names = diagnosis.dataset.robot.joint_names
+    steps = diagnosis.finding.steps[:_MOST_STEPS]
+    text = [
+        "Every effect is tried everywhere, beside what is chosen already: fitted together with the model, which may "
+        "move as far as its stored uncertainty allows, and scored on motion left out. Gain: squared error taken away, "
+        "in units of the model's own background.",
+    ]
+    tables = [_step_table(number, step, rows, names) for number, step in enumerate(steps)]
+    if len(diagnosis.finding.steps) > len(steps):
+        text.append(f"The first {len(steps)} of {len(diagnosis.finding.steps)} scans:")
+    return Section("Steps of the procedure", text, tables)
 
 
 def _step_table(number: int, step: Step, rows: float, names: tuple[str, ...]) -> Table:
-    chosen = " + ".join(_plain(c.effect.name) for c in step.chosen) or "model alone"
+    chosen = " + ".join(name(c.effect.name) for c in step.chosen) or "model alone"
     could = {id(score) for score in step.eligible}
     lines = [
         (
-            _plain(score.candidate.effect.name),
+            name(score.candidate.effect.name),
             ", ".join(names[j] for j in score.candidate.joints) or "arm",
-            f"{score.gain / rows:.4f}",
+            f"{score.gain / rows:.3f}",
             "yes" if id(score) in could else "no",
         )
-        for score in step.scores[:8]
+        for score in step.scores[:_MOST_SCORES]
     ]
-    return Table(f"scan {number + 1}: {chosen}", ("effect", "where", "gain", "can be named"), lines)
+    return Table(f"scan {number + 1}, beside {chosen}", ("effect", "where", "gain", "can be named"), lines)
 
 
-def _testable(diagnosis: Diagnosis) -> Section:
-    rows = [(_plain(e["effect"]), e["joint"] or "arm", e["why"]) for e in diagnosis.result["not_testable"]]
-    text = ("Smallest effect that would stand out of the background here against the smallest that matters.",)
-    return Section(
-        "Not testable here", text, (Table("not-testable", ("effect", "where", "why"), rows),) if rows else ()
-    )
+def _testability_section(diagnosis: Diagnosis) -> Section:
+    """Effect and reason, with all the joints it holds for in one line."""
+    where: dict[tuple[str, str], list[str]] = {}
+    for entry in diagnosis.result["not_testable"]:
+        where.setdefault((entry["effect"], entry["why"]), []).append(entry["joint"] or "arm")
+    rows = [(name(effect), ", ".join(joints), why) for (effect, why), joints in where.items()]
+    text = [
+        "An effect stands here where its smallest size that matters would not have been found on these motions. That "
+        "it was not named says nothing about it."
+        if rows
+        else "Every effect of the catalogue would have been found at the smallest size that matters."
+    ]
+    header = ("effect", "where", "why")
+    return Section("Not testable here", text, (Table("not-testable", header, rows),) if rows else ())

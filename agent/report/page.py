@@ -78,7 +78,12 @@ def render(page: Page) -> str:
 
 def _part(part: Table | Figure | Scene) -> dict[str, Any]:
     if isinstance(part, Table):
-        return {"kind": "table", "part": part, "csv": _data_link(_csv(part.header, part.rows))}
+        return {
+            "kind": "table",
+            "part": part,
+            "words": [_of_words([row[k] for row in part.rows]) for k in range(len(part.header))],
+            "csv": _data_link(_csv(part.header, part.rows)),
+        }
     if isinstance(part, Figure):
         rows = [[repr(float(value)) for value in row] for row in part.rows]
         return {"kind": "figure", "part": part, "csv": _data_link(_csv(part.header, rows))}
@@ -92,6 +97,11 @@ def _part(part: Table | Figure | Scene) -> dict[str, Any]:
     rows = [[name, *map(repr, point)] for name, line in {**data["lines"], **data["points"]}.items() for point in line]
     text = json.dumps(data).replace("<", "\\u003c")
     return {"kind": "scene", "part": part, "json": text, "csv": _data_link(_csv(("what", "x_m", "y_m", "z_m"), rows))}
+
+
+def _of_words(cells: Sequence[str]) -> bool:
+    """Whether a column reads better from the left, in lines as short as they need be."""
+    return any(len(cell) > 12 and not cell[:1].isdigit() for cell in map(str, cells))
 
 
 def _csv(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
