@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -97,13 +98,14 @@ def estimate(
     """Identify base parameters and friction from logs. `tool` is part of what is expected of the last link.
 
     Raises:
-        InputError: no logs, logs in which nothing moves or no torque is, or one that cannot be used (see `observe`).
+        InputError: no logs, one given twice, nothing that moves or no torque in them, or what `observe` refuses.
     """
     if not logs:
         raise InputError("no logs were given, so there is nothing to estimate from")
     _check_motion(logs)
+    _check_twice(logs)
     settings = settings or EstimationSettings()
-    rigid, names, combinations = rigid_bodies(robot, tool)
+    rigid, names, texts = rigid_bodies(robot, tool)
     observation = observe(rigid, logs, settings.filter)
     cells = partition(observation.stretches)
     if settings.friction == "ladder":
@@ -115,7 +117,7 @@ def estimate(
         method, found = choose(problem, {name: ESTIMATORS[name] for name in _AUTO})
     else:
         method, found = settings.method, ESTIMATORS[settings.method](problem)
-    return build_model(problem, found, method, names, combinations, logs)
+    return build_model(problem, found, method, names, texts, logs)
 
 
 def _check_motion(logs: Sequence[Log]) -> None:
@@ -124,6 +126,13 @@ def _check_motion(logs: Sequence[Log]) -> None:
         raise InputError(f"{names}: no joint moves, so there is nothing to estimate from; record a motion")
     if all(log.effort is not None and not log.effort.any() for log in logs):
         raise InputError(f"{names}: the torque is zero throughout; is its channel recorded, is its map right?")
+
+
+def _check_twice(logs: Sequence[Log]) -> None:
+    # Held-out error would be that of rows that were fitted.
+    for one, other in combinations(logs, 2):
+        if np.array_equal(one.position, other.position) and np.array_equal(one.effort, other.effort):
+            raise InputError(f"{one.path} and {other.path} are the same recording; give each log once")
 
 
 def rigid_bodies(

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from agent.errors import InputError
-from agent.estimation.friction_terms import FORMS, AxleMotion, FrictionTerm, Reversal, axle_columns
+from agent.estimation.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns
+from agent.estimation.model_checks import check_model
 from agent.estimation.observation import RigidBodies
 from agent.robot import RobotDescription
 
@@ -253,8 +254,9 @@ class IdentifiedModel:
             raise InputError(f"{path}: not a model file of schema {SCHEMA!r} (it says {schema!r})")
         try:
             return cls.from_dict(data)
-        except (KeyError, TypeError, ValueError, IndexError) as error:
-            raise InputError(f"{path}: this model file is incomplete or damaged: {error!r}") from None
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+            raise InputError(f"{path}: this model file is incomplete or damaged: {what}") from None
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> IdentifiedModel:
@@ -271,7 +273,7 @@ class IdentifiedModel:
             combinations=tuple(entry["combination"] for entry in base),
             terms=tuple(
                 FrictionTerm(
-                    robot.joint_names.index(e["joint"]),
+                    _axle(robot, e["joint"]),
                     e["form"],
                     None if e["reversal"] is None else Reversal(**e["reversal"]),
                     e["fading"],
@@ -292,18 +294,14 @@ class IdentifiedModel:
             effects=tuple(ModelEffect(e["effect"], tuple(e["joints"]), dict(e["parameters"])) for e in data["effects"]),
             provenance=data["provenance"],
         )
-        if len(base) != len(model.independent) or model.covariance.shape != (len(values), len(values)):
-            raise ValueError("the numbers of parameters and the size of their covariance differ")
-        if model.projection.shape != (len(base), len(model.standard_names)):
-            raise ValueError("the projection does not fit the numbers of base and standard parameters")
-        if model.residual_rmse.shape != (robot.dof,):
-            raise ValueError(f"residual_rmse has one value for each of {robot.dof} joints")
-        if not all(np.isfinite(v).all() for v in (values, model.covariance, model.projection)):
-            raise ValueError("parameters, covariance and projection have to be finite")
-        for term in model.terms:
-            if term.form not in FORMS:
-                raise ValueError(f"unknown friction form {term.form!r}")
+        check_model(model)
         return model
+
+
+def _axle(robot: RobotDescription, joint: str) -> int:
+    if joint not in robot.joint_names:
+        raise ValueError(f"{joint!r} is no joint of the robot")
+    return robot.joint_names.index(joint)
 
 
 def _effect(entry: ModelEffect) -> EffectTorque:

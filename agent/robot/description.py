@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -9,10 +10,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveFloat
 
 from agent.documents import load_document
 from agent.errors import InputError
+from agent.robot.urdf_checks import check_urdf
 
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 
@@ -47,8 +49,18 @@ class _CapsuleEntry(_Strict):
     radius: PositiveFloat
 
 
+def _file_name(name: str) -> str:
+    """Runs, exports and units are named after the robot."""
+    if not re.fullmatch(r"\w[\w .+-]{0,63}", name):
+        raise ValueError(
+            f"{name!r}: files are named after the robot, so letters, digits, blanks and . _ + - are allowed, the first "
+            "a letter or digit, at most 64"
+        )
+    return name
+
+
 class _RobotFile(_Strict):
-    name: str
+    name: Annotated[str, AfterValidator(_file_name)]
     urdf: str
     tip_frame: str
     gravity: Vector3 = [0.0, 0.0, -9.80665]
@@ -181,7 +193,7 @@ class RobotDescription:
         )
         limits = data["cartesian_limits"]
         return cls(
-            name=data["name"],
+            name=_file_name(data["name"]),
             urdf=data["urdf"],
             tip_frame=data["tip_frame"],
             gravity=tuple(data["gravity"]),
@@ -227,11 +239,12 @@ def _load_file(path: Path) -> RobotDescription:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: urdf: {urdf_path} cannot be read: {error}") from None
     try:
-        elements = {joint.get("name"): joint for joint in ElementTree.fromstring(urdf).iter("joint")}
-        links = {link.get("name") for link in ElementTree.fromstring(urdf).iter("link")}
+        root = ElementTree.fromstring(urdf)
     except ElementTree.ParseError as error:
         raise InputError(f"{urdf_path}: not valid XML: {error}") from None
-    _check_numbers(urdf_path, urdf)
+    check_urdf(urdf_path, root, [joint.name for joint in entry.joints])
+    elements = {joint.get("name"): joint for joint in root.findall("joint")}
+    links = {link.get("name") for link in root.findall("link")}
     if entry.tip_frame not in links and entry.tip_frame not in elements:
         raise InputError(f"{path}: tip_frame: the URDF has no link {entry.tip_frame!r}")
     for link in entry.bodies:
@@ -250,32 +263,6 @@ def _load_file(path: Path) -> RobotDescription:
             for link, capsules in entry.bodies.items()
         },
     )
-
-
-#: Attributes of the URDF that are read as numbers, by element.
-_NUMBERS = {
-    "origin": ("xyz", "rpy"),
-    "axis": ("xyz",),
-    "limit": ("lower", "upper"),
-    "mass": ("value",),
-    "inertia": ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"),
-}
-
-
-def _check_numbers(path: Path, urdf: str) -> None:
-    # The URDF library only prints what it cannot read and goes on without that inertia.
-    root = ElementTree.fromstring(urdf)
-    for owner in (*root.iter("link"), *root.iter("joint")):
-        for element in owner.iter():
-            for key in _NUMBERS.get(element.tag, ()):
-                text = element.get(key, "0")
-                try:
-                    finite = bool(np.isfinite([float(word) for word in text.split()]).all())
-                except ValueError:
-                    finite = False
-                if not finite:
-                    place = f"{owner.tag} {owner.get('name')!r}: {element.tag} {key}"
-                    raise InputError(f"{path}: {place}: finite numbers are expected, not {text!r}")
 
 
 def _joint(path: Path, entry: _JointEntry, elements: dict[str | None, ElementTree.Element]) -> Joint:

@@ -81,6 +81,32 @@ def test_a_model_that_lacks_a_part_says_so(model, tmp_path, key):
         IdentifiedModel.load(path)
 
 
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda data: data.update(weights=[[1.0, 2.0]]), "weights is an array"),
+        (lambda data: data.update(held_out_rmse=[1.0]), "held_out_rmse is an array"),
+        (lambda data: data.update(standard_parameters=[1.0]), "standard_parameters is an array"),
+        (lambda data: data.update(residual_rmse=[None] * len(data["residual_rmse"])), "residual_rmse has to be finite"),
+        (lambda data: data["independent"].__setitem__(0, 999), "independent counts standard parameters"),
+        (lambda data: data["filter"].update(cutoff_hz=-1.0), "cut-off above 0 Hz"),
+        (lambda data: data["friction"][0].update(form="magic"), "unknown friction form 'magic'"),
+        (lambda data: data["friction"][0].update(reversal=None), "needs a reversal"),
+        (lambda data: data["friction"][0].update(joint="elbow"), "'elbow' is no joint"),
+        (lambda data: data["robot"].update(name="../../x"), "files are named after the robot"),
+        (lambda data: data["robot"].update(gravity=[1.0]), "gravity is three numbers"),
+        (lambda data: data["robot"].update(motor_coupling=[[1.0]]), "motor_coupling is"),
+    ],
+)
+def test_a_model_with_parts_that_do_not_fit_says_which(model, tmp_path, damage, message):
+    data = json.loads(json.dumps(model.to_dict()))
+    damage(data)
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(InputError, match=rf"model\.json.*{message}"):
+        IdentifiedModel.load(path)
+
+
 def test_effects_add_torque_and_unknown_ones_are_refused(model, motion, monkeypatch, tmp_path):
     def torque_offset(model, entry, motion, torque):
         return (

@@ -218,6 +218,9 @@ def test_nothing_to_fit_says_so(case, make_log):
         estimate(robot, [make_log(robot, t, q, None, name="silent.mcap")])
     with pytest.raises(InputError, match=r"other\.mcap: its joints are"):
         estimate(robot, [replace(make_log(robot, t, q, torque, name="other.mcap"), joint_names=("a", "b", "c"))])
+    twice = [make_log(robot, t, q, torque, name=name) for name in ("one.mcap", "copy.mcap")]
+    with pytest.raises(InputError, match=r"one\.mcap and copy\.mcap are the same recording"):
+        estimate(robot, twice)
     with pytest.raises(InputError, match="method 'magic' is not known; choose one of auto, weighted"):
         EstimationSettings.create(method="magic")
 

@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.robot import RobotDescription, builtin_robots, kinematics_for
@@ -35,6 +35,7 @@ def denavit_hartenberg(degrees: np.ndarray) -> np.ndarray:
     return pose
 
 
+@settings(deadline=None)
 @given(st.lists(st.floats(-720, 720), min_size=6, max_size=6))
 def test_forward_kinematics_is_the_published_table(ns16: RobotDescription, degrees: list[float]) -> None:
     q = np.radians([degrees])

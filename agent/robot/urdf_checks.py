@@ -1,0 +1,87 @@
+"""What is wrong with a URDF, said before the URDF library stumbles over it or passes over it in silence."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from agent.errors import InputError
+
+#: Attributes that are read as numbers, by element.
+_NUMBERS = {
+    "origin": ("xyz", "rpy"),
+    "axis": ("xyz",),
+    "limit": ("lower", "upper"),
+    "mass": ("value",),
+    "inertia": ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"),
+}
+#: Of these, what no body has below zero.
+_NOT_NEGATIVE = {"mass": ("value",), "inertia": ("ixx", "iyy", "izz")}
+
+
+def check_urdf(path: Path, root: Element, joints: Sequence[str]) -> None:
+    """Check a URDF of which the description lists these joints.
+
+    Raises:
+        InputError: numbers that are none, masses below zero, names that stand twice, several roots, joints that follow
+            one another (mimic).
+    """
+    _check_numbers(path, root)
+    for kind in ("link", "joint"):
+        twice = [name for name, count in Counter(e.get("name") for e in root.findall(kind)).items() if count > 1]
+        if twice:
+            raise InputError(f"{path}: {kind} {twice[0]!r} stands twice; every {kind} has a name of its own")
+    _check_tree(path, root)
+    for joint in root.findall("joint"):
+        mimic, name = joint.find("mimic"), joint.get("name")
+        if mimic is not None and (name in joints or mimic.get("joint") in joints):
+            raise InputError(
+                f"{path}: joint {name!r} follows {mimic.get('joint')!r} (mimic): a serial arm whose joints all move on "
+                "their own is expected; couplings of motors go into motor_coupling of robot.yaml"
+            )
+
+
+def _check_numbers(path: Path, root: Element) -> None:
+    # The URDF library only prints what it cannot read and goes on without that inertia.
+    for owner in (*root.iter("link"), *root.iter("joint")):
+        for element in owner.iter():
+            for key in _NUMBERS.get(element.tag, ()):
+                text = element.get(key, "0")
+                try:
+                    values = [float(word) for word in text.split()]
+                except ValueError:
+                    values = [np.nan]
+                place = f"{owner.tag} {owner.get('name')!r}: {element.tag} {key}"
+                if not np.isfinite(values).all():
+                    raise InputError(f"{path}: {place}: finite numbers are expected, not {text!r}")
+                if key in _NOT_NEGATIVE.get(element.tag, ()) and min(values, default=0.0) < 0:
+                    raise InputError(f"{path}: {place}: {text} is below zero; no body is like that")
+
+
+def _check_tree(path: Path, root: Element) -> None:
+    links = [link.get("name") for link in root.findall("link")]
+    parent: dict[str | None, str | None] = {}
+    for joint in root.findall("joint"):
+        ends = [None if (end := joint.find(tag)) is None else end.get("link") for tag in ("parent", "child")]
+        for tag, link in zip(("parent", "child"), ends, strict=True):
+            if link not in links:
+                raise InputError(f"{path}: joint {joint.get('name')!r}: {tag} {link!r} is no link of this URDF")
+        if ends[1] in parent:
+            raise InputError(f"{path}: link {ends[1]!r} is the child of two joints; a serial arm has no loops")
+        parent[ends[1]] = ends[0]
+    roots = [link for link in links if link not in parent]
+    if len(roots) != 1:
+        found = (
+            f"{len(roots)} links have no parent ({', '.join(map(str, roots))})" if roots else "its joints are a loop"
+        )
+        raise InputError(f"{path}: {found}; one link is the base, and joints connect all others to it")
+    for link in links:
+        above, steps = link, 0
+        while above in parent and steps <= len(links):
+            above, steps = parent[above], steps + 1
+        if steps > len(links):
+            raise InputError(f"{path}: link {link!r} is part of a loop; a serial arm has none")

@@ -1,0 +1,69 @@
+"""A description that cannot be used is refused with what is wrong and where."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from agent.errors import InputError
+from agent.robot import load_robot
+
+YAML = """
+name: pair
+urdf: pair.urdf
+tip_frame: tip
+joints:
+  - {name: turn, max_velocity: 2, max_acceleration: 5}
+  - {name: slide, max_velocity: 1, max_acceleration: 5}
+"""
+URDF = """<robot name="pair"><link name="base"/><link name="middle"><inertial><mass value="2"/>
+<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="tip"/><link name="finger"/>
+<joint name="turn" type="revolute"><parent link="base"/><child link="middle"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" velocity="2" effort="9"/></joint>
+<joint name="slide" type="prismatic"><parent link="middle"/><child link="tip"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" velocity="1" effort="9"/></joint>
+<joint name="grip" type="prismatic"><parent link="tip"/><child link="finger"/><axis xyz="1 0 0"/>
+<limit lower="0" upper="1" velocity="1" effort="9"/></joint></robot>"""
+
+
+@pytest.fixture
+def described(tmp_path: Path):
+    """Load the description with a part of the URDF or the YAML replaced by something else."""
+
+    def load(old: str = "", new: str = ""):
+        assert old in YAML + URDF
+        (tmp_path / "robot.yaml").write_text(YAML.replace(old, new) if old in YAML else YAML, encoding="utf-8")
+        (tmp_path / "pair.urdf").write_text(URDF.replace(old, new, 1) if old in URDF else URDF, encoding="utf-8")
+        return load_robot(tmp_path / "robot.yaml")
+
+    return load
+
+
+def test_it_is_read(described):
+    assert described("name: pair", "name: Zelle 3_b").name == "Zelle 3_b"
+
+
+@pytest.mark.parametrize("name", ["../../x", "a/b", ".hidden", "''", "x" * 65, '"a\\nb"'])
+def test_a_name_that_is_no_file_name_is_refused(described, name):
+    with pytest.raises(InputError, match=r"robot\.yaml:2: name: .*files are named after the robot"):
+        described("name: pair", f"name: {name}")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('<mass value="2"/>', '<mass value="-2"/>', "link 'middle': mass value: -2 is below zero"),
+        ('ixx="0.1"', 'ixx="-0.1"', "link 'middle': inertia ixx: -0.1 is below zero"),
+        ('<link name="finger"/>', '<link name="finger"/><link name="lost"/>', r"2 links have no parent \(base, lost\)"),
+        ('<child link="tip"/>', '<child link="palm"/>', "joint 'slide': child 'palm' is no link"),
+        ('<child link="finger"/>', '<child link="middle"/>', "link 'middle' is the child of two joints"),
+        ('<parent link="base"/>', '<parent link="tip"/>', "a loop"),
+        ('<link name="finger"/>', '<link name="finger"/><link name="finger"/>', "link 'finger' stands twice"),
+        ('<axis xyz="1 0 0"/>', '<axis xyz="1 0 0"/><mimic joint="slide"/>', "'grip' follows 'slide'"),
+    ],
+)
+def test_a_urdf_that_is_no_serial_arm_is_refused(described, old, new, message):
+    with pytest.raises(InputError, match=rf"pair\.urdf: .*{message}"):
+        described(old, new)
