@@ -103,14 +103,17 @@ class Bench:
         broker = self._broker() if wire == "cnr_comau" else BROKER
         server = open_server(wire, controller, watchdog=watchdog, waits=clock == "fast", broker=broker)
         self._servers.append(server)
-        # Nobody knows where a line leads: only on loopback an emulator needs no person's word.
-        self._confirmed = () if server.address.startswith("127.0.0.1") else ("--yes",)
         queued = any(fault.name in ("queue_full", "sequence_error") for fault in faults)
-        address = f"{server.address},mode=points" if queued else server.address
+        self.write_for(wire, f"{server.address},mode=points" if queued else server.address)
+        return controller
+
+    def write_for(self, wire: str, address: str) -> None:
+        """The recipe and the program for a controller that is there."""
+        # Nobody knows where a line leads: only on loopback an emulator needs no person's word.
+        self._confirmed = () if address.startswith("127.0.0.1") else ("--yes",)
         text = RECIPE.format(robot=self._arm, driver=WIRES[wire], address=address)
         self.recipe.write_text(text, encoding="utf-8")
         self.program.write_text(PROGRAM, encoding="utf-8")
-        return controller
 
     def record(self, *options: str) -> Ended:
         """`agent record`."""

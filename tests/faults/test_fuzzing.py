@@ -187,7 +187,7 @@ def memory() -> float:
 
 
 @pytest.mark.parametrize("frames", FRAMES)
-@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize("wire", FRAMINGS)
 def test_fuzzed_frames_at_the_server(arm, measured, wire, frames):
     rng, framing = np.random.default_rng(1), FRAMINGS[wire]
     sane, sent = framing.requests(), 0
@@ -211,7 +211,7 @@ def test_fuzzed_frames_at_the_server(arm, measured, wire, frames):
 
 
 @pytest.mark.parametrize("frames", FRAMES)
-@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize("wire", FRAMINGS)
 def test_fuzzed_frames_at_the_driver(measured, wire, frames):
     before = memory()
     with closing(FOES[wire](wire)) as foe:

@@ -10,6 +10,8 @@ from fake_controller.servers import WIRES
 
 #: Faults of the wire that lose nothing.
 HARMLESS = ("delay", "reorder", "duplicate", "slow")
+#: What would be harmless elsewhere, but FTP takes an answer that comes twice for that to the next command.
+MISLEADING = {("cnr_comau", "duplicate", "upload")}
 #: What a wire makes good by asking again; or does not notice, where a frame has no checksum of its own.
 MADE_GOOD = {
     **{wire: {("corrupt", "streaming")} for wire in ("modbus", "serial", "rtu")},
@@ -48,6 +50,8 @@ def expected(wire: str, name: str, phase: str) -> tuple[int, int, bool]:
     """Exit code, motions, and whether there is a log. A stop is the agent's after Ctrl-C: its own exit code stays."""
     if phase == "stop":
         return 130, 1, True
+    if (wire, name, phase) in MISLEADING:
+        return 4, 0, False
     if name in HARMLESS and not (name == "reorder" and phase in ("connect", "upload")):
         return 0, 1, True
     if (name, phase) in MADE_GOOD.get(wire, ()):

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from agent.recording import read_log
+from fake_controller.scenario import FOLDER
 
 ROOT = Path(__file__).resolve().parents[2]
 LONG = """PROGRAM long HOLD, PROG_ARM=1
@@ -65,21 +66,45 @@ def limit_files(size: int) -> Callable[[], None]:
     return limit
 
 
-def test_a_scenario_by_hand(start, tmp_path: Path, arm: str):
-    """`agent emulator --scenario` with effects says what it is, and at its end what was done with it."""
-    scenario, effects = tmp_path / "s.yaml", tmp_path / "effects.json"
+BY_HAND = ["serial", *(pytest.param(wire, marks=pytest.mark.verify) for wire in ("tcp", "modbus", "rtu"))]
+
+
+@pytest.mark.parametrize("wire", BY_HAND)
+def test_a_scenario_by_hand(bench, start, tmp_path: Path, arm: str, wire):
+    """`agent emulator --scenario` on a wire: it says what it is, and at its end what was done with it."""
+    scenario = tmp_path / "s.yaml"
     scenario.write_text(
-        f"title: pulled\nsetup: {{robot: '{arm}', seed: 4}}\nfaults: [{{fault: drop, phase: upload}}]\n"
-        "expect: {exit_code: 4, motions: 0}\n",
+        f"title: pulled\nsetup: {{robot: '{arm}', seed: 4}}\nfaults: [{{fault: drop, phase: start}}]\n"
+        "expect: {exit_code: 4}\n",
         encoding="utf-8",
     )
-    effects.write_text(json.dumps([{"effect": "payload", "parameters": {"mass": 2.0}}]), encoding="utf-8")
-    fake = start("agent", "emulator", "--scenario", scenario, "--effects", effects, "--port", "0")
-    assert "small_arm at 127.0.0.1:" in fake.stdout.readline()
+    fake = start("agent", "emulator", "--scenario", scenario, "--driver", wire, "--port", "0", "--baud", "4000000")
+    greeting = fake.stdout.readline()
+    assert greeting.startswith("fake controller: small_arm at ")
+    bench.write_for(wire, greeting.split(" at ")[1].split(", clock")[0])
+    ended = bench.record()
+    assert ended.code == 4, ended.errors
     fake.send_signal(signal.SIGTERM)
-    _, errors = fake.communicate(timeout=60)
+    said, errors = fake.communicate(timeout=60)
     assert fake.returncode == 0
+    assert "scenario" in errors
     assert "pulled" in errors
+    assert "motions started 1; ended: " in said
+    assert "at rest" in said
+
+
+def test_a_scenario_that_makes_no_sense_on_its_wire(start):
+    path = FOLDER / "unruly_line.yaml"
+    refused = start("fake_controller", "--scenario", path, "--driver", "modbus", "--port", "0")
+    assert refused.wait(60) == 2
+    assert "reorder makes no sense on modbus" in refused.stderr.read()
+
+
+def test_effects_by_hand(start, tmp_path: Path, arm: str):
+    effects = tmp_path / "effects.json"
+    effects.write_text(json.dumps([{"effect": "payload", "parameters": {"mass": 2.0}}]), encoding="utf-8")
+    fake = start("fake_controller", "--robot", arm, "--effects", effects, "--port", "0")
+    assert "small_arm at 127.0.0.1:" in fake.stdout.readline()
     effects.write_text('{"effect": "payload"}', encoding="utf-8")
     wrong = start("fake_controller", "--effects", effects, "--port", "0")
     assert wrong.wait(60) == 2

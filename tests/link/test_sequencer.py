@@ -1,0 +1,69 @@
+"""Samples in order, each once, whatever the wire did to their blocks; and a counter that was reset is noticed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.errors import ProtocolError
+from drivers.protocol import Gap, SampleBlock
+from drivers.sequencer import Sequencer
+
+PERIOD = 0.002
+
+
+def block(first: int, count: int, late: float = 0.0) -> SampleBlock:
+    """Samples `first` to `first + count`, `late` [s] behind their time."""
+    sequence = np.arange(first, first + count)
+    values = np.zeros((count, 2))
+    return SampleBlock(sequence, PERIOD * sequence + late, *[values] * 5)
+
+
+@given(st.lists(st.integers(1, 20), min_size=1, max_size=12), st.data())
+def test_every_sample_once_and_in_order(sizes, data):
+    """Blocks in any order, some of them more than once."""
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    blocks = [block(int(first), size) for first, size in zip(starts, sizes, strict=False)]
+    repeated = data.draw(st.lists(st.sampled_from(range(len(blocks))), max_size=5))
+    order = data.draw(st.permutations([*range(len(blocks)), *repeated]))
+    sequencer = Sequencer()
+    given_out = [part.sequence for k in order for part in sequencer.accept(blocks[k])]
+    np.testing.assert_array_equal(np.concatenate(given_out), np.arange(starts[-1]))
+    assert sequencer.gaps == ()
+    assert sequencer.duplicates == sum(sizes[k] for k in repeated)
+
+
+@given(st.integers(1, 100), st.integers(1, 5000), st.integers(1, 100))
+def test_what_is_given_up_is_a_gap_and_no_reset(before, missing, after):
+    sequencer = Sequencer()
+    sequencer.accept(block(0, before))
+    assert sequencer.accept(block(before + missing, after)) == []
+    assert sequencer.missing() == (before, missing)
+    (rest,) = sequencer.give_up(before + missing)
+    assert rest.sequence[0] == before + missing
+    assert sequencer.gaps == (Gap(before, missing),)
+
+
+@given(st.integers(2, 100), st.integers(26, 5000))
+def test_a_counter_that_was_reset_and_has_caught_up_is_noticed(seen, unseen):
+    """So many samples went by unseen before it counted from 0 again: the numbers fit, the times do not."""
+    sequencer = Sequencer()
+    sequencer.accept(block(0, seen))
+    with pytest.raises(ProtocolError, match="its counter was reset in mid-motion"):
+        sequencer.accept(block(seen, 10, late=PERIOD * unseen))
+
+
+def test_old_numbers_with_new_times_are_a_reset():
+    sequencer = Sequencer()
+    sequencer.accept(block(0, 100))
+    with pytest.raises(ProtocolError, match="went back from 100 to 0"):
+        sequencer.accept(block(0, 10, late=1.0))
+
+
+@given(st.lists(st.floats(0.0, 0.04), min_size=2, max_size=30))
+def test_jitter_is_no_reset(delays):
+    sequencer = Sequencer()
+    for number, late in enumerate(np.sort(delays)):
+        assert len(sequencer.accept(block(10 * number, 10, late))) == 1
