@@ -50,9 +50,9 @@ class CnrServer:
             undo.callback(self._publisher.close)
             self._folder = ProgramFolder(controller, address, ftp, watchdog)
             undo.callback(self._folder.close)
-            self._feedback = LockStep(MessageType.FEEDBACK, address, feedback, controller.faults, cut, self._stop)
+            self._feedback = LockStep(MessageType.FEEDBACK, address, feedback, controller.faults, cut)
             undo.callback(self._feedback.close)
-            self._status = LockStep(MessageType.STATUS, address, status, controller.faults, cut, lambda: None)
+            self._status = LockStep(MessageType.STATUS, address, status, controller.faults, cut)
             undo.callback(self._status.close)
             self._reports = Reports(controller, self._feedback, self._status, self._publisher, cut, watchdog, waits)
             undo.callback(self._reports.close)
@@ -73,17 +73,13 @@ class CnrServer:
         self._undo.close()
 
     def drop_clients(self) -> None:
-        """Cut every connection, as a pulled cable does, and stop the arm that nobody holds any more."""
-        self._folder.drop()
-        self._trajectory.drop()
-        self._left()
+        """Cut every connection, as a pulled cable does."""
+        for part in (self._folder, self._feedback, self._status, self._trajectory):
+            part.hang_up()
 
     def _left(self) -> None:
         self._feedback.drop()
         self._status.drop()
-        self._stop()
-
-    def _stop(self) -> None:
         self.controller.stop(EndReason.WATCHDOG, "the client is gone")
 
     def _restart(self) -> None:

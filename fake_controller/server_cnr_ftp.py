@@ -79,7 +79,7 @@ class ProgramFolder:
         self._socket.close()
         self._folder.cleanup()
 
-    def drop(self) -> None:
+    def hang_up(self) -> None:
         """Cut every connection, as a pulled cable does."""
         for connection in list(self._loop.socket_map.values()):
             if connection.socket is not self._socket:

@@ -86,8 +86,14 @@ class Port:
         self._listener.close()
         self.drop()
 
+    def hang_up(self) -> None:
+        """End the connection, as a pulled cable does."""
+        client = self.client
+        if client is not None:
+            client.close()
+
     def drop(self) -> None:
-        """Let the client go; the next may come."""
+        """Let the client go; the next may come at once."""
         with self._lock:
             client, self.client = self.client, None
         if client is not None:
@@ -138,21 +144,11 @@ class LockStep(Port):
     Args:
         kind: of its messages.
         address, port, faults, cut: as of a `Port`.
-        gone: is told when the client has left.
     """
 
-    def __init__(
-        self,
-        kind: MessageType,
-        address: str,
-        port: int,
-        faults: Faults,
-        cut: Callable[[], None],
-        gone: Callable[[], None],
-    ) -> None:
+    def __init__(self, kind: MessageType, address: str, port: int, faults: Faults, cut: Callable[[], None]) -> None:
         self.answers = 0
         self._kind = kind
-        self._gone = gone
         self._changed = threading.Condition()
         self._awaited = False
         super().__init__(address, port, faults, cut)
@@ -189,7 +185,6 @@ class LockStep(Port):
             self._expect_nothing()
 
     def left(self) -> None:
-        self._gone()
         self._expect_nothing()
 
     def _expect_nothing(self) -> None:

@@ -1,0 +1,106 @@
+"""Driver and fake of a real controller's link together, with a broker between them that may end."""
+
+import os
+import subprocess
+import sys
+import time
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.robot import load_robot
+from agent.robot.drivetrain import torque_per_ampere
+from drivers.errors import DriverError
+from drivers.registry import create
+from fake_controller.build import build_controller
+from fake_controller.server_cnr import CnrServer
+
+ROOT = Path(__file__).resolve().parents[2]
+TEN_MINUTES = 600.0  # s
+CPU = 0.60  # of a core
+PROGRAM = """PROGRAM p HOLD, PROG_ARM=1
+VAR
+  k : INTEGER
+BEGIN
+  FOR k := 1 TO 2000 DO
+    MOVE JOINT TO {FIRST}
+    MOVE JOINT TO {SECOND}
+  ENDFOR
+END p
+"""
+ARM = PROGRAM.replace("FIRST", "20, -30").replace("SECOND", "-20, 30")
+NS16 = PROGRAM.replace("FIRST", "20, 10, -80, 20, 20, 20").replace("SECOND", "0, 0, -90, 0, 0, 0")
+
+
+@contextmanager
+def connected(address, robot):
+    with closing(create("cnr_comau", address)) as driver:
+        driver.torque_per_ampere = torque_per_ampere(load_robot(robot))
+        driver.connect()
+        yield driver
+
+
+def test_a_broker_that_ends_in_motion_stops_the_arm(arm, own_broker):
+    controller = build_controller(arm, seed=3, clock="fast")
+    with closing(CnrServer(controller, watchdog=2.0, broker=own_broker.address, waits=True)) as server:
+        with connected(server.address, arm) as driver:
+            driver.start("p", driver.upload("p", ARM))
+            received = driver.samples()
+            assert len(next(received)) > 0
+            own_broker.kill()
+            with pytest.raises(DriverError, match=f"127.0.0.1:{own_broker.address[1]}"):
+                list(received)
+        assert controller.wait(30)
+        assert controller.motions_started == 1
+
+
+def test_torque_is_the_sensors_whichever_way_it_went(arm, broker):
+    """Through currents and back: what the driver hands out is what the controller measured."""
+    controller = build_controller(arm, seed=3, clock="fast")
+    with (
+        closing(CnrServer(controller, watchdog=2.0, broker=broker.address, waits=True)) as server,
+        connected(server.address, arm) as driver,
+    ):
+        driver.start("p", driver.upload("p", ARM.replace("2000", "1")))
+        blocks = list(driver.samples())
+    _, _, true = controller.fetch(0, 100_000)
+    got = {name: np.concatenate([getattr(block, name) for block in blocks]) for name in vars(true)}
+    at = next(k for k, torque in enumerate(got["torque"]) if np.allclose(torque, true.torque[1], rtol=1e-9))
+    for name, values in vars(true).items():
+        np.testing.assert_allclose(got[name][at : at + len(values) - 1], values[1:], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.verify
+def test_ten_minutes_at_500_hz(tmp_path, broker, measured):
+    """Real time, five topics: every sample joined; the CPU is that of driver and reader."""
+    ready = tmp_path / "ready"
+    command = [sys.executable, "-m", "fake_controller", "--driver", "cnr_comau", "--clock", "real", "--port", "0"]
+    command += ["--watchdog", "5", "--broker", "{}:{}".format(*broker.address), "--ready-file", str(ready)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as emulator:
+        try:
+            assert emulator.stdout.readline()
+            with connected(ready.read_text(encoding="utf-8").strip(), "comau_ns16") as driver:
+                driver.start("p", driver.upload("p", NS16))
+                began, cpu = time.monotonic(), time.process_time()
+                sequence, stopped = [], False
+                for block in driver.samples():
+                    sequence.append(block.sequence)
+                    if not stopped and time.monotonic() - began > TEN_MINUTES:
+                        share = (time.process_time() - cpu) / (time.monotonic() - began)
+                        driver.stop()
+                        stopped = True
+                gaps, facts = driver.gaps, driver.facts
+        finally:
+            emulator.terminate()
+            emulator.communicate(timeout=60)
+    count = sum(map(len, sequence))
+    missing = {name: value for name, value in facts.items() if name.startswith("missing_") and value != "0"}
+    measured("cnr_comau: samples joined of ten minutes at 500 Hz, lost", f"{count}, {len(gaps)}", "", "all", not gaps)
+    measured("cnr_comau: CPU of the driver at 500 Hz", 100 * share, "% of a core", "below 60 %", share < CPU)
+    np.testing.assert_array_equal(np.concatenate(sequence), np.arange(count))
+    assert (gaps, missing) == ((), {})
+    assert count >= 0.99 * 500 * TEN_MINUTES
+    assert share < CPU
