@@ -19,6 +19,9 @@ from agent.estimation.prior import physical_prior
 from agent.recording.log import Log
 from agent.robot import RobotDescription
 
+#: Stretches of a motion [s] that are drawn as one wherever chance is asked.
+BLOCK = 1.0
+
 _PARITY = 0.1  # s
 _GUARD = 0.2  # s
 _BLOCKS = 5
@@ -102,7 +105,8 @@ def assemble(
     else:
         prior = physical_prior(observation, model.terms)
         precision, shift = prior.precision, prior.precision @ (prior.mean - model.values)
-    fit = Fit(reference, signals, joined, index, sigma, precision, shift, cell, folds, single)
+    block = _stretches(time, log, logs)
+    fit = Fit(reference, signals, joined, index, sigma, precision, shift, cell, block, folds, single)
     rate = 1 / float(np.median(np.diff(time)))
     return Dataset(
         robot, model, given, fit, residual, speed, time, log, tuple(logs), rate, observation.stretches[0].motion.cutoff
@@ -210,6 +214,20 @@ def _folds(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np.n
             half = test & (np.arange(count) % 2 == side)
             single.append(Fold(name, half, ~half))
     return cell, folds, single
+
+
+def _stretches(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> np.ndarray:
+    """(S',) stretch of BLOCK seconds that a row lies in, counted over all logs, the same in every cycle of one."""
+    found = np.zeros(len(time), dtype=int)
+    for number, entry in enumerate(logs):
+        here = log == number
+        starts = np.asarray(entry.cycle_starts, dtype=float)
+        since = time[here]
+        if len(starts) > 1:
+            since = since - starts[np.maximum(np.searchsorted(starts, since, side="right") - 1, 0)]
+        stretch = np.maximum(since // BLOCK, -1).astype(int) + 1
+        found[here] = stretch + (found.max() + 1 if number else 0)
+    return np.unique(found, return_inverse=True)[1]
 
 
 def _blocks(time: np.ndarray, log: Log) -> tuple[np.ndarray, list[str]]:

@@ -65,7 +65,8 @@ class Fit:
     """The residual of a model on some logs, ready to try candidates on.
 
     rows[j] (S', p_j + 1): columns of the model's parameters index[j] and the residual of joint j, over `sigma` (S', n);
-    `cell` (S',) of every row (-1: guard); `folds` for what repeats, `single` folds for what happens once.
+    `cell` (S',) of every row (-1: guard); `block` (S',) stretch of the motion, the same in all of its cycles; `folds`
+    for what repeats, `single` folds for what happens once.
     """
 
     def __init__(
@@ -78,6 +79,7 @@ class Fit:
         precision: np.ndarray,
         shift: np.ndarray,
         cell: np.ndarray,
+        block: np.ndarray,
         folds: Sequence[Fold],
         single: Sequence[Fold],
         chosen: Sequence[Candidate] = (),
@@ -86,7 +88,7 @@ class Fit:
         self.reference, self.signals = reference, list(signals)
         self.rows, self.index = list(rows), list(index)
         self.sigma, self.precision, self.shift = sigma, precision, shift
-        self.cell, self.folds, self.single = cell, list(folds), list(single)
+        self.cell, self.block, self.folds, self.single = cell, block, list(folds), list(single)
         self.chosen = tuple(chosen)
         self._shared: dict[str, Any] = {} if shared is None else shared
         lengths = [len(range(*s.kept.indices(len(s.time)))) for s in self.signals]
@@ -119,7 +121,7 @@ class Fit:
                 self.gram[:, other_span, span] = both
                 self.gram[:, span, other_span] = np.swapaxes(both, 1, 2)
             diagonal = np.arange(span.start, span.stop)
-            self.prior[diagonal, diagonal] = self._ridge(candidate, own.sum(axis=0).diagonal())
+            self.prior[diagonal, diagonal] = self.ridge(candidate, own.sum(axis=0).diagonal())
         self.pull = np.zeros(size)
         self.pull[:base] = self.shift
         self._solved: dict[int, tuple] = {}
@@ -152,7 +154,8 @@ class Fit:
                 total[cell] += a[part].T @ b[part]
         return total
 
-    def _ridge(self, candidate: Candidate, energy: np.ndarray) -> np.ndarray:
+    def ridge(self, candidate: Candidate, energy: np.ndarray) -> np.ndarray:
+        """(k,) prior precision of a candidate's parameters, from the energy (k,) of its columns."""
         weak = 1e-7 * energy / self.repeat + 1e-12
         return weak if candidate.doubt is None else weak + 1 / candidate.doubt**2
 
@@ -160,7 +163,7 @@ class Fit:
         """The same data with these effects as part of the model."""
         return Fit(
             self.reference, self.signals, self.rows, self.index, self.sigma, self.precision, self.shift,
-            self.cell, self.folds, self.single, chosen, self._shared,
+            self.cell, self.block, self.folds, self.single, chosen, self._shared,
         )  # fmt: skip
 
     @property
@@ -171,7 +174,7 @@ class Fit:
     @property
     def residuals(self) -> list[np.ndarray]:
         """Per motion (S', n) [N·m]: what is left of the torque after a fit to all rows of model and chosen effects."""
-        parameters = self._solve(np.ones(self.cells, dtype=bool))[1]
+        parameters = self.solve(np.ones(self.cells, dtype=bool))[1]
         return self._split(self.remaining(parameters))
 
     def remaining(self, parameters: np.ndarray) -> np.ndarray:
@@ -190,7 +193,7 @@ class Fit:
     def _split(self, rows: np.ndarray) -> list[np.ndarray]:
         return np.split(rows, self.cuts)
 
-    def _solve(self, train: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def solve(self, train: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Inverse of H and the parameters for training cells."""
         key = hash(train.tobytes())
         if key not in self._solved:
@@ -209,7 +212,7 @@ class Fit:
         ends = len(self.precision) + np.cumsum([0, *(len(c.names) for c in self.chosen)])
         result = np.full((len(self.cell), len(self.rows)), np.nan)
         for fold in self.single if single else self.folds:
-            parameters = self._solve(fold.train)[1].copy()
+            parameters = self.solve(fold.train)[1].copy()
             if taken_out is not None:
                 parameters[ends[taken_out] : ends[taken_out + 1]] = 0
             test = np.isin(self.cell, np.flatnonzero(fold.test))
@@ -220,7 +223,7 @@ class Fit:
         """Held-out Σ e² / σ² of model and chosen effects."""
         total = 0.0
         for fold in self.single if single else self.folds:
-            extended = np.append(self._solve(fold.train)[1], -1.0)
+            extended = np.append(self.solve(fold.train)[1], -1.0)
             total += float(extended @ self.gram[fold.test].sum(axis=0) @ extended)
         return total
 
@@ -237,7 +240,7 @@ class Fit:
     def fitted(self, fold: Fold | None = None) -> tuple[np.ndarray, list[np.ndarray]]:
         """Change of the model's parameters (p,) and parameters of each chosen effect (k,): of all rows, or a fold's."""
         train = np.ones(self.cells, dtype=bool) if fold is None else fold.train
-        change, effects = np.split(self._solve(train)[1], [len(self.precision)])
+        change, effects = np.split(self.solve(train)[1], [len(self.precision)])
         ends = np.cumsum([len(c.names) for c in self.chosen])
         return change, np.split(effects, ends[:-1]) if len(ends) else []
 
@@ -256,9 +259,9 @@ class Fit:
 
     def _make(self, wanted: Sequence[tuple[Effect, tuple[int, ...], Mapping[str, float]]]) -> list[Candidate]:
         parts: list[dict[int, list[np.ndarray]]] = [{} for _ in wanted]
+        for kind in {effect for effect, *_ in wanted}:
+            kind.prepare(self.signals, [(joints, settings) for effect, joints, settings in wanted if effect is kind])
         for signals, sigma in zip(self.signals, self.sigmas, strict=True):
-            for kind in {effect for effect, *_ in wanted}:
-                kind.prepare(signals, [(joints, settings) for effect, joints, settings in wanted if effect is kind])
             pending: list[tuple[int, int, np.ndarray]] = []
             for number, (effect, joints, settings) in enumerate(wanted):
                 for joint, block in effect.columns(signals, joints, settings).items():
@@ -280,11 +283,32 @@ class Fit:
         """(k,) parameters fitted to all the data together with the model, under its prior."""
         return self.score([self.candidate(effect, joints, settings)])[0].values
 
+    def gains_alone(self, joint: int, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(K,) Σ e² / σ² that each column (S', K) [N·m] on one joint would take away, and its factor (K,).
+
+        Model and chosen effects adapt; all rows are fitted and none held out, so this only picks what to try.
+        """
+        inverse, alone = self.solve(np.ones(self.cells, dtype=bool))
+        block = columns / self.sigma[:, joint, None]
+        rows = self.rows[joint]
+        cross = np.zeros((self.size, block.shape[1]))
+        cross[self.index[joint]] = rows[:, :-1].T @ block
+        at = len(self.precision)
+        for candidate in self.chosen:
+            if joint in candidate.blocks:
+                cross[at : at + len(candidate.names)] = candidate.blocks[joint].T @ block
+            at += len(candidate.names)
+        side = (block.T @ rows[:, -1] - cross.T @ alone) / self.repeat
+        energy = np.sum(block**2, axis=0) / self.repeat
+        schur = energy - np.sum(cross * (inverse @ cross), axis=0) / self.repeat**2
+        schur = np.maximum(schur, 1e-6 * energy + 1e-12)
+        return side**2 / schur * self.repeat, side / schur
+
     def score(self, candidates: Sequence[Candidate]) -> list[Score]:
         """Held-out score of each candidate added to the model and the chosen effects."""
-        return [self._score(candidate, *moments) for candidate, moments in self._moments(candidates)]
+        return [self._score(candidate, *moments) for candidate, moments in self.moments(candidates)]
 
-    def _moments(self, candidates: Sequence[Candidate]) -> Iterator[tuple[Candidate, tuple[np.ndarray, np.ndarray]]]:
+    def moments(self, candidates: Sequence[Candidate]) -> Iterator[tuple[Candidate, tuple[np.ndarray, np.ndarray]]]:
         """Per candidate: moments (cells, size + 1, k) with model, chosen effects and residual, and its own."""
         base = len(self.precision)
         for candidate, (cross, own) in self._base_moments(candidates):
@@ -324,7 +348,7 @@ class Fit:
         energy = own.sum(axis=0).diagonal()
         if not np.all(np.isfinite(energy)) or np.all(energy <= 1e-9):
             return Score(candidate, self.error(single), 0.0, np.zeros(len(candidate.names)))
-        ridge = np.diag(self._ridge(candidate, np.maximum(energy, 1e-9)))
+        ridge = np.diag(self.ridge(candidate, np.maximum(energy, 1e-9)))
         total = 0.0
         for fold in self.single if single else self.folds:
             change, values = self._both(fold.train, cross, own, ridge)
@@ -338,7 +362,7 @@ class Fit:
     def _both(
         self, train: np.ndarray, cross: np.ndarray, own: np.ndarray, ridge: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        inverse, alone = self._solve(train)
+        inverse, alone = self.solve(train)
         b = cross[train].sum(axis=0) / self.repeat
         a = own[train].sum(axis=0) / self.repeat + ridge
         reach = inverse @ b[:-1]
@@ -348,20 +372,18 @@ class Fit:
         values = scale * np.linalg.solve(schur * np.outer(scale, scale) + 1e-9 * np.eye(len(a)), side)
         return alone - reach @ values, values
 
-    def practical_gain(self, candidates: Sequence[Candidate], scale: np.ndarray) -> list[float]:
-        """Per candidate: Σ e² / σ² it would leave at its practical size after the model has adapted to it."""
-        everything = np.ones(self.cells, dtype=bool)
-        inverse, _ = self._solve(everything)
-        gains = []
-        for candidate, (cross, own) in self._moments(candidates):
-            b, a = cross.sum(axis=0)[:-1] / self.repeat, own.sum(axis=0) / self.repeat
-            schur = a - b.T @ inverse @ b
-            total = np.zeros_like(a)
-            for joint, block in candidate.blocks.items():
-                torque = block * (self.sigma[:, joint, None] / scale[joint])
-                total += torque.T @ torque
-            total = total / len(self.cell) / candidate.effect.practical**2
-            size = np.sqrt(np.maximum(np.diag(total), 1e-300))
-            values = np.linalg.eigvalsh(schur / np.outer(size, size))
-            gains.append(float(values[-1]) * self.repeat)
-        return gains
+    def practical(self, candidate: Candidate) -> np.ndarray:
+        """(k,) parameters at which the effect has its practical size and the model can follow it least."""
+        from scipy.linalg import eigh
+
+        (_, (cross, own)), *_ = self.moments([candidate])
+        b, a = cross.sum(axis=0)[:-1] / self.repeat, own.sum(axis=0) / self.repeat
+        schur = a - b.T @ self.solve(np.ones(self.cells, dtype=bool))[0] @ b
+        torque = np.zeros_like(a)
+        for joint, block in candidate.blocks.items():
+            part = block * (self.sigma[:, joint, None] / self.reference.scale[joint])
+            torque += part.T @ part / len(part)
+        size = np.sqrt(np.maximum(np.diag(torque), 1e-300))
+        scaled = torque / np.outer(size, size) + 1e-9 * np.eye(len(size))
+        vector = eigh(schur / np.outer(size, size), scaled)[1][:, -1]
+        return candidate.effect.practical * vector / np.sqrt(vector @ scaled @ vector) / size

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from agent.diagnosis.effects import CATALOGUE, Effect
+from agent.diagnosis.evidence import Null, null_gains
 from agent.diagnosis.fit import Candidate, Fit, Score
 
 #: All in units of the background energy of all rows, Σ e² / σ² of a model that is right.
 LEAST_GAIN = 0.02  # an effect must gain as much to be named
 LEAST_SHARE = 0.35  # of what is still unexplained, for every further effect
-CLOSES = 0.75  # of the excess over the background, or the cause is unknown
+CLOSES = 0.7  # of the excess over the background, or the cause is unknown
+FITS = (0.85, 0.93, 0.93)  # of it by one, two, three effects, or their forms are not beyond doubt
 EXCESS = 0.6  # over the background on one joint before something counts as unexplained
 NEAR = 0.04  # of what is explained: forms this close are told apart by simplicity alone
 NEAR_FLOOR = 0.02
+ALIKE = 0.01  # of what is explained: forms this close in the end cannot be told apart
 PRACTICAL = 0.003  # of nominal, root mean square torque of an effect where it acts most
 UNFIT = 0.5  # of what a cause leaves, explained by a shape of its own kind
 MOST = 3
@@ -40,17 +43,23 @@ class Step:
 class Finding:
     """The outcome: the fit with its causes, who equals whom, how much of the excess is closed, and the steps.
 
-    `rivals[k]` are places that the data cannot tell from cause k.
+    `rivals[k]` are places that the data cannot tell from cause k, `chance[k]` is how often anything gains as much as it
+    where there is nothing (see `evidence`), `lead[k]` how many margins the best place outside its class falls behind.
     """
 
     verdict: str
     fit: Fit
     causes: tuple[Candidate, ...]
     rivals: tuple[tuple[tuple[str, tuple[int, ...]], ...], ...]
-    probability: tuple[float, ...]
+    chance: tuple[float, ...]
+    lead: tuple[float, ...]
     closed: float
-    gap_joints: tuple[int, ...]
-    steps: tuple[Step, ...] = field(default=())
+    steps: tuple[Step, ...]
+
+    @property
+    def probability(self) -> tuple[float, ...]:
+        """Of each cause's class."""
+        return tuple(_probability(lead, self.closed) for lead in self.lead)
 
 
 class Search:
@@ -62,6 +71,9 @@ class Search:
         self.rows = float(fit.count.sum())
         self.pool: list[Candidate] = []
         self.tried: list[Candidate] = []
+        self.null: Null | None = None
+        self.least = LEAST_GAIN * self.rows
+        self._scanned: dict[frozenset[Candidate], Step] = {}
         joints = range(fit.reference.robot.dof)
         self.moves = tuple(any(np.ptp(s.q[:, j]) > 1e-4 for s in fit.signals) for j in joints)
 
@@ -71,9 +83,8 @@ class Search:
         before = self.joint_energy(base)
         first = self.scan(base)
         steps = [first]
-        noisy = tuple(int(j) for j in np.flatnonzero(before > 1 + EXCESS))
-        if not first.eligible and not noisy:
-            return Finding("no_gap", base, (), (), (), 0.0, (), tuple(steps))
+        if not first.eligible and np.all(before <= 1 + EXCESS):
+            return Finding("no_gap", base, (), (), (), (), 0.0, tuple(steps))
         best: tuple[float, tuple[Candidate, ...]] | None = None
         for start in self._starts(first):
             chosen = self._forward((start,), steps)
@@ -84,12 +95,12 @@ class Search:
             if self.closed(before, error) > 0.9 and len(chosen) == 1:
                 break
         if best is None:
-            return Finding("unknown", base, (), (), (), 0.0, noisy or self._worst(before), tuple(steps))
+            return Finding("unknown", base, (), (), (), (), 0.0, tuple(steps))
         fit = base.with_chosen(self._pruned(best[1]))
         closed = self.closed(before, fit)
         if closed < CLOSES:
-            return Finding("unknown", base, (), (), (), closed, noisy or self._worst(before), tuple(steps))
-        return self._verdict(fit, closed, noisy, steps)
+            return Finding("unknown", base, (), (), (), (), closed, tuple(steps))
+        return self._verdict(fit, closed, steps)
 
     def joint_energy(self, fit: Fit) -> np.ndarray:
         """(n,) mean of (e / σ)² held out."""
@@ -104,7 +115,13 @@ class Search:
         return float(1 - left / excess) if excess > 0.1 else float(left < 0.1)
 
     def scan(self, fit: Fit) -> Step:
-        """Every effect everywhere, added to what is chosen."""
+        """Every effect everywhere, added to what is chosen; done once for the same choice."""
+        key = frozenset(fit.chosen)
+        if key not in self._scanned:
+            self._scanned[key] = self._scan(fit)
+        return self._scanned[key]
+
+    def _scan(self, fit: Fit) -> Step:
         taken = {c.place for c in fit.chosen}
         fixed = not self.pool
         wanted = []
@@ -121,6 +138,9 @@ class Search:
         else:
             pool = [c for c in self.pool if c.place not in taken] + new
         best = _best_by_place(fit.score(pool))
+        if fixed:
+            self.null = null_gains(fit, self.tried)
+            self.least = max(self.least, self.null.threshold)
         best = self._refined(fit, best)
         eligible = self._eligible(fit, best)
         return Step(fit.chosen, fit.error(), tuple(sorted(best.values(), key=lambda s: -s.gain)), eligible)
@@ -128,7 +148,9 @@ class Search:
     def _refined(self, fit: Fit, best: dict) -> dict:
         """Search the nonlinear parameters of the leading places more finely."""
         leaders = sorted((s for s in best.values() if s.gain > 0.5 * LEAST_GAIN * self.rows), key=lambda s: -s.gain)[:6]
-        for factor in (1.25, 1.1):
+        for factor in (1.25, 1.1, 1.04, 1.015):
+            if factor < 1.1:
+                leaders = [s for s in leaders if best[s.candidate.place].gain > 0.5 * leaders[0].gain]
             wanted = []
             for place in (s.candidate.place for s in leaders):
                 candidate = best[place].candidate
@@ -151,7 +173,7 @@ class Search:
         for place, score in best.items():
             name = place[0]
             effect = score.candidate.effect
-            if name not in self.allowed or not _plausible(score) or score.gain < LEAST_GAIN * self.rows:
+            if name not in self.allowed or not _plausible(score) or score.gain < self.least:
                 continue
             if self.size(fit, score) < PRACTICAL:
                 continue
@@ -215,16 +237,17 @@ class Search:
             if len(chosen) == MOST or not step.eligible:
                 return chosen
             left = self._excess(fit)
-            least = max(2 * LEAST_GAIN * self.rows, LEAST_SHARE * left)
+            least = max(2 * self.least, LEAST_SHARE * left)
             worth = [s for s in step.eligible if s.gain > least and not self._imitates(chosen, s)]
             if not worth:
                 return chosen
             step = Step(step.chosen, step.error, step.scores, tuple(worth))
             chosen = (*chosen, self._simplest(step).candidate)
 
-    def _excess(self, fit: Fit) -> float:
-        """Energy over the background that is left, joint by joint."""
-        return float(np.sum(np.maximum(self.joint_energy(fit) - 1, 0)) * self.rows / len(fit.rows))
+    def _excess(self, fit: Fit, joints: Sequence[int] | None = None) -> float:
+        """Energy over the background that is left, joint by joint, on all joints or some."""
+        over = np.maximum(self.joint_energy(fit) - 1, 0)
+        return float(np.sum(over if joints is None else over[list(joints)]) * self.rows / len(fit.rows))
 
     def _total(self, fit: Fit) -> float:
         single = any(c.effect.once for c in fit.chosen)
@@ -235,21 +258,18 @@ class Search:
         for candidate in chosen:
             others = tuple(c for c in chosen if c is not candidate)
             if others and self._total(self.fit.with_chosen(others)) - self._total(self.fit.with_chosen(chosen)) < max(
-                LEAST_GAIN * self.rows, 0.002 * self.fit.error()
+                self.least, 0.002 * self.fit.error()
             ):
                 return self._pruned(others)
         return chosen
 
     def _unfit(self, fit: Fit) -> Score | None:
         """A shape of the same kind on the same joint that explains half of what a cause leaves."""
-        least = max(2 * LEAST_GAIN * self.rows, UNFIT * self._excess(fit))
+        least = max(2 * self.least, UNFIT * self._excess(fit))
         left = self.scan(fit).eligible
         return next((s for s in left if s.gain > least and self._imitates(fit.chosen, s)), None)
 
-    def _worst(self, energy: np.ndarray) -> tuple[int, ...]:
-        return (int(np.argmax(energy)),)
-
-    def _verdict(self, fit: Fit, closed: float, noisy: tuple[int, ...], steps: list[Step]) -> Finding:
+    def _verdict(self, fit: Fit, closed: float, steps: list[Step]) -> Finding:
         """Order causes by what is lost without each, and look for places that would do as well."""
         total = self._total(fit)
         ranked = []
@@ -258,7 +278,7 @@ class Search:
             without = self.fit.with_chosen(others)
             step = self.scan(without)
             lost = self._total(without) - total
-            margin = max(NEAR_FLOOR * self.rows, NEAR * lost)
+            margin = max(NEAR_FLOOR * self.rows, ALIKE * lost, self._excess(fit, tuple(candidate.blocks)))
             rivals, behind = [], np.inf
             twins = [s for s in step.scores if s.candidate.effect.name in candidate.effect.twins]
             twin = any(s.candidate.joints == candidate.joints and lost - s.gain <= margin for s in twins)
@@ -266,7 +286,8 @@ class Search:
                 if score.candidate.place == candidate.place:
                     continue
                 short = lost - score.gain
-                equal = _complexity(score.candidate) <= _complexity(candidate) + 1
+                better = short < -NEAR_FLOOR * self.rows
+                equal = better or _complexity(score.candidate) <= _complexity(candidate) + 1
                 if short <= margin and equal:
                     rivals.append(score.candidate.place)
                 elif short > margin:
@@ -279,11 +300,12 @@ class Search:
         if odd is not None:
             at = next(k for k, c in enumerate(causes) if self._imitates((c,), odd))
             rivals[at] = tuple(dict.fromkeys((odd.candidate.place, *rivals[at])))[:2]
-        probability = tuple(_probability(entry[3], closed) for entry in ranked)
-        verdict = "ambiguous" if rivals[0] or ranked[0][4] else "explained"
-        return Finding(
-            verdict, self.fit.with_chosen(causes), causes, tuple(rivals), probability, closed, noisy, tuple(steps)
-        )
+        assert self.null is not None
+        chance = tuple(self.null.chance(entry[0]) for entry in ranked)
+        lead = tuple(float(entry[3]) for entry in ranked)
+        doubtful = closed < FITS[len(causes) - 1]
+        verdict = "ambiguous" if rivals[0] or ranked[0][4] or doubtful else "explained"
+        return Finding(verdict, self.fit.with_chosen(causes), causes, tuple(rivals), chance, lead, closed, tuple(steps))
 
 
 #: Shapes over speed and over position: two of one kind on one joint would only imitate a third.
@@ -302,7 +324,7 @@ _KINDS = (
     {"joint_elasticity", "backlash"},
     {"payload", "inertial_mismatch"},
 )
-_RESIDUAL_DRIVEN = ("torque_ripple", "contact", "payload", "time_delay")
+_RESIDUAL_DRIVEN = ("torque_ripple", "contact", "payload", "time_delay", "joint_elasticity", "backlash")
 
 
 def _plausible(score: Score) -> bool:

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from agent.diagnosis.dataset import Dataset
-from agent.diagnosis.effects import CATALOGUE
+from agent.diagnosis.effects import CATALOGUE, Effect
+from agent.diagnosis.evidence import share_intervals
 from agent.diagnosis.motion_gap import MotionGap
-from agent.diagnosis.procedure import LEAST_GAIN, Finding, Search
+from agent.diagnosis.procedure import Finding, Search
 from agent.diagnosis.regimes import regimes
 
 SCHEMA = "diagnosis/1"
@@ -88,7 +89,7 @@ def build(
         "gap": {"joints": list(names), "before": _plain(before), "after": _plain(after), "floor": _plain(floor)},
         "motion_gap": _motion_part(motion, robot.dof),
         "closure": closure,
-        "where": _where(dataset, raw, before, floor),
+        "where": _where(dataset, raw / unit, before, floor),
         "causes": causes,
         "not_testable": not_testable(dataset, search),
         "next_experiment": next_experiment(causes, verdict),
@@ -140,7 +141,11 @@ def _floor(dataset: Dataset, left: np.ndarray, unit: np.ndarray) -> np.ndarray |
             first = np.stack([np.interp(at, time, column) for column in rows.T], axis=1)
             second = np.stack([np.interp(at + b - a, time, column) for column in rows.T], axis=1)
             parts.append(second - first)
-    return np.sqrt(0.5 * np.mean(np.concatenate(parts) ** 2, axis=0)) / unit if parts else None
+    if not parts:
+        return None
+    floor = np.sqrt(0.5 * np.mean(np.concatenate(parts) ** 2, axis=0)) / unit
+    # what does not repeat, a contact or a torque that wanders, is no floor: a model's error on other motions bounds it
+    return np.minimum(floor, dataset.model.held_out_rmse / unit) if dataset.given else floor
 
 
 def _where(dataset: Dataset, raw: np.ndarray, before: np.ndarray, floor: np.ndarray | None) -> list[dict[str, Any]]:
@@ -148,11 +153,13 @@ def _where(dataset: Dataset, raw: np.ndarray, before: np.ndarray, floor: np.ndar
     if excess.sum() <= 0:
         excess = before**2 + 1e-300
     share = excess / excess.sum()
+    interval = share_intervals(raw, np.zeros(len(share)) if floor is None else floor, dataset.fit.block)
     return [
         {
             "joint": dataset.robot.joint_names[joint],
             "share": float(share[joint]),
-            "regimes": regimes(dataset, raw[:, joint], joint),
+            "interval": [float(edge) for edge in interval[joint]],
+            "regimes": regimes(dataset, raw[:, joint], joint, 0.0 if floor is None else float(floor[joint])),
         }
         for joint in np.argsort(-share, kind="stable")
     ]
@@ -166,8 +173,9 @@ def _motion_part(motion: MotionGap | None, n: int) -> dict[str, Any]:
 
 def not_testable(dataset: Dataset, search: Search) -> list[dict[str, Any]]:
     """Effects whose practical size would not be found on these motions, and why."""
-    fit, robot = dataset.fit, dataset.robot
+    robot = dataset.robot
     names = robot.joint_names
+    assert search.null is not None
     tried: dict = {}
     for candidate in search.tried:
         tried.setdefault(candidate.place, []).append(candidate)
@@ -183,21 +191,27 @@ def not_testable(dataset: Dataset, search: Search) -> list[dict[str, Any]]:
                 if why:
                     result.append({"effect": name, "joint": where, "why": why})
                 continue
-            gain = max(fit.practical_gain(candidates, fit.reference.scale))
-            if gain < LEAST_GAIN * search.rows:
-                size = effect.practical * np.sqrt(LEAST_GAIN * search.rows / max(gain, 1e-12))
-                if dataset.given and size > 5:
-                    why = "it leaves no torque on these motions that the model could not explain"
-                elif dataset.given:
-                    why = f"the smallest size found here is {100 * size:.1f} % of nominal torque"
-                else:
-                    why = "no model was given: the fit to these logs absorbs it"
-                result.append({"effect": name, "joint": where, "why": why})
+            if effect.once:
+                continue
+            size = min(search.null.smallest(candidate, search.least) for candidate in candidates)
+            if size > 1:
+                result.append({"effect": name, "joint": where, "why": _why_small(effect, size, dataset.given)})
     if all(log.planned_position is None or log.reference_position is None for log in dataset.logs):
         result.append(
             {"effect": "interpolator_mismatch", "joint": None, "why": "the logs lack planned or executed set-points"}
         )
     return result
+
+
+def _why_small(effect: Effect, size: float, given: bool) -> str:
+    """`size` in practical sizes: the smallest that would be found."""
+    if not given:
+        return "no model was given: the fit to these logs absorbs it"
+    found = "none of any size" if size * effect.practical > 5 else f"from {100 * size * effect.practical:.1f} % on"
+    return (
+        f"on these motions it would be found {found} of nominal torque (1 % false alarms, 80 % power), and it matters "
+        f"from {100 * effect.practical:.1f} % on"
+    )
 
 
 def _why_absent(name: str) -> str:

@@ -139,10 +139,14 @@ class Signals:
 
     @cached_property
     def mass(self) -> np.ndarray:
-        """(S, n, n) mass matrix of the links, computed on every tenth sample and held in between."""
+        """(S, n, n) mass matrix of the links, computed on every tenth sample and straight in between."""
         links = self.reference.solid
-        matrices = np.array([links.mass_matrix(q) for q in self.q[::_MASS_STEP]])
-        return np.repeat(matrices, _MASS_STEP, axis=0)[: len(self.q)]
+        at = np.append(np.arange(0, len(self.q) - 1, _MASS_STEP), len(self.q) - 1)
+        matrices = np.array([links.mass_matrix(q) for q in self.q[at]])
+        sample = np.arange(len(self.q))
+        first = np.minimum(sample // _MASS_STEP, len(at) - 2)
+        share = ((sample - at[first]) / (at[first + 1] - at[first]))[:, None, None]
+        return (1 - share) * matrices[first] + share * matrices[first + 1]
 
     @cached_property
     def standard(self) -> np.ndarray:
@@ -150,6 +154,6 @@ class Signals:
         return self.reference.links.regressor(self.q, self.qd, self.qdd)
 
     @cached_property
-    def kept_jacobian(self) -> np.ndarray:
-        """(S', 3, n) of the tip's position at the kept samples."""
-        return self.reference.links.tcp_jacobian(self.q[self.kept])[:, :3]
+    def jacobian(self) -> np.ndarray:
+        """(S, 3, n) of the tip's position."""
+        return self.reference.links.tcp_jacobian(self.q)[:, :3]

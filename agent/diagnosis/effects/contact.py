@@ -26,7 +26,7 @@ class Contact(Effect):
         found = []
         for signals, residual, sigma in zip(survey.signals, survey.residuals, survey.sigmas, strict=True):
             time = signals.time[signals.kept]
-            columns = -signals.kept_jacobian / sigma[:, None]
+            columns = -signals.jacobian[signals.kept] / sigma[:, None]
             target = residual / sigma
             grams = np.cumsum(np.einsum("san,sbn->sab", columns, columns), axis=0)
             right = np.cumsum(np.einsum("san,sn->sa", columns, target), axis=0)
@@ -67,8 +67,8 @@ class Contact(Effect):
             window = np.clip(np.minimum(since, duration - since) / (_EDGE * duration), 0, 1)
             inside = window > 0
             if inside.any():
-                jacobian = signals.reference.links.tcp_jacobian(signals.q[inside])[:, :3]
-                block[inside, :, at : at + 3] = -np.swapaxes(jacobian, 1, 2) * window[inside, None, None]
+                transposed = np.swapaxes(signals.jacobian[inside], 1, 2)
+                block[inside, :, at : at + 3] = -transposed * window[inside, None, None]
         return {joint: block[:, joint] for joint in range(n)}
 
 

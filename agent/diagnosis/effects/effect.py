@@ -25,6 +25,9 @@ class Survey(Protocol):
     residuals: Sequence[np.ndarray]
     sigmas: Sequence[np.ndarray]
 
+    def gains_alone(self, joint: int, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(K,) Σ e² / σ² that columns (S', K) [N·m] on one joint would take away one by one, and their factors (K,)."""
+
     def fit(self, effect: Effect, joints: tuple[int, ...], settings: Mapping[str, float]) -> np.ndarray:
         """(k,) parameters fitted to all the data together with the model, under its prior."""
 
@@ -64,8 +67,10 @@ class Effect(ABC):
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         """(k,) names of the linear parameters."""
 
-    def prepare(self, signals: Signals, wanted: Sequence[tuple[tuple[int, ...], Mapping[str, float]]]) -> None:
-        """Work out together what several (joints, settings) need of one motion, where that saves time."""
+    def prepare(
+        self, motions: Sequence[Signals], wanted: Sequence[tuple[tuple[int, ...], Mapping[str, float]]]
+    ) -> None:
+        """Work out together what several (joints, settings) need of all motions, where that saves time."""
         return
 
     @abstractmethod

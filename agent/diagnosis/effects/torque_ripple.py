@@ -10,10 +10,10 @@ _PEAKS = 3
 
 
 class TorqueRipple(Effect):
-    """τ = a cos(ν x) + b sin(ν x), x the axle's angle, ν in periods a turn of it."""
+    """τ = a cos(ν x) + b sin(ν x), with or without the second harmonic, x the axle's angle, ν periods a turn of it."""
 
     name = "torque_ripple"
-    formula = "a · cos(ν x) + b · sin(ν x)"
+    formula = "Σ a_h · cos(h ν x) + b_h · sin(h ν x), h = 1 or 1, 2"
     source = "Hung, Ding, IEE Proc. B 140 (1993)"
     signature = "a line in the residual over the angle of motor or gear, whatever the speed"
     confused_with = ()
@@ -48,13 +48,17 @@ class TorqueRipple(Effect):
             best = int(np.argmax(gain))
             if gain[best] <= 0:
                 break
-            found.append({"order": float(order[best])})
+            found += [{"order": float(order[best]), "harmonics": count} for count in (1.0, 2.0)]
             gain[max(0, best - 8) : best + 9] = 0
         return found
 
     def names(self, settings):
-        return ("cosine", "sine")
+        return tuple(f"{part}_{h}" for h in range(1, int(settings["harmonics"]) + 1) for part in ("cosine", "sine"))
 
     def columns(self, signals, joints, settings):
         phase = settings["order"] * signals.axles.position[:, joints[0]]
-        return on_axle(signals.reference, joints[0], np.cos(phase), np.sin(phase))
+        parts = [f(h * phase) for h in range(1, int(settings["harmonics"]) + 1) for f in (np.cos, np.sin)]
+        return on_axle(signals.reference, joints[0], *parts)
+
+    def freedom(self, settings):
+        return 1 + 2 * int(settings["harmonics"])

@@ -2,43 +2,128 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
 import numpy as np
 
+from agent.diagnosis.effects.effect import Effect, Survey
 from agent.diagnosis.signals import Signals
 
-_SUBSTEPS = 3
+_RATE = 1500.0  # Hz of the integration, at least
+_TRIED = 2  # of a joint's grid, in full
 
 
-def twist_acceleration(
-    signals: Signals, joints: np.ndarray, stiffness: np.ndarray, gap: np.ndarray, damping_ratio: float
-) -> np.ndarray:
-    """(S, K) second derivative of the motor's lead d over the link [rad/s²], for K joints, stiffnesses and plays (K,).
+def leads(
+    motions: Sequence[Signals], joints: np.ndarray, stiffness: np.ndarray, gap: np.ndarray, damping: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Per motion ṗ [N·m] and d̈ [rad/s²] (S, K) of the motor's lead d over the link, for K of each argument (K,).
 
-    The motor moves as measured, so the link obeys m d̈ + c ḋ + k z(d) = L, with L the torque the rigid link would take,
-    m its inertia about the joint and z(d) the twist beyond half the play (without play z(d) = d). Semi-implicit steps,
-    all K at once.
+    The motor moves as measured, so the link's momentum p = m ḋ obeys ṗ + c ḋ + k z(d) = L, with L the torque the rigid
+    link would take, m(t) its inertia about the joint, z(d) the twist beyond half the play (without play z(d) = d) and
+    c = 2 ζ √(k m̄), which acts while the teeth touch. Semi-implicit steps, all motions and all K at once.
     """
-    k, half = np.asarray(stiffness, dtype=float), 0.5 * np.asarray(gap, dtype=float)
-    load = np.ascontiguousarray(signals.link_load[:, joints])
-    inertia = np.maximum(signals.mass[:, joints, joints], 1e-9)
-    step = float(np.median(np.diff(signals.time))) / _SUBSTEPS
-    damping = 2 * damping_ratio * np.sqrt(k * inertia.mean(axis=0))
-    implicit = inertia + step * damping + step * step * k
+    longest = max(len(motion.time) for motion in motions)
+
+    def side_by_side(parts: list[np.ndarray]) -> np.ndarray:
+        return np.hstack([np.pad(part, ((0, longest - len(part)), (0, 0)), mode="edge") for part in parts])
+
+    load = side_by_side([motion.link_load[:, joints] for motion in motions])
+    inertia = side_by_side([np.maximum(motion.mass[:, joints, joints], 1e-9) for motion in motions])
+    k, half = np.tile(stiffness, len(motions)), 0.5 * np.tile(gap, len(motions))
+    c = 2 * np.tile(damping, len(motions)) * np.sqrt(k * inertia.mean(axis=0))
+    period = float(np.median(np.diff(motions[0].time)))
+    substeps = max(2, int(np.ceil(_RATE * period)))
+    step = period / substeps
     twist = load[0] / k + np.sign(load[0]) * half
-    rate = np.zeros_like(k)
-    rates = np.empty((len(load) + 1, len(k)))
-    rates[0] = 0
+    momentum = np.zeros_like(k)
+    momenta = np.zeros((longest + 1, len(k)))
     has_gap = bool(np.any(half > 0))
-    impulse = step * load
-    for sample in range(len(load)):
-        m, h, pushed = inertia[sample], implicit[sample], impulse[sample]
-        for _ in range(_SUBSTEPS):
+    impulse, spring, mobility = step * load, step * k, 1 / inertia
+    for sample in range(longest):
+        pushed, inverse = impulse[sample], mobility[sample]
+        kept, moved = 1 - step * c * inverse, step * inverse
+        for _ in range(substeps):
             if has_gap:
-                beyond = twist - np.clip(twist, -half, half)
-                touching = beyond != 0
-                rate = (m * rate + pushed - step * k * beyond) / np.where(touching, h, m)
+                beyond = twist - np.minimum(np.maximum(twist, -half), half)
+                momentum = np.where(beyond != 0, kept, 1.0) * momentum + pushed - spring * beyond
             else:
-                rate = (m * rate + pushed - step * k * twist) / h
-            twist = twist + step * rate
-        rates[sample + 1] = rate
-    return np.diff(rates, axis=0) / (step * _SUBSTEPS)
+                momentum = kept * momentum + pushed - spring * twist
+            twist = twist + moved * momentum
+        momenta[sample + 1] = momentum
+    torque = np.diff(momenta, axis=0) / period
+    second = np.diff(momenta[1:] * mobility, axis=0, prepend=0) / period
+    parts = zip(*(np.split(part, len(motions), axis=1) for part in (torque, second)), motions, strict=True)
+    return [(one[: len(motion.time)], two[: len(motion.time)]) for one, two, motion in parts]
+
+
+class TwoMass(Effect):
+    """τ_k = −a d/dt(M_kk ḋ), τ_j = −a M_jk d̈, a near 1: what the joints feel of a motor that leads its link by d.
+
+    A resonance is far narrower than a step of any grid that could be tried in full. So the whole `grid` is tried on the
+    joint itself, where it costs one column each, and only the best of it on all joints.
+    """
+
+    #: (frequency [Hz] of the link on its locked motor, damping ratio, play [rad])
+    grid: ClassVar[tuple[tuple[float, float, float], ...]]
+
+    def settings(self, survey, joints):
+        (k,) = joints
+        tried, columns = self._alone(survey)[k]
+        gain, share = survey.gains_alone(k, columns)
+        possible = np.array([self.plausible({}, {"share": value}) for value in share])
+        order = np.lexsort((-gain, ~possible))
+        return [tried[at] for at in order[:_TRIED]]
+
+    def _alone(self, survey: Survey) -> dict[int, tuple[list[dict[str, float]], np.ndarray]]:
+        """Per joint: what is tried, and (S', len(tried)) torque on that joint alone, all motions in a row."""
+        known = survey.signals[0].__dict__.setdefault("_alone", {})
+        if self.name not in known:
+            tried = {k: self._tried(survey, k) for k in range(survey.reference.robot.dof)}
+            self.prepare(survey.signals, [((k,), entry) for k, entries in tried.items() for entry in entries])
+            known[self.name] = {k: (entries, self._on_joint(survey, k, entries)) for k, entries in tried.items()}
+        return known[self.name]
+
+    def _tried(self, survey: Survey, k: int) -> list[dict[str, float]]:
+        inertia = float(np.mean([s.mass[:, k, k].mean() for s in survey.signals]))
+        return [
+            {"stiffness": inertia * (2 * np.pi * frequency) ** 2, "damping": damping, **({"gap": gap} if gap else {})}
+            for frequency, damping, gap in self.grid
+        ]
+
+    def _on_joint(self, survey: Survey, k: int, tried: Sequence[Mapping[str, float]]) -> np.ndarray:
+        parts = []
+        for signals in survey.signals:
+            parts.append(signals.low_pass(-np.stack([self._lead(signals, k, entry)[0] for entry in tried], axis=1)))
+        return np.concatenate(parts)
+
+    def names(self, settings):
+        return ("share",)
+
+    def prepare(self, motions, wanted):
+        keys = dict.fromkeys(_key(joints[0], settings) for joints, settings in wanted)
+        known = [motion.__dict__.setdefault("_leads", {}) for motion in motions]
+        new = [key for key in keys if any(key not in of_motion for of_motion in known)]
+        if not new:
+            return
+        joints, stiffness, damping, gap = (np.array(part) for part in zip(*new, strict=True))
+        for of_motion, (torque, second) in zip(known, leads(motions, joints, stiffness, gap, damping), strict=True):
+            pairs = zip(torque.T.astype(np.float32), second.T.astype(np.float32), strict=True)
+            of_motion.update(zip(new, pairs, strict=True))
+
+    def _lead(self, signals: Signals, k: int, settings: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        return signals.__dict__["_leads"][_key(k, settings)]
+
+    def columns(self, signals, joints, settings):
+        (k,) = joints
+        self.prepare([signals], [(joints, settings)])
+        torque, second = self._lead(signals, k, settings)
+        others = {j: -(signals.mass[:, j, k] * second)[:, None] for j in range(signals.q.shape[1])}
+        return {**others, k: -torque[:, None].astype(float)}
+
+    def freedom(self, settings):
+        return 2
+
+
+def _key(k: int, settings: Mapping[str, float]) -> tuple[int, float, float, float]:
+    return k, settings["stiffness"], settings["damping"], settings.get("gap", 0.0)

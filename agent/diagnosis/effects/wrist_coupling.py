@@ -8,8 +8,8 @@ from agent.diagnosis.effects.effect import Effect
 class WristCoupling(Effect):
     """Axle j turns at w = q̇_j + r q̇_i, so its rotor and friction act at w on joint j and r-fold on joint i.
 
-    τ_j = a r q̈_i + b r q̇_i + c (s(w) − s(q̇_j)) and τ_i = a r q̈_j + b r q̇_j + c r s(w) + d r τ_axle: the last is
-    the torque that reaches joint i through the coupling and that the measurement does not know of.
+    τ_j = a r q̈_i + b r q̇_i + c (s(w) − s(q̇_j)) and τ_i = a r ẇ + b r w + c r s(w) + d r τ_axle: the last is the
+    torque that reaches joint i through the coupling and that the measurement does not know of.
     """
 
     name = "wrist_coupling"
@@ -20,6 +20,7 @@ class WristCoupling(Effect):
     confused_with = ("friction_change",)
     look_at = "motor_coupling in the robot description; coupling compensation of the controller"
     limits = ("friction_change",)
+    refined = ("ratio",)
 
     def places(self, robot):
         first = max(0, robot.dof - 3)
@@ -44,7 +45,8 @@ class WristCoupling(Effect):
         both, alone = np.tanh(turning / scale), np.tanh(signals.qd[:, j] / scale)
         none = np.zeros(len(both))
         on_j = [ratio * signals.qdd[:, i], ratio * signals.qd[:, i], both - alone, none]
-        on_i = [ratio * signals.qdd[:, j], ratio * signals.qd[:, j], ratio * both, ratio * signals.axle_torque[:, j]]
+        faster = signals.qdd[:, j] + ratio * signals.qdd[:, i]
+        on_i = [ratio * faster, ratio * turning, ratio * both, ratio * signals.axle_torque[:, j]]
         return {i: np.column_stack(on_i), j: np.column_stack(on_j)}
 
     def freedom(self, settings):

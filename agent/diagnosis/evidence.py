@@ -1,0 +1,141 @@
+"""What forms gain where there is nothing to gain, and the smallest effect that stands out against it.
+
+The background is the model's own error. It is no noise: it follows the motion, comes back with every cycle, and is
+correlated over whole moves. So its signs are drawn anew for stretches of a second of the motion, the same for all
+cycles of it: size, correlation and repetition stay, and any likeness to an effect is chance (wild bootstrap: Liu,
+Annals of Statistics 16, 1988; by blocks: Shao, J. American Statistical Association 105, 2010). Every form is then
+fitted and scored out of fold as on the real residual. The highest gain of all forms in all places, over all values of
+their nonlinear parameters, is one draw. So its 99 % point holds for the whole search, and for parameters that mean
+nothing where the effect is absent: a delay, a gap, the speed of a Stribeck curve (Davies, Biometrika 74, 1987).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from agent.diagnosis.fit import Candidate, Fit
+
+DRAWS = 199
+FALSE_ALARMS = 0.01
+POWER = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class Null:
+    """Gains Σ e² / σ² under drawn signs: `highest` (DRAWS,) of all candidates, `own` (DRAWS,) of each.
+
+    An effect of `size` practical sizes changes a candidate's gain by cross (DRAWS,) · size + square · size².
+    """
+
+    highest: np.ndarray
+    own: dict[Candidate, np.ndarray]
+    cross: dict[Candidate, np.ndarray]
+    square: dict[Candidate, float]
+
+    @property
+    def threshold(self) -> float:
+        """Gain that the search as a whole exceeds in one of a hundred cases where there is nothing."""
+        return float(np.quantile(self.highest, 1 - FALSE_ALARMS))
+
+    def chance(self, gain: float) -> float:
+        """Share of draws in which anything anywhere gains as much, at least 1 / (DRAWS + 1)."""
+        return float((1 + np.sum(self.highest >= gain)) / (DRAWS + 1))
+
+    def smallest(self, candidate: Candidate, threshold: float) -> float:
+        """Size, in practical sizes, from which on POWER of the draws gain more than a threshold."""
+        a, b, c = self.square[candidate], self.cross[candidate], self.own[candidate] - threshold
+        if a <= 0:
+            return float("inf")
+        return float(np.quantile((-b + np.sqrt(np.maximum(b * b - 4 * a * c, 0))) / (2 * a), POWER))
+
+
+def null_gains(fit: Fit, candidates: Sequence[Candidate]) -> Null:
+    """Gains of candidates on the background of a fit without effects; those that happen once are left out.
+
+    With X, Z the columns of model and candidate, R = H⁻¹ XᵀZ and Z̃ = Z − X R what the model cannot follow, an error e
+    of the model alone becomes e − Z̃ β on rows held out, which gains 2 βᵀ Z̃ᵀe − βᵀ Z̃ᵀZ̃ β. All of it is linear or
+    quadratic in sums over blocks of rows, so a draw costs their signs only.
+    """
+    wanted = [c for c in candidates if not c.effect.once]
+    ends = np.cumsum([0, *(len(c.names) for c in wanted)])
+    spans = dict(zip(wanted, (slice(a, b) for a, b in pairwise(ends)), strict=True))
+    unit, fold_of, block_of = _units(fit)
+    background = _background(fit)
+    signs = np.random.default_rng(0).choice((-1.0, 1.0), (DRAWS, int(block_of.max()) + 1))[:, block_of]
+    model, effects = np.zeros((len(fold_of), fit.size)), np.zeros((len(fold_of), int(ends[-1])))
+    for joint, (rows, index) in enumerate(zip(fit.rows, fit.index, strict=True)):
+        target = background[:, joint, None]
+        model[:, index] += _sums(rows[:, :-1] * target, unit)
+        here = [c for c in wanted if joint in c.blocks]
+        if here:
+            places = np.concatenate([np.arange(ends[-1])[spans[c]] for c in here])
+            effects[:, places] += _sums(np.hstack([c.blocks[joint] for c in here]) * target, unit)
+    own, cross = ({c: np.zeros(DRAWS) for c in wanted} for _ in range(2))
+    square = dict.fromkeys(wanted, 0.0)
+    direction = {c: fit.practical(c) for c in wanted}
+    moments = dict(fit.moments(wanted))
+    for number, fold in enumerate(fit.folds):
+        test, train = fold_of == number, fold_of != number
+        x_test, x_train = signs[:, test] @ model[test], signs[:, train] @ model[train] / fit.repeat
+        z_test, z_train = signs[:, test] @ effects[test], signs[:, train] @ effects[train] / fit.repeat
+        inverse = fit.solve(fold.train)[0]
+        change = x_train @ inverse
+        gram = fit.gram[fold.test].sum(axis=0)[:-1, :-1]
+        for c in wanted:
+            both, alone = moments[c]
+            x_z = both[fold.train].sum(axis=0)[:-1] / fit.repeat
+            follows = inverse @ x_z
+            schur = alone[fold.train].sum(axis=0) / fit.repeat - x_z.T @ follows
+            schur += np.diag(fit.ridge(c, np.maximum(alone.sum(axis=0).diagonal(), 1e-9)))
+            values = np.linalg.solve(schur, (z_train[:, spans[c]] - x_train @ follows).T).T
+            x_z_test = both[fold.test].sum(axis=0)[:-1]
+            beyond = x_z_test - gram @ follows
+            slope = z_test[:, spans[c]] - x_test @ follows - change @ beyond
+            energy = alone[fold.test].sum(axis=0) - follows.T @ x_z_test - beyond.T @ follows
+            own[c] += np.sum(values * (2 * slope - values @ energy), axis=1)
+            cross[c] += 2 * slope @ direction[c]
+            square[c] += float(direction[c] @ energy @ direction[c])
+    return Null(np.max(np.stack(list(own.values())), axis=0), own, cross, square)
+
+
+def _units(fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(S',) unit of every row, and of each unit its fold and its block; rows in no fold get unit -1."""
+    fold = np.full(len(fit.cell), -1)
+    for number, entry in enumerate(fit.folds):
+        fold[np.isin(fit.cell, np.flatnonzero(entry.test))] = number
+    blocks = int(fit.block.max()) + 1
+    found, unit = np.unique(np.where(fold < 0, -1, fold * blocks + fit.block), return_inverse=True)
+    outside = int(found[0] < 0)
+    return unit - outside, found[outside:] // blocks, found[outside:] % blocks
+
+
+def _sums(rows: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """(U, k) sums of rows (S', k) over each unit."""
+    order = np.argsort(unit, kind="stable")
+    order = order[unit[order] >= 0]
+    starts = np.flatnonzero(np.diff(unit[order], prepend=-1))
+    return np.add.reduceat(rows[order], starts, axis=0)
+
+
+def _background(fit: Fit) -> np.ndarray:
+    """(S', n) held-out error over σ; where a gap is to be explained, scaled down to what a model usually gets wrong."""
+    error = np.nan_to_num(fit.out_of_fold() / fit.sigma)
+    size = np.sqrt(np.mean(error**2, axis=0))
+    return error / np.maximum(size, 1.0)
+
+
+def share_intervals(rows: np.ndarray, floor: np.ndarray, block: np.ndarray, confidence: float = 0.9) -> np.ndarray:
+    """(n, 2) interval of each joint's share of Σ (B² − F²): blocks of the errors (S', n) drawn with replacement."""
+    good = ~np.isnan(rows[:, 0])
+    found, unit = np.unique(block[good], return_inverse=True)
+    energy = _sums(rows[good] ** 2, unit)
+    count = np.bincount(unit)
+    drawn = np.random.default_rng(0).integers(len(found), size=(DRAWS, len(found)))
+    excess = np.maximum(energy[drawn].sum(axis=1) / count[drawn].sum(axis=1)[:, None] - floor**2, 0)
+    share = excess / np.maximum(excess.sum(axis=1, keepdims=True), 1e-300)
+    tail = 0.5 * (1 - confidence)
+    return np.quantile(share, (tail, 1 - tail), axis=0).T
