@@ -43,8 +43,10 @@ class IdentifiedModel:
     Its p parameters are b base parameters (rotor inertias among them), then the friction terms: values (p,) and
     covariance (p, p). `independent`, `projection` and `combinations` are those of `agent.robot.base_parameters`;
     `residual_rmse` and `held_out_rmse` (n,) [N·m] are of the fit and of its cross-validation, standstill included;
-    `weights` (2, n) are the fit's, moving and at standstill; `cutoff` [Hz] and `order` are the filter's; `standard`
-    (10 n + n,) are physical inertial parameters behind the base parameters, where the method found them.
+    `weights` (2, n) are the fit's, in motion and at standstill; `group_rmse` (2, n) is the held-out RMSE of the same
+    groups, and `standstill_speed` (n,) up to which a joint stands still (None in older files); `cutoff` [Hz] and
+    `order` are the filter's; `standard` (10 n + n,) are physical inertial parameters behind the base parameters, where
+    the method found them.
     """
 
     robot: RobotDescription
@@ -63,6 +65,8 @@ class IdentifiedModel:
     held_out_rmse: np.ndarray
     condition_number: float
     standard: np.ndarray | None = None
+    group_rmse: np.ndarray | None = None
+    standstill_speed: np.ndarray | None = None
     notes: tuple[str, ...] = ()
     effects: tuple[ModelEffect, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -120,15 +124,21 @@ class IdentifiedModel:
             torque = torque + _effect(entry)(self, entry, motion, torque)
         return torque, friction
 
-    def prediction_interval(self, columns: np.ndarray, probability: float = 0.95) -> np.ndarray:
+    def prediction_interval(
+        self, columns: np.ndarray, speed: np.ndarray | None = None, probability: float = 0.95
+    ) -> np.ndarray:
         """(S, n) half width [N·m] around a prediction from regressor columns (S, n, p), filtered as it is.
 
-        The variance is that of the parameters, xᵀ Σ x, and that of the residuals.
+        The variance is that of the parameters, xᵀ Σ x, and that of held-out rows: in motion, or at standstill where the
+        joints' `speed` (S, n) is given and says so, since stiction leaves friction open there.
         """
         from scipy.special import ndtri
 
         variance = np.einsum("snp,pq,snq->sn", columns, self.covariance, columns, optimize=True)
-        return float(ndtri(0.5 + probability / 2)) * np.sqrt(variance + self.residual_rmse**2)
+        rest = self.residual_rmse
+        if speed is not None and self.group_rmse is not None:
+            rest = np.where(np.abs(speed) > self.standstill_speed, *self.group_rmse)
+        return float(ndtri(0.5 + probability / 2)) * np.sqrt(variance + rest**2)
 
     @property
     def _friction_share(self) -> np.ndarray:
@@ -213,6 +223,8 @@ class IdentifiedModel:
             "weights": self.weights.tolist(),
             "residual_rmse": self.residual_rmse.tolist(),
             "held_out_rmse": self.held_out_rmse.tolist(),
+            "group_rmse": None if self.group_rmse is None else self.group_rmse.tolist(),
+            "standstill_speed": None if self.standstill_speed is None else self.standstill_speed.tolist(),
             "condition_number": self.condition_number if np.isfinite(self.condition_number) else None,
             "notes": list(self.notes),
             "provenance": self.provenance,
@@ -289,13 +301,19 @@ class IdentifiedModel:
             residual_rmse=np.array(data["residual_rmse"], dtype=float),
             held_out_rmse=np.array(data["held_out_rmse"], dtype=float),
             condition_number=np.inf if condition is None else float(condition),
-            standard=None if data["standard_parameters"] is None else np.array(data["standard_parameters"]),
+            standard=_optional(data, "standard_parameters"),
+            group_rmse=_optional(data, "group_rmse"),
+            standstill_speed=_optional(data, "standstill_speed"),
             notes=tuple(data["notes"]),
             effects=tuple(ModelEffect(e["effect"], tuple(e["joints"]), dict(e["parameters"])) for e in data["effects"]),
             provenance=data["provenance"],
         )
         check_model(model)
         return model
+
+
+def _optional(data: dict[str, Any], key: str) -> np.ndarray | None:
+    return None if data.get(key) is None else np.array(data[key], dtype=float)
 
 
 def _axle(robot: RobotDescription, joint: str) -> int:

@@ -30,9 +30,15 @@ def check_model(model: IdentifiedModel) -> None:
         "residual_rmse": (model.residual_rmse, (n,)),
         "held_out_rmse": (model.held_out_rmse, (n,)),
         "weights": (model.weights, (2, n)),
-        "standard_parameters": (np.zeros(11 * n) if model.standard is None else model.standard, (11 * n,)),
+        "standard_parameters": (model.standard, (11 * n,)),
+        "group_rmse": (model.group_rmse, (2, n)),
+        "standstill_speed": (model.standstill_speed, (n,)),
     }
+    if (model.group_rmse is None) != (model.standstill_speed is None):
+        raise ValueError("group_rmse and standstill_speed belong together")
     for key, (array, shape) in arrays.items():
+        if array is None:
+            continue
         if array.shape != shape:
             raise ValueError(f"{key} is an array of {shape} for {n} joints, not of {array.shape}")
         if not np.isfinite(array).all():

@@ -118,5 +118,10 @@ def collect(
 
 def standstill(observation: Observation) -> list[np.ndarray]:
     """Per stretch (S', n) bool: where a joint stands still, so that its friction is anything within stiction."""
-    fastest = np.max([np.abs(stretch.speed).max(axis=0) for stretch in observation.stretches], axis=0)
-    return [np.abs(stretch.speed) <= _STANDSTILL * fastest for stretch in observation.stretches]
+    slowest = standstill_speed(observation)
+    return [np.abs(stretch.speed) <= slowest for stretch in observation.stretches]
+
+
+def standstill_speed(observation: Observation) -> np.ndarray:
+    """(n,) [rad/s] up to which a joint counts as standing still."""
+    return _STANDSTILL * np.max([np.abs(stretch.speed).max(axis=0) for stretch in observation.stretches], axis=0)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from agent.estimation.model import IdentifiedModel
+from agent.estimation.moments import Moments, standstill_speed
 from agent.estimation.observation import Observation
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.solving import autocorrelation_time
@@ -50,9 +51,19 @@ def build_model(
         held_out_rmse=np.sqrt(found.held_out.sum(axis=(0, 1)) / rows),
         condition_number=condition_number(moments.weighted(found.weights)),
         standard=found.standard,
+        group_rmse=_group_rmse(moments, found),
+        standstill_speed=standstill_speed(observation),
         provenance=_provenance(observation, logs),
     )
     return replace(model, notes=tuple(_notes(model, problem, found, times, len(logs))))
+
+
+def _group_rmse(moments: Moments, found: Estimate) -> np.ndarray:
+    """(2, n) held-out RMSE in motion, and at standstill: not below that in motion, which does where none stands."""
+    rows = moments.rows.sum(axis=0)
+    moving, still = np.sqrt(found.held_out.sum(axis=0) / np.maximum(rows, 1))
+    moving = np.where(rows[0] > 0, moving, still)
+    return np.stack([moving, np.maximum(moving, still)])
 
 
 def condition_number(total: np.ndarray) -> float:

@@ -57,8 +57,8 @@ class Prediction:
         parts = []
         for motion in self._motions:
             columns = self.model.columns(motion.q, motion.qd, motion.qdd)
-            flat = motion.low_pass(columns.reshape(len(columns), -1))
-            parts.append(self.model.prediction_interval(flat.reshape(-1, *columns.shape[1:])))
+            flat = motion.low_pass(columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
+            parts.append(self.model.prediction_interval(flat, motion.low_pass(motion.qd)))
         return np.concatenate(parts)
 
 
