@@ -8,6 +8,7 @@ import os
 import shutil
 import socket
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +16,8 @@ from pathlib import Path
 
 import pytest
 
-SHARED = Path(__file__).resolve().parents[1] / "../shared/data"
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = ROOT / "../shared/data"
 
 
 @pytest.fixture(scope="session")
@@ -50,6 +52,56 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> str:
     (folder / "arm.urdf").write_text(URDF, encoding="utf-8")
     (folder / "robot.yaml").write_text(DESCRIPTION, encoding="utf-8")
     return str(folder / "robot.yaml")
+
+
+class Emulator:
+    """The fake controller as a process, as users meet it; as fast as it goes, where nothing else is said."""
+
+    def __init__(self, *options: str) -> None:
+        command = [sys.executable, "-m", "fake_controller", "--robot", "comau_ns16", "--port", "0", "--seed", "7"]
+        command += ["--clock", "fast", "--watchdog", "5"]  # the machine that runs the tests may stall
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        self.process = subprocess.Popen(
+            [*command, *options], stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment
+        )
+        assert self.process.stdout is not None
+        self.greeting = self.process.stdout.readline()
+        self.address = self.greeting.split(" at ")[1].split(", clock")[0]
+
+    def end(self) -> None:
+        """As a power cut does."""
+        self.process.kill()
+        self.process.wait()
+
+
+@contextlib.contextmanager
+def emulators() -> Iterator[Callable[..., Emulator]]:
+    """A function that starts one with more options; all end with the context."""
+    running: list[Emulator] = []
+
+    def start(*options: str) -> Emulator:
+        running.append(Emulator(*options))
+        return running[-1]
+
+    try:
+        yield start
+    finally:
+        for one in running:
+            one.end()
+
+
+@pytest.fixture
+def start_controller() -> Iterator[Callable[..., Emulator]]:
+    """Starts fake controllers with more options; all end with the test."""
+    with emulators() as start:
+        yield start
+
+
+@pytest.fixture(scope="session")
+def start_lasting_controller() -> Iterator[Callable[..., Emulator]]:
+    """The same for the whole session."""
+    with emulators() as start:
+        yield start
 
 
 class Broker:

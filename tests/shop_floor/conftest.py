@@ -49,47 +49,14 @@ def agent(folder: Path, *arguments: str | Path, **environment: str) -> subproces
     )
 
 
-class FakeController:
-    """The emulator as a process."""
-
-    def __init__(self, *options: str, port: int = 0):
-        command = [sys.executable, "-m", "fake_controller", "--robot", "comau_ns16", "--port", str(port)]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        self.process = subprocess.Popen(
-            [*command, "--clock", "fast", *options], stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment
-        )
-        assert self.process.stdout is not None
-        self.address = self.process.stdout.readline().split(" at ")[1].split(",")[0]
-
-    def end(self) -> None:
-        self.process.kill()
-        self.process.wait()
-
-
 @pytest.fixture(scope="session")
-def controller() -> Iterator[FakeController]:
+def controller(start_lasting_controller: Callable[..., Any]) -> Any:
     """One machine for the whole session, serial FAKE-0007."""
-    running = FakeController("--seed", "7")
-    yield running
-    running.end()
-
-
-@pytest.fixture
-def start_controller() -> Iterator[Callable[..., FakeController]]:
-    """Starts fake controllers with more options; all end with the test."""
-    running: list[FakeController] = []
-
-    def start(*options: str) -> FakeController:
-        running.append(FakeController(*options))
-        return running[-1]
-
-    yield start
-    for one in running:
-        one.end()
+    return start_lasting_controller()
 
 
 @pytest.fixture(scope="session")
-def calibrated(controller: FakeController, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def calibrated(controller: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a recipe, its stored loop, and one accepted calibration in `logs`. Not to be changed."""
     folder = tmp_path_factory.mktemp("calibrated")
     (folder / "recipe.yaml").write_text(RECIPE.format(address=controller.address, every="1 s"), encoding="utf-8")
