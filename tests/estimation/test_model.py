@@ -140,3 +140,19 @@ def test_the_interval_grows_where_the_data_were_silent(model, motion):
     far = model.prediction_interval(model.columns(q, 20 * qd, 20 * qdd))
     assert np.all(near >= 1.9 * model.residual_rmse)
     assert np.all(far.mean(axis=0) > near.mean(axis=0))
+
+
+def test_bounds_tell_motion_from_standstill(model, motion):
+    columns = model.columns(*motion)
+    cautious = replace(model, group_rmse=np.array([[1.0] * 3, [5.0] * 3]), standstill_speed=np.full(3, 0.1))
+    fast, slow = (cautious.prediction_interval(columns, np.full(motion[0].shape, speed)) for speed in (-0.2, 0.05))
+    assert np.allclose(slow**2 - fast**2, 1.95996**2 * 24, rtol=1e-4)
+
+
+def test_a_file_from_before_the_groups_is_read(model, motion, tmp_path):
+    data = model.to_dict()
+    del data["group_rmse"], data["standstill_speed"]
+    (tmp_path / "old.json").write_text(json.dumps(data), encoding="utf-8")
+    old = IdentifiedModel.load(tmp_path / "old.json")
+    columns = model.columns(*motion)
+    assert np.array_equal(old.prediction_interval(columns, motion[1]), old.prediction_interval(columns))
