@@ -262,11 +262,12 @@ class CnrDriver:
             )
         broker = self._broker
         if broker is not None:
-            broker.joiner.take()
+            broker.check(self._timeout)
             broker.joiner.forget_counts()
         patience = max(_SAMPLE_PATIENCE, 2 * self._machine.watchdog)
         arm = Arm(joints, self.identify().period, self.torque_per_ampere)
-        motion = CnrMotion(arm, self._buffer_limit, broker is not None, is_over, patience, self._what_is_silent)
+        silent = None if broker is None else broker.silent
+        motion = CnrMotion(arm, self._buffer_limit, is_over, patience, silent)
         self._motion = motion
         assert self._sockets is not None
         self._sockets.guarded = True
@@ -309,13 +310,6 @@ class CnrDriver:
         if self._sockets is not None:
             self._sockets.guarded = False
 
-    def _what_is_silent(self) -> str:
-        broker = self._broker
-        if broker is None:
-            return "the broker was left"
-        topics = ", ".join(f"{self._address.topic}/{name}" for name in broker.joiner.silent_channels())
-        return f"nothing on {topics} at {broker.peer}; does the C5G Open node still run?"
-
     # From here on in the reader thread of the sockets, but for `_on_loss`.
 
     def _on_turn(self, feedbacks: list[Feedback]) -> None:
@@ -323,6 +317,7 @@ class CnrDriver:
         if broker is not None:
             times, values = broker.joiner.take()
             if motion is not None:
+                motion.clock_reset |= broker.joiner.restarts > 0
                 motion.samples(times, values)
         if motion is None or sockets is None or motion.motion.over:
             return

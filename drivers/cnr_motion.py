@@ -16,14 +16,18 @@ from drivers.protocol import SampleBlock
 from drivers.wire.cnr import Feedback, Mode, Status
 from drivers.wire.reasons import EndReason
 
-#: Rest that is kept before the set-points begin to change [s].
-_BEFORE = 0.1
+#: Rest that is kept before the set-points begin to change and after they have changed for the last time [s].
+_BEFORE, _AFTER = 0.1, 0.1
+#: Rest on the way that is longer [s] is handed on before the motion continues.
+_LONGEST = 5.0
 #: Set-points that change by less rest [rad, or m].
 _STILL = np.radians(1e-4)
 #: An arm that rests is seen to rest within this [rad, or m].
 _REST = np.radians(0.02)
 #: Without a flag that says so, an arm is moving until it has rested for so long [s].
 _RESTING = 0.2
+#: A clock that goes back by more [s] was set anew.
+_BACK = 0.1
 #: So many feedbacks in a row say that the arm rests before a stop by the controller is believed.
 _BELIEVED = 10
 #: A program that a person started is over when the arm has rested for so long [s]; a DELAY in it must be shorter.
@@ -51,33 +55,35 @@ class CnrMotion:
     Args:
         arm: see there.
         limit: bytes that may wait for the consumer.
-        broker: whether samples come from the broker; from the feedbacks otherwise.
         is_over: whether a feedback says that the motion has run to its end; None where only rest can tell.
         patience: s without a sample before the source is taken for dead.
-        silent: names what the broker lacks, for the message.
+        silent: names what the broker lacks, for the message; None where samples come from the feedbacks.
     """
 
     def __init__(
         self,
         arm: Arm,
         limit: int,
-        broker: bool,
         is_over: Callable[[Feedback], bool] | None,
         patience: float,
-        silent: Callable[[], str],
+        silent: Callable[[], str] | None,
     ) -> None:
         self.motion = Motion(limit)
         self.started = False  # set by the driver when the controller has said so
-        self.match = ClockMatch() if broker else None
+        self.match = None if silent is None else ClockMatch()
+        self.clock_reset = False  # a clock went back: somebody counts anew, and no time can be trusted
         self.begun_at: float | None = None  # sample time [s] of the first change of the set-points
         self._arm = arm
         self._is_over = is_over
         self._patience = patience
         self._silent = silent
-        self._moved = False
+        self._moved = self._paused = False
         self._quiet = 0
+        self._time = -np.inf  # controller time of the last feedback [s]
         self._rest: tuple[float, np.ndarray] | None = None  # since when the arm rests, and where
-        self._before: list[tuple[np.ndarray, np.ndarray]] = []
+        self._held: list[tuple[np.ndarray, np.ndarray]] = []
+        self._changed_at = 0.0  # sample time [s] of the last change of the set-points
+        self._seen = -np.inf  # sample time [s] of the last sample that came
         self._target: np.ndarray | None = None
         self._sequence = 0
         self._latest: float | None = None
@@ -92,10 +98,21 @@ class CnrMotion:
         """Whether the arm was seen to move."""
         return self._moved or self.begun_at is not None
 
+    def pause(self) -> None:
+        """The arm rests by intention, until `resume` (from any thread)."""
+        self._paused = True
+
+    def resume(self) -> None:
+        """The arm is about to move on."""
+        self._moved, self._quiet, self._paused = False, 0, False
+
     def feedbacks(self, feedbacks: list[Feedback], status: Status) -> None:
         """What the controller said of itself."""
         for feedback in feedbacks:
             now, position = feedback.time * 1e-3, np.radians(feedback.joints[: self._arm.joints])
+            if now < self._time - _BACK:
+                self.clock_reset = True
+            self._time = now
             if self.match is not None:
                 self.match.feedback(now, position)
             if self._end is not None:
@@ -114,9 +131,16 @@ class CnrMotion:
         values[:, :_CURRENT] = np.radians(values[:, :_CURRENT])
         assert self.match is not None
         self.match.samples(times, values[:, _POSITION])
+        self._seen = float(times[-1])
+        changed = self._changes(values[:, _TARGET])
         if self.begun_at is None:
-            times, values = self._wait_for_motion(times, values)
-        self._give(times, values)
+            self._wait_for_motion(times, values, changed)
+        else:
+            self._held.append((times, values))
+            if len(changed):
+                self._changed_at = float(times[changed[-1]])
+        if self.begun_at is not None:
+            self._give_but_rest()
 
     def turn(self) -> DriverError | None:
         """Called all the time: ends the motion where it is over; returns what is wrong, if anything is."""
@@ -124,13 +148,15 @@ class CnrMotion:
         passed, self._turned = min(now - self._turned, _TURN), now
         if self.motion.over:
             return None
+        if self.clock_reset:
+            return DriverError("a clock of the controller went back while the arm moved: it was restarted; look at it")
         self._silence += passed
         if self._end is not None:
             self._drained += passed
             if self.match is None or self._is_complete(self.match):
                 reason, message = self._end
                 self.motion.ended(reason, self._sequence, message)
-        elif self.match is None or not self.started:
+        elif self._silent is None or not self.started:
             self._silence = 0.0
         elif self._silence > self._patience:
             return DriverError(f"no whole sample for {self._patience:g} s while the arm may move: {self._silent()}")
@@ -146,24 +172,22 @@ class CnrMotion:
             self._moved, self._quiet = True, 0
             return
         self._quiet += 1
-        stopping = self.motion.stopping
-        if not (self.started or stopping):
-            return
-        if over:
-            self._over(EndReason.DONE, "", now)
-        elif stopping:
+        if self.motion.stopping:
             if self._quiet > 1:
-                self._over(EndReason.STOPPED, "", now)
-        elif (
-            self._moved and self._quiet >= _BELIEVED and (self._is_over is not None or stop_reason(status) is not None)
-        ):
-            reason, message = stop_reason(status) or (
-                EndReason.STOPPED,
-                f"it rests after point {feedback.last_point_processed}, before the end; was it stopped by hand?",
-            )
-            self._over(reason, message, now)
-        elif self._is_over is None and self.begun and rested > HAND_REST:
-            self._over(EndReason.DONE, "", now)
+                self._over((EndReason.STOPPED, ""), now)
+        elif over and self.started:
+            self._over((EndReason.DONE, ""), now)
+        elif self.started and self._moved and not self._paused and self._quiet >= _BELIEVED:
+            self._account_for_rest(status, now, rested)
+
+    def _account_for_rest(self, status: Status, now: float, rested: float) -> None:
+        """The arm has moved and rests, and has not said that it is at the end."""
+        reason = stop_reason(status)
+        if self._is_over is not None or reason is not None:
+            by_hand = EndReason.STOPPED, "it rests before the end of its motion; was it stopped by hand?"
+            self._over(reason or by_hand, now)
+        elif rested > HAND_REST:
+            self._over((EndReason.DONE, ""), now)
 
     def _rested(self, now: float, position: np.ndarray) -> float:
         """For how long [s] the arm has rested."""
@@ -173,8 +197,8 @@ class CnrMotion:
             self._rest = now, position
         return now - self._rest[0]
 
-    def _over(self, reason: EndReason, message: str, now: float) -> None:
-        self._end, self._end_time = (reason, message), now
+    def _over(self, end: tuple[EndReason, str], now: float) -> None:
+        self._end, self._end_time = end, now
         self._drained = 0.0
 
     def _is_complete(self, match: ClockMatch) -> bool:
@@ -188,34 +212,37 @@ class CnrMotion:
 
     # Samples.
 
-    @property
-    def _seen(self) -> float:
-        return -np.inf if self._latest is None else self._latest
-
-    def _wait_for_motion(self, times: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Nothing while the set-points rest; with their first change, all of it and a little of the rest before."""
-        targets = values[:, _TARGET]
+    def _changes(self, targets: np.ndarray) -> np.ndarray:
+        """At which of the next set-points (K, n) they change."""
         before = targets[:1] if self._target is None else self._target[None, :]
-        steps = np.abs(np.diff(np.concatenate([before, targets]), axis=0)).max(axis=1)
         self._target = targets[-1]
-        self._before.append((times, values))
-        changed = np.flatnonzero(steps > _STILL)
+        return np.flatnonzero(np.abs(np.diff(np.concatenate([before, targets]), axis=0)).max(axis=1) > _STILL)
+
+    def _wait_for_motion(self, times: np.ndarray, values: np.ndarray, changed: np.ndarray) -> None:
+        """Keep a little rest until the set-points change; then it is a part of the motion."""
+        self._held.append((times, values))
         if len(changed) == 0:
-            while len(self._before) > 1 and self._before[1][0][0] < times[-1] - _BEFORE:
-                del self._before[0]
-            return times[:0], values[:0]
-        start = len(times) - int(changed[0])
-        times = np.concatenate([t for t, _ in self._before])
-        values = np.concatenate([v for _, v in self._before])
-        self._before = []
-        self.begun_at = float(times[len(times) - start])
-        holes = np.flatnonzero(np.diff(times[: len(times) - start + 1]) > 1.5 * self._arm.period)
+            while len(self._held) > 1 and self._held[1][0][0] < times[-1] - _BEFORE:
+                del self._held[0]
+            return
+        self.begun_at = self._changed_at = float(times[changed[0]])
+        times, values = self._take_held()
+        holes = np.flatnonzero(np.diff(times[times <= self.begun_at]) > 1.5 * self._arm.period)
         first = max(int(np.searchsorted(times, self.begun_at - _BEFORE)), int(holes[-1]) + 1 if len(holes) else 0)
-        return times[first:], values[first:]
+        self._held.append((times[first:], values[first:]))
+
+    def _take_held(self) -> tuple[np.ndarray, np.ndarray]:
+        held, self._held = self._held, []
+        return np.concatenate([times for times, _ in held]), np.concatenate([values for _, values in held])
+
+    def _give_but_rest(self) -> None:
+        """Hand on what is held back, but for rest that may be the end of the motion."""
+        times, values = self._take_held()
+        last = int(np.searchsorted(times, max(self._changed_at + _AFTER, times[-1] - _LONGEST), side="right"))
+        self._held.append((times[last:], values[last:]))
+        self._give(times[:last], values[:last])
 
     def _give(self, times: np.ndarray, values: np.ndarray) -> None:
-        if self._end is not None:
-            times, values = self._before_the_end(times, values)
         if len(times) == 0:
             return
         last = times[0] - self._arm.period if self._latest is None else self._latest
@@ -238,16 +265,6 @@ class CnrMotion:
                     current=part[:, _CURRENT],
                 )
             )
-
-    def _before_the_end(self, times: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Without what came after the arm rested; the first sample after it is kept, it says that all are there."""
-        assert self.match is not None
-        alignment = self.match.alignment()
-        if alignment is None:
-            return times, values
-        end = alignment.sample_time(self._end_time)
-        count = int(np.searchsorted(times, end)) + 1 if self._seen < end else 0
-        return times[:count], values[:count]
 
     def _from_feedback(self, feedback: Feedback, now: float, position: np.ndarray) -> None:
         current = np.array([feedback.currents[: self._arm.joints]])

@@ -80,6 +80,7 @@ class PointDriver(CnrDriver):
             while feeder.go_on(motion):
                 self._command_start(sockets, "the start of the next trajectory", Point())
                 feeder.started()
+                motion.resume()
         except DriverError as error:
             if not motion.motion.over:
                 self._end_with(sockets, motion, error)
@@ -140,6 +141,7 @@ class _Feeder:
                 break
         if motion.motion.over or motion.motion.stopping or self._at == len(self._trajectories) - 1:
             return False
+        motion.pause()
         self._at, self._sent, self._finished, self._running = self._at + 1, 0, False, False
         self.fill(motion)
         return not motion.motion.stopping

@@ -17,6 +17,7 @@ from drivers.wire import cnr as wire
 _PATIENCE = 125  # periods that a sample waits for what is missing of it
 _SAME = 0.45  # of a period: how far the times of one sample's messages may lie apart
 _MOST_WAITING = 20_000  # samples; beyond, the times make no sense
+_BACK_US = 1_000_000  # µs: no message is later than that
 _KEEP_ALIVE = 5  # s
 
 
@@ -45,9 +46,12 @@ class Joiner:
 
     def __init__(self, channels: Sequence[str], period: float) -> None:
         self.counts = Counts()
+        self.restarts = 0  # how often time has gone back further than any message is late
         self._channels = tuple(channels)
         self._period = period
         self._lock = threading.Lock()
+        self._came = threading.Condition(self._lock)
+        self._count = 0  # whole samples
         self._times: list[int] = []  # of what waits, sorted
         self._waiting: dict[int, list[tuple[float, ...] | None]] = {}
         self._whole: list[tuple[int, list[Any]]] = []
@@ -57,6 +61,8 @@ class Joiner:
     def add(self, channel: int, time_us: int, values: tuple[float, ...]) -> None:
         """One message."""
         with self._lock:
+            if time_us < self._given - _BACK_US:
+                self._begin_anew()
             key = self._find(channel, time_us)
             if key is None:
                 if time_us <= self._given + _SAME * self._period:
@@ -85,13 +91,15 @@ class Joiner:
         return np.array([key for key, _ in whole], np.int64), np.array([row for _, row in whole])
 
     def forget_counts(self) -> None:
-        """Count anew, and leave out what waits for messages from before."""
+        """Count anew from here on."""
         with self._lock:
-            self.counts = Counts()
-            stale = [key for key in self._times if None in self._waiting[key]]
-            for key in stale:
-                del self._waiting[key]
-            self._times = [key for key in self._times if key in self._waiting]
+            self.counts, self.restarts = Counts(), 0
+
+    def wait(self, timeout: float) -> bool:
+        """Wait for the next whole sample; False if none comes in time [s]."""
+        with self._came:
+            wanted = self._count + 1
+            return self._came.wait_for(lambda: self._count >= wanted, timeout)
 
     def silent_channels(self) -> list[str]:
         """Names of the channels that the samples which wait are waiting for; all of them where nothing waits."""
@@ -99,6 +107,11 @@ class Joiner:
             rows = list(self._waiting.values())
         absent = [name for k, name in enumerate(self._channels) if all(row[k] is None for row in rows)]
         return absent or list(self._channels)
+
+    def _begin_anew(self) -> None:
+        self.restarts += 1
+        self._times, self._waiting = [], {}
+        self._given = self._newest = -(2**62)
 
     def _find(self, channel: int, time_us: int) -> int | None:
         """The sample that a message belongs to, by its time."""
@@ -132,6 +145,8 @@ class Joiner:
                         self.counts.missing[name] = self.counts.missing.get(name, 0) + 1
             else:
                 self._whole.append((key, row))
+                self._count += 1
+                self._came.notify_all()
             self._given = key
             del self._times[0], self._waiting[key]
 
@@ -196,6 +211,23 @@ class BrokerLink:
             self._client.disconnect()
         self._client.loop_stop()
 
+    def check(self, timeout: float) -> None:
+        """The broker is there, and samples come.
+
+        Raises:
+            DriverError: it is not, or they do not.
+        """
+        came = self._fault is None and self.joiner.wait(timeout)
+        if self._fault is not None:
+            raise self._fault
+        if not came:
+            raise DriverError(f"no whole sample came within {timeout:g} s: {self.silent()}")
+
+    def silent(self) -> str:
+        """What the broker lacks, for a message."""
+        topics = ", ".join(f"{self._topic}/{name}" for name in self.joiner.silent_channels())
+        return f"nothing on {topics} at {self.peer}; does the C5G Open node run, and are the drives on?"
+
     def _wait_for_all(self, timeout: float) -> None:
         self._ready.wait(timeout)
         if self._fault is not None:
@@ -204,7 +236,7 @@ class BrokerLink:
         if quiet:
             raise DriverError(
                 f"the broker at {self.peer} has nothing on {', '.join(quiet)} within {timeout:g} s; does the C5G Open "
-                "node run, and are the drives on? topic= in the address says what stands before the names"
+                "node run, and are the drives on? If its topics have other names: topic= in the address"
             )
 
     # From here on in the thread of the broker's client.
@@ -243,8 +275,3 @@ class BrokerLink:
         if self._ready.is_set():
             self._on_loss(error)
         self._ready.set()
-
-
-def measured_period(times_us: np.ndarray) -> float:
-    """Median distance [s] of times (K,) [µs]; NaN for fewer than two."""
-    return float(np.median(np.diff(times_us))) * 1e-6 if len(times_us) > 1 else float("nan")

@@ -15,6 +15,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
 from enum import IntEnum
+from operator import itemgetter
 from typing import Any, ClassVar
 
 from drivers.errors import ProtocolError
@@ -250,6 +251,7 @@ CURRENTS = "motor_currents"
 CHANNELS = (POSITIONS, VELOCITIES, TARGET_POSITIONS, TARGET_VELOCITIES, CURRENTS)
 
 _KEYS = tuple(f"J{axis}" for axis in range(1, AXES + 1))
+_values = itemgetter(*_KEYS)
 
 
 def encode_joints(values: Sequence[float], time_us: int) -> bytes:
@@ -265,11 +267,12 @@ def decode_joints(payload: bytes) -> tuple[int, tuple[float, ...]]:
         ProtocolError: not such a message.
     """
     try:
-        data = json.loads(payload.rstrip(b"\0"))
-        time_us, values = int(data["time"]), tuple(float(data[key]) for key in _KEYS)
+        data = json.loads(payload.rstrip(b"\0").decode())
+        time_us, values = int(data["time"]), _values(data)
+        finite = all(map(math.isfinite, values))
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise ProtocolError(f"not a message of the C5G Open node: {type(error).__name__}: {error}") from None
-    if not all(map(math.isfinite, values)):
+    if not finite:
         raise ProtocolError("a message of the C5G Open node has values that are no numbers")
     return time_us, values
 
