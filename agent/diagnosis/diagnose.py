@@ -35,7 +35,7 @@ def diagnose(
         raise InputError("no logs were given, so there is nothing to diagnose")
     check_effects(without)
     dataset = assemble(robot, model, logs, cutoff)
-    search = Search(dataset.fit, without)
+    search = Search(dataset.fit, without, dataset.given)
     finding = search.run()
     return build(dataset, finding, search, motion_gap(logs), tuple(_warnings(robot, logs, model is not None)))
 

@@ -20,7 +20,8 @@ EXCESS = 0.6  # over the background on one joint before something counts as unex
 NEAR = 0.04  # of what is explained: forms this close are told apart by simplicity alone
 NEAR_FLOOR = 0.02
 ALIKE = 0.01  # of what is explained: forms this close in the end cannot be told apart
-PRACTICAL = 0.003  # of nominal, root mean square torque of an effect where it acts most
+STANDS_OUT = 0.25  # of its gain must be energy over the background on its joints, log by log
+PRACTICAL = 0.005  # of nominal, root mean square: a smaller effect, or gap over the background, does not matter
 UNFIT = 0.5  # of what a cause leaves, explained by a shape of its own kind
 MOST = 3
 _FIRSTS = 4
@@ -63,10 +64,10 @@ class Finding:
 
 
 class Search:
-    """A catalogue tried on a fit."""
+    """A catalogue tried on a fit; `given`: to a model from elsewhere, whose error without an effect is known."""
 
-    def __init__(self, fit: Fit, without: Sequence[str] = ()):
-        self.fit = fit
+    def __init__(self, fit: Fit, without: Sequence[str] = (), given: bool = True):
+        self.fit, self.given = fit, given
         self.allowed = {name for name in CATALOGUE if name not in without}
         self.rows = float(fit.count.sum())
         self.pool: list[Candidate] = []
@@ -83,7 +84,8 @@ class Search:
         before = self.joint_energy(base)
         first = self.scan(base)
         steps = [first]
-        if not first.eligible and np.all(before <= 1 + EXCESS):
+        matters = self._matters(before)
+        if not first.eligible and not matters:
             return Finding("no_gap", base, (), (), (), (), 0.0, tuple(steps))
         best: tuple[float, tuple[Candidate, ...]] | None = None
         for start in self._starts(first):
@@ -94,18 +96,25 @@ class Search:
                 best = result, chosen
             if self.closed(before, error) > 0.9 and len(chosen) == 1:
                 break
+        abstained = "unknown" if matters else "no_gap"
         if best is None:
-            return Finding("unknown", base, (), (), (), (), 0.0, tuple(steps))
+            return Finding(abstained, base, (), (), (), (), 0.0, tuple(steps))
         fit = base.with_chosen(self._pruned(best[1]))
         closed = self.closed(before, fit)
         if closed < CLOSES:
-            return Finding("unknown", base, (), (), (), (), closed, tuple(steps))
+            return Finding(abstained, base, (), (), (), (), closed, tuple(steps))
         return self._verdict(fit, closed, steps)
 
     def joint_energy(self, fit: Fit) -> np.ndarray:
         """(n,) mean of (e / σ)² held out."""
         single = any(c.effect.once for c in fit.chosen)
         return np.nanmean((fit.out_of_fold(single) / fit.sigma) ** 2, axis=0)
+
+    def _matters(self, energy: np.ndarray) -> bool:
+        """Whether a joint is far above its background, in proportion and in torque."""
+        background = self.fit.sigma.min(axis=0) / self.fit.reference.scale  # where the joint moves
+        over = np.sqrt(np.maximum(energy - 1, 0)) * background
+        return bool(np.any((energy > 1 + EXCESS) & (over > PRACTICAL)))
 
     def closed(self, before: np.ndarray, fit: Fit) -> float:
         """How much of the excess over the background is gone; 1 where there was none to speak of."""
@@ -170,6 +179,7 @@ class Search:
     def _eligible(self, fit: Fit, best: dict) -> tuple[Score, ...]:
         """Scores that could be named: plausible, allowed, large enough, and better than their own simpler limits."""
         result = []
+        over = self._over_background(fit)
         for place, score in best.items():
             name = place[0]
             effect = score.candidate.effect
@@ -177,10 +187,22 @@ class Search:
                 continue
             if self.size(fit, score) < PRACTICAL:
                 continue
+            repeats = self.given and not effect.once
+            if repeats and np.sum(over[list(score.candidate.blocks)]) < STANDS_OUT * score.gain:
+                continue  # a model that was fitted with it would look the same
             if any(self._as_good(score, limit, best) for limit in effect.limits):
                 continue
             result.append(score)
         return tuple(sorted(result, key=lambda s: -s.gain))
+
+    def _over_background(self, fit: Fit) -> np.ndarray:
+        """(n,) energy of each joint over the background, in the logs where it is over it."""
+        energy = (fit.out_of_fold() / fit.sigma) ** 2
+        log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in fit.signals])
+        total = np.zeros(energy.shape[1])
+        for number in np.unique(log):
+            total += np.maximum(np.nansum(energy[log == number] - 1, axis=0), 0)
+        return total
 
     def _as_good(self, score: Score, limit: str, best: dict) -> bool:
         """Whether a simpler limit of the form does as well, so that the form has nothing to show for itself."""
