@@ -155,7 +155,7 @@ class BlindCheck:
 
         names = sorted({effect["effect"] for effect in case.effects})
         withheld = diagnose_job(self._job(case, logs), without=names)
-        closures = reference_closures(withheld.dataset, case.effects, result["gap"], case.number)
+        closures = reference_closures(withheld, case.effects, result["gap"], case.number)
         return finite({"withheld": withheld.result, "closures": closures})
 
     def _folder(self, case: Case) -> Path:

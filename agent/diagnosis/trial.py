@@ -1,0 +1,82 @@
+"""A structure that somebody else chose, fitted to the data of a diagnosis: what it closes, fold by fold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from agent.diagnosis.effects import CATALOGUE, Effect
+from agent.diagnosis.fit import Candidate
+from agent.diagnosis.result import Diagnosis
+
+_FACTORS = (1.25, 1.1, 1.05)
+
+
+class Trial:
+    """Effects put where one wants them, on the logs and against the model of a diagnosis.
+
+    `gap` says before and floor, as the key of that name in a result does; the diagnosis' own unless given.
+    """
+
+    def __init__(self, diagnosis: Diagnosis, gap: Mapping[str, Any] | None = None):
+        self._dataset, self._gap = diagnosis.dataset, diagnosis.result["gap"] if gap is None else gap
+        self._fit = diagnosis.dataset.fit
+
+    @property
+    def worst_joint(self) -> str:
+        """Where the error before is largest."""
+        return self._gap["joints"][int(np.argmax(self._gap["before"]))]
+
+    def freedoms(self, joint: str) -> dict[str, int]:
+        """Number of parameters of every effect that may sit on a joint and repeats, in the first form to be tried."""
+        place = (self._dataset.robot.joint_names.index(joint),)
+        found = {}
+        for name, effect in CATALOGUE.items():
+            if effect.scope == "joint" and not effect.once and place in effect.places(self._dataset.robot):
+                settings = effect.settings(self._fit, place)
+                if settings:
+                    found[name] = effect.freedom(settings[0])
+        return found
+
+    def best(self, effect: str | Effect, joints: Sequence[str], beside: Sequence[Candidate] = ()) -> Candidate | None:
+        """An effect on named joints with the nonlinear parameters that predict best beside others.
+
+        None where it cannot sit there, or nothing can be tried on these motions.
+        """
+        kind = CATALOGUE[effect] if isinstance(effect, str) else effect
+        robot = self._dataset.robot
+        wanted = {robot.joint_names.index(name) for name in joints}
+        places = [place for place in kind.places(robot) if set(place) == wanted]
+        if not places:
+            return None
+        fit, place = self._fit.with_chosen(beside), places[0]
+        scores = fit.score(fit.candidates([(kind, place, settings) for settings in kind.settings(fit, place)]))
+        if not scores:
+            return None
+        best = max(scores, key=lambda score: score.gain)
+        for factor in _FACTORS:
+            now = best.candidate.settings
+            finer = [
+                (kind, place, {**now, name: now[name] * scale})
+                for name in kind.refined
+                if name in now
+                for scale in (1 / factor, factor)
+            ]
+            best = max([best, *fit.score(fit.candidates(finer))], key=lambda score: score.gain)
+        return best.candidate
+
+    def freedom(self, chosen: Sequence[Candidate]) -> int:
+        """Number of parameters of what `best` found."""
+        return sum(candidate.effect.freedom(candidate.settings) for candidate in chosen)
+
+    def closure(self, chosen: Sequence[Candidate]) -> float | None:
+        """(B² − A²) / (B² − F²) with A of these effects, and B and F as the diagnosis reports them."""
+        robot = self._dataset.robot
+        unit = np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 1.0)
+        left = self._fit.with_chosen(chosen).out_of_fold(any(c.effect.once for c in chosen)) / unit
+        after = float(np.mean(np.nanmean(left**2, axis=0)))
+        before = float(np.mean(np.square(self._gap["before"])))
+        floor = 0.0 if self._gap["floor"] is None else float(np.mean(np.square(self._gap["floor"])))
+        return None if before < 1.1**2 * floor or before <= 0 else (before - after) / (before - floor)
