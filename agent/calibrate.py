@@ -73,7 +73,7 @@ def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None,
         with step(run, "validate"):
             validation = _validate(recipe, run, model, console)
         with step(run, "report"):
-            outcome = _report(recipe, plan, run, recordings, model, validation)
+            outcome = _report(recipe, plan, run, recordings, model, validation, console)
         remember(run, console)
         return outcome
 
@@ -106,19 +106,27 @@ def _validate(recipe: Recipe, run: RunFolder, model: Any, console: Console) -> l
 
 
 def _report(
-    recipe: Recipe, plan: planning.Plan, run: RunFolder, recordings: list[Recording], model: Any, predictions: list[Any]
+    recipe: Recipe,
+    plan: planning.Plan,
+    run: RunFolder,
+    recordings: list[Recording],
+    model: Any,
+    predictions: list[Any],
+    console: Console,
 ) -> Outcome:
     from agent.analysis_log import write_analysis
     from agent.conditions import conditions
     from agent.recording import read_log
     from agent.report import run_report
-    from agent.reports import further_sections
+    from agent.reports import against_last, further_sections
     from agent.validation import predict_log
 
     sources = provenance(run.path, run.state, [run.file(EXCITATION), *validation_logs(run)])
     result = build_result(recipe, plan, recordings, model, predictions, sources)
     log = read_log(run.file(EXCITATION), recipe.robot)
-    result["conditions"] = conditions(log, predict_log(model, log))
+    result["serial"] = run.state["serial"]
+    result["conditions"] = conditions(log, predict_log(model, log), recordings[0])
+    result |= against_last(run, log, console)
     run.write_json("result.json", result)
     typical = typical_motion(predictions)
     write_analysis(run.file("analysis.mcap"), read_log(run.file(typical.log), recipe.robot), typical)

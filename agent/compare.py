@@ -10,6 +10,7 @@ import numpy as np
 
 from agent.console import Console
 from agent.errors import InputError
+from agent.recording.log import AROUND
 
 if TYPE_CHECKING:
     from agent.estimation import IdentifiedModel
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
 
 #: A parameter moved where the change is beyond this many of its standard deviations (one in a thousand by chance).
 BEYOND = 3.3
-#: Beside a cycle that is cut out of a log [s]: more than the filters drop at the ends.
-AROUND = 1.0
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from agent.recording.log import Log
 
 if TYPE_CHECKING:
     from agent.estimation import IdentifiedModel
+    from agent.record import Recording
     from agent.validation import Prediction
 
 #: Friction is compared at these shares of the highest speed the axle had in the loop.
@@ -104,11 +105,11 @@ def warm_up(log: Log, prediction: Prediction) -> WarmUp:
     return WarmUp(rate, deviation)
 
 
-def conditions(log: Log, prediction: Prediction) -> dict[str, Any]:
+def conditions(log: Log, prediction: Prediction, recording: Recording) -> dict[str, Any]:
     """What `result.json` says of a run's conditions and of the friction it met, as plain data.
 
     Args:
-        log: the excitation, of which `prediction` is.
+        log: the excitation, of which `prediction` is; `recording` says how it came about.
     """
     from agent.robot.drivetrain import axle_motion
 
@@ -119,6 +120,7 @@ def conditions(log: Log, prediction: Prediction) -> dict[str, Any]:
     return {
         "cycles": len(log.cycle_starts),
         "motion_s": float(log.t[-1] - log.t[0]),
+        "temperatures_c": dict(zip(("first", "last"), recording.temperatures, strict=False)) or None,
         "warm_up": {"rate_per_s": found.rate.tolist(), "standard_deviation": found.deviation.tolist()},
         "nominal_torque": [float(v) if np.isfinite(v) else None for v in model.robot.nominal_torque],
         "friction": [level.__dict__ for level in friction_levels(model, top)],

@@ -17,7 +17,7 @@ from agent.run import write_atomically
 
 if TYPE_CHECKING:
     from agent.motion.trajectory import Trajectory
-    from agent.report import MotionData
+    from agent.report import MotionData, SearchData
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,41 +72,50 @@ def plan_recipe(recipe: Recipe, folder: Path, console: Console) -> PlanFiles:
         if made:
             folder.rmdir()
         raise
-    text, data = program_text(recipe, motion), motion_data(recipe, motion, found)
+    text = program_text(recipe, motion)
+    data = planned_motion_data(recipe, motion)
     files = PlanFiles(
         folder,
         motion,
         found,
-        describe(recipe, motion),
+        data.description[0],
         {kind: float(values.max()) for kind, values in data.limit_use.items()},
     )
     write_atomically(folder / "program.pdl", text)
-    write_atomically(folder / "plan.html", plan_report(data, text))
+    write_atomically(folder / "plan.html", plan_report(data, search_data(found), text))
     write_atomically(folder / "plan.json", json.dumps(finite({**files.to_dict(), "search": found}), indent=2) + "\n")
     return files
 
 
-def motion_data(recipe: Recipe, motion: PlannedMotion, found: dict[str, Any]) -> MotionData:
-    """What a report shows of a planned loop; `found` is how it was found."""
+def planned_motion_data(recipe: Recipe, motion: PlannedMotion) -> MotionData:
+    """What a report shows of a loop that was planned from the recipe."""
+    return motion_data(recipe, motion.loop.trajectory, motion.loop.poses[:, :3, 3], motion.cycles)
+
+
+def motion_data(recipe: Recipe, cycle: Trajectory, via_points: np.ndarray, cycles: int) -> MotionData:
+    """What a report shows of one planned cycle of a loop through via-points (K, 3) [m]."""
     from agent.report import MotionData
 
-    trajectory, history = motion.loop.trajectory, found["history"]
     return MotionData(
         robot=recipe.robot.name,
         joints=recipe.robot.joint_names,
-        description=(describe(recipe, motion),),
-        path=trajectory.tcp[:, :3, 3],
-        via_points=motion.loop.poses[:, :3, 3],
+        description=(describe(recipe, cycle, len(via_points), cycles),),
+        path=cycle.tcp[:, :3, 3],
+        via_points=via_points,
         boxes=_boxes(recipe),
-        t=trajectory.t[::5],
-        speed=trajectory.path_speed[::5],
-        programmed_speed=motion.speed,
-        limit_use={name: values[::5] for name, values in limit_use(recipe, trajectory).items()},
-        best=np.array(history["best"], dtype=float),
-        mean=np.array(history["mean"], dtype=float),
-        fitness=found["fitness"],
-        evaluations=found["evaluated"],
+        t=cycle.t[::5],
+        speed=cycle.path_speed[::5],
+        programmed_speed=recipe.motion.speed,
+        limit_use={name: values[::5] for name, values in limit_use(recipe, cycle).items()},
     )
+
+
+def search_data(found: dict[str, Any]) -> SearchData:
+    """What a report shows of a search, from what it left."""
+    from agent.report import SearchData
+
+    best, mean = (np.array(found["history"][key], dtype=float) for key in ("best", "mean"))
+    return SearchData(found["fitness"], found["evaluated"], best, mean)
 
 
 def _boxes(recipe: Recipe) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -138,12 +147,12 @@ def limit_use(recipe: Recipe, trajectory: Trajectory) -> dict[str, np.ndarray]:
     }
 
 
-def describe(recipe: Recipe, motion: PlannedMotion) -> str:
+def describe(recipe: Recipe, cycle: Trajectory, via_points: int, cycles: int) -> str:
     """A planned loop in one sentence."""
-    trajectory, settings = motion.loop.trajectory, recipe.motion.settings
-    binding = sorted({limit.limit for limit in trajectory.binding})
+    settings = recipe.motion.settings
+    binding = sorted({limit.limit for limit in cycle.binding})
     slowed = f"; slowed down by {', '.join(binding)}" if binding else ""
     return (
-        f"{len(motion.loop.poses)} via-points, {trajectory.duration:.1f} s a cycle, {motion.cycles} cycles at "
-        f"{motion.speed:g} m/s, {settings.fly_type.value} within {1000 * settings.fly_distance:g} mm{slowed}."
+        f"{via_points} via-points, {cycle.duration:.1f} s a cycle, {cycles} cycles at {recipe.motion.speed:g} m/s, "
+        f"{settings.fly_type.value} within {1000 * settings.fly_distance:g} mm{slowed}."
     )

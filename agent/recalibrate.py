@@ -13,7 +13,8 @@ from agent import planning
 from agent.apply import apply_run, current_model, origin, remember
 from agent.calibrate import step
 from agent.console import Console
-from agent.errors import AgentError, ControllerError, InputError
+from agent.errors import ControllerError, InputError
+from agent.fresh_data import diagnose_if_worse, worse_joints
 from agent.history import PastRun, open_history
 from agent.recipe import Recipe
 from agent.record import Link, Recording, open_link, report_losses
@@ -33,9 +34,6 @@ if TYPE_CHECKING:
 
 #: A run that is due within this part of its interval is due: a clock is never to the second.
 _EARLY = 0.01
-#: Held-out error may be this much above the last accepted model's, and this part of the nominal torque more.
-WORSE = 1.25
-FLOOR = 1e-3
 _SURE = 3.0
 
 
@@ -113,10 +111,12 @@ def recalibrate(
             from agent.validation import predict_log
 
             prediction = predict_log(found.model, log)
-            result = _judge(recipe, reference, run, recording, found, comparison, conditions(log, prediction))
-            result["diagnosis"] = _diagnosis(reference, run, result, log, console)
+            met = conditions(log, prediction, recording)
+            result = _judge(recipe, reference, run, recording, found, comparison, met)
+            worse = result["validation"]["worse_before"]
+            result["diagnosis"] = diagnose_if_worse(reference.model, worse, log, run, console)
         with step(run, "report"):
-            _report(run, result, comparison, log, prediction)
+            _report(recipe, reference.loop, run, result, comparison, log, prediction)
         remember(run, console)
         if result["accepted"]:
             apply_run(logs, run.path)
@@ -251,12 +251,17 @@ def _judge(
             "rmse": found.held_out,
             "normalised_rmse": found.held_out / nominal,
             "normalised_rmse_before": found.before / nominal,
-            "worse_before": _worse(reference.model, found.before),
+            "worse_before": worse_joints(reference.model, found.before),
         },
         "comparison": (
             f"{len(moved)} of {len(comparison.changes)} parameters moved by more than their uncertainty"
             + (f": {', '.join(change.name for change in moved)}" if moved else "")
         ),
+        "loop": {
+            "created": reference.loop.created,
+            "fitness": reference.loop.fitness,
+            "via_points": np.array(reference.loop.poses)[:, :3, 3],
+        },
         "conditions": met,
         "recordings": [
             {
@@ -285,7 +290,7 @@ def gate_faults(
     figures = found.held_out / robot.nominal_torque
     for k in np.flatnonzero(figures > gate):
         faults.append(f"{robot.joint_names[k]}: prediction error {_percent(figures[k])}, the gate is {_percent(gate)}")
-    for name in _worse(last, found.held_out):
+    for name in worse_joints(last, found.held_out):
         k = robot.joint_names.index(name)
         faults.append(
             f"{name}: held-out error {found.held_out[k]:.3g} N·m, {last.held_out_rmse[k]:.3g} N·m at the last accepted "
@@ -308,39 +313,23 @@ def gate_faults(
     return faults
 
 
-def _worse(last: IdentifiedModel, rmse: np.ndarray) -> list[str]:
-    """Joints whose error (n,) [N·m] is above that of the last accepted model on its own data."""
-    nominal = np.nan_to_num(last.robot.nominal_torque)
-    limit = WORSE * last.held_out_rmse + FLOOR * nominal
-    return [name for name, above in zip(last.robot.joint_names, rmse > limit, strict=True) if above]
-
-
-def _diagnosis(reference: Reference, run: RunFolder, result: dict[str, Any], log: Log, console: Console) -> Any:
-    """Where the last model predicts worse than it did: why. None where it does not."""
-    from agent.diagnosis import diagnose
-    from agent.report.gap_section import diagnosis_summary
-
-    worse = result["validation"]["worse_before"]
-    if not worse:
-        return None
-    opening = f"The last model predicts {', '.join(worse)} worse than it did."
-    console.step(f"{opening} Diagnosing")
-    try:
-        found = diagnose(reference.model.robot, [log], reference.model).result
-    except AgentError as error:
-        return {"summary": f"{opening} It could not be diagnosed: {error}", "result": None}
-    run.write_json("diagnosis.json", found)
-    return {"summary": f"{opening} {diagnosis_summary(found)}", "result": found}
-
-
-def _report(run: RunFolder, result: dict[str, Any], comparison: Comparison, log: Log, prediction: Prediction) -> None:
+def _report(
+    recipe: Recipe,
+    loop: StoredLoop,
+    run: RunFolder,
+    result: dict[str, Any],
+    comparison: Comparison,
+    log: Log,
+    prediction: Prediction,
+) -> None:
     from agent.analysis_log import write_analysis
     from agent.reports import recalibration_page
 
     write_analysis(run.file("analysis.mcap"), log, prediction)
     run.write_json("result.json", result)
     run.write_json("comparison.json", comparison.to_dict())
-    run.write_text("report.html", recalibration_page(result, comparison, log, prediction))
+    page = recalibration_page(recipe, loop.program, result, comparison, log, prediction)
+    run.write_text("report.html", page)
     run.complete(result["accepted"])
 
 

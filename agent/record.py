@@ -26,13 +26,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Recording:
-    """What came of one motion. Durations in seconds of controller time."""
+    """What came of one motion. Durations in seconds of controller time.
+
+    `temperatures`: of the motors [°C] when it began and when it ended, where the controller measures them.
+    """
 
     path: Path
     samples: int
     lost: int
     duration: float
     cycle_starts: tuple[float, ...]
+    temperatures: tuple[tuple[float, ...], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, but for the path."""
@@ -42,7 +46,8 @@ class Recording:
     def from_dict(cls, path: Path, data: dict[str, Any]) -> Recording:
         """The inverse of `to_dict`; other keys are left alone."""
         cycles = tuple(data["cycle_starts"])
-        return cls(path, data["samples"], data["lost"], data["duration"], cycles)
+        temperatures = tuple(tuple(values) for values in data.get("temperatures", ()))
+        return cls(path, data["samples"], data["lost"], data["duration"], cycles, temperatures)
 
 
 class Link:
@@ -146,12 +151,21 @@ class Link:
                             self._console.progress(f"{motion}: {aligner.elapsed:6.1f} of about {total:.0f} s of motion")
                 finally:
                     writer.note(guard.facts)
+                    writer.write_temperatures(guard.temperatures)
                     for start in aligner.finish(writer.write_planned):
                         writer.cycle_start(start)
         finally:
             if aligner.samples == 0:
                 log.unlink(missing_ok=True)  # nothing has moved, or nothing is known of it
-        return Recording(log, aligner.samples, writer.lost, aligner.elapsed, tuple(aligner.cycle_starts))
+        felt = [tuple(values.tolist()) for _, values in guard.temperatures]
+        return Recording(
+            log,
+            aligner.samples,
+            writer.lost,
+            aligner.elapsed,
+            tuple(aligner.cycle_starts),
+            (felt[0], felt[-1]) if felt else (),
+        )
 
 
 @contextmanager

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.compare import AROUND
 from agent.console import Console
 from agent.errors import InputError
 from agent.history import open_history, read_run
 from agent.recipe import Recipe, load_recipe
-from agent.run import sha256_file, write_atomically
+from agent.recording.log import AROUND
+from agent.run import RunFolder, sha256_file, write_atomically
 
 if TYPE_CHECKING:
     from agent.compare import Comparison
@@ -27,33 +28,70 @@ if TYPE_CHECKING:
 def further_sections(
     run: Path, recipe: Recipe, model: IdentifiedModel, predictions: Sequence[Prediction]
 ) -> list[Section]:
-    """Residuals, comparison with the last accepted run of the same loop where there is one, and health of the logs."""
+    """Observation matrix, residuals, comparison with the last accepted run of the same loop, and health of the logs."""
     from agent.compare import compare_models
     from agent.estimation import IdentifiedModel
+    from agent.observability import observability
     from agent.recording import read_log
     from agent.report.comparison_sections import comparison_section
     from agent.report.log_sections import log_section
+    from agent.report.observation_section import observation_section
     from agent.report.residual_sections import residual_section
 
-    sections = [residual_section(predictions)]
+    log = read_log(run / "excitation.mcap", recipe.robot)
+    sections = [observation_section(observability(model, log)), residual_section(predictions)]
     last = _last_accepted(run)
     if last is not None:
         before = IdentifiedModel.load(last / "model.json")
-        log = read_log(run / "excitation.mcap", recipe.robot)
         sections.append(comparison_section(compare_models(before, model, log, last.name, run.name)))
     sections.append(log_section(_logs(run, recipe)))
     return sections
 
 
-def recalibration_page(result: dict[str, Any], comparison: Comparison, log: Log, prediction: Prediction) -> str:
-    """HTML of a recalibration's report; `prediction` is of its `log`."""
+def against_last(run: RunFolder, log: Log, console: Console) -> dict[str, Any]:
+    """The last accepted run of the same loop, and why its model predicts a fresh log worse than it did, if it does."""
+    from agent.estimation import IdentifiedModel
+    from agent.fresh_data import diagnose_if_worse, moving_rmse, worse_joints
+    from agent.validation import predict_log
+
+    last = _last_accepted(run.path)
+    if last is None:
+        return {"reference": "", "diagnosis": None}
+    before = IdentifiedModel.load(last / "model.json")
+    worse = worse_joints(before, moving_rmse(predict_log(before, log)))
+    return {"reference": last.name, "diagnosis": diagnose_if_worse(before, worse, log, run, console)}
+
+
+def recalibration_page(
+    recipe: Recipe, program: str, result: dict[str, Any], comparison: Comparison, log: Log, prediction: Prediction
+) -> str:
+    """HTML of a recalibration's report; `program` is the text of the loop, `prediction` is of its `log`."""
+    from agent.observability import observability
+    from agent.plan_files import motion_data
+    from agent.planning import plan_statements
     from agent.report.comparison_sections import comparison_section
     from agent.report.log_sections import log_section
+    from agent.report.observation_section import observation_section
     from agent.report.recalibration_report import RecalibrationData, recalibration_report
     from agent.report.residual_sections import residual_section
 
-    sections = (comparison_section(comparison), residual_section([prediction]), log_section([log]))
-    data = RecalibrationData(result, prediction.model.rows(), _shown_cycle(log, prediction), sections)
+    model = prediction.model
+    *_, cycle = plan_statements(recipe, program, "program.pdl", log.position[0])[1]
+    via_points = np.array(result["loop"]["via_points"])
+    sections = (
+        observation_section(observability(model, log)),
+        comparison_section(comparison),
+        residual_section([prediction]),
+        log_section([log]),
+    )
+    data = RecalibrationData(
+        result,
+        motion_data(recipe, cycle, via_points, len(log.cycle_starts)),
+        model.rows(),
+        _cycle_errors(log, prediction),
+        _shown_cycle(log, prediction),
+        sections,
+    )
     return recalibration_report(data)
 
 
@@ -106,6 +144,19 @@ def watch_lines(logs: Path, robot: str, serial: str) -> list[str]:
         return [line for one in watch(history.runs(robot, serial)) for line in one.lines()]
 
 
+def _cycle_errors(log: Log, prediction: Prediction) -> np.ndarray:
+    """(cycles, n) RMSE over nominal torque of every cycle, moving samples; of the whole log where nothing repeats."""
+    ends = [*log.cycle_starts, float(log.t[-1])] if log.cycle_starts else [0.0, float(log.t[-1])]
+    rows = []
+    for start, stop in pairwise(ends):
+        inside = slice(*np.searchsorted(prediction.time, (start, stop)))
+        error = prediction.measured[inside] - prediction.predicted[inside]
+        moving = prediction.moving[inside]
+        if moving.any():
+            rows.append(np.sqrt(np.mean(error[moving] ** 2, axis=0)) / prediction.model.robot.nominal_torque)
+    return np.array(rows)
+
+
 def _shown_cycle(log: Log, prediction: Prediction) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Time (S,), measured, predicted and half width of the bounds (S, n) along one cycle, few enough to be drawn."""
     from agent.validation import predict_log
@@ -145,7 +196,8 @@ def _recalibration(run: Path, recipe: Recipe, result: dict[str, Any], console: C
     model = IdentifiedModel.load(run / "model.json")
     (log,) = read_logs([run / "excitation.mcap"], recipe.robot, console)
     comparison = Comparison.from_dict(json.loads((run / "comparison.json").read_text(encoding="utf-8")))
-    return recalibration_page(result, comparison, log, predict_log(model, log))
+    program = (run / "program.pdl").read_text(encoding="utf-8")
+    return recalibration_page(recipe, program, result, comparison, log, predict_log(model, log))
 
 
 def _recipe(run: Path) -> Recipe:

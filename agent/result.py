@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.plan_files import describe, motion_data
+from agent.plan_files import planned_motion_data, search_data
 from agent.planning import Plan
 from agent.recipe import Recipe
 from agent.record import Recording
@@ -45,7 +45,7 @@ def build_result(
             "seed": recipe.search.seed,
             "fitness": plan.search["fitness"],
             "evaluations": plan.search["evaluated"],
-            "motion": describe(recipe, plan.excitation),
+            "motion": planned_motion_data(recipe, plan.excitation).description[0],
         },
         "estimation": {
             "method": model.method,
@@ -90,7 +90,8 @@ def run_data(
     every = max(1, len(typical.time) // 1500)
     return RunData(
         result=result,
-        motion=motion_data(recipe, plan.excitation, plan.search),
+        motion=planned_motion_data(recipe, plan.excitation),
+        search=search_data(plan.search),
         parameter_rows=model.rows(),
         normalised_rmse=np.array([p.normalised_rmse(moving=True) for p in predictions]),
         prediction=(

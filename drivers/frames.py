@@ -19,6 +19,7 @@ from drivers.wire.tcp import (
     UPLOAD_BLOCK,
     VERSION,
     AskStatus,
+    AskTemperatures,
     Done,
     End,
     Fetch,
@@ -32,6 +33,7 @@ from drivers.wire.tcp import (
     StatusReply,
     Stop,
     Stored,
+    TemperaturesReply,
     UploadBegin,
     UploadEnd,
     Welcome,
@@ -70,6 +72,7 @@ class FrameDriver:
         self._buffer_limit = buffer_limit
         self._link: Link | None = None
         self._motion: Motion | None = None
+        self._measures_temperatures = True
 
     @property
     def gaps(self) -> tuple[Gap, ...]:
@@ -119,6 +122,21 @@ class FrameDriver:
         reply = self._connected().request(AskStatus(), StatusReply, self._timeout, "status", self.READ_ATTEMPTS)
         values = {name: getattr(reply, name) for name, _ in StatusReply.LAYOUT}
         return Status(**{**values, "position": np.array(reply.position)})
+
+    def temperatures(self) -> np.ndarray | None:
+        """(n,) of the motors [°C], or None where this controller measures none; it is asked again only if it does."""
+        if not self._measures_temperatures:
+            return None
+        request = AskTemperatures()
+        try:
+            reply = self._connected().request(
+                request, TemperaturesReply, self._timeout, "temperatures", self.READ_ATTEMPTS
+            )
+        except RefusedError:
+            self._measures_temperatures = False
+            return None
+        self._measures_temperatures = bool(reply.celsius)
+        return np.array(reply.celsius) if reply.celsius else None
 
     def upload(self, name: str, text: str) -> str:
         """Store a program; returns the SHA-256 (hex) of the text as the controller stored it.

@@ -168,6 +168,14 @@ class MeasuresCurrents(Protocol):
 
 
 @runtime_checkable
+class TellsTemperatures(Protocol):
+    """A driver whose wire has temperatures of the motors."""
+
+    def temperatures(self) -> np.ndarray | None:
+        """(n,) [°C], or None where this controller measures none. Allowed at any time, as `status` is."""
+
+
+@runtime_checkable
 class TakesPoints(Protocol):
     """A driver that is given via-points instead of a program. The last of them is a stop."""
 

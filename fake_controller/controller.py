@@ -118,6 +118,7 @@ class Controller:
         self._count = 0
         self._planner = Planner(interpolator)
         self._execution = Execution(plant, forward, robot.max_acceleration, PERIOD, clock.slice_samples)
+        self._machine = plant.machine
         self._lock = threading.RLock()
         self._programs: dict[str, _Stored] = {}
         self._last_stored = ""
@@ -138,6 +139,11 @@ class Controller:
     def position(self) -> np.ndarray:
         """(n,) measured, joint side [rad]."""
         return self._position
+
+    @property
+    def temperatures(self) -> tuple[float, ...]:
+        """(n,) of the motors [°C], or none where nothing on this machine warms up."""
+        return self._machine.temperatures
 
     @property
     def reference(self) -> np.ndarray:

@@ -9,6 +9,7 @@ from drivers.wire.reasons import EndReason, Refusal
 from drivers.wire.tcp import (
     VERSION,
     AskStatus,
+    AskTemperatures,
     Done,
     Fetch,
     Frame,
@@ -20,6 +21,7 @@ from drivers.wire.tcp import (
     Started,
     Stop,
     Stored,
+    TemperaturesReply,
     UploadBegin,
     UploadBlock,
     UploadEnd,
@@ -79,6 +81,8 @@ class FrameClient:
                 self._reply(identity_reply(controller), request)
             case AskStatus():
                 self._reply(status_reply(controller), request)
+            case AskTemperatures():
+                self._reply(TemperaturesReply(controller.temperatures), request)
             case UploadBegin(name, size, checksum):
                 controller.check_upload(name, size)
                 self._upload = Upload(name, size, checksum)

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+
+#: What to keep beside a cycle that is cut out of a log [s]: more than filters drop at its ends.
+AROUND = 1.0
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,7 @@ class Log:
 
     def middle_cycle(self) -> tuple[float, float]:
         """Start and end [s] of the cycle nearest the middle of the log that has no gap; of all of it where none is."""
-        cycles = list(zip(self.cycle_starts, self.cycle_starts[1:], strict=False))
+        cycles = list(pairwise(self.cycle_starts))
         spans = [(self.t[a], self.t[b - 1]) for a, b in self.segments]
         whole = [(start, stop) for start, stop in cycles if any(a <= start and stop <= b for a, b in spans)]
         half = float(self.t[0] + self.t[-1]) / 2

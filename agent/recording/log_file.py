@@ -26,6 +26,7 @@ STATES = "/joint_states"
 REFERENCES = "/joint_references"
 PLANNED = "/planned_joint_references"
 CURRENTS = "/motor_currents"
+TEMPERATURES = "/temperatures"
 STATUS = "/controller_status"
 RUN = "run"
 #: Longest stretch of data, and of waiting, that a killed process may lose [s]; the contract allows one second.
@@ -139,7 +140,7 @@ class LogFile:
         self,
         topic: str,
         times: np.ndarray,
-        position: np.ndarray,
+        position: np.ndarray | None,
         velocity: np.ndarray | None,
         effort: np.ndarray | None,
     ) -> None:

@@ -11,7 +11,7 @@ from types import TracebackType
 
 import numpy as np
 
-from agent.recording.log_file import FLUSH_INTERVAL, PLANNED, LogFile, Samples
+from agent.recording.log_file import FLUSH_INTERVAL, PLANNED, TEMPERATURES, LogFile, Samples
 
 #: What may wait in memory for a slow disk [bytes]: half an hour of six joints at 500 Hz.
 BACKLOG_LIMIT = 256 * 2**20
@@ -93,6 +93,13 @@ class LogWriter:
         """Add what was planned for controller times (K,) [s]: position and velocity (K, n)."""
         if not self._put(2 * position.nbytes, lambda: self._file.write_set_points(PLANNED, time, position, velocity)):
             self.dropped += len(time)
+
+    def write_temperatures(self, readings: Sequence[tuple[float, np.ndarray]]) -> None:
+        """Add temperatures of the motors: controller time [s] and (n,) [°C] of each reading."""
+        if readings:
+            times = np.array([time for time, _ in readings])
+            values = np.array([values for _, values in readings])
+            self._put(values.nbytes, lambda: self._file.write_states(TEMPERATURES, times, None, None, values))
 
     def cycle_start(self, time: float) -> None:
         """Note a controller time [s] at which the motion begins anew."""

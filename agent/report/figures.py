@@ -26,12 +26,18 @@ class Figure:
     rows: np.ndarray
 
 
-def to_figure(name: str, caption: str, plot: Any, header: tuple[str, ...], rows: np.ndarray) -> Figure:
-    """Turn a matplotlib figure into SVG without fixed ink, and close it."""
+def to_figure(
+    name: str, caption: str, plot: Any, header: tuple[str, ...], rows: np.ndarray, fitted: bool = True
+) -> Figure:
+    """Turn a matplotlib figure into SVG without fixed ink, and close it.
+
+    `fitted` margins follow their texts, which draws the plot twice.
+    """
     import matplotlib.pyplot as plt
 
     buffer = io.StringIO()
-    plot.savefig(buffer, format="svg", transparent=True, bbox_inches="tight", metadata={"Date": None})
+    box = "tight" if fitted else None
+    plot.savefig(buffer, format="svg", transparent=True, bbox_inches=box, metadata={"Date": None})
     plt.close(plot)
     svg = buffer.getvalue()
     svg = svg[svg.index("<svg") :].replace(_INK, "currentColor")
@@ -40,7 +46,7 @@ def to_figure(name: str, caption: str, plot: Any, header: tuple[str, ...], rows:
     return Figure(name, caption, svg, header, np.asarray(rows))
 
 
-def new_plot(width: float = 8.0, height: float = 3.2, rows: int = 1, columns: int = 1, **options: Any) -> Any:
+def new_plot(width: float = 10.0, height: float = 3.2, rows: int = 1, columns: int = 1, **options: Any) -> Any:
     """A figure and its axes in the house's style, drawn without a display."""
     import matplotlib as mpl
 
@@ -103,15 +109,15 @@ def limit_margins(t: np.ndarray, use: dict[str, np.ndarray], names: tuple[str, .
         axis.axhline(1.0, linestyle=":", color=SERIES[3])
         axis.set_ylabel(kind)
         axis.set_ylim(0, 1.1)
-    axes[0, 0].legend(ncols=len(names), fontsize=7, loc="upper center", bbox_to_anchor=(0.5, 1.25))
+    axes[0, 0].legend(ncols=len(names), fontsize=7, loc="upper center", bbox_to_anchor=(0.5, 1.3))
     axes[-1, 0].set_xlabel("time [s]")
     header = ("t_s", *(f"{kind} {name}" for kind in use for name in names))
     rows = np.column_stack([t, *use.values()])
     return to_figure("margins", "Use of the limits along one cycle, as a fraction of each.", plot, header, rows)
 
 
-def motion_box_plot(normalised_rmse: np.ndarray, names: tuple[str, ...], gate: float) -> Figure:
-    """Normalised RMSE (motions, n) of the validation motions per axis (the paper's Fig. 5b)."""
+def motion_box_plot(normalised_rmse: np.ndarray, names: tuple[str, ...], gate: float, caption: str) -> Figure:
+    """Normalised RMSE (motions, n) of several motions per axis (the paper's Fig. 5b)."""
     plot, axes = new_plot(height=3.0)
     values = 100.0 * normalised_rmse
     ink = {"color": _INK}
@@ -128,7 +134,6 @@ def motion_box_plot(normalised_rmse: np.ndarray, names: tuple[str, ...], gate: f
     axes[0, 0].set_ylabel("RMSE / nominal torque [%]")
     axes[0, 0].set_ylim(bottom=0)
     axes[0, 0].legend()
-    caption = f"Prediction error on {len(values)} unseen motions in the sub-region, per axis."
     return to_figure("validation-box", caption, plot, names, values)
 
 
@@ -136,21 +141,26 @@ def torque_prediction(
     t: np.ndarray,
     measured: np.ndarray,
     predicted: np.ndarray,
-    half_width: np.ndarray | None,
+    half_width: np.ndarray,
     names: tuple[str, ...],
+    caption: str,
 ) -> Figure:
-    """Measured and predicted torque (S, n) of one unseen motion with its 95 % bounds (the paper's Fig. 6)."""
+    """Measured and predicted torque (S, n) (the paper's Fig. 6); beside it what is left, and the 95 % bounds on it."""
     n = len(names)
-    plot, axes = new_plot(height=1.7 * n, rows=n, sharex=True)
-    for joint, axis in enumerate(axes[:, 0]):
-        if half_width is not None:
-            low, high = predicted[:, joint] - half_width[:, joint], predicted[:, joint] + half_width[:, joint]
-            axis.fill_between(t, low, high, color=SERIES[1], alpha=0.3, linewidth=0, label="95 % bounds")
-        axis.plot(t, measured[:, joint], label="measured")
-        axis.plot(t, predicted[:, joint], label="predicted", linewidth=0.9)
-        axis.set_ylabel(f"{names[joint]}\n[N·m]")
-    axes[0, 0].legend(ncols=3, fontsize=7, loc="upper center", bbox_to_anchor=(0.5, 1.35))
-    axes[-1, 0].set_xlabel("time [s]")
-    header = ("t_s", *(f"measured {name}" for name in names), *(f"predicted {name}" for name in names))
-    rows = np.column_stack([t, measured, predicted])
-    return to_figure("prediction", "Torque on one unseen motion.", plot, header, rows)
+    plot, axes = new_plot(height=1.5 * n, rows=n, columns=2, sharex=True)
+    for joint, (torque, left) in enumerate(axes):
+        torque.plot(t, measured[:, joint], label="measured")
+        torque.plot(t, predicted[:, joint], label="predicted", linewidth=0.9)
+        torque.set_ylabel(f"{names[joint]}\n[N·m]")
+        low, high = -half_width[:, joint], half_width[:, joint]
+        left.fill_between(t, low, high, color=SERIES[2], alpha=0.3, linewidth=0, label="95 % bounds")
+        left.plot(t, measured[:, joint] - predicted[:, joint], color=SERIES[3], linewidth=0.7, label="left over")
+    for axis in axes[0]:
+        axis.legend(ncols=2, fontsize=7, loc="upper center", bbox_to_anchor=(0.5, 1.4))
+    for axis in axes[-1]:
+        axis.set_xlabel("time [s]")
+    kinds = ("measured", "predicted", "half_width_95")
+    header = ("t_s", *(f"{kind} {name}" for kind in kinds for name in names))
+    rows = np.column_stack([t, measured, predicted, half_width])
+    plot.subplots_adjust(left=0.08, right=0.99, bottom=0.3 / n, top=1 - 0.25 / n, wspace=0.12)
+    return to_figure("prediction", caption, plot, header, rows, fitted=False)

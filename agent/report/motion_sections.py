@@ -12,11 +12,21 @@ from agent.report.page import Page, Scene, Section, render
 
 
 @dataclass(frozen=True, eq=False)
+class SearchData:
+    """How a loop was found: fitness, number of candidates, and over the generations best and mean (G,)."""
+
+    fitness: float
+    evaluations: int
+    best: np.ndarray
+    mean: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class MotionData:
     """A planned loop.
 
     path (S, 3) of the TCP [m], via_points (K, 3), boxes {name: (min, max)} of sub-region and keep-out; of one cycle
-    t (S',) [s], speed (S',) [m/s], limit_use {kind: (S', n)} as fractions; best, mean (G,) and fitness of the search.
+    t (S',) [s], speed (S',) [m/s], limit_use {kind: (S', n)} as fractions.
     """
 
     robot: str
@@ -29,14 +39,10 @@ class MotionData:
     speed: np.ndarray
     programmed_speed: float
     limit_use: dict[str, np.ndarray]
-    best: np.ndarray
-    mean: np.ndarray
-    fitness: float
-    evaluations: int
 
 
-def motion_sections(data: MotionData) -> tuple[Section, Section]:
-    """Path, speed, use of the limits; then the search."""
+def motion_section(data: MotionData) -> Section:
+    """Path, speed, use of the limits."""
     scene = Scene(
         "path",
         "The loop and its via-points, base frame.",
@@ -44,18 +50,21 @@ def motion_sections(data: MotionData) -> tuple[Section, Section]:
         points={"via-points": data.via_points},
         boxes=data.boxes,
     )
+    largest = ", ".join(f"{kind} {100 * values.max():.0f} %" for kind, values in data.limit_use.items())
+    text = (*data.description, f"Largest use of a joint's limit: {largest}.")
     speed = speed_profile(data.t, data.speed, data.programmed_speed)
-    margins = limit_margins(data.t, data.limit_use, data.joints)
+    return Section("Motion", text, (scene, speed, limit_margins(data.t, data.limit_use, data.joints)))
+
+
+def search_section(data: SearchData) -> Section:
+    """Fitness over the generations."""
     found = f"Fitness {data.fitness:.2f} after {data.evaluations} candidates, each run through the interpolator."
-    return (
-        Section("Motion", data.description, (scene, speed, margins)),
-        Section("Search", (found,), (search_history(data.best, data.mean),)),
-    )
+    return Section("Search", (found,), (search_history(data.best, data.mean),))
 
 
-def plan_report(data: MotionData, program: str) -> str:
+def plan_report(data: MotionData, search: SearchData, program: str) -> str:
     """HTML text of a plan, before anything moves."""
-    headline = f"One cycle takes {data.t[-1]:.1f} s; fitness {data.fitness:.2f}."
+    headline = f"One cycle takes {data.t[-1]:.1f} s; fitness {search.fitness:.2f}."
     listing = Section("Program", ("What the controller will be sent.",), (), program)
-    page = Page(f"Plan for {data.robot}", headline, "plain", (*motion_sections(data), listing))
+    page = Page(f"Plan for {data.robot}", headline, "plain", (motion_section(data), search_section(search), listing))
     return render(page)

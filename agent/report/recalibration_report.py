@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from agent.report.figures import torque_prediction
-from agent.report.gap_section import diagnosis_section
+from agent.report.common_sections import (
+    conditions_section,
+    diagnosis_part,
+    parameters_section,
+    provenance_section,
+)
+from agent.report.figures import motion_box_plot, torque_prediction
+from agent.report.motion_sections import MotionData, motion_section
 from agent.report.page import Page, Section, Table, render
 
 
 @dataclass(frozen=True, eq=False)
 class RecalibrationData:
-    """What it shows: the content of `result.json`, the model's table, one stretch of the motion (time (S,), measured,
-    predicted and half width of the bounds (S, n)), and sections made elsewhere, in order.
+    """What it shows: the content of `result.json`, the loop, the model's table, normalised RMSE (cycles, n) of every
+    cycle, one stretch of the motion (time (S,), measured, predicted and half width of the bounds (S, n)), and sections
+    made elsewhere, in order.
     """
 
     result: dict[str, Any]
+    motion: MotionData
     parameter_rows: Sequence[Sequence[str]]
+    normalised_rmse: np.ndarray
     prediction: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
     sections: Sequence[Section]
 
@@ -31,8 +40,16 @@ def recalibration_report(data: RecalibrationData) -> str:
     accepted, diagnosis = result["accepted"], result["diagnosis"]
     word = "Accepted, and the current model now" if accepted else f"Rejected: {result['reason']}"
     headline = f"{word}. {diagnosis['summary']}" if diagnosis else f"{word}. {result['comparison']}."
-    opening = (diagnosis_section(diagnosis["result"]),) if diagnosis and diagnosis["result"] else ()
-    sections = (*opening, _validation(data), *data.sections, _parameters(data), _provenance(result))
+    sections = [
+        _validation(data),
+        motion_section(data.motion),
+        _search(result["loop"]),
+        *data.sections,
+        conditions_section(result["conditions"], result["validation"]["joints"]),
+        parameters_section(data.parameter_rows),
+        provenance_section(result),
+    ]
+    sections.insert(0 if diagnosis else 1, diagnosis_part(diagnosis, result["reference"]))
     title = f"Recalibration of {result['robot']} {result['serial']}"
     return render(Page(title, headline, "good" if accepted and not diagnosis else "bad", sections))
 
@@ -51,26 +68,26 @@ def _validation(data: RecalibrationData) -> Section:
             strict=True,
         )
     ]
-    reference = data.result["reference"]
+    reference, gate = data.result["reference"], data.result["gate"]["normalised_rmse"]
     text = (
         f"The stored loop was run again and {_what(data.result)} estimated; the reference is {reference}.",
         "Errors are on samples that took no part in the fit they judge: stretches left out in turn for the new model, "
-        "the whole motion for the one before. Moving samples, over the axis's nominal joint torque.",
+        f"the whole motion for the one before. Moving samples, over the axis's nominal joint torque; the gate is "
+        f"{100 * gate:.1f} %.",
     )
     header = ("axis", "new model, RMSE [N·m]", "new model [%]", "model before [%]", "")
-    torque = replace(torque_prediction(*data.prediction, names), caption="Torque along one cycle of the loop.")
-    parts = (Table("validation", header, rows), torque)
+    cycles = f"Error of the new model on each of {len(data.normalised_rmse)} cycles, per axis; it was fitted to them."
+    parts = (
+        Table("validation", header, rows),
+        motion_box_plot(data.normalised_rmse, names, gate, cycles),
+        torque_prediction(*data.prediction, names, "Torque along one cycle of the loop."),
+    )
     return Section("Prediction", text, parts)
 
 
-def _parameters(data: RecalibrationData) -> Section:
-    header, *rows = data.parameter_rows
-    return Section("Parameters", (), (Table("parameters", header, rows),))
-
-
-def _provenance(result: dict[str, Any]) -> Section:
-    rows = list(result["provenance"].items())
-    return Section("Provenance", (), (Table("provenance", ("what", "value"), rows),))
+def _search(loop: dict[str, Any]) -> Section:
+    text = f"None this time: the stored loop of {loop['created']} was run again, fitness {loop['fitness']:.2f}."
+    return Section("Search", (text,))
 
 
 def _what(result: dict[str, Any]) -> str:

@@ -8,8 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from agent.report.common_sections import (
+    conditions_section,
+    diagnosis_part,
+    parameters_section,
+    provenance_section,
+)
 from agent.report.figures import motion_box_plot, torque_prediction
-from agent.report.motion_sections import MotionData, motion_sections
+from agent.report.motion_sections import MotionData, SearchData, motion_section, search_section
 from agent.report.page import Page, Section, Table, render
 
 
@@ -24,24 +30,38 @@ class RunData:
 
     result: dict[str, Any]
     motion: MotionData
+    search: SearchData
     parameter_rows: Sequence[Sequence[str]]
     normalised_rmse: np.ndarray
-    prediction: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]
+    prediction: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
     further: Sequence[Section] = ()
 
 
 def run_report(data: RunData) -> str:
     """HTML text of the report."""
     result = data.result
-    accepted = result["accepted"]
+    accepted, diagnosis = result["accepted"], result["diagnosis"]
     worst = max(result["validation"]["normalised_rmse"])
     headline = (
         f"{'Accepted' if accepted else 'Rejected'}: the worst axis predicts unseen motions in the sub-region to "
         f"{100 * worst:.2f} % of its nominal torque; the gate is {100 * result['gate']['normalised_rmse']:.1f} %."
     )
-    sections = (_validation(data), *motion_sections(data.motion), _parameters(data), *data.further, _provenance(data))
-    title = f"Calibration of {result['robot']}"
-    return render(Page(title, headline, "good" if accepted else "bad", sections))
+    if diagnosis is not None:
+        headline = f"{headline} {diagnosis['summary']}"
+    verdict = diagnosis_part(diagnosis, result["reference"])
+    notes = result["estimation"]["notes"]
+    sections = [
+        _validation(data),
+        motion_section(data.motion),
+        search_section(data.search),
+        *data.further,
+        conditions_section(result["conditions"], result["validation"]["joints"]),
+        parameters_section(data.parameter_rows, notes),
+        provenance_section(result),
+    ]
+    sections.insert(0 if diagnosis is not None else 1, verdict)
+    title = f"Calibration of {result['robot']} {result['serial']}".rstrip()
+    return render(Page(title, headline, "good" if accepted and diagnosis is None else "bad", sections))
 
 
 def _validation(data: RunData) -> Section:
@@ -64,23 +84,12 @@ def _validation(data: RunData) -> Section:
     )
     parts = (
         Table("validation", header, rows),
-        motion_box_plot(data.normalised_rmse, names, data.result["gate"]["normalised_rmse"]),
-        torque_prediction(*data.prediction, names),
+        motion_box_plot(
+            data.normalised_rmse,
+            names,
+            data.result["gate"]["normalised_rmse"],
+            f"Prediction error on {len(data.normalised_rmse)} unseen motions in the sub-region, per axis.",
+        ),
+        torque_prediction(*data.prediction, names, "Torque on one unseen motion, the one in the middle of the field."),
     )
     return Section("Prediction of unseen motions", text, parts)
-
-
-def _parameters(data: RunData) -> Section:
-    estimation = data.result["estimation"]
-    text = [
-        f"Condition number of the scaled observation matrix: {estimation['condition_number']:.0f}.",
-        *estimation["notes"],
-    ]
-    header, *rows = data.parameter_rows
-    return Section("Parameters", text, (Table("parameters", header, rows),))
-
-
-def _provenance(data: RunData) -> Section:
-    provenance = data.result["provenance"]
-    rows = [(name, value) for name, value in provenance.items()]
-    return Section("Provenance", (), (Table("provenance", ("what", "value"), rows),))

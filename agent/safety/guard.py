@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,13 +31,15 @@ from agent.safety.preconditions import (
     unsafe_in_motion,
 )
 from drivers.errors import DriverError, MotionStopped, RefusedError
-from drivers.protocol import Driver, Identity, SampleBlock, Status, TakesPoints, TellsFacts
+from drivers.protocol import Driver, Identity, SampleBlock, Status, TakesPoints, TellsFacts, TellsTemperatures
 
 if TYPE_CHECKING:
     from agent.safety.authorisation import Authorisation
 
 #: The controller's state is looked at so often while the arm moves [s], of its time and of ours.
 WATCH_INTERVAL = 0.2
+#: Motors warm up slowly: their temperatures are asked for so often [s].
+TEMPERATURE_INTERVAL = 5.0
 
 
 class GuardedLink:
@@ -85,6 +87,8 @@ class GuardedLink:
         self._identity: Identity | None = None
         self._emulator = False
         self._override_known = True
+        #: (controller time [s], (n,) [°C]) of the last motion, where the controller measures temperatures.
+        self.temperatures: list[tuple[float, np.ndarray]] = []
 
     @property
     def identity(self) -> Identity:
@@ -229,6 +233,8 @@ class GuardedLink:
         fault: AgentError | None = None
         pace = None if self._override_known else PaceCheck(program.chains)
         looked, looked_at = -np.inf, self._clock()
+        now = np.nan
+        self.temperatures = []
         try:
             for block in self._driver.samples():
                 yield block
@@ -239,7 +245,7 @@ class GuardedLink:
                         fault = SafetyError(f"{self.address}: the arm was stopped: {reason}")
                         self._stop()
                 if fault is None and (now - looked >= WATCH_INTERVAL or self._clock() - looked_at >= WATCH_INTERVAL):
-                    fault = self._look()
+                    fault = self._look(now)
                     looked, looked_at = now, self._clock()
                     if fault is not None:
                         self._stop()
@@ -248,10 +254,22 @@ class GuardedLink:
                 raise
         if fault is not None:
             raise fault
+        with suppress(DriverError):  # the motion is over and recorded
+            self._feel(now, 0.0)
 
-    def _look(self) -> AgentError | None:
+    def _feel(self, now: float, interval: float = TEMPERATURE_INTERVAL) -> None:
+        """Ask for temperatures where that was not done within the interval [s] of controller time `now`."""
+        if not isinstance(self._driver, TellsTemperatures):
+            return
+        if not self.temperatures or now - self.temperatures[-1][0] > interval:
+            values = self._driver.temperatures()
+            if values is not None:
+                self.temperatures.append((now, values))
+
+    def _look(self, now: float) -> AgentError | None:
         try:
             status: Status = self._driver.status()
+            self._feel(now)
         except DriverError as error:
             return ControllerError(
                 f"{self.address}: the controller's state cannot be read any more while the arm moves, so it was "

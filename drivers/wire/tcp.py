@@ -185,6 +185,18 @@ class Heartbeat(_Fields):
     """I am here. Either way, never answered."""
 
 
+@message(0x0B)
+class AskTemperatures(_Fields):
+    """How warm are the motors? A controller from before there was this question refuses it."""
+
+
+@message(0x8B)
+class TemperaturesReply(_Fields):
+    """One a joint [°C]; none where the controller measures none."""
+
+    celsius: Floats
+
+
 @message(0x80)
 class Done(_Fields):
     """The request was carried out and there is nothing more to say."""

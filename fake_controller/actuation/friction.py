@@ -38,7 +38,12 @@ class FrictionCurve:
 
 
 class FrictionTerm:
-    """Something that alters the friction of one axle; each method gives back what it was given unless overridden."""
+    """Something that alters the friction of one axle; each method gives back what it was given unless overridden.
+
+    `temperature` [K] is above the one at which the machine's friction curves hold, None for what has none.
+    """
+
+    temperature: float | None = None
 
     def level(self, level: float, speed: float, load: float) -> float:
         """Coulomb level [N·m] at `speed` [rad/s] while the gear transmits `load` [N·m]."""

@@ -12,6 +12,8 @@ from agent.robot import RobotDescription
 from agent.robot.dynamics import Dynamics
 from fake_controller.actuation.friction import FrictionCurve, FrictionTerm
 
+#: Temperature [°C] at which the friction curves of a machine hold.
+AMBIENT = 25.0
 #: Coulomb levels of built-in robots, N·m on the axles.
 COULOMB = {"comau_ns16": (68.0, 108.8, 50.4, 7.17, 12.8, 8.08)}
 
@@ -78,6 +80,13 @@ class Machine:
     def __post_init__(self) -> None:
         n = self.robot.dof
         self.torque_scale, self.torque_offset, self.encoder_offset = np.ones(n), np.zeros(n), np.zeros(n)
+
+    @property
+    def temperatures(self) -> tuple[float, ...]:
+        """(n,) of the drives [°C] as they are now, or none where nothing warms up."""
+        warm = ((k, term.temperature) for k, terms in self.terms.items() for term in terms)
+        known = {k: temperature for k, temperature in warm if temperature is not None}
+        return tuple(AMBIENT + known.get(k, 0.0) for k in range(self.robot.dof)) if known else ()
 
     @property
     def reflected_rotors(self) -> np.ndarray:

@@ -46,6 +46,12 @@ GOLDEN = [
             "  0100 70  0200 6162  01 0000000000000040  01"
         ),
     ),
+    (tcp.AskTemperatures(), 3, with_checksum("43414c4b 01 0b 0000 00000000 03000000")),
+    (
+        tcp.TemperaturesReply((25.5,)),
+        3,
+        with_checksum("43414c4b 01 8b 0000 09000000 03000000  01 0000000000803940"),
+    ),
     (
         tcp.UploadBegin("p", 258, "ab"),
         4,

@@ -15,12 +15,16 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-# The how-tos go on where the tutorial ends.
-PAGES = ("tutorial.md", "how-to-diagnosis.md", "how-to-recalibrate.md", "how-to-robot.md")
+README = ROOT / "README.md"
+# Each page goes on where the one before ends.
+STORIES = (
+    ("tutorial.md", "how-to-diagnosis.md", "how-to-recalibrate.md", "how-to-robot.md", "import.md", "recipe.md"),
+    ("../README.md",),
+)
 
 
-def _commands(page: str) -> str:
-    return "\n".join(re.findall(r"^```sh\n(.*?)^```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL | re.M))
+def _blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.M)
 
 
 def _free_port() -> int:
@@ -29,23 +33,24 @@ def _free_port() -> int:
         return probe.getsockname()[1]
 
 
-def test_every_command_of_tutorial_and_how_tos(tmp_path: Path):
-    shutil.copytree(ROOT / "recipes", tmp_path / "recipes")
-    (tmp_path / "bin").mkdir()
-    agent = tmp_path / "bin" / "agent"
-    agent.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m agent "$@"\n', encoding="utf-8")
-    agent.chmod(0o755)
-    script = "\n".join(f"echo '== {page}' >&2\n{_commands(page)}" for page in PAGES)
+def _tell(story: tuple[str, ...], folder: Path) -> subprocess.CompletedProcess[str]:
+    """Type all commands of some pages into a shell, in a folder that has the recipes."""
+    shutil.copytree(ROOT / "recipes", folder / "recipes")
+    (folder / "bin").mkdir()
+    for name, start in (("agent", "-m agent"), ("python", "")):
+        command = folder / "bin" / name
+        command.write_text(f'#!/bin/sh\nexec "{sys.executable}" {start} "$@"\n', encoding="utf-8")
+        command.chmod(0o755)
+    script = "\n".join(f"echo '== {page}' >&2\n" + "\n".join(_blocks(DOCS / page, "sh")) for page in story)
+    recipe = folder / "recipes" / "first_look.yaml"
     for port in ("9100", "9101"):
         free = str(_free_port())
         script = script.replace(port, free)
-        recipe = tmp_path / "recipes" / "first_look.yaml"
         recipe.write_text(recipe.read_text(encoding="utf-8").replace(port, free), encoding="utf-8")
-    whole = f"set -e\ntrap 'kill $(jobs -p) 2>/dev/null' EXIT\n{script}\n"
-    path = os.pathsep.join([str(tmp_path / "bin"), os.environ["PATH"]])
-    run = subprocess.run(
-        ["bash", "-c", whole],
-        cwd=tmp_path,
+    path = os.pathsep.join([str(folder / "bin"), os.environ["PATH"]])
+    return subprocess.run(
+        ["bash", "-c", f"set -e\ntrap 'kill $(jobs -p) 2>/dev/null' EXIT\n{script}\n"],
+        cwd=folder,
         env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)},
         stdin=subprocess.DEVNULL,
         capture_output=True,
@@ -53,11 +58,35 @@ def test_every_command_of_tutorial_and_how_tos(tmp_path: Path):
         check=False,
         timeout=540,
     )
+
+
+def test_every_command_of_tutorial_and_how_tos(tmp_path: Path):
+    run = _tell(STORIES[0], tmp_path)
     assert run.returncode == 0, run.stderr[-3000:]
     assert "skipped: the last accepted run" in run.stdout
     assert "parameters moved by more than" in run.stdout or "none of" in run.stdout
-    for made in ("plan/plan.html", "logs/index.html", "diagnosis.html", "tx40.yaml", "history.json"):
+    for made in ("plan/plan.html", "logs/index.html", "diagnosis.html", "tx40.yaml", "history.json", "table.mcap"):
         assert (tmp_path / made).is_file(), made
+
+
+def test_every_command_of_the_readme(tmp_path: Path):
+    run = _tell(STORIES[1], tmp_path)
+    assert run.returncode == 0, run.stderr[-3000:]
+    for made in ("plan/plan.html", "logs/index.html", "model.json", "diagnosis.html"):
+        assert (tmp_path / made).is_file(), made
+
+
+def test_no_page_has_commands_that_are_not_run():
+    told = {(DOCS / page).resolve() for story in STORIES for page in story}
+    pages = [README, *DOCS.rglob("*.md")]
+    assert {page.resolve() for page in pages if _blocks(page, "sh")} == told
+
+
+def test_what_is_typed_once_can_be_made():
+    for page in (README, *DOCS.glob("*.md")):
+        for target in re.findall(r"^make ([a-z]+)", "\n".join(_blocks(page, "bash")), re.M):
+            run = subprocess.run(["make", "-n", target], cwd=ROOT, capture_output=True, text=True, check=False)
+            assert run.returncode == 0, run.stderr
 
 
 @pytest.mark.parametrize("page", sorted(path.name for path in DOCS.glob("*.md")))

@@ -78,8 +78,20 @@ def _check_shown(browse, page: Path) -> str:
 def test_a_calibration(calibrated: Path, browse):
     page = _pages(calibrated)["calibration"]
     text = _check_file(page)
-    for title in ("Prediction of unseen motions", "Residuals by joint and regime", "Logs", "Provenance", "Search"):
-        assert f"<h2>{title}</h2>" in text
+    assert re.findall("<h2>([^<]+)</h2>", text) == [
+        "Prediction of unseen motions",
+        "Diagnosis",
+        "Motion",
+        "Search",
+        "Observation matrix",
+        "Residuals by joint and regime",
+        "Logs",
+        "Conditions",
+        "Parameters",
+        "Provenance",
+    ]
+    assert "Not needed: there is no earlier model" in text
+    assert "95 % interval" in text
     assert "jitter [µs RMS]" in text
     document = _check_shown(browse, page)
     assert document.count("<canvas") == 1
@@ -103,13 +115,50 @@ def test_a_recalibration(shop: Path, run_agent, browse):
     assert run.returncode == 0, run.stderr
     page = shop / run.stdout.strip() / "report.html"
     text = _check_file(page)
-    assert "<h2>Against the last accepted run</h2>" in text
+    assert re.findall("<h2>([^<]+)</h2>", text) == [
+        "Prediction",
+        "Diagnosis",
+        "Motion",
+        "Search",
+        "Observation matrix",
+        "Against the last accepted run",
+        "Residuals by joint and regime",
+        "Logs",
+        "Conditions",
+        "Parameters",
+        "Provenance",
+    ]
+    assert "predicts the fresh data no worse" in text
+    assert text.count("<canvas") == 1
     assert "parameters moved by more than their uncertainty" in text
     _check_shown(browse, page)
     before = text
     again = run_agent("report", run.stdout.strip())
     assert again.returncode == 0, again.stderr
     assert page.read_text(encoding="utf-8") == before, "made again from its files, it is the same page"
+
+
+def test_a_calibration_anew_of_a_machine_that_changed_opens_with_the_diagnosis(
+    shop: Path, run_agent, start_controller, browse
+):
+    effects = shop / "effects.json"
+    worn = {"effect": "friction_change", "joints": ["joint_2"], "parameters": {"coulomb": 1.3}}
+    effects.write_text(json.dumps([worn]), encoding="utf-8")
+    machine = start_controller("--seed", "7", "--effects", str(effects))
+    recipe = shop / "recipe.yaml"
+    text = re.sub(r'address: "[^"]*"', f'address: "{machine.address}"', recipe.read_text(encoding="utf-8"))
+    recipe.write_text(text, encoding="utf-8")
+    run = run_agent("calibrate", "recipe.yaml", "-q")
+    assert run.returncode == 0, run.stderr
+    folder = shop / run.stdout.strip()
+    found = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+    assert [(cause["effect"], cause["joints"]) for cause in found["causes"]] == [("friction_change", ["joint_2"])]
+    page = _check_file(folder / "report.html")
+    titles = re.findall("<h2>([^<]+)</h2>", page)
+    assert titles[0].startswith("Diagnosis")
+    assert "Against the last accepted run" in titles
+    assert "friction change on joint_2" in page.split("</header>")[0]
+    _check_shown(browse, folder / "report.html")
 
 
 def test_a_calibration_made_again(shop: Path, run_agent):

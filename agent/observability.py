@@ -1,0 +1,80 @@
+"""What a motion shows of a model's parameters: the health of its observation matrix, and what nothing can show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.recording.log import AROUND
+
+if TYPE_CHECKING:
+    from agent.estimation import IdentifiedModel
+    from agent.recording.log import Log
+
+#: Parameters named in a direction of parameter space.
+_NAMED = 4
+_NORMAL_95 = 1.96
+
+
+@dataclass(frozen=True, eq=False)
+class Observability:
+    """Of p parameters along one cycle of a motion.
+
+    `singular_values` (p,), largest first, of the observation matrix with rows weighted by the model's residuals and
+    columns scaled to unit length; `weakest` holds the directions that belong to the smallest of them, each as
+    (singular value over the largest, {parameter: its part of the unit vector}), the least visible first.
+    `never_acting` are standard parameters that no motion of this arm shows, `combined` is the number of those that act
+    in combinations only; `within_noise` are parameters whose 95 % interval takes in zero.
+    """
+
+    parameters: int
+    singular_values: np.ndarray
+    weakest: tuple[tuple[float, dict[str, float]], ...]
+    never_acting: tuple[str, ...]
+    combined: int
+    within_noise: tuple[str, ...]
+
+    @property
+    def condition_number(self) -> float:
+        """Largest over smallest singular value; inf where something is not seen at all."""
+        largest, smallest = self.singular_values[[0, -1]]
+        return float(largest / smallest) if smallest > 1e-7 * largest else float("inf")
+
+
+def observability(model: IdentifiedModel, log: Log, directions: int = 3) -> Observability:
+    """Look at a model along one cycle of the motion that it was estimated from."""
+    from agent.estimation.filtering import FilterSettings, motions
+
+    start, stop = log.middle_cycle()
+    total = np.zeros((len(model.values), len(model.values)))
+    for m in motions(log.between(start - AROUND, stop + AROUND), FilterSettings(model.cutoff, model.order)):
+        columns = model.columns(m.q, m.qd, m.qdd)
+        rows = m.low_pass(columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
+        rows = rows / model.residual_rmse[:, None]
+        total += np.einsum("snp,snq->pq", rows, rows, optimize=True)
+    length = np.sqrt(np.diag(total))
+    seen = length > 1e-12 * length.max()
+    scale = np.where(seen, length, 1.0)
+    energy, vectors = np.linalg.eigh(total / np.outer(scale, scale))
+    values = np.sqrt(np.maximum(energy[::-1], 0.0))
+    weakest = tuple(
+        (float(values[-1 - k] / values[0]), _largest_parts(vectors[:, k], model.names)) for k in range(directions)
+    )
+    acting = np.abs(model.projection).max(axis=0) > 1e-12
+    named = dict(zip(model.names, zip(model.values, model.standard_deviations, strict=True), strict=True))
+    return Observability(
+        parameters=len(values),
+        singular_values=values,
+        weakest=weakest,
+        never_acting=tuple(name for name, acts in zip(model.standard_names, acting, strict=True) if not acts),
+        combined=int(acting.sum()) - len(model.independent),
+        within_noise=tuple(name for name, (value, sigma) in named.items() if abs(value) <= _NORMAL_95 * sigma),
+    )
+
+
+def _largest_parts(vector: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:
+    order = np.argsort(-np.abs(vector))[:_NAMED]
+    sign = np.sign(vector[order[0]])
+    return {names[k]: float(sign * vector[k]) for k in order if abs(vector[k]) > 0.1}

@@ -1,0 +1,69 @@
+"""Sections that every report of a run has: parameters, provenance, and the diagnosis or why there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from agent.report.gap_section import diagnosis_section
+from agent.report.page import Section, Table
+
+_NORMAL_95 = 1.96
+
+
+def parameters_section(table: Sequence[Sequence[str]], notes: Sequence[str] = ()) -> Section:
+    """Every parameter with its 95 % interval; `table` is that of `IdentifiedModel.rows`, header first."""
+    _, *rows = table
+    shown = [
+        (name, value, _interval(value, deviation), deviation, relative, unit, meaning)
+        for name, value, deviation, relative, unit, meaning in rows
+    ]
+    header = ("parameter", "value", "95 % interval", "std. dev.", "rel. [%]", "unit", "stands for")
+    return Section("Parameters", notes, (Table("parameters", header, shown),))
+
+
+def diagnosis_part(diagnosis: dict[str, Any] | None, reference: str) -> Section:
+    """What the diagnosis found, or why it did not run. `reference` names the last accepted run, if there is one."""
+    if diagnosis is None:
+        why = "there is no earlier model to compare with."
+        if reference:
+            why = f"the model of {reference} predicts the fresh data no worse than it did at its own calibration."
+        return Section("Diagnosis", (f"Not needed: {why}",))
+    if diagnosis["result"] is None:
+        return Section("Diagnosis", (diagnosis["summary"],))
+    return diagnosis_section(diagnosis["result"])
+
+
+def conditions_section(conditions: dict[str, Any], joints: Sequence[str]) -> Section:
+    """How warm it was, and how friction changed while the arm moved."""
+    rates, doubts = (conditions["warm_up"][key] for key in ("rate_per_s", "standard_deviation"))
+    temperatures = conditions["temperatures_c"] or {}
+    first, last = (temperatures.get(key) or [None] * len(joints) for key in ("first", "last"))
+    rows = [
+        (joint, _number(rate, 6000, "+.3f"), _number(doubt, 6000, ".3f"), _number(start), _number(end))
+        for joint, rate, doubt, start, end in zip(joints, rates, doubts, first, last, strict=True)
+    ]
+    text = (
+        f"{conditions['cycles']} cycles, {conditions['motion_s']:.0f} s of motion. The friction of a cold arm falls "
+        "while it moves; the trends take that out."
+        + ("" if temperatures else " No temperatures from this controller."),
+    )
+    header = ("axis", "friction changes by [%/min]", "std. dev.", "motor at the start [°C]", "at the end [°C]")
+    return Section("Conditions", text, (Table("conditions", header, rows),))
+
+
+def provenance_section(result: dict[str, Any]) -> Section:
+    """Versions, and SHA-256 of everything that went into the run."""
+    rows = list(result["provenance"].items())
+    return Section("Provenance", (), (Table("provenance", ("what", "value"), rows),))
+
+
+def _number(value: float | None, scale: float = 1.0, form: str = ".1f") -> str:
+    return "-" if value is None or not np.isfinite(value) else f"{scale * value:{form}}"
+
+
+def _interval(value: str, deviation: str) -> str:
+    half = _NORMAL_95 * float(deviation)
+    return f"{float(value) - half:.4g} to {float(value) + half:.4g}"

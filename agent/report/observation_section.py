@@ -1,0 +1,58 @@
+"""Health of the observation matrix: how well the motion shows the parameters, and what it cannot show."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.report.figures import SERIES, Figure, new_plot, to_figure
+from agent.report.page import Section, Table
+
+if TYPE_CHECKING:
+    from agent.observability import Observability
+
+_USUAL_LIMIT = 100  # Gautier and Khalil's rule of thumb for exciting trajectories
+
+
+def observation_section(found: Observability) -> Section:
+    """Condition number, singular values, the directions that are seen least, and what is not identifiable."""
+    number = found.condition_number
+    condition = f"{number:.0f}" if np.isfinite(number) else "beyond 1e7"
+    text = [
+        f"{found.parameters} parameters; condition number {condition}, of the observation matrix along one cycle, rows "
+        "weighted by the residuals, columns scaled to unit length. The rule of thumb for a good excitation is below "
+        f"{_USUAL_LIMIT}.",
+        _unidentifiable(found),
+    ]
+    if found.within_noise:
+        names = ", ".join(found.within_noise)
+        text.append(f"Not told from zero by this motion (the 95 % interval takes it in): {names}.")
+    else:
+        text.append("Every parameter is told from zero by this motion (95 %).")
+    header = ("seen least", "singular value over the largest", "direction")
+    rows = [(str(k + 1), f"{value:.2g}", _direction(parts)) for k, (value, parts) in enumerate(found.weakest)]
+    return Section("Observation matrix", text, (_figure(found.singular_values), Table("directions", header, rows)))
+
+
+def _unidentifiable(found: Observability) -> str:
+    text = f"{found.combined} standard parameters of the links show in combinations alone, listed with the parameters."
+    if not found.never_acting:
+        return text
+    return f"{text} No motion of this arm shows {', '.join(found.never_acting)}."
+
+
+def _direction(parts: dict[str, float]) -> str:
+    terms = [f"{value:+.2f} {name}" for name, value in parts.items()]
+    return " ".join(terms).removeprefix("+")
+
+
+def _figure(values: np.ndarray) -> Figure:
+    plot, axes = new_plot(height=2.4)
+    place = np.arange(1, len(values) + 1)
+    axes[0, 0].plot(place, np.log10(np.maximum(values / values[0], 1e-9)), ".-", markersize=4)
+    axes[0, 0].axhline(-np.log10(_USUAL_LIMIT), linestyle=":", color=SERIES[3])
+    axes[0, 0].set_xlabel("number")
+    axes[0, 0].set_ylabel("log10 of value / largest")
+    caption = "Singular values of the observation matrix; dots: a condition number of 100."
+    return to_figure("singular-values", caption, plot, ("number", "singular_value"), np.column_stack([place, values]))

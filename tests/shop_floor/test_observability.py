@@ -1,0 +1,49 @@
+"""What a motion shows: singular values that are those of the matrix, and directions it is blind to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.estimation import IdentifiedModel
+from agent.estimation.filtering import FilterSettings, motions
+from agent.observability import observability
+from agent.recording import read_log
+
+
+@pytest.fixture(scope="module")
+def run(calibrated: Path) -> tuple[IdentifiedModel, object]:
+    (folder,) = [path for path in (calibrated / "logs").iterdir() if (path / "state.json").exists()]
+    model = IdentifiedModel.load(folder / "model.json")
+    return model, read_log(folder / "excitation.mcap", model.robot)
+
+
+def test_singular_values_are_those_of_the_matrix(run):
+    model, log = run
+    found = observability(model, log)
+    start, stop = log.middle_cycle()
+    (motion,) = motions(log.between(start - 1, stop + 1), FilterSettings(model.cutoff, model.order))
+    columns = model.columns(motion.q, motion.qd, motion.qdd) / model.residual_rmse[:, None]
+    matrix = motion.low_pass(columns.reshape(len(columns), -1)).reshape(-1, len(model.values))
+    expected = np.linalg.svd(matrix / np.linalg.norm(matrix, axis=0), compute_uv=False)
+    np.testing.assert_allclose(found.singular_values, expected, rtol=1e-6)
+    assert found.condition_number == pytest.approx(expected[0] / expected[-1], rel=1e-6)
+
+
+def test_what_nothing_shows_is_named(run):
+    model, log = run
+    found = observability(model, log)
+    assert {"m1", "mz1", "Ixx1", "Iyy1"} <= set(found.never_acting), "the first link turns about the vertical alone"
+    assert not set(found.never_acting) & set(model.names)
+    assert found.weakest[0][0] == pytest.approx(1 / found.condition_number)
+    assert set(found.weakest[0][1]) <= set(model.names)
+
+
+def test_a_joint_that_rests_is_not_seen(run):
+    model, log = run
+    still = log.position.copy()
+    still[:, 5] = still[0, 5]
+    found = observability(model, type(log)(**{**log.__dict__, "position": still}))
+    assert found.condition_number > 1e6
