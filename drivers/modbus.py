@@ -264,7 +264,9 @@ class ModbusDriver:
         while True:
             answer = link.read(wire.ANSWER)
             if (answer["session"], answer["request"]) != (self._session, request):
-                raise DriverError(f"{what}: the controller at {self.address} went on to another command")
+                raise DriverError(
+                    f"{what}: the controller at {self.address} went on to another command, or was started again"
+                )
             if answer["outcome"] != wire.Outcome.WORKING:
                 break
             if time.monotonic() > until:

@@ -100,7 +100,7 @@ class Registers:
     def requests(self) -> list[bytes]:
         reads = [(block.address, block.registers) for block in modbus.BLOCKS] + [(modbus.RING, 100), (3000, 125)]
         frames = [struct.pack(">BBHH", modbus.UNIT, 3, *read) for read in reads]
-        blank = {"session": SESSION, "watchdog": 5000, "name": "p", "size": 40, "checksum": b"", "motion": b"m" * 16}
+        blank = {"session": SESSION, "watchdog": 200, "name": "p", "size": 40, "checksum": b"", "motion": b"m" * 16}
         for number, command in enumerate(modbus.Command):
             frames.append(self._write(modbus.COMMAND, **blank, request=number + 1, command=command))
         frames.append(self._write(modbus.UPLOAD, session=SESSION, offset=0, count=5, data=b"abcde"))

@@ -10,6 +10,16 @@ import pytest
 from drivers.wire import tcp
 
 
+def program(body: str) -> str:
+    """PDL2 text of the name `p`; `k` is an integer."""
+    return f"PROGRAM p HOLD, PROG_ARM=1\nVAR\n  k : INTEGER\nBEGIN\n{body}\nEND p\n"
+
+
+#: For the small arm: a second of motion there and back, and minutes of it.
+SHORT = program("  MOVE JOINT TO {20, -30}\n  MOVE JOINT TO {0, 0}")
+LONG = program("  FOR k := 1 TO 500 DO\n    MOVE JOINT TO {20, -30}\n    MOVE JOINT TO {-20, 30}\n  ENDFOR")
+
+
 class Peer:
     """The controller's end of one connection, frame by frame."""
 

@@ -16,20 +16,16 @@ from fake_controller.server_cnr import CnrServer
 from fake_controller.server_modbus import ModbusRtuServer, ModbusServer
 from fake_controller.server_serial import SerialServer
 from fake_controller.server_tcp import TcpServer
+from tests.link.conftest import LONG, SHORT
 
 BAUD = 4_000_000
-
-
-def program(body):
-    return f"PROGRAM p HOLD, PROG_ARM=1\nVAR\n  k : INTEGER\nBEGIN\n{body}\nEND p\n"
 
 
 class FakeBench:
     """What the benches of all wires share."""
 
     joint_names = ("shoulder", "elbow")
-    short = program("  MOVE JOINT TO {20, -30}\n  MOVE JOINT TO {0, 0}")
-    long = program("  FOR k := 1 TO 500 DO\n    MOVE JOINT TO {20, -30}\n    MOVE JOINT TO {-20, 30}\n  ENDFOR")
+    short, long = SHORT, LONG
     name: str
 
     def __init__(self, arm, undo):

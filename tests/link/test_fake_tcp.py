@@ -17,17 +17,12 @@ from drivers.wire import tcp
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.build import build_controller
 from fake_controller.server_tcp import TcpServer
+from tests.link.conftest import LONG, program
 
 GOAL = np.radians([20.0, -30.0])
 
 
-def program(body: str) -> str:
-    """PDL2 text around statements, for an arm of two joints."""
-    return f"PROGRAM p HOLD, PROG_ARM=1\nVAR\n  k : INTEGER\nBEGIN\n{body}\nEND p\n"
-
-
 SHORT = program("  MOVE JOINT TO {20, -30}")
-LONG = program("  FOR k := 1 TO 500 DO\n    MOVE JOINT TO {20, -30}\n    MOVE JOINT TO {-20, 30}\n  ENDFOR")
 
 
 def sha256(text: str) -> str:

@@ -20,14 +20,7 @@ from drivers.wire import modbus as wire
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.build import build_controller
 from fake_controller.server_modbus import ModbusServer
-
-
-def program(body):
-    return f"PROGRAM p HOLD, PROG_ARM=1\nVAR\n  k : INTEGER\nBEGIN\n{body}\nEND p\n"
-
-
-SHORT = program("  MOVE JOINT TO {20, -30}\n  MOVE JOINT TO {0, 0}")
-LONG = program("  FOR k := 1 TO 500 DO\n    MOVE JOINT TO {20, -30}\n    MOVE JOINT TO {-20, 30}\n  ENDFOR")
+from tests.link.conftest import LONG, SHORT, program
 
 
 @pytest.fixture

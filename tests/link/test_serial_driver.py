@@ -15,16 +15,9 @@ from fake_controller.build import build_controller
 from fake_controller.cable import Cable
 from fake_controller.server_modbus import ModbusRtuServer
 from fake_controller.server_serial import SerialServer
+from tests.link.conftest import LONG, SHORT, program
 
 FAST = 4_000_000
-
-
-def program(body):
-    return f"PROGRAM p HOLD, PROG_ARM=1\nVAR\n  k : INTEGER\nBEGIN\n{body}\nEND p\n"
-
-
-SHORT = program("  MOVE JOINT TO {20, -30}\n  MOVE JOINT TO {0, 0}")
-LONG = program("  FOR k := 1 TO 500 DO\n    MOVE JOINT TO {20, -30}\n    MOVE JOINT TO {-20, 30}\n  ENDFOR")
 
 
 @pytest.fixture
