@@ -137,8 +137,8 @@ class CnrMotion:
             self._wait_for_motion(times, values, changed)
         else:
             self._held.append((times, values))
-            if len(changed):
-                self._changed_at = float(times[changed[-1]])
+        if len(changed):
+            self._changed_at = float(times[changed[-1]])
         if self.begun_at is not None:
             self._give_but_rest()
 
@@ -225,7 +225,7 @@ class CnrMotion:
             while len(self._held) > 1 and self._held[1][0][0] < times[-1] - _BEFORE:
                 del self._held[0]
             return
-        self.begun_at = self._changed_at = float(times[changed[0]])
+        self.begun_at = float(times[changed[0]])
         times, values = self._take_held()
         holes = np.flatnonzero(np.diff(times[times <= self.begun_at]) > 1.5 * self._arm.period)
         first = max(int(np.searchsorted(times, self.begun_at - _BEFORE)), int(holes[-1]) + 1 if len(holes) else 0)

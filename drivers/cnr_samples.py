@@ -37,7 +37,8 @@ class Joiner:
 
     A sample is whole when every channel has given a message of its time; the time is that of the first channel. The
     joint channels carry the same one, currents are stamped apart: within `_SAME` periods they are the same sample. A
-    sample with a hole waits for `_PATIENCE` periods, then it is given up.
+    sample with a hole, or one whose predecessor is not there, waits for `_PATIENCE` periods; then it is given up, or
+    its predecessor is.
 
     Args:
         channels: their names; the first one's time is the sample's.
@@ -55,7 +56,7 @@ class Joiner:
         self._times: list[int] = []  # of what waits, sorted
         self._waiting: dict[int, list[tuple[float, ...] | None]] = {}
         self._whole: list[tuple[int, list[Any]]] = []
-        self._given = -(2**62)  # time of the last sample given out or up
+        self._given = -(2**62)  # time of the last sample given out or up; negative: none was
         self._newest = -(2**62)
 
     def add(self, channel: int, time_us: int, values: tuple[float, ...]) -> None:
@@ -136,10 +137,11 @@ class Joiner:
         while self._times:
             key = self._times[0]
             row = self._waiting[key]
+            patient = self._newest - key <= _PATIENCE * self._period and len(self._times) <= _MOST_WAITING
+            follows = self._given < 0 or key - self._given < 1.5 * self._period
+            if patient and (None in row or not follows):
+                return
             if None in row:
-                patient = self._newest - key <= _PATIENCE * self._period and len(self._times) <= _MOST_WAITING
-                if patient:
-                    return
                 for name, values in zip(self._channels, row, strict=True):
                     if values is None:
                         self.counts.missing[name] = self.counts.missing.get(name, 0) + 1

@@ -301,8 +301,8 @@ class Sockets:
                 if isinstance(message.record, Point):
                     self._answers.put(message)
                     continue
+                self._note(message.record)  # before the answer: what is counted now was made before what comes next
                 self._send(source, Message(message.type, Comm.REPLY, ReplyCode.SUCCESS, message.record))
-                self._note(message.record)
                 if isinstance(message.record, Feedback):
                     feedbacks.append(message.record)
         except ProtocolError as error:
