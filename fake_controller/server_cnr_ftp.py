@@ -63,7 +63,7 @@ class ProgramFolder:
         self._socket = listening_socket(address, port, controller.faults.refusing)
         self.port = self._socket.getsockname()[1]
         self._folder = tempfile.TemporaryDirectory(prefix="fake_controller_")
-        self.path = Path(self._folder.name)
+        self.path = Path(self._folder.name).resolve()
         self._loop = IOLoop()
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="ftp", daemon=True)
