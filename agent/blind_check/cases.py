@@ -155,7 +155,7 @@ def _sizes(
         },
         "base_tilt": lambda: {"roll": sign * 0.02 * s, "pitch": draw(-0.02, 0.02) * s},
         "inertial_mismatch": lambda: {
-            "link": float(rng.integers(2, n + 1)),
+            "link": float(rng.integers(2, max(n, 3))),  # a changed last link is a payload by another name
             "scale": 1 + 0.2 * s,
             "points": [[4 * s, *draw(-0.3, 0.3, 3)]],
         },

@@ -25,6 +25,7 @@ BLOCK = 1.0
 _PARITY = 0.1  # s
 _GUARD = 0.2  # s
 _BLOCKS = 5
+_SHORTEST = 3.0  # s of a log alone
 _STICTION = 0.3  # of the Coulomb level
 _STANDSTILL = 0.004  # of the highest speed
 _NEAR_STANDSTILL = 0.05  # s
@@ -82,11 +83,8 @@ def assemble(
     index: list[np.ndarray] = []
     for stretch in observation.stretches:
         motion = stretch.motion
-        signals.append(
-            FilteredSignals(
-                reference, motion.time, motion.q, motion.qd, motion.qdd, stretch.log_index, motion.kept, motion.low_pass
-            )
-        )
+        started = logs[stretch.log_index].stamp - min(entry.stamp for entry in logs)
+        signals.append(FilteredSignals(reference, motion, stretch.log_index, started))
         extra = _known_effects(model, signals[-1])
         per_joint = observation.joint_columns(stretch, model.terms, model.base_values)
         index = [places for places, _ in per_joint]
@@ -155,9 +153,10 @@ def _background(reference: Reference, moving: np.ndarray, speed: np.ndarray, sig
 class FilteredSignals(Signals):
     """Signals of a motion that knows its filter."""
 
-    def __init__(self, reference, time, q, qd, qdd, log_index, kept, low_pass):
-        super().__init__(reference, time, q, qd, qdd, log_index, kept)
-        object.__setattr__(self, "low_pass", low_pass)
+    def __init__(self, reference, motion, log_index, started):
+        time, q, qd, qdd = motion.time, motion.q, motion.qd, motion.qdd
+        super().__init__(reference, time, q, qd, qdd, log_index, motion.kept, tuple(motion.cycle_starts), started)
+        object.__setattr__(self, "low_pass", motion.low_pass)
 
 
 def _known_effects(model: IdentifiedModel, signals: Signals) -> np.ndarray:
@@ -234,6 +233,11 @@ def _blocks(time: np.ndarray, log: Log) -> tuple[np.ndarray, list[str]]:
     """One log: its cycles where it has three or more, else five blocks; rows near a border are in none."""
     starts = np.asarray(log.cycle_starts, dtype=float)
     first, last = float(time[0]), float(time[-1])
+    if last - first < _SHORTEST:
+        raise InputError(
+            f"{log.path}: {last - first:.1f} s are left of the only log once it is filtered; parts of it are held out "
+            f"from each other, which takes {_SHORTEST:g} s: record longer, or give a second log"
+        )
     inside = starts[(starts > first) & (starts < last)]
     if len(inside) >= 2:
         borders = inside[np.linspace(0, len(inside) - 1, min(len(inside), 5)).astype(int)]

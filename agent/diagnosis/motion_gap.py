@@ -10,7 +10,7 @@ import numpy as np
 
 from agent.recording.log import Log
 
-NOTABLE = 5e-4  # rad, root mean square on the worst joint
+NOTABLE = 1e-4  # rad, root mean square on the worst joint
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,12 +14,12 @@ from agent.diagnosis.fit import Candidate, Fit, Score
 #: All in units of the background energy of all rows, Σ e² / σ² of a model that is right.
 LEAST_GAIN = 0.02  # an effect must gain as much to be named
 LEAST_SHARE = 0.35  # of what is still unexplained, for every further effect
-CLOSES = 0.7  # of the excess over the background, or the cause is unknown
-FITS = (0.85, 0.93, 0.93)  # of it by one, two, three effects, or their forms are not beyond doubt
+CLOSES = 0.75  # of the excess over the background, or the cause is unknown
+FITS = 0.95  # of it, or the form of a cause is not beyond doubt
 EXCESS = 0.6  # over the background on one joint before something counts as unexplained
-NEAR = 0.04  # of what is explained: forms this close are told apart by simplicity alone
+NEAR = 0.04  # of what is explained: of forms this close the simplest is taken, unless the best one fits far better
 NEAR_FLOOR = 0.02
-ALIKE = 0.01  # of what is explained: forms this close in the end cannot be told apart
+ALIKE = 0.003  # of what is explained: forms this close cannot be told apart, however well the better one fits
 STANDS_OUT = 0.25  # of its gain must be energy over the background on its joints, log by log
 PRACTICAL = 0.005  # of nominal, root mean square: a smaller effect, or gap over the background, does not matter
 UNFIT = 0.5  # of what a cause leaves, explained by a shape of its own kind
@@ -243,9 +243,11 @@ class Search:
         )
 
     def _near(self, step: Step) -> list[Score]:
-        best = step.eligible[0].gain
-        margin = max(NEAR_FLOOR * self.rows, NEAR * best)
-        return [s for s in step.eligible if best - s.gain <= margin]
+        """Forms that do as well as the best, as far as that one fits: what it leaves on its joints is its own doubt."""
+        best = step.eligible[0]
+        left = self._excess(self.fit.with_chosen((*step.chosen, best.candidate)), tuple(best.candidate.blocks))
+        margin = max(NEAR_FLOOR * self.rows, min(NEAR * best.gain, max(ALIKE * best.gain, left)))
+        return [s for s in step.eligible if best.gain - s.gain <= margin]
 
     def _simplest(self, step: Step) -> Score:
         return min(self._near(step), key=lambda s: (_complexity(s.candidate), -s.gain))
@@ -325,7 +327,7 @@ class Search:
         assert self.null is not None
         chance = tuple(self.null.chance(entry[0]) for entry in ranked)
         lead = tuple(float(entry[3]) for entry in ranked)
-        doubtful = closed < FITS[len(causes) - 1]
+        doubtful = closed < FITS
         verdict = "ambiguous" if rivals[0] or ranked[0][4] or doubtful else "explained"
         return Finding(verdict, self.fit.with_chosen(causes), causes, tuple(rivals), chance, lead, closed, tuple(steps))
 

@@ -84,8 +84,9 @@ def _doubt(robot: RobotDescription, nominal: Dynamics, links: np.ndarray) -> tup
 class Signals:
     """One motion without gaps. S samples, n joints: time (S,) [s] of the log, q, qd, qdd (S, n) smoothed.
 
-    `log_index` counts logs (-1 where unknown), `residual` (S', n) [N·m] is what is left of the filtered torque at
-    `kept` samples; both matter only to effects that happen at some time.
+    `log_index` counts logs (-1 where unknown), `cycle_starts` [s] are those of its log and `started` [s] is when that
+    began, counted from the first log: all for effects that happen at some time. `kept` are the samples that the filter
+    returns.
     """
 
     reference: Reference
@@ -95,6 +96,8 @@ class Signals:
     qdd: np.ndarray
     log_index: int = -1
     kept: slice = field(default_factory=lambda: slice(None))
+    cycle_starts: tuple[float, ...] = ()
+    started: float = 0.0
 
     @cached_property
     def axles(self) -> AxleMotion:

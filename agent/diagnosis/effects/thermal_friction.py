@@ -4,9 +4,11 @@ import numpy as np
 
 from agent.diagnosis.effects.effect import Effect, on_axle
 
+_LONGEST_SESSION = 12 * 3600.0  # s
+
 
 class ThermalFriction(Effect):
-    """τ = (a + b exp(−t / T)) s + (c + d exp(−t / T)) w, t from the start of each log."""
+    """τ = (a + b exp(−t / T)) s + (c + d exp(−t / T)) w, t from the start of each log, or of the first of a session."""
 
     name = "thermal_friction"
     formula = "(a + b · exp(−t / T)) · s + (c + d · exp(−t / T)) · w"
@@ -19,13 +21,21 @@ class ThermalFriction(Effect):
 
     def settings(self, survey, joints):
         longest = max(float(s.time[-1]) for s in survey.signals)
-        return [{"time_constant": fraction * longest} for fraction in (0.08, 0.2, 0.5, 1.5, 5.0)]
+        session = max(s.started + float(s.time[-1]) for s in survey.signals)
+        each = [{"time_constant": fraction * longest} for fraction in (0.08, 0.2, 0.5, 1.5, 5.0)]
+        if not longest < session < _LONGEST_SESSION:
+            return each
+        return each + [{"time_constant": fraction * session, "session": 1.0} for fraction in (0.1, 0.3, 0.8, 2.0)]
 
     def names(self, settings):
         return ("coulomb_change", "coulomb_drift", "viscous_change", "viscous_drift")
 
     def columns(self, signals, joints, settings):
         (axle,) = joints
-        fading = np.exp(-signals.time / settings["time_constant"])
+        since = signals.time + (signals.started if "session" in settings else 0.0)
+        fading = np.exp(-since / settings["time_constant"])
         slide, speed = signals.direction(axle), signals.axles.speed[:, axle]
         return on_axle(signals.reference, axle, slide, slide * fading, speed, speed * fading)
+
+    def freedom(self, settings):
+        return 5

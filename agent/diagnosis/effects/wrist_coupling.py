@@ -6,10 +6,11 @@ from agent.diagnosis.effects.effect import Effect
 
 
 class WristCoupling(Effect):
-    """Axle j turns at w = q̇_j + r q̇_i, so its rotor and friction act at w on joint j and r-fold on joint i.
+    """Axle j turns at w = q̇_j + r q̇_i, so its rotor and friction act at w.
 
-    τ_j = a r q̈_i + b r q̇_i + c (s(w) − s(q̇_j)) and τ_i = a r ẇ + b r w + c r s(w) + d r τ_axle: the last is the
-    torque that reaches joint i through the coupling and that the measurement does not know of.
+    Joint j feels Δτ_j = a r q̈_i + b r q̇_i + c (s(w) − s(q̇_j)). What joint i feels depends on where torque is
+    reported. On the joint side its motor carries the axle's share too, Δτ_i = r (a ẇ + b w + c s(w)); on the axle's
+    side the load of joint j reaches it unseen, Δτ_i = d r τ_j with d near -1.
     """
 
     name = "wrist_coupling"
@@ -27,10 +28,11 @@ class WristCoupling(Effect):
         return [(i, j) for i in range(first, robot.dof) for j in range(i + 1, robot.dof)]
 
     def settings(self, survey, joints):
-        return [{"ratio": ratio} for ratio in (-1.0, -0.3, -0.1, 0.1, 0.3, 1.0)]
+        ratios = (-1.0, -0.6, -0.3, -0.1, 0.1, 0.3, 0.6, 1.0)
+        return [{"ratio": ratio, **side} for ratio in ratios for side in ({}, {"axle_side": 1.0})]
 
     def names(self, settings):
-        return ("rotor", "viscous", "coulomb", "transmission")
+        return ("rotor", "viscous", "coulomb", *(("transmission",) if "axle_side" in settings else ()))
 
     def columns(self, signals, joints, settings):
         i, j = joints
@@ -44,10 +46,12 @@ class WristCoupling(Effect):
         )
         both, alone = np.tanh(turning / scale), np.tanh(signals.qd[:, j] / scale)
         none = np.zeros(len(both))
-        on_j = [ratio * signals.qdd[:, i], ratio * signals.qd[:, i], both - alone, none]
+        on_j = [ratio * signals.qdd[:, i], ratio * signals.qd[:, i], both - alone]
         faster = signals.qdd[:, j] + ratio * signals.qdd[:, i]
-        on_i = [ratio * faster, ratio * turning, ratio * both, ratio * signals.axle_torque[:, j]]
+        on_i = [ratio * faster, ratio * turning, ratio * both]
+        if "axle_side" in settings:
+            on_j, on_i = [*on_j, none], [none, none, none, ratio * signals.rigid[:, j]]
         return {i: np.column_stack(on_i), j: np.column_stack(on_j)}
 
     def freedom(self, settings):
-        return 4
+        return 1 + len(self.names(settings))
