@@ -54,7 +54,7 @@ class CnrDriver:
     Args:
         address: where everything is.
         timeout: how long [s] to wait for an answer.
-        start_timeout: the same for `start`, and for the arm to rest after `stop`.
+        start_timeout: the same for `start`, for the arm to rest after `stop`, and for FTP.
         buffer_limit: bytes of samples kept for a consumer that is behind; beyond it the motion is stopped.
     """
 
@@ -72,7 +72,7 @@ class CnrDriver:
         self._timeout = timeout
         self._start_timeout = start_timeout
         self._buffer_limit = buffer_limit
-        self._folder = ProgramFolder(address, timeout)
+        self._folder = ProgramFolder(address, start_timeout)
         self._sockets: Sockets | None = None
         self._broker: BrokerLink | None = None
         self._machine: Machine | None = None
