@@ -58,6 +58,11 @@ class ClockMatch:
         self._positions: deque[np.ndarray] = deque()
         self._estimates: list[tuple[float, float]] = []
 
+    @property
+    def controller_moved_at(self) -> float | None:
+        """Controller time [s] at which a feedback saw the arm begin to move; None before."""
+        return self._feedback.time
+
     def feedback(self, time: float, position: np.ndarray) -> None:
         """Where the arm was (n,) at a controller time [s], in whole milliseconds."""
         time += _RESOLUTION / 2

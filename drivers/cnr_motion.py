@@ -153,14 +153,34 @@ class CnrMotion:
         self._silence += passed
         if self._end is not None:
             self._drained += passed
-            if self.match is None or self._is_complete(self.match):
-                reason, message = self._end
-                self.motion.ended(reason, self._sequence, message)
-        elif self._silent is None or not self.started:
+            return self._finish(*self._end)
+        if self._silent is None or not self.started:
             self._silence = 0.0
         elif self._silence > self._patience:
             return DriverError(f"no whole sample for {self._patience:g} s while the arm may move: {self._silent()}")
         return None
+
+    def _finish(self, reason: EndReason, message: str) -> DriverError | None:
+        """End the motion once its samples are there; what is wrong where they will not come."""
+        lacking = 0.0 if self.match is None else self._lacking(self.match)
+        if lacking > 0.0:
+            if self._silence <= max(_DRAIN, self._patience):
+                return None
+            if reason in (EndReason.DONE, EndReason.STOPPED):
+                assert self._silent is not None
+                return DriverError(f"the samples end {lacking:.1f} s before the motion did: {self._silent()}")
+        self.motion.ended(reason, self._sequence, message)
+        return None
+
+    def _lacking(self, match: ClockMatch) -> float:
+        """Seconds of samples up to the end that have not come."""
+        alignment = match.alignment()
+        if alignment is not None:
+            return max(0.0, alignment.sample_time(self._end_time) - self._seen)
+        moved = match.controller_moved_at
+        if moved is not None and self.begun_at is None:
+            return self._end_time - moved
+        return max(0.0, _DRAIN - self._drained)  # nothing has moved, as far as one of the two can tell
 
     # What the controller says.
 
@@ -200,15 +220,6 @@ class CnrMotion:
     def _over(self, end: tuple[EndReason, str], now: float) -> None:
         self._end, self._end_time = end, now
         self._drained = 0.0
-
-    def _is_complete(self, match: ClockMatch) -> bool:
-        """Whether the samples up to the end have come, or will not come."""
-        if self._silence > max(_DRAIN, self._patience):
-            return True
-        alignment = match.alignment()
-        if alignment is None:  # nothing has moved, as far as one of the two can tell
-            return self._drained > _DRAIN
-        return self._seen >= alignment.sample_time(self._end_time)
 
     # Samples.
 

@@ -267,6 +267,24 @@ def test_missing_samples_are_gaps_by_their_times():
     assert run.motion.sequencer.expected == round((times[-1] - first.time[0]) / 0.002) + 1
 
 
+def test_samples_that_end_before_the_motion_are_an_error():
+    """Whatever the controller says of the end: a recording without it is none."""
+    for heard in (0.0, 1.6):  # s of samples
+        run = motion()
+        run._patience = 0.0
+        times = np.arange(0.0, 3.0, 0.002)
+        way = ramp(np.minimum(times, 2.0))
+        for k in range(0, len(times), 10):
+            if times[k] < heard:
+                run.samples(*topics(times[k : k + 10], way[k : k + 10]))
+            moves = times[k] < 2.0
+            run.feedbacks([feedback(int(1000 * times[k]), way[k], moves=int(moves), last=0 if moves else 7)], READY)
+        run._silence = 60.0
+        fault = run.turn()
+        assert f"end {0.4 if heard else 1.0:.1f} s before the motion did: nothing on x" in str(fault)
+        assert not run.motion.over
+
+
 def test_a_clock_that_goes_back_in_motion_ends_it():
     run = motion()
     run.feedbacks([feedback(5000), feedback(5020)], READY)
