@@ -1,7 +1,8 @@
-"""Confusion matrix of the diagnosis on simulated runs: `python benchmarks/diagnosis_matrix.py [--cases N] [--seed S]`.
+"""Effect by size by joint on simulated runs: `python benchmarks/diagnosis_matrix.py [--sizes S…] [--joints J…]`.
 
 The fake controller's plant follows three motions of 20 s each; a model is estimated from two effect-free ones, then
-runs with no effect or one are diagnosed, and once more with that effect out of the catalogue. Each line is one run.
+runs with no effect or one are diagnosed, and with --withheld once more with that effect out of the catalogue. Sizes
+count in what an effect usually is on a machine in need of repair. Each line is one run; a table ends it.
 """
 
 from __future__ import annotations
@@ -18,14 +19,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from agent.diagnosis import diagnose
+from agent.blind_check.cases import draw_effect
+from agent.diagnosis import CATALOGUE, diagnose
 from agent.errors import AgentError
 from agent.estimation import IdentifiedModel, estimate
 from agent.recording.log import Log
 from agent.robot import RobotDescription, load_robot
 from fake_controller.plant import Plant
-
-# ruff: noqa: E501
 
 PERIOD = 0.002
 CYCLE = 10.0
@@ -110,55 +110,16 @@ def record(robot: RobotDescription, seed: int, effects: list, kind: str, motion_
     )
 
 
-def draw(name: str, robot: RobotDescription, rng: np.random.Generator) -> dict:
-    """A random effect of a few percent of nominal torque."""
-    n = robot.dof
-    k = int(rng.integers(n))
-    nominal = float(np.nan_to_num(robot.nominal_torque, nan=100.0)[k])
-    fastest = float(robot.max_velocity[k])
-    gear = abs(float(robot.gear_ratios[k]))
-    sign = float(rng.choice([-1, 1]))
-    size = float(rng.uniform(0.03, 0.1))
-    if name in ("joint_elasticity", "backlash"):
-        k = int(rng.integers(1, min(n, 3)))
-    if name == "encoder_offset":
-        k = int(rng.integers(1, n - 1))
-    inertia = {0: 90.0, 1: 110.0, 2: 25.0}.get(k, 1.0)
-    parameters: dict[str, Callable[[], dict]] = {
-        "stribeck": lambda: {"rise": size * nominal, "speed": rng.uniform(0.02, 0.08) * fastest},
-        "asymmetric_friction": lambda: {"coulomb": sign * rng.uniform(0.15, 0.4), "viscous_fraction": sign * rng.uniform(0.2, 0.5)},
-        "load_dependent_friction": lambda: {"coefficient": rng.uniform(0.08, 0.2)},
-        "viscous_nonlinearity": lambda: {"torque": 1.2 * size * nominal, "speed": rng.uniform(0.02, 0.06) * fastest},
-        "thermal_friction": lambda: {
-            "start": -25.0, "time_constant": rng.uniform(4, 15), "coulomb_rate": rng.uniform(0.008, 0.016),
-            "viscous_rate": rng.uniform(0.01, 0.03),
-        },
-        "presliding": lambda: {"share": rng.uniform(0.6, 0.9), "travel": rng.uniform(0.01, 0.04)},
-        "friction_change": lambda: {"coulomb": rng.uniform(1.2, 1.6), "viscous": rng.uniform(1.0, 1.6)},
-        "joint_elasticity": lambda: {"stiffness": inertia * (2 * np.pi * rng.uniform(7, 12)) ** 2},
-        "backlash": lambda: {"gap": rng.uniform(0.001, 0.003)},
-        "torque_ripple": lambda: {"amplitude": size * nominal, "order": float(rng.choice([0.5, 1, 2])), "phase": rng.uniform(0, 6)},
-        "wrist_coupling": lambda: {"factor": sign * rng.uniform(0.1, 0.4)},
-        "payload": lambda: {"mass": rng.uniform(1, 6), "centre": [*rng.uniform(-0.05, 0.05, 2), rng.uniform(0.02, 0.2)]},
-        "gravity_spring": lambda: {"preload": size * nominal / 0.1, "rate": rng.uniform(0, 1) * nominal, "angle": rng.uniform(-1, 1)},
-        "dress_pack": lambda: {"stiffness": 0.7 * size * nominal, "centre": rng.uniform(-1, 1), "hysteresis": 0.3 * size * nominal},
-        "base_tilt": lambda: {"roll": sign * rng.uniform(0.01, 0.04), "pitch": rng.uniform(-0.03, 0.03)},
-        "inertial_mismatch": lambda: {
-            "link": float(rng.integers(2, n)), "scale": rng.uniform(1.1, 1.3), "points": [[rng.uniform(2, 8), *rng.uniform(-0.3, 0.3, 3)]],
-        },
-        "contact": lambda: {"force": list(rng.uniform(-1, 1, 3) * 120), "start": rng.uniform(2, 15), "duration": rng.uniform(0.5, 3)},
-        "torque_constant": lambda: {"scale": 1 + sign * rng.uniform(0.06, 0.15)},
-        "torque_offset": lambda: {"offset": sign * size * nominal},
-        "time_delay": lambda: {"delay": rng.uniform(0.003, 0.01)},
-        "encoder_offset": lambda: {"offset": sign * rng.uniform(0.01, 0.04)},
-        "interpolator_mismatch": lambda: {"rate": 1 + sign * rng.uniform(0.01, 0.03), "blend": rng.uniform(0.0, 0.08)},
-    }  # fmt: skip
-    del gear
-    arm = ("payload", "base_tilt", "inertial_mismatch", "contact", "time_delay", "interpolator_mismatch")
-    joints = [] if name in arm else [robot.joint_names[k]]
-    if name == "wrist_coupling":
-        joints = list(robot.joint_names[-2:])
-    return {"effect": name, "joints": joints, "parameters": parameters[name]()}
+def draw(name: str, robot: RobotDescription, size: float, joint: str | None, rng: np.random.Generator) -> dict | None:
+    """An effect `size` times as large as usual, as the blind check draws it; on a joint, or None where it sits on none.
+
+    Effects of the whole arm come once, for the first joint asked.
+    """
+    for _ in range(200):
+        effect = draw_effect(name, robot, size, rng)
+        if joint is None or joint in effect["joints"] or (not effect["joints"] and joint == robot.joint_names[0]):
+            return effect
+    return None
 
 
 def judge(result: dict, truth: list[dict]) -> str:
@@ -189,54 +150,67 @@ def short(result: dict) -> str:
     return f"{result['verdict']:9} {'-' if closure is None else format(closure, '.3f')} {' + '.join(causes)}"
 
 
+def table(outcomes: dict[tuple[str, float], list[str]], sizes: list[float]) -> str:
+    """Effect by size: how many of the joints tried were told right or in a class with the truth."""
+    lines = [f"{'effect':26}" + "".join(f"{f'x {size:g}':>14}" for size in sizes)]
+    for name in dict.fromkeys(effect for effect, _ in outcomes):
+        cells = []
+        for size in sizes:
+            told = outcomes.get((name, size), [])
+            good = sum(outcome in ("right", "class") for outcome in told)
+            missed = told.count("missed")
+            cells.append(f"{good}/{len(told)}" + (f" ({missed} -)" if missed else "") if told else "")
+        lines.append(f"{name:26}" + "".join(f"{cell:>14}" for cell in cells))
+    return "\n".join([*lines, "right or in class / tried; (k -): k times no gap was seen"])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robot", default="comau_ns16")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--none", type=int, default=3, help="effect-free runs")
-    parser.add_argument("--each", type=int, default=1, help="runs of every effect")
+    parser.add_argument("--sizes", type=float, nargs="*", default=[0.25, 0.5, 1.0, 2.0], help="times the usual size")
+    parser.add_argument("--joints", nargs="*", help="these joints; one is drawn for every run if none is named")
     parser.add_argument("--only", nargs="*", help="these effects")
     parser.add_argument("--withheld", action="store_true", help="diagnose again without the true effect")
-    parser.add_argument("--keep", type=Path, help="folder for models and logs that are reused")
+    parser.add_argument("--keep", type=Path, help="folder for models that are reused")
     arguments = parser.parse_args()
     robot = load_robot(arguments.robot)
     rng = np.random.default_rng(arguments.seed)
-    from agent.diagnosis import CATALOGUE
-
     names = arguments.only if arguments.only is not None else list(CATALOGUE)
-    runs = [None] * arguments.none + [name for name in names for _ in range(arguments.each)]
+    places = [(name, size, joint) for name in names for size in arguments.sizes for joint in arguments.joints or [None]]
+    truths = [("none", 0.0, None)] * arguments.none
+    truths += [(name, size, draw(name, robot, size, joint, rng)) for name, size, joint in places]
+    truths = [entry for entry in truths if entry[0] == "none" or entry[2] is not None]
     model, machine = None, 0
-    counts: Counter = Counter()
-    for number, name in enumerate(runs):
+    outcomes: dict[tuple[str, float], list[str]] = {}
+    withheld: Counter = Counter()
+    for number, (name, size, effect) in enumerate(truths):
         if model is None or number % 8 == 0:
             machine = arguments.seed * 100 + number // 8
             model = cached(
                 arguments.keep, f"model_{robot.name}_{machine}",
                 lambda m=machine: estimate(robot, [record(robot, m, [], kind, m) for kind in MOTIONS[:2]]),
             )  # fmt: skip
-        truth = [] if name is None else [draw(name, robot, rng)]
+        truth = [] if effect is None else [effect]
         try:
             logs = [record(robot, machine, truth, kind, 1000 + number) for kind in MOTIONS]
         except AgentError as error:
             print(f"{name}: {error}")
             continue
         start = time.process_time()
-        found = diagnose(robot, logs, model)
-        result = found.result
+        result = diagnose(robot, logs, model).result
         seconds = time.process_time() - start
         outcome = judge(result, truth)
-        counts[outcome] += 1
-        print(
-            f"{outcome:11} {seconds:5.1f}s {json.dumps(truth[0]) if truth else 'none'}\n      {short(result)}",
-            flush=True,
-        )
+        outcomes.setdefault((name, size), []).append(outcome)
+        print(f"{outcome:11} {seconds:5.1f}s x {size:g} {json.dumps(effect)}\n      {short(result)}", flush=True)
         if arguments.withheld and truth:
             found = diagnose(robot, logs, model, without=[name])
-            result = found.result
-            confident = result["verdict"] == "explained"
-            counts["withheld: confident" if confident else "withheld: abstains"] += 1
-            print(f"      without: {short(result)} closed {found.finding.closed:.3f}", flush=True)
-    print(dict(counts))
+            withheld["confident" if found.result["verdict"] == "explained" else "abstains"] += 1
+            print(f"      without: {short(found.result)} closed {found.finding.closed:.3f}", flush=True)
+    print(table(outcomes, [0.0, *arguments.sizes]))
+    if withheld:
+        print(f"with the true effect withheld: {dict(withheld)}")
 
 
 def cached(folder: Path | None, name: str, make: Callable[[], IdentifiedModel]) -> IdentifiedModel:

@@ -86,6 +86,8 @@ def _controller(options: argparse.Namespace) -> Controller:
 
     scenario = None if options.scenario is None else load_scenario(options.scenario)
     setup = SetupSection(clock="real", seed=0) if scenario is None else scenario.setup
+    if options.model and options.robot:
+        raise InputError("--model has its own robot: leave out --robot")
     options.clock = options.clock or setup.clock
     controller = build_controller(
         options.robot or setup.robot,
@@ -93,6 +95,7 @@ def _controller(options: argparse.Namespace) -> Controller:
         options.clock,
         [*setup.effects, *(_effects(options.effects) if options.effects else ())],
         [] if scenario is None else scenario.build_faults(),
+        options.model,
     )
     controller.state = State(**setup.state.model_dump())
     if scenario is not None:
@@ -129,6 +132,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--watchdog", type=_watchdog, help="shortest [s] that a client is granted, 0.05 to 5")
     parser.add_argument("--scenario", type=Path, help="what is set up and what goes wrong; docs/scenarios.md")
     parser.add_argument("--effects", type=Path, help="JSON list of effects to build into the arm")
+    parser.add_argument("--model", type=Path, help="model file that the arm is to be like, effects included")
     parser.add_argument("--ready-file", type=Path, help="write the address there once the port is open")
     return parser
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from agent.motion import FlyInterpolator, FlyParameters
@@ -23,6 +24,7 @@ def build_controller(
     clock: str,
     effects: Sequence[Mapping[str, Any]] = (),
     faults: Sequence[Fault] = (),
+    model: Path | None = None,
 ) -> Controller:
     """A controller at rest at the robot's calibration pose.
 
@@ -32,14 +34,20 @@ def build_controller(
         clock: `fast` or `real`.
         effects: built into the machine, as `fake_controller.actuation.load_effect` takes them.
         faults: what goes wrong, and when.
+        model: file of a model that the machine is to be like, with its robot, instead of one drawn from the seed.
 
     Raises:
-        InputError: no such robot, or an effect that does not fit it.
+        InputError: no such robot or model, or an effect that does not fit it.
     """
-    robot = load_robot(robot_name)
+    identified = None
+    if model is not None:
+        from agent.estimation.model import IdentifiedModel
+
+        identified = IdentifiedModel.load(model)
+    robot = load_robot(robot_name) if identified is None else identified.robot
     return Controller(
         robot,
-        Plant(robot, seed, effects, period=PERIOD),
+        Plant(robot, seed, effects, period=PERIOD, model=identified),
         FlyInterpolator(robot, period=PERIOD, parameters=PARAMETERS),
         kinematics_for(robot).forward,
         CLOCKS[clock](),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,10 @@ from fake_controller.actuation import load_effect
 from fake_controller.actuation.drive import Drive
 from fake_controller.actuation.machine import Machine, draw_machine
 from fake_controller.actuation.sensors import Measured, Sensors
+
+if TYPE_CHECKING:
+    from agent.estimation.model import IdentifiedModel
+    from fake_controller.modelled import BeyondMachine
 
 __all__ = ["Measured", "Plant", "Truth"]
 
@@ -46,6 +50,7 @@ class Plant:
         effects: plain mappings as `fake_controller.actuation.load_effect` takes them.
         period: of set-points and samples [s].
         inner_rate: of servo and integration [Hz]; gears that give way raise it.
+        model: the machine is what this model says, instead of one drawn from `seed`.
 
     Raises:
         InputError: an effect that does not exist, does not fit this robot, or is too stiff to simulate.
@@ -58,9 +63,11 @@ class Plant:
         effects: Sequence[Mapping[str, Any]] = (),
         period: float = 0.002,
         inner_rate: float = 2000.0,
+        model: IdentifiedModel | None = None,
     ):
         self.robot = robot
-        self.machine = draw_machine(robot, seed)
+        self.machine, self._beyond = (draw_machine(robot, seed), None) if model is None else _like(model)
+        self._beyond_series, self._beyond_start = np.zeros((1, robot.dof)), 0.0
         for effect in effects:
             load_effect(effect).install(self.machine)
         dynamics = self.machine.dynamics()
@@ -72,7 +79,7 @@ class Plant:
             gains,
             period,
             max(inner_rate, _rate_for_gears(self.machine, dynamics, gains)),
-            _external(self.machine, dynamics, period),
+            self._external(dynamics, period),
         )
         self._sensors = Sensors(self.machine, seed, period)
         self._period = period
@@ -153,7 +160,30 @@ class Plant:
         """(n, n) T with q = axle positions @ T, as this machine's controller knows its coupling."""
         return np.linalg.inv(self.machine.coupling).T
 
+    def _external(self, dynamics: Dynamics, period: float) -> ExternalTorque | None:
+        """Joint torque of everything that sits on the joints or pushes the flange, and of what a model has beyond."""
+        machine = self.machine
+        if not machine.contacts and not machine.joint_loads and self._beyond is None:
+            return None
+
+        def torque(time: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+            series = self._beyond_series
+            at = min(max(round((time - self._beyond_start) / period), 0), len(series) - 1)
+            total = -series[at]
+            force = sum((contact(time) for contact in machine.contacts), np.zeros(3))
+            if np.any(force):
+                total += dynamics.tcp_jacobian(q[None])[0, :3].T @ force
+            for k, loads in machine.joint_loads.items():
+                for load in loads:
+                    total[k] += load.torque(q[k], qd[k], period)
+            return total
+
+        return torque
+
     def _chunks(self, reference: np.ndarray, reference_velocity: np.ndarray, chunk: int) -> Iterator[Measured]:
+        if self._beyond is not None and len(reference):
+            self._beyond_start = self.time
+            self._beyond_series = self._beyond.torque(self.time, reference, reference_velocity, self._period)
         for at in range(0, len(reference), chunk):
             part = slice(at, at + chunk)
             motion = self._simulation.run(reference[part] - self.machine.encoder_offset, reference_velocity[part])
@@ -161,22 +191,12 @@ class Plant:
             yield self._sensors.measure(motion)
 
 
-def _external(machine: Machine, dynamics: Dynamics, period: float) -> ExternalTorque | None:
-    """Joint torque of everything that sits on the joints or pushes the flange."""
-    if not machine.contacts and not machine.joint_loads:
-        return None
+def _like(model: IdentifiedModel) -> tuple[Machine, BeyondMachine]:
+    """A machine like a model, and what the model has beyond it; estimation is not needed without."""
+    from fake_controller.modelled import BeyondMachine, modelled_machine
 
-    def torque(time: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        total = np.zeros(len(q))
-        force = sum((contact(time) for contact in machine.contacts), np.zeros(3))
-        if np.any(force):
-            total += dynamics.tcp_jacobian(q[None])[0, :3].T @ force
-        for k, loads in machine.joint_loads.items():
-            for load in loads:
-                total[k] += load.torque(q[k], qd[k], period)
-        return total
-
-    return torque
+    machine = modelled_machine(model)
+    return machine, BeyondMachine(model, machine)
 
 
 def _rate_for_gears(machine: Machine, dynamics: Dynamics, gains: ServoGains) -> float:

@@ -1,0 +1,110 @@
+"""A machine that is what a model file says of it: its bodies, its friction, and the effects it was extended with.
+
+Bodies, Coulomb and viscous friction are the machine's own, and so is what swings too fast for any other way: gears that
+give way, and ripples. Everything else that the model predicts is worked out along the set-points as they come, and acts
+on the joints as a torque from outside that the motors have to give: so any form that a model can have can be run, those
+with a memory too, and the controller reads the torque that the model predicts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from agent.errors import RejectedError
+from agent.estimation.full_parameters import full_parameters
+from agent.estimation.model import IdentifiedModel, ModelEffect
+from agent.robot.dynamics import Dynamics
+from fake_controller.actuation import load_effect
+from fake_controller.actuation.friction import FrictionCurve
+from fake_controller.actuation.machine import Machine, draw_machine
+
+_OWN = ("coulomb", "viscous")  # forms of friction that the machine has itself
+_FAST = ("joint_elasticity", "backlash", "torque_ripple")
+
+
+def modelled_machine(model: IdentifiedModel) -> Machine:
+    """A machine with the model's bodies and its Coulomb and viscous friction.
+
+    Where no bodies that could exist have the model's base parameters they are the description's; what the two differ
+    by is in `BeyondMachine`.
+    """
+    robot = model.robot
+    machine = draw_machine(robot, 0)
+    try:
+        links, rotors = np.split(full_parameters(model), [10 * robot.dof])
+    except RejectedError:
+        links, rotors = Dynamics(robot).standard_parameters(), machine.rotor_inertias
+    machine.parameters, machine.rotor_inertias = links.copy(), rotors.copy()
+    levels = _own_friction(model)
+    machine.friction = [
+        FrictionCurve(
+            coulomb=max(coulomb, 1e-6 * nominal),
+            rise=0.0,
+            stribeck_speed=usual.stribeck_speed,
+            viscous=viscous,
+            knee=1e9,
+            stiffness=usual.stiffness * min(max(coulomb, 1e-6 * nominal) / usual.coulomb, 1.0),
+        )
+        for usual, nominal, (coulomb, viscous) in zip(machine.friction, machine.nominal, levels, strict=True)
+    ]
+    for entry in model.effects:
+        for simulated in _simulated(entry, machine):
+            load_effect(simulated).install(machine)
+    return machine
+
+
+def _simulated(entry: ModelEffect, machine: Machine) -> Iterator[dict[str, Any]]:
+    """The simulated form of a fast effect, as `load_effect` takes it; none of others."""
+    fitted, joints = entry.parameters, list(entry.joints)
+    if entry.effect == "joint_elasticity":
+        yield {"effect": entry.effect, "joints": joints, "parameters": {"stiffness": fitted["stiffness"]}}
+    elif entry.effect == "backlash":
+        yield {"effect": entry.effect, "joints": joints, "parameters": {"gap": fitted["gap"]}}
+    elif entry.effect == "torque_ripple":
+        gear = machine.robot.gear_ratios[machine.robot.joint_names.index(joints[0])]
+        for harmonic in range(1, int(fitted["harmonics"]) + 1):
+            cosine, sine = fitted[f"cosine_{harmonic}"], fitted[f"sine_{harmonic}"]
+            # what the motor has to give more is what its ripple takes away
+            ripple = {"amplitude": float(np.hypot(cosine, sine)), "phase": float(np.arctan2(-cosine, -sine))}
+            order = float(harmonic * fitted["order"] / gear)
+            yield {"effect": entry.effect, "joints": joints, "parameters": {**ripple, "order": order}}
+
+
+def _own_friction(model: IdentifiedModel) -> np.ndarray:
+    """(n, 2) Coulomb [N·m] and viscous [N·m·s/rad] levels of the axles, none below zero."""
+    levels = np.zeros((model.robot.dof, len(_OWN)))
+    for term, value in zip(model.terms, model.values[len(model.independent) :], strict=True):
+        if term.form in _OWN:
+            levels[term.axle, _OWN.index(term.form)] = max(float(value), 0.0)
+    return levels
+
+
+class BeyondMachine:
+    """Joint torque that a model predicts beyond what the machine made of it has itself."""
+
+    def __init__(self, model: IdentifiedModel, machine: Machine):
+        self._model, self._rotors = model, machine.reflected_rotors
+        self._links = machine.dynamics()
+        own = _own_friction(model)
+        kept = [term.form in _OWN for term in model.terms]
+        values = np.array(model.values)
+        for k, term in enumerate(model.terms):
+            if kept[k]:
+                values[len(model.independent) + k] -= own[term.axle, _OWN.index(term.form)]
+        slow = tuple(entry for entry in model.effects if entry.effect not in _FAST)
+        self._rest = replace(model, values=values, effects=slow)
+
+    def torque(self, start: float, position: np.ndarray, velocity: np.ndarray, period: float) -> np.ndarray:
+        """(S, n) [N·m] along set-points (S, n) and their velocities, the first at `start` [s]."""
+        if len(position) < 3:
+            return np.zeros_like(position)
+        acceleration = np.gradient(velocity, period, axis=0)
+        time = start + period * np.arange(len(position))
+        whole = self._rest.predict(position, velocity, acceleration, time)
+        coupling = self._model.robot.coupling
+        rotors = self._rotors * (acceleration @ coupling.T)
+        return whole - self._links.inverse_dynamics(position, velocity, acceleration) - rotors @ coupling
