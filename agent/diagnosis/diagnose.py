@@ -34,10 +34,12 @@ def diagnose(
     if not logs:
         raise InputError("no logs were given, so there is nothing to diagnose")
     check_effects(without)
+    logs, twice = _distinct(logs)
     dataset = assemble(robot, model, logs, cutoff)
     search = Search(dataset.fit, without, dataset.given)
     finding = search.run()
-    return build(dataset, finding, search, motion_gap(logs), tuple(_warnings(robot, logs, model is not None)))
+    warnings = (*twice, *_warnings(robot, logs, model is not None))
+    return build(dataset, finding, search, motion_gap(logs), warnings)
 
 
 def check_effects(names: Sequence[str]) -> None:
@@ -47,6 +49,23 @@ def check_effects(names: Sequence[str]) -> None:
     for name in names:
         if name not in CATALOGUE:
             raise InputError(f"--without {name}: no such effect; known are {', '.join(CATALOGUE)}")
+
+
+def _distinct(logs: Sequence[Log]) -> tuple[list[Log], list[str]]:
+    """Logs without those that repeat another sample by sample, and a warning for each: they would test nothing."""
+    kept: list[Log] = []
+    warnings = []
+    for log in logs:
+        same = (other for other in kept if _samples(other) == _samples(log))
+        if (first := next(same, None)) is None:
+            kept.append(log)
+        else:
+            warnings.append(f"{log.path} holds the same samples as {first.path} and is left out")
+    return kept, warnings
+
+
+def _samples(log: Log) -> tuple[bytes, bytes]:
+    return log.position.tobytes(), b"" if log.effort is None else log.effort.tobytes()
 
 
 def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool) -> Iterator[str]:

@@ -230,9 +230,9 @@ def next_experiment(causes: Sequence[dict[str, Any]], verdict: str) -> dict[str,
             "separates": [],
             "motion": "slow single-joint ramps both ways on the joints named, then the same at full speed, each twice",
         }
-    if verdict != "ambiguous" or not causes or not causes[0]["equivalent_to"]:
+    if verdict != "ambiguous" or not causes:
         return None
-    pair = [causes[0]["effect"], causes[0]["equivalent_to"][0]["effect"]]
+    pair = [causes[0]["effect"], *(entry["effect"] for entry in causes[0]["equivalent_to"][:1])]
     return {"separates": pair, "motion": _motion_for(set(pair))}
 
 

@@ -60,6 +60,9 @@ def test_figures_hold_to_their_definitions(diagnosed, case):
         assert result["closure"] == pytest.approx((b - a) / (b - f))
     shares = {entry["joint"]: entry["share"] for entry in result["where"]}
     assert sum(shares.values()) == pytest.approx(1)
+    for entry in result["where"]:
+        low, high = entry["interval"]
+        assert 0 <= low <= high <= 1
     excess = np.maximum(before**2 - floor**2, 0)
     assert [shares[name] for name in gap["joints"]] == pytest.approx(excess / excess.sum())
     assert {fold["held_out"] for fold in result["folds"]} == {"excite.mcap", "moves.mcap", "slow.mcap"}
@@ -94,6 +97,12 @@ def test_the_joint_that_moves_alone_shows_the_motion_gap(arm, baseline, runs):
     result = diagnose(arm, logs, baseline).result
     assert [cause["effect"] for cause in result["causes"]] == ["interpolator_mismatch"]
     assert max(result["motion_gap"]["after"]) < 0.3 * max(result["motion_gap"]["before"])
+
+
+def test_a_log_that_is_given_twice_counts_once(arm, baseline, runs, diagnosed):
+    found = diagnose(arm, [*runs(0), runs(0)[1]], baseline)
+    assert any("the same samples" in warning for warning in found.warnings)
+    assert found.result["folds"] == diagnosed(0).result["folds"]
 
 
 def test_bad_input_is_said_plainly(arm, baseline, runs):
