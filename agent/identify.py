@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,8 @@ def estimate_files(
 
     check_output(out, paths)
     description = load_robot(robot)
-    logs = read_logs(paths, description, console)
+    # no fit looks at these, and twenty minutes of them are many
+    logs = [replace(log, velocity=None, planned_position=None) for log in read_logs(paths, description, console)]
     if export is not None and method is None:
         method = "consistent"
     model = estimate(description, logs, EstimationSettings.create(cutoff=cutoff, method=method))

@@ -21,7 +21,7 @@ from agent.estimation.consistent import consistent
 from agent.estimation.filtering import Motion, smooth_and_differentiate
 from agent.estimation.least_squares import finish
 from agent.estimation.moments import collect
-from agent.estimation.observation import filtered
+from agent.estimation.observation import rigid_columns
 from agent.estimation.problem import Estimate, Problem
 
 _LONGEST_LAG = 0.1  # s
@@ -33,8 +33,8 @@ def instrumental(problem: Problem) -> Estimate:
     observation = problem.observation
     instruments = []
     for stretch in observation.stretches:
-        simulated = filtered(observation.rigid, stretch.log_index, _simulate(problem, start, stretch.motion))
-        instruments.append(replace(stretch, rigid=simulated.rigid))
+        simulated = _simulate(problem, start, stretch.motion)
+        instruments.append(replace(stretch, rigid=rigid_columns(observation.rigid, simulated)))
     moments = collect(observation, problem.partition, problem.terms, problem.friction(), instruments=instruments)
     given = all(stretch.motion.set_points is not None for stretch in observation.stretches)
     source = "the controller's set-points" if given else "smoothed measured positions, as set-points are missing"

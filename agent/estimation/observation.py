@@ -177,19 +177,23 @@ def observe(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -
 
 
 def filtered(rigid: RigidBodies, log_index: int, motion: Motion) -> Stretch:
-    """Regressor columns of one motion and its torque, through the same filter."""
+    """Regressor columns of one motion and its torque, through the same filter; unfiltered torque is not kept."""
     assert motion.torque is not None
-    columns = motion.low_pass(rigid.acting(motion.q, motion.qd, motion.qdd))
     torque, speed = np.split(motion.low_pass(np.hstack([motion.torque, motion.qd])), 2, axis=1)
-    per_joint = np.split(columns, np.cumsum([len(support) for support in rigid.support])[:-1], axis=1)
     return Stretch(
         log_index=log_index,
-        motion=motion,
+        motion=replace(motion, torque=None),
         time=motion.time[motion.kept],
         speed=speed,
         torque=torque,
-        rigid=tuple(per_joint),
+        rigid=rigid_columns(rigid, motion),
     )
+
+
+def rigid_columns(rigid: RigidBodies, motion: Motion) -> tuple[np.ndarray, ...]:
+    """Per joint (S', b_i): the filtered columns of the base parameters that act on it."""
+    columns = motion.low_pass(rigid.acting(motion.q, motion.qd, motion.qdd))
+    return tuple(np.split(columns, np.cumsum([len(support) for support in rigid.support])[:-1], axis=1))
 
 
 def check_log(robot: RobotDescription, log: Log) -> None:
