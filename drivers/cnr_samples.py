@@ -18,7 +18,7 @@ _PATIENCE = 125  # periods that a sample waits for what is missing of it
 _SAME = 0.45  # of a period: how far the times of one sample's messages may lie apart
 _MOST_WAITING = 20_000  # samples; beyond, the times make no sense
 _BACK_US = 1_000_000  # µs: no message is later than that
-_KEEP_ALIVE = 5  # s
+_KEEP_ALIVE = 60  # s: a broker's sign of life waits behind its samples, and samples that stop are noticed earlier
 
 
 @dataclass

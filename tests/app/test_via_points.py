@@ -1,0 +1,132 @@
+"""A program as via-points: what its moves say, no more and no less."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from agent.errors import InputError
+from agent.motion import create_interpolator
+from agent.motion.pdl2 import parse_program, write_loop_program, write_program
+from agent.motion.program import (
+    CartesianTarget,
+    FlyTrajectory,
+    FlyType,
+    JointTarget,
+    MotionSettings,
+    Move,
+    MoveType,
+    Termination,
+)
+from agent.robot import load_robot
+from agent.robot.configuration import configuration_of
+from agent.robot.kinematics import kinematics_for
+from agent.safety.first_run import stop_to_stop
+from agent.safety.motion import PlannedProgram
+from agent.via_points import JOINT_STEP, JOINT_TOLERANCE, via_points
+
+ROBOT = load_robot("comau_ns16")
+START = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
+CORNERS = np.radians(
+    [[10.0, 0.0, -90.0, 0.0, 40.0, 0.0], [20.0, 5.0, -95.0, 0.0, 45.0, 0.0], [5.0, 8.0, -85.0, 5.0, 50.0, 0.0]]
+)
+FLY = MotionSettings(
+    fly_type=FlyType.FLY_CART,
+    fly_trajectory=FlyTrajectory.FLY_TOL,
+    fly_distance=0.02,
+    linear_speed=0.4,
+    termination=Termination.COARSE,
+)
+
+
+def planned(text, start=START):
+    interpolator = create_interpolator("fly", ROBOT, None)
+    chains = []
+    for moves in stop_to_stop(parse_program(text, "p", ROBOT).run()):
+        chain = interpolator.plan(tuple(moves), start)
+        if np.ptp(chain.q, axis=0).any():
+            chains.append(chain)
+            start = chain.q[-1]
+    return PlannedProgram("p", text, tuple(chains))
+
+
+@pytest.fixture(scope="module", params=["joints", "poses"])
+def loop(request):
+    kinematics = kinematics_for(ROBOT, None)
+    targets = [JointTarget(corner) for corner in CORNERS]
+    if request.param == "poses":
+        targets = [
+            CartesianTarget(kinematics.forward(corner[None])[0], configuration_of(kinematics, corner))
+            for corner in CORNERS
+        ]
+    return planned(write_loop_program("p", targets, FLY, 2, robot=ROBOT))
+
+
+def test_a_loop_flies_by_its_points_and_stops_where_each_cycle_ends(loop):
+    points = via_points(loop, ROBOT, None)
+    first_stop = next(k for k, point in enumerate(points) if point.fly_tolerance == 0)
+    np.testing.assert_allclose(points[first_stop].position, CORNERS[0], atol=1e-6)
+    cycle = points[first_stop + 1 : first_stop + 4]
+    assert len(points) == first_stop + 1 + 6
+    np.testing.assert_allclose([p.position for p in cycle], CORNERS[[1, 2, 0]], atol=1e-6)
+    assert [p.fly_tolerance for p in cycle] == [0.02, 0.02, 0.0]
+    assert [p.linear_speed for p in cycle] == [0.4, 0.4, 0.4]
+    np.testing.assert_array_equal([p.position for p in points[-3:]], [p.position for p in cycle])
+
+
+def test_a_joint_move_becomes_short_lines_along_its_plan(loop):
+    chain = loop.chains[0]
+    points = via_points(loop, ROBOT, None)
+    approach = points[: next(k for k, point in enumerate(points) if point.fly_tolerance == 0) + 1]
+    way = np.array([START, *[point.position for point in approach]])
+    assert np.abs(np.diff(way, axis=0)).max() <= JOINT_STEP * 1.01
+    for position in way[1:]:
+        assert np.abs(chain.q - position).max(axis=1).min() == 0.0
+    assert {point.fly_tolerance for point in approach[:-1]} == {JOINT_TOLERANCE}
+    assert max(point.linear_speed for point in approach) <= max(0.01, chain.path_speed.max())
+
+
+def test_an_arm_that_stands_at_the_first_point_has_no_approach(loop):
+    there = planned(loop.text, loop.chains[0].q[-1])
+    assert len(there.chains) == 2
+    assert len(via_points(there, ROBOT, None)) == 6
+
+
+def test_a_slower_program_is_a_slower_motion():
+    text = write_program("p", [Move(MoveType.LINEAR, JointTarget(CORNERS[1]), FLY.changed(speed_override=0.5))], ROBOT)
+    (point,) = via_points(planned(text, CORNERS[0]), ROBOT, None)
+    assert point.linear_speed == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    ("moves", "said"),
+    [
+        ([Move(MoveType.JOINT, JointTarget(CORNERS[1]), FLY, fly=True)], "only MOVE LINEAR"),
+        (
+            [Move(MoveType.LINEAR, JointTarget(CORNERS[1]), FLY.changed(fly_type=FlyType.FLY_NORM), fly=True)],
+            "FLY_CART",
+        ),
+        (
+            [
+                Move(
+                    MoveType.LINEAR,
+                    JointTarget(CORNERS[1]),
+                    FLY.changed(fly_trajectory=FlyTrajectory.FLY_AUTO),
+                    fly=True,
+                )
+            ],
+            "FLY_TOL",
+        ),
+    ],
+)
+def test_moves_that_points_cannot_say_are_refused_with_their_line(moves, said):
+    text = write_program("p", [*moves, Move(MoveType.LINEAR, JointTarget(CORNERS[2]), FLY)], ROBOT)
+    with pytest.raises(InputError, match=said) as refused:
+        via_points(planned(text, CORNERS[0]), ROBOT, None)
+    assert "line" in str(refused.value)
+
+
+def test_a_plan_of_another_program_is_refused(loop):
+    other = write_program("p", [Move(MoveType.LINEAR, JointTarget(CORNERS[2]), FLY)], ROBOT)
+    with pytest.raises(InputError, match="do not belong together"):
+        via_points(PlannedProgram("p", other, loop.chains), ROBOT, None)
