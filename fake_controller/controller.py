@@ -129,6 +129,7 @@ class Controller:
         self._reference = home(robot)
         plant.rest(self._reference)
         self._position = plant.position
+        self._torque = plant.resting.torque[-1]
 
     @property
     def moving(self) -> bool:
@@ -139,6 +140,11 @@ class Controller:
     def position(self) -> np.ndarray:
         """(n,) measured, joint side [rad]."""
         return self._position
+
+    @property
+    def torque(self) -> np.ndarray:
+        """(n,) measured, joint side [N·m]."""
+        return self._torque
 
     @property
     def temperatures(self) -> tuple[float, ...]:
@@ -380,7 +386,7 @@ class Controller:
                 first = count - self._counter_zero
                 with self._lock:
                     self._ring.append(Recorded(first, time_ns, samples))
-                    self._position = samples.position[-1]
+                    self._position, self._torque = samples.position[-1], samples.torque[-1]
                     self._reference = samples.reference_position[-1]
                 listener.on_samples(first, time_ns, samples)
                 self._count = count + len(samples)

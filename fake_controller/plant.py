@@ -96,13 +96,16 @@ class Plant:
         return self._simulation.time
 
     def rest(self, q: np.ndarray) -> None:
-        """Put the arm at the set-point q (n,), at rest and settled; time starts again."""
+        """Put the arm at the set-point q (n,), at rest and settled; time starts again.
+
+        `resting` is what was measured at the end of that.
+        """
         reference = np.asarray(q, dtype=float)
         self._simulation.time = -_SETTLING
         self._simulation.rest(reference - self.machine.encoder_offset)
         self._sensors.restart()
-        for _ in self.hold(reference, _SETTLING):
-            pass
+        for measured in self.hold(reference, _SETTLING):
+            self.resting = measured
         self._simulation.time = 0.0
 
     def hold(self, q: np.ndarray, duration: float) -> Iterator[Measured]:

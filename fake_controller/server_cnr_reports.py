@@ -64,7 +64,7 @@ class Reports:
         self._counted_from = 0  # ns; where times were counted from since the counters were reset
         self._index = controller.clock.now() // _PERIOD_NS  # of the last sample, on the grid of the period
         still = np.zeros((1, controller.robot.dof))
-        self._last = Slice(controller.position[None], still, still, controller.reference[None], still)
+        self._last = Slice(controller.position[None], still, controller.torque[None], controller.reference[None], still)
         self._lock = threading.Lock()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._rest, name="reports", daemon=True)

@@ -562,6 +562,15 @@ def test_switching_off_the_programs_ends_the_connection(bench):
         link.read()
 
 
+def test_an_arm_that_rests_is_held(bench, broker):
+    """Before anything has moved as afterwards: currents at rest carry gravity."""
+    samples = bench.connected(Samples(broker))
+    samples.first("motor_currents")
+    _, currents = samples.until("motor_currents", 0)
+    np.testing.assert_allclose(currents[0] * [50, -32], bench.controller.torque, rtol=1e-12)
+    assert np.abs(currents[0] * [50, -32]).max() > 10
+
+
 def test_a_topic_in_real_time(serve, broker):
     bench = serve(clock="real")
     samples = bench.connected(Samples(broker))
