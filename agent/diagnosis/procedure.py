@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from agent.diagnosis.effects import CATALOGUE, Effect
+from agent.diagnosis.effects import CATALOGUE
 from agent.diagnosis.evidence import Null, null_gains
+from agent.diagnosis.finding import Finding, Step
 from agent.diagnosis.fit import Candidate, Fit, Score
+from agent.diagnosis.likeness import best_by_place, complexity, imitates, plausible, twins
 
 #: All in units of the background energy of all rows, Σ e² / σ² of a model that is right.
 LEAST_GAIN = 0.02  # an effect must gain as much to be named
 LEAST_SHARE = 0.35  # of what is still unexplained, for every further effect
 CLOSES = 0.75  # of the excess over the background, or the cause is unknown
-FITS = 0.95  # of it, or the form of a cause is not beyond doubt
+FITS = (0.95, 0.98, 0.98)  # of it by one, two, three effects, or the forms are not beyond doubt
 EXCESS = 0.6  # over the background on one joint before something counts as unexplained
 NEAR = 0.04  # of what is explained: of forms this close the simplest is taken, unless the best one fits far better
 NEAR_FLOOR = 0.02
@@ -26,41 +27,8 @@ UNFIT = 0.5  # of what a cause leaves, explained by a shape of its own kind
 MOST = 3
 _FIRSTS = 4
 
-#: One physical change comes before a general refit, a torque of its own before a shape that could be anything.
-_PLAIN_FIRST = {"inertial_mismatch": 8, "dress_pack": 1, "thermal_friction": 1, "contact": 1}
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """One scan: what was chosen before it, the best score of every place, and which of them could be named."""
-
-    chosen: tuple[Candidate, ...]
-    error: float
-    scores: tuple[Score, ...]
-    eligible: tuple[Score, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Finding:
-    """The outcome: the fit with its causes, who equals whom, how much of the excess is closed, and the steps.
-
-    `rivals[k]` are places that the data cannot tell from cause k, `chance[k]` is how often anything gains as much as it
-    where there is nothing (see `evidence`), `lead[k]` how many margins the best place outside its class falls behind.
-    """
-
-    verdict: str
-    fit: Fit
-    causes: tuple[Candidate, ...]
-    rivals: tuple[tuple[tuple[str, tuple[int, ...]], ...], ...]
-    chance: tuple[float, ...]
-    lead: tuple[float, ...]
-    closed: float
-    steps: tuple[Step, ...]
-
-    @property
-    def probability(self) -> tuple[float, ...]:
-        """Of each cause's class."""
-        return tuple(_probability(lead, self.closed) for lead in self.lead)
+#: Effects whose nonlinear parameters are chosen by what is left, so anew for every scan.
+_RESIDUAL_DRIVEN = ("torque_ripple", "contact", "payload", "time_delay", "joint_elasticity", "backlash")
 
 
 class Search:
@@ -86,7 +54,7 @@ class Search:
         steps = [first]
         matters = self._matters(before)
         if not first.eligible and not matters:
-            return Finding("no_gap", base, (), (), (), (), 0.0, tuple(steps))
+            return Finding("no_gap", base, (), (), (), (), 0.0, tuple(steps), *self._bounds)
         best: tuple[float, tuple[Candidate, ...]] | None = None
         for start in self._starts(first):
             chosen = self._forward((start,), steps)
@@ -98,12 +66,17 @@ class Search:
                 break
         abstained = "unknown" if matters else "no_gap"
         if best is None:
-            return Finding(abstained, base, (), (), (), (), 0.0, tuple(steps))
+            return Finding(abstained, base, (), (), (), (), 0.0, tuple(steps), *self._bounds)
         fit = base.with_chosen(self._pruned(best[1]))
         closed = self.closed(before, fit)
         if closed < CLOSES:
-            return Finding(abstained, base, (), (), (), (), closed, tuple(steps))
+            return Finding(abstained, base, (), (), (), (), closed, tuple(steps), *self._bounds)
         return self._verdict(fit, closed, steps)
+
+    @property
+    def _bounds(self) -> tuple[float, float]:
+        assert self.null is not None
+        return self.least, self.null.threshold
 
     def joint_energy(self, fit: Fit) -> np.ndarray:
         """(n,) mean of (e / σ)² held out."""
@@ -146,7 +119,7 @@ class Search:
             pool = self.tried = new
         else:
             pool = [c for c in self.pool if c.place not in taken] + new
-        best = _best_by_place(fit.score(pool))
+        best = best_by_place(fit.score(pool))
         if fixed:
             self.null = null_gains(fit, self.tried)
             self.least = max(self.least, self.null.threshold)
@@ -172,7 +145,7 @@ class Search:
             finer = fit.candidates(wanted)
             self.pool += [c for c in finer if c.effect.name not in _RESIDUAL_DRIVEN]
             for score in fit.score(finer):
-                if _plausible(score) and score.gain > best[score.candidate.place].gain:
+                if plausible(score) and score.gain > best[score.candidate.place].gain:
                     best[score.candidate.place] = score
         return best
 
@@ -183,7 +156,7 @@ class Search:
         for place, score in best.items():
             name = place[0]
             effect = score.candidate.effect
-            if name not in self.allowed or not _plausible(score) or score.gain < self.least:
+            if name not in self.allowed or not plausible(score) or score.gain < self.least:
                 continue
             if self.size(fit, score) < PRACTICAL:
                 continue
@@ -210,7 +183,7 @@ class Search:
         if limit == "payload" and score.candidate.settings.get("link") != self.fit.reference.robot.dof:
             return False
         places = [(limit, ())] if CATALOGUE[limit].scope != "joint" else [(limit, (j,)) for j in joints]
-        simpler = [best[place] for place in places if place in best and _plausible(best[place])]
+        simpler = [best[place] for place in places if place in best and plausible(best[place])]
         margin = max(NEAR_FLOOR * self.rows, 0.5 * NEAR * score.gain)
         if score.candidate.effect.name == "asymmetric_friction" and limit in self.allowed:
             return False  # compared as a rival: an offset and a Coulomb asymmetry have equally many parameters
@@ -235,13 +208,6 @@ class Search:
         rest = [s for s in step.eligible if s is not leader and s.gain > 0.1 * step.eligible[0].gain]
         return [leader.candidate, *(s.candidate for s in rest[: _FIRSTS - 1])]
 
-    def _imitates(self, chosen: tuple[Candidate, ...], score: Score) -> bool:
-        """Whether one of the chosen effects has a shape of the same kind on the same joint."""
-        name = score.candidate.effect.name
-        return any(
-            c.joints == score.candidate.joints and any({name, c.effect.name} <= kind for kind in _KINDS) for c in chosen
-        )
-
     def _near(self, step: Step) -> list[Score]:
         """Forms that do as well as the best, as far as that one fits: what it leaves on its joints is its own doubt."""
         best = step.eligible[0]
@@ -250,7 +216,7 @@ class Search:
         return [s for s in step.eligible if best.gain - s.gain <= margin]
 
     def _simplest(self, step: Step) -> Score:
-        return min(self._near(step), key=lambda s: (_complexity(s.candidate), -s.gain))
+        return min(self._near(step), key=lambda s: (complexity(s.candidate), -s.gain))
 
     def _forward(self, chosen: tuple[Candidate, ...], steps: list[Step]) -> tuple[Candidate, ...]:
         """Add effects while they explain a good part of what is left."""
@@ -262,7 +228,7 @@ class Search:
                 return chosen
             left = self._excess(fit)
             least = max(2 * self.least, LEAST_SHARE * left)
-            worth = [s for s in step.eligible if s.gain > least and not self._imitates(chosen, s)]
+            worth = [s for s in step.eligible if s.gain > least and not imitates(chosen, s)]
             if not worth:
                 return chosen
             step = Step(step.chosen, step.error, step.scores, tuple(worth))
@@ -291,7 +257,7 @@ class Search:
         """A shape of the same kind on the same joint that explains half of what a cause leaves."""
         least = max(2 * self.least, UNFIT * self._excess(fit))
         left = self.scan(fit).eligible
-        return next((s for s in left if s.gain > least and self._imitates(fit.chosen, s)), None)
+        return next((s for s in left if s.gain > least and imitates(fit.chosen, s)), None)
 
     def _verdict(self, fit: Fit, closed: float, steps: list[Step]) -> Finding:
         """Order causes by what is lost without each, and look for places that would do as well."""
@@ -304,74 +270,40 @@ class Search:
             lost = self._total(without) - total
             margin = max(NEAR_FLOOR * self.rows, ALIKE * lost, self._excess(fit, tuple(candidate.blocks)))
             rivals, behind = [], np.inf
-            twins = [s for s in step.scores if s.candidate.effect.name in candidate.effect.twins]
-            twin = any(s.candidate.joints == candidate.joints and lost - s.gain <= margin for s in twins)
+            equals = [s.candidate.place for s in step.scores if twins(candidate, s) and lost - s.gain <= margin]
             for score in step.eligible:
                 if score.candidate.place == candidate.place:
                     continue
                 short = lost - score.gain
                 better = short < -NEAR_FLOOR * self.rows
-                equal = better or _complexity(score.candidate) <= _complexity(candidate) + 1
+                equal = better or complexity(score.candidate) <= complexity(candidate) + 1
                 if short <= margin and equal:
                     rivals.append(score.candidate.place)
                 elif short > margin:
                     behind = min(behind, short / margin)
-            ranked.append((lost, candidate, tuple(rivals[:2]), behind, twin))
+            named = [place for place in equals if place[0] in self.allowed]
+            rivals = list(dict.fromkeys([*named, *rivals]))[:2]
+            ranked.append((lost, candidate, tuple(rivals), behind, bool(equals)))
         ranked.sort(key=lambda entry: -entry[0])
         causes = tuple(entry[1] for entry in ranked)
         rivals = [entry[2] for entry in ranked]
         odd = self._unfit(fit)
         if odd is not None:
-            at = next(k for k, c in enumerate(causes) if self._imitates((c,), odd))
+            at = next(k for k, c in enumerate(causes) if imitates((c,), odd))
             rivals[at] = tuple(dict.fromkeys((odd.candidate.place, *rivals[at])))[:2]
         assert self.null is not None
         chance = tuple(self.null.chance(entry[0]) for entry in ranked)
         lead = tuple(float(entry[3]) for entry in ranked)
-        doubtful = closed < FITS
+        doubtful = closed < FITS[len(causes) - 1]
         verdict = "ambiguous" if rivals[0] or ranked[0][4] or doubtful else "explained"
-        return Finding(verdict, self.fit.with_chosen(causes), causes, tuple(rivals), chance, lead, closed, tuple(steps))
-
-
-#: Shapes over speed and over position: two of one kind on one joint would only imitate a third.
-_KINDS = (
-    {
-        "stribeck",
-        "asymmetric_friction",
-        "load_dependent_friction",
-        "viscous_nonlinearity",
-        "thermal_friction",
-        "presliding",
-        "friction_change",
-        "torque_constant",
-    },
-    {"torque_offset", "gravity_spring", "dress_pack", "asymmetric_friction"},
-    {"joint_elasticity", "backlash"},
-    {"payload", "inertial_mismatch"},
-)
-_RESIDUAL_DRIVEN = ("torque_ripple", "contact", "payload", "time_delay", "joint_elasticity", "backlash")
-
-
-def _plausible(score: Score) -> bool:
-    candidate = score.candidate
-    return candidate.effect.plausible(candidate.settings, dict(zip(candidate.names, score.values, strict=True)))
-
-
-def _best_by_place(scores: Sequence[Score]) -> dict:
-    best: dict = {}
-    for score in scores:
-        place = score.candidate.place
-        rank = (_plausible(score), score.gain)
-        if place not in best or rank > (_plausible(best[place]), best[place].gain):
-            best[place] = score
-    return best
-
-
-def _complexity(candidate: Candidate) -> int:
-    effect: Effect = candidate.effect
-    return effect.freedom(candidate.settings) + _PLAIN_FIRST.get(effect.name, 0)
-
-
-def _probability(behind: float, closed: float) -> float:
-    """Of the class: rises with the lead over the next other form, counted in margins, and with what is closed."""
-    lead = 1 - 0.5 * float(np.exp(-min(behind, 50.0) / 2))
-    return float(np.clip(lead * (0.5 + 0.49 * np.clip((closed - 0.5) / 0.4, 0, 1)), 0.01, 0.99))
+        return Finding(
+            verdict,
+            self.fit.with_chosen(causes),
+            causes,
+            tuple(rivals),
+            chance,
+            lead,
+            closed,
+            tuple(steps),
+            *self._bounds,
+        )

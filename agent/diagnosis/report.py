@@ -6,8 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from agent.diagnosis.effects import CATALOGUE
+from agent.diagnosis.evidence import DRAWS
+from agent.diagnosis.finding import Step
 from agent.diagnosis.forward import Simulated, simulation_part
-from agent.diagnosis.procedure import Step
 from agent.diagnosis.report_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
 from agent.diagnosis.result import Diagnosis
 from agent.diagnosis.words import IN_WORDS, REGIMES, how_sure, name, place
@@ -180,6 +181,19 @@ def _steps_section(diagnosis: Diagnosis) -> Section:
         "move as far as its stored uncertainty allows, and scored on motion left out. Gain: squared error taken away, "
         "in units of the model's own background.",
     ]
+    finding = diagnosis.finding
+    text.append(
+        f"Over the signs of its background drawn anew {DRAWS} times, the highest gain of the whole search exceeds "
+        f"{finding.by_chance / rows:.3f} in one of a hundred; a cause needs {finding.least / rows:.3f}."
+    )
+    if finding.chance:
+        text.append(
+            "Share of the draws in which anything anywhere gains as much as a cause: "
+            + ", ".join(
+                f"{name(cause.effect.name)} {share:.3f}"
+                for cause, share in zip(finding.causes, finding.chance, strict=True)
+            )
+        )
     tables = [_step_table(number, step, rows, names) for number, step in enumerate(steps)]
     if len(diagnosis.finding.steps) > len(steps):
         text.append(f"The first {len(steps)} of {len(diagnosis.finding.steps)} scans:")

@@ -12,12 +12,14 @@ import numpy as np
 from agent.diagnosis.dataset import Dataset
 from agent.diagnosis.effects import CATALOGUE, Effect
 from agent.diagnosis.evidence import share_intervals
+from agent.diagnosis.finding import Finding
 from agent.diagnosis.motion_gap import MotionGap
-from agent.diagnosis.procedure import Finding, Search
+from agent.diagnosis.procedure import Search
 from agent.diagnosis.regimes import regimes
 
 SCHEMA = "diagnosis/1"
 _NO_CLOSURE = 1.1
+_GAP = 2.0  # times a model's error on other motions, from where on a joint's error is more than that
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +48,7 @@ def build(
     raw = np.where(seen[:, None], raw, np.nan)
     left = fit.out_of_fold(single)
     before, after = _rms(raw) / unit, _rms(left) / unit
-    floor = _floor(dataset, left, unit)
+    floor = _floor(dataset, left, unit, before)
     closure = _closure(before, after, floor)
     causes = []
     for number, (candidate, values, rivals, probability) in enumerate(
@@ -121,7 +123,7 @@ def _own_closure(before, without, after, floor) -> float | None:
     return float((np.mean(without**2) - np.mean(after**2)) / (b - f))
 
 
-def _floor(dataset: Dataset, left: np.ndarray, unit: np.ndarray) -> np.ndarray | None:
+def _floor(dataset: Dataset, left: np.ndarray, unit: np.ndarray, before: np.ndarray) -> np.ndarray | None:
     """√(½ mean (e_{c+1} − e_c)²) over adjacent cycles of the final residual, at equal times since the cycle's start."""
     parts = []
     for number, log in enumerate(dataset.logs):
@@ -144,8 +146,11 @@ def _floor(dataset: Dataset, left: np.ndarray, unit: np.ndarray) -> np.ndarray |
     if not parts:
         return None
     floor = np.sqrt(0.5 * np.mean(np.concatenate(parts) ** 2, axis=0)) / unit
+    if not dataset.given:
+        return floor
     # what does not repeat, a contact or a torque that wanders, is no floor: a model's error on other motions bounds it
-    return np.minimum(floor, dataset.model.held_out_rmse / unit) if dataset.given else floor
+    usual = dataset.model.held_out_rmse / unit
+    return np.where(before > _GAP * usual, np.minimum(floor, usual), floor)
 
 
 def _where(dataset: Dataset, raw: np.ndarray, before: np.ndarray, floor: np.ndarray | None) -> list[dict[str, Any]]:

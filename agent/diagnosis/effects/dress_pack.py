@@ -21,6 +21,7 @@ class DressPack(Effect):
     source = "hose as a spring with inner friction (Dahl, AIAA J. 14, 1976); natural splines (de Boor, 1978)"
     signature = "residual that depends on the joint's own position, without the shape of gravity"
     confused_with = ("gravity_spring", "torque_offset", "friction_change")
+    twins = ("gravity_spring",)
     look_at = "hoses and cables at this joint: stiff, caught or too short"
     limits = ("torque_offset",)
 

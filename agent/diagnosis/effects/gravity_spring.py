@@ -13,6 +13,7 @@ class GravitySpring(Effect):
     source = "two pivots and a spring: Klimchik, Wu, Caro, Dumas, Furet, Pashkevich, arXiv:1311.6674 (2013)"
     signature = "residual that is a smooth function of the joint's own angle, like a pendulum's"
     confused_with = ("dress_pack", "inertial_mismatch", "torque_offset")
+    twins = ("dress_pack",)
     look_at = "balancer: spring, gas pressure of the cylinder, its pivots"
     limits = ("torque_offset",)
 

@@ -16,6 +16,7 @@ class InertialMismatch(Effect):
     source = "Atkeson, An, Hollerbach, Int. J. Robotics Research 5 (1986)"
     signature = "residual of weight and inertia on the joints from the base up to one link"
     confused_with = ("payload", "gravity_spring", "encoder_offset", "torque_constant")
+    twins = ("encoder_offset", "payload", "base_tilt", "gravity_spring")
     look_at = "what was bolted to or taken off this link; link data of the robot description"
     limits = ("payload",)
 

@@ -1,0 +1,60 @@
+"""What a search for causes comes to, and how sure it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.diagnosis.fit import Candidate, Fit, Score
+
+_COEFFICIENTS = (-1.0, 0.35, 0.43)
+_MOST_LEAD = 50.0
+_LEAST_OPEN = 0.002
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One scan: what was chosen before it, the best score of every place, and which of them could be named."""
+
+    chosen: tuple[Candidate, ...]
+    error: float
+    scores: tuple[Score, ...]
+    eligible: tuple[Score, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """The outcome: the fit with its causes, who equals whom, how much of the excess is closed, and the steps.
+
+    `rivals[k]` are places that the data cannot tell from cause k, `chance[k]` is how often anything gains as much as it
+    where there is nothing (see `evidence`), `lead[k]` how many margins the best place outside its class falls behind.
+    `least` is the gain that a cause has to have, and `by_chance` the one that the whole search exceeds in one of a
+    hundred cases where there is nothing.
+    """
+
+    verdict: str
+    fit: Fit
+    causes: tuple[Candidate, ...]
+    rivals: tuple[tuple[tuple[str, tuple[int, ...]], ...], ...]
+    chance: tuple[float, ...]
+    lead: tuple[float, ...]
+    closed: float
+    steps: tuple[Step, ...]
+    least: float
+    by_chance: float
+
+    @property
+    def probability(self) -> tuple[float, ...]:
+        """Of each cause's class."""
+        return tuple(class_probability(lead, self.closed) for lead in self.lead)
+
+
+def class_probability(lead: float, closed: float) -> float:
+    """Of a cause's class, from its lead and the part of the excess that is closed: a logistic with three coefficients.
+
+    They were fitted to runs of another simulation (docs/decisions/diagnosis-probability.md).
+    """
+    constant, by_lead, by_closed = _COEFFICIENTS
+    score = constant + by_lead * np.log1p(min(lead, _MOST_LEAD)) - by_closed * np.log(max(1 - closed, _LEAST_OPEN))
+    return float(1 / (1 + np.exp(-score)))
