@@ -118,11 +118,11 @@ def dataset(arm, model) -> Dataset:
 
 @pytest.fixture(scope="module")
 def with_effect(arm, model, dataset) -> Callable[[str], IdentifiedModel]:
-    """The model with one effect of a few percent of the arm's largest torque, on the last joint it may sit on."""
+    """The model with one effect of a few percent of the arm's largest torque: gears on the first joint, others last."""
 
     def extend(name: str) -> IdentifiedModel:
         effect = CATALOGUE[name]
-        joints = effect.places(arm)[-1]
+        joints = effect.places(arm)[0 if name in SWINGING else -1]  # the first axis is vertical: its load changes sign
         forms = effect.settings(dataset.fit, joints) or [LAST_RESORT[name]]
         settings = forms[len(forms) // 2]
         candidate = dataset.fit.candidate(effect, joints, settings)
@@ -198,7 +198,7 @@ def test_the_page_says_what_where_and_what_to_do(diagnosed):
         "Not testable here",
     ):
         assert words in page
-    assert "http" not in page.replace("http://www.w3.org", "")
+    assert 'src="http' not in page
 
 
 def test_an_unknown_gap_is_located_on_the_page(arm, model):
@@ -221,12 +221,13 @@ def test_shares_of_regimes_are_shares_with_intervals(diagnosed):
                 assert 0 <= low <= high <= 1
 
 
-@pytest.mark.parametrize("kinds", ["P", "PR", "RRPR", pytest.param("RRRRRRR", marks=pytest.mark.verify)])
+@pytest.mark.parametrize("kinds", ["P", "PR", "PRRR", pytest.param("RRRRRRR", marks=pytest.mark.verify)])
 def test_any_arm_is_diagnosed(kinds):
     robot = make_arm(kinds)
     known = learn(robot)
-    joint = robot.joint_names[-1]
-    level = float(np.abs(record(Plant(robot, seed=3), "free", 21).effort[:, -1]).max())
+    levels = np.abs(record(Plant(robot, seed=3), "free", 21).effort).max(axis=0)
+    # without nominal torques shares are of N·m, so a light joint would be lost beside a heavy one
+    joint, level = robot.joint_names[int(np.argmax(levels))], float(levels.max())
     effects = [{"effect": "dress_pack", "joints": [joint], "parameters": {"stiffness": 0.3 * level}}]
     plants = Plant(robot, seed=3), Plant(robot, seed=3, effects=effects)
     free, pulled = (

@@ -1,0 +1,50 @@
+"""A diagnosis that records first, over a real socket, and the files it leaves."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from agent.estimation import IdentifiedModel
+
+DELAY = 0.008  # s
+
+
+def test_a_recipe_is_recorded_then_diagnosed(start_controller, write_recipe, run_agent, only_run, tmp_path: Path):
+    effects = tmp_path / "effects.json"
+    effects.write_text(json.dumps([{"effect": "time_delay", "parameters": {"delay": DELAY}}]))
+    controller = start_controller("--clock", "fast", "--effects", str(effects))
+    recipe = write_recipe(controller.address, speed="0.3 m/s")
+    run = run_agent("diagnose", "--record", recipe, "--json", "-o", "model.json")
+    assert run.returncode == 0, run.stderr
+    result = json.loads(run.stdout)
+    named = {cause["effect"]: cause["parameters"] for cause in result["causes"]}
+    assert abs(named["time_delay"]["delay"] - DELAY) < 0.4 * DELAY
+    assert max(result["motion_gap"]["before"]) > 1e-3, "the controller's interpolator is near ours, not ours"
+    assert {entry["log"] for entry in result["simulation"]["logs"]} == {
+        "excitation.mcap",
+        "validation_01.mcap",
+        "validation_02.mcap",
+    }
+    folder = only_run(tmp_path / "logs")
+    assert json.loads((folder / "result.json").read_text()) == result
+    assert json.loads((folder / "state.json").read_text())["status"] == "finished"
+    assert "time delay" in (folder / "report.html").read_text(encoding="utf-8")
+    assert [entry.effect for entry in IdentifiedModel.load(tmp_path / "model.json").effects] == ["time_delay"]
+
+
+def test_nothing_moves_where_the_question_makes_no_sense(controller, write_recipe, run_agent, tmp_path: Path):
+    recipe = write_recipe(controller.address)
+    for arguments, reason in (
+        (["--record", recipe, "--robot", "comau_ns16"], "leave out LOG and --robot"),
+        (["--record", recipe, "some.mcap"], "leave out LOG and --robot"),
+        (["--robot", "comau_ns16"], "or a recipe to record"),
+        (["some.mcap"], "name the robot"),
+        (["--record", recipe, "--without", "squeak"], "squeak"),
+        (["--record", recipe, "--model", "absent.json"], "no such model file"),
+        (["--record", recipe, "--report", "nowhere/page.html"], "there is no folder"),
+    ):
+        run = run_agent("diagnose", *arguments)
+        assert run.returncode == 2, (arguments, run.stderr)
+        assert reason in run.stderr
+    assert not (tmp_path / "logs").exists()
