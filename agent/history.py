@@ -18,7 +18,7 @@ from typing import Any
 from agent.errors import AgentError, InputError
 
 FILE = "history.sqlite"
-_VERSION = 1
+_VERSION = 2
 _TABLES = """
 CREATE TABLE runs (
     run TEXT PRIMARY KEY, changed INTEGER, robot TEXT, serial TEXT, kind TEXT, started TEXT, status TEXT,
@@ -37,7 +37,8 @@ class PastRun:
     `kind` is `calibrate` or `recalibrate`; `status` that of the run folder (`finished` is accepted, `rejected` is the
     gate's word); `loop` the key of its stored loop, `program` the SHA-256 of its program, `reference` the run whose
     model it was compared with, `reason` why it was rejected or stopped; `worst` the largest normalised RMSE of any
-    axis. `data` holds joints, normalised_rmse, gate, and the conditions of the run.
+    axis. `data` holds joints, normalised_rmse, gate, the conditions of the run, and `watch`: what the trends of this
+    machine said after it, a sentence each.
     """
 
     run: str
@@ -186,6 +187,7 @@ def read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
         "normalised_rmse": figures,
         "gate": result.get("gate", {}).get("normalised_rmse"),
         "conditions": result.get("conditions", {}),
+        "watch": state.get("watch", []),
     }
     run = PastRun(
         run=path.name,
@@ -208,7 +210,7 @@ def read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
 
 
 def history_table(runs: Sequence[PastRun]) -> str:
-    """A line a run, newest last."""
+    """A line a run, newest last; then what the trends said last of each machine."""
     header = ("run", "serial", "kind", "result", "worst axis", "cycles")
     rows = [header] + [
         (
@@ -222,7 +224,10 @@ def history_table(runs: Sequence[PastRun]) -> str:
         for run in runs
     ]
     widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
-    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+    latest = {(run.robot, run.serial): run for run in runs if run.status in ("finished", "rejected")}
+    told = [f"{robot} {serial}: {line}" for (robot, serial), run in latest.items() for line in run.data["watch"]]
+    return "\n".join([*lines, *([""] if told else []), *told])
 
 
 def history_json(history: History, runs: Sequence[PastRun]) -> dict[str, Any]:

@@ -120,7 +120,9 @@ def recalibrate(
         remember(run, console)
         if result["accepted"]:
             apply_run(logs, run.path)
-    for line in watch_lines(logs, recipe.robot.name, run.state["serial"]):
+        watched = watch_lines(logs, recipe.robot.name, run.state["serial"])
+        run.note(watch=watched)
+    for line in watched:
         console.warn(line)
     return Outcome(run=run.path, result=result)
 

@@ -5,13 +5,14 @@ One series is the friction of an axle at one speed, as runs of the same program 
     y_r = a + b c_r + change_r + noise,
 
 c is what the other axles' friction did at the same time (their median): warm-up is common to all, wear is not. How
-strongly this axle warms, b, is known from within the runs: a cold arm warms up while it moves, so b is the ratio of its
-relative rate of change to the others', and about 1 (deviation 1) where the runs are too short to tell. Without that, a
-warm-up that goes along with time could not be told from wear. Arms of fewer axles have the rate itself in place of c.
+strongly this axle warms, b, is known from within the runs: a cold arm warms up while it moves, the colder the faster,
+so b is how its relative rate of change follows the others' from run to run; about 1 (deviation 1) where nothing tells.
+Without that, a warm-up that goes along with time could not be told from wear. Arms of fewer axles have the rate itself
+in place of c.
 
-What is left is tested as a drift, linear in time, and as a step after run k. Each is a t-test against no change, its
-variance widened by (1 + ρ) / (1 - ρ) where residuals are autocorrelated; steps pay for their number, and all series of
-a machine share `FALSE_ALARMS` (Bonferroni). An alarm is a change that is no chance and of practical size.
+What is left is tested as a drift, linear in time or in the number of runs, and as a step after run k. Each is a t-test
+against no change (`agent.changes`); alternatives pay for their number, and all series of a machine share
+`FALSE_ALARMS` (Bonferroni). An alarm is a change that is no chance and of practical size.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.changes import Background, fit_course, line, size_of_change
 from agent.history import PastParameter, PastRun
 
 #: Probability of an alarm of any series of a machine without change.
@@ -33,6 +35,8 @@ PRACTICAL = 0.03
 FEWEST, WINDOW = 8, 40
 _SEGMENT = 3  # runs on either side of a step
 _UNKNOWN_RESPONSE = 1.0  # deviation of how an axle warms, as a multiple of the others
+_CLEAR = 4.0  # deviations by which a warm-up in the rates must stand out from their noise to tell anything
+_SPEEDS_DIFFER = 0.15  # of it: at one speed friction may answer so much more or less than along the whole motion
 _DAY = 86_400.0
 
 
@@ -183,9 +187,10 @@ def _watch(key: tuple[str, str, str], runs: list[PastRun]) -> Watch:
         others = [m for (other, m) in keys if other != joint and usable[m]]
         background = Background(_common_rate(rates, doubts))
         if len({keys[m][0] for m in others}) >= 3:  # with fewer, wear of one axle would be half of the others' median
-            background = Background(
-                np.median(centred[:, others], axis=1), *_response(rates, doubts, axles.index(joint))
-            )
+            scatter = np.median(deviations[:, others] / values[:, others])
+            noise = np.pi / 2 * float(scatter) ** 2 / len(others)  # of a median
+            answer = _response(rates, axles.index(joint))
+            background = Background(np.median(centred[:, others], axis=1), *answer, noise)
         name = f"friction of {joint} at {level['speed']:.2g} rad/s"
         trends.append(
             _trend(name, joint, "N·m", runs, times, values[:, k], deviations[:, k], logs[:, k], background, len(keys))
@@ -207,19 +212,19 @@ def _trend(
     series: int,
 ) -> Trend:
     """Test one series y (R,) for a drift and for steps, beside what all axles share."""
-    span = times - times.mean()
-    drift = span / max(float(np.ptp(times)), 1e-300)
-    shapes = [("drift", drift, 1)]
+    number = np.arange(len(y))
+    shapes = [("drift", line(times), 1), ("drift", line(number), 1)]  # age wears, and so does use
     places = range(_SEGMENT, len(y) - _SEGMENT + 1)
-    shapes += [("step", (np.arange(len(y)) >= k) - 0.5, k) for k in places]
-    tests = [_test(y, background, shape) for _, shape, _ in shapes]
-    paid = [tests[0][2] * 2] + [probability * 2 * len(places) for _, _, probability in tests[1:]]
+    shapes += [("step", (number >= k) - 0.5, k) for k in places]
+    tests = [size_of_change(y, background, shape) for _, shape, _ in shapes]
+    alike = {"drift": 2, "step": len(places)}
+    paid = [test[2] * 2 * alike[kind] for (kind, _, _), test in zip(shapes, tests, strict=True)]
     best = int(np.argmin(paid))
     kind, shape, place = shapes[best]
     change, deviation, _ = tests[best]
     probability = min(1.0, paid[best])
     significant = probability < FALSE_ALARMS / series
-    fit, design = _fit(y, background, shape if significant else None)[:2]
+    fit, design = fit_course(y, background, shape if significant else None)
     common = design[:, 1] * fit[1] if background.varies else np.zeros(len(y))
     to_values = values / y if not joint else None
     expected = np.exp(design @ fit) if joint else design @ fit * np.median(to_values)
@@ -242,76 +247,43 @@ def _trend(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Background:
-    """What a series follows besides its own change: a covariate (R,), and what is known of its coefficient."""
+def _response(rates: np.ndarray, axle: int) -> tuple[float, float]:
+    """How an axle's friction answers to warm-up, as a multiple of the others, from rates (R, n); and its deviation.
 
-    covariate: np.ndarray
-    coefficient: float = 0.0
-    doubt: float = np.inf
-
-    @property
-    def varies(self) -> bool:
-        """Whether there is anything to follow."""
-        return bool(np.ptp(self.covariate) > 0)
-
-
-def _fit(
-    y: np.ndarray, background: Background, shape: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Parameters, design (R, p), their covariance but for the variance, and the variance of the noise.
-
-    What is known of the coefficient is one more row; it weighs what the noise of a fit without it says.
+    It is the slope of the axle's rate over what the others' rates share, from run to run. What all runs of a loop have
+    alike is no warm-up: bristles that settle in the first cycle, what the model lacks. Both coordinates are noisy, so
+    the power of what is shared is taken without its noise.
     """
-    columns = [np.ones(len(y))]
-    if background.varies:
-        columns.append(background.covariate - background.covariate.mean())
-    if shape is not None:
-        columns.append(shape)
-    design = np.column_stack(columns)
-    rows, right = design, y
-    freedom = len(y) - design.shape[1]
-    free = np.linalg.lstsq(design, y, rcond=1e-9)[0]
-    variance = float(np.sum((y - design @ free) ** 2)) / freedom
-    if background.varies and np.isfinite(background.doubt):
-        weight = np.sqrt(max(variance, 1e-12)) / background.doubt
-        knowledge = np.zeros(design.shape[1])
-        knowledge[1] = weight
-        rows, right = np.vstack([design, knowledge]), np.append(y, weight * background.coefficient)
-    fit = np.linalg.lstsq(rows, right, rcond=1e-9)[0]
-    left = y - design @ fit
-    variance = float(left @ left) / freedom
-    rho = float(np.clip(left[1:] @ left[:-1] / max(left @ left, 1e-300), 0.0, 0.9))
-    return fit, design, np.linalg.pinv(rows.T @ rows), variance * (1 + rho) / (1 - rho)
-
-
-def _test(y: np.ndarray, background: Background, shape: np.ndarray) -> tuple[float, float, float]:
-    """Size of `shape` in y beside the background, its deviation, and the probability of as much by chance."""
-    from scipy.special import stdtr
-
-    fit, design, covariance, variance = _fit(y, background, shape)
-    deviation = float(np.sqrt(max(variance * covariance[-1, -1], 1e-30)))
-    if np.linalg.matrix_rank(design, 1e-9) < design.shape[1] and not np.isfinite(background.doubt):
-        return 0.0, np.inf, 1.0
-    freedom = len(y) - design.shape[1]
-    return float(fit[-1]), deviation, float(2 * stdtr(freedom, -abs(fit[-1]) / deviation))
-
-
-def _response(rates: np.ndarray, doubts: np.ndarray, axle: int) -> tuple[float, float]:
-    """How an axle's friction answers to warm-up, as a multiple of the others, from rates (R, n); and its deviation."""
-    others = np.delete(np.arange(rates.shape[1]), axle)
-    known = np.isfinite(rates).all(axis=1) & np.isfinite(doubts).all(axis=1)
-    if not known.any():
+    known = rates[np.isfinite(rates).all(axis=1)]
+    if len(known) < FEWEST:
         return 1.0, _UNKNOWN_RESPONSE
-    common = np.median(rates[known][:, others], axis=1)
-    noise = float(np.median(doubts[known][:, others])) ** 2 / len(others)
-    power = max(float(common @ common) - len(common) * noise, 0.0)  # less what noise alone makes of it
-    precision = power / float(np.median(doubts[known][:, axle])) ** 2
-    if precision <= 0:
+    known = known - known.mean(axis=0)
+    common, noise = _shared(np.delete(known, axle, axis=1))
+    power = float(common @ common) - len(known) * noise
+    if power < _CLEAR * noise * (2 * len(known)) ** 0.5:  # what noise alone makes of it scatters by that root
         return 1.0, _UNKNOWN_RESPONSE
-    ratio = float(common @ rates[known][:, axle]) / power
+    ratio = float(common @ known[:, axle]) / power
+    left = known[:, axle] - ratio * common
+    precision = power / max(float(left @ left) / (len(known) - 2) + ratio**2 * noise, 1e-300)
     total = precision + _UNKNOWN_RESPONSE**-2
-    return (precision * ratio + _UNKNOWN_RESPONSE**-2) / total, float(total**-0.5)
+    ratio = (precision * ratio + _UNKNOWN_RESPONSE**-2) / total
+    return ratio, float(np.hypot(total**-0.5, _SPEEDS_DIFFER * abs(ratio)))
+
+
+def _shared(rates: np.ndarray) -> tuple[np.ndarray, float]:
+    """What centred rates (R, n) of several axles share, (R,), scaled like the median axle; the variance of its noise.
+
+    One common factor: each axle is a multiple of it and noise of its own, by turns fitted and averaged.
+    """
+    common = np.median(rates, axis=1)
+    for _ in range(10):
+        size = max(float(common @ common), 1e-300)
+        multiples = rates.T @ common / size
+        multiples = multiples / (np.median(multiples) or 1.0)
+        noise = np.mean((rates - np.outer(common, multiples)) ** 2, axis=0)
+        weights = multiples / np.maximum(noise, 1e-3 * noise.mean() + 1e-300)
+        common = rates @ weights / (weights @ multiples)
+    return common, float(1 / np.sum(multiples * weights))
 
 
 def _warnings(runs: Sequence[PastRun], times: np.ndarray, trends: Sequence[Trend]) -> list[Warning]:
@@ -323,9 +295,7 @@ def _warnings(runs: Sequence[PastRun], times: np.ndarray, trends: Sequence[Trend
         gate = latest["gate"]
         if gate is None or not np.isfinite(figures).all():
             continue
-        size, deviation, probability = _test(
-            figures, Background(np.zeros(len(figures))), (times - times.mean()) / max(float(np.ptp(times)), 1e-300)
-        )
+        size, deviation, probability = size_of_change(figures, Background(np.zeros(len(figures))), line(times))
         if size <= 0 or probability * len(latest["joints"]) > FALSE_ALARMS or not np.isfinite(deviation):
             continue
         days = max(0.0, (gate - figures[-3:].mean()) / size * span)

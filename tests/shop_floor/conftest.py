@@ -111,11 +111,13 @@ def friction_runs(
     """Results of `count` recalibrations of six axles.
 
     Each run starts somewhere in a warm-up that raises friction by up to `warm_up` and decays within 600 s; axles answer
-    to it differently. `cooling`: later runs start warmer, so that warm-up goes along with time. Axle `wear` gains
-    `wear_by` over all runs.
+    to it differently. The rate within a run has a part of its own on each axle that is the same in all runs, as the
+    first cycles of a real loop give it. `cooling`: later runs start warmer, so that warm-up goes along with time. Axle
+    `wear` gains `wear_by` over all runs.
     """
     rng = np.random.default_rng(seed)
     base, answer = rng.uniform(5.0, 100.0, 6), rng.uniform(0.5, 1.5, 6)
+    settling = 1e-4 * rng.normal(size=6)
     for number in range(count):
         part = number / max(1, count - 1)
         cold = warm_up * ((1.0 - part) if cooling else rng.uniform())
@@ -132,8 +134,8 @@ def friction_runs(
             for k, joint in enumerate(JOINTS)
             for speed in (0.2, 0.8)
         ]
-        doubt = 3e-5
-        rate = -answer * cold / 600.0 + doubt * rng.normal(size=6)
+        doubt = 1.2e-5
+        rate = settling - answer * cold / 600.0 + doubt * rng.normal(size=6)
         conditions = {
             "cycles": 4,
             "motion_s": 30.0,

@@ -64,6 +64,22 @@ def test_a_run_that_was_stopped_is_there_with_its_reason(write_runs):
     assert "stopped" in history_table(runs)
 
 
+def test_the_table_ends_with_what_the_trends_said_last(write_runs):
+    logs = write_runs(3)
+    runs = sorted(path for path in logs.iterdir() if path.is_dir())
+    for run, said in zip(runs, (["joint_1 stepped"], [], ["joint_3 drifts", "joint_3 reaches the gate"]), strict=True):
+        state = json.loads((run / "state.json").read_text(encoding="utf-8"))
+        (run / "state.json").write_text(json.dumps(state | {"watch": said}), encoding="utf-8")
+    with open_history(logs) as history:
+        table = history_table(history.runs())
+    assert table.splitlines()[-3:] == [
+        "",
+        "comau_ns16 NS16-1: joint_3 drifts",
+        "comau_ns16 NS16-1: joint_3 reaches the gate",
+    ]
+    assert "joint_1 stepped" not in table
+
+
 def test_a_folder_that_is_not_there_is_said_plainly(tmp_path: Path):
     with pytest.raises(InputError, match="no runs are kept there"), open_history(tmp_path / "nothing"):
         pass
