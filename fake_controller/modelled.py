@@ -1,14 +1,15 @@
 """A machine that is what a model file says of it: its bodies, its friction, and the effects it was extended with.
 
-Bodies, Coulomb and viscous friction are the machine's own, and so is what swings too fast for any other way: gears that
-give way, and ripples. Everything else that the model predicts is worked out along the set-points as they come, and acts
-on the joints as a torque from outside that the motors have to give: so any form that a model can have can be run, those
-with a memory too, and the controller reads the torque that the model predicts.
+Bodies, Coulomb and viscous friction are the machine's own, and so is what swings too fast for any other way (gears that
+give way, ripples) or is of its sensors (scale, shift and delay of the torque). Everything else that the model predicts
+is worked out along the set-points as they come, and acts on the joints as a torque from outside that the motors have to
+give: so any form that a model can have can be run, those with a memory too, and the controller reads the torque that
+the model predicts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +24,7 @@ from fake_controller.actuation.friction import FrictionCurve
 from fake_controller.actuation.machine import Machine, draw_machine
 
 _OWN = ("coulomb", "viscous")  # forms of friction that the machine has itself
-_FAST = ("joint_elasticity", "backlash", "torque_ripple")
+_SIMULATED = ("joint_elasticity", "backlash", "torque_ripple", "torque_constant", "torque_offset", "time_delay")
 
 
 def modelled_machine(model: IdentifiedModel) -> Machine:
@@ -58,20 +59,35 @@ def modelled_machine(model: IdentifiedModel) -> Machine:
 
 
 def _simulated(entry: ModelEffect, machine: Machine) -> Iterator[dict[str, Any]]:
-    """The simulated form of a fast effect, as `load_effect` takes it; none of others."""
+    """The simulated form of an effect of `_SIMULATED`, as `load_effect` takes it; nothing of others."""
     fitted, joints = entry.parameters, list(entry.joints)
-    if entry.effect == "joint_elasticity":
-        yield {"effect": entry.effect, "joints": joints, "parameters": {"stiffness": fitted["stiffness"]}}
-    elif entry.effect == "backlash":
-        yield {"effect": entry.effect, "joints": joints, "parameters": {"gap": fitted["gap"]}}
-    elif entry.effect == "torque_ripple":
-        gear = machine.robot.gear_ratios[machine.robot.joint_names.index(joints[0])]
-        for harmonic in range(1, int(fitted["harmonics"]) + 1):
-            cosine, sine = fitted[f"cosine_{harmonic}"], fitted[f"sine_{harmonic}"]
-            # what the motor has to give more is what its ripple takes away
-            ripple = {"amplitude": float(np.hypot(cosine, sine)), "phase": float(np.arctan2(-cosine, -sine))}
-            order = float(harmonic * fitted["order"] / gear)
-            yield {"effect": entry.effect, "joints": joints, "parameters": {**ripple, "order": order}}
+    parameters: list[dict[str, float]] = []
+    match entry.effect:
+        case "joint_elasticity":
+            parameters = [{"stiffness": fitted["stiffness"]}]
+        case "backlash":
+            parameters = [{"gap": fitted["gap"]}]
+        case "torque_ripple":
+            gear = machine.robot.gear_ratios[machine.robot.joint_names.index(joints[0])]
+            parameters = [_ripple(fitted, harmonic, gear) for harmonic in range(1, int(fitted["harmonics"]) + 1)]
+        case "torque_constant":
+            parameters = [{"scale": 1.0 + fitted["scale_error"]}]
+        case "torque_offset":
+            parameters = [{"offset": fitted["offset"]}]
+        case "time_delay":
+            parameters = [{"delay": fitted["delay"] * fitted["share"]}]
+    for values in parameters:
+        yield {"effect": entry.effect, "joints": joints, "parameters": values}
+
+
+def _ripple(fitted: Mapping[str, float], harmonic: int, gear: float) -> dict[str, float]:
+    """One harmonic; what the motor has to give more is what its ripple takes away."""
+    cosine, sine = fitted[f"cosine_{harmonic}"], fitted[f"sine_{harmonic}"]
+    return {
+        "amplitude": float(np.hypot(cosine, sine)),
+        "phase": float(np.arctan2(-cosine, -sine)),
+        "order": float(harmonic * fitted["order"] / gear),
+    }
 
 
 def _own_friction(model: IdentifiedModel) -> np.ndarray:
@@ -95,8 +111,8 @@ class BeyondMachine:
         for k, term in enumerate(model.terms):
             if kept[k]:
                 values[len(model.independent) + k] -= own[term.axle, _OWN.index(term.form)]
-        slow = tuple(entry for entry in model.effects if entry.effect not in _FAST)
-        self._rest = replace(model, values=values, effects=slow)
+        others = tuple(entry for entry in model.effects if entry.effect not in _SIMULATED)
+        self._rest = replace(model, values=values, effects=others)
 
     def torque(self, start: float, position: np.ndarray, velocity: np.ndarray, period: float) -> np.ndarray:
         """(S, n) [N·m] along set-points (S, n) and their velocities, the first at `start` [s]."""

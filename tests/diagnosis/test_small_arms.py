@@ -28,6 +28,7 @@ SWINGING = ("joint_elasticity", "backlash", "torque_ripple")
 LAST_RESORT = {
     "torque_ripple": {"order": 20.0, "harmonics": 1.0},
     "backlash": {"gap": 0.01, "stiffness": 1e5, "damping": 0.1},
+    "time_delay": {"delay": 0.006},
     "payload": {"m0": 1.0, "hx0": 0.1, "hy0": 0.0, "hz0": 0.0},
 }
 
@@ -123,7 +124,8 @@ def with_effect(arm, model, dataset) -> Callable[[str], IdentifiedModel]:
     def extend(name: str) -> IdentifiedModel:
         effect = CATALOGUE[name]
         joints = effect.places(arm)[0 if name in SWINGING else -1]  # the first axis is vertical: its load changes sign
-        forms = effect.settings(dataset.fit, joints) or [LAST_RESORT[name]]
+        forms = [] if name == "time_delay" else effect.settings(dataset.fit, joints)
+        forms = forms or [LAST_RESORT[name]]
         settings = forms[len(forms) // 2]
         candidate = dataset.fit.candidate(effect, joints, settings)
         values = np.ones(len(candidate.names))
