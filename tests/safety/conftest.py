@@ -61,6 +61,8 @@ class Controller:
                 return tcp.IdentityReply(self.robot, self.serial, "peer", "1", self.joints, self.period)
             case tcp.AskStatus():
                 return tcp.StatusReply(**state)
+            case tcp.AskTemperatures():
+                return tcp.TemperaturesReply(())
             case tcp.UploadBegin(name, _, checksum):
                 state |= {"program": name, "checksum": self.stores or checksum}
                 return tcp.Done()
