@@ -174,6 +174,15 @@ def test_the_guard_stops_a_slow_run_where_it_cannot_read_the_override(bench, pro
     assert bench.run(chosen) == 6000
 
 
+def test_an_arm_that_is_stopped_for_another_reason_is_not_called_slow(bench, program):
+    chosen = program()
+    chosen = replace(chosen, chains=(slowly(chosen.chains[0], 10),))
+    bench.controller = replace(bench.controller, blocks=60, pushes=True, later={"mode": "teach"})
+    bench.driver = type("Slow", (WithoutOverride,), {"plan": chosen.chains[0], "scale": 2.0})
+    with pytest.raises(SafetyError, match="the mode was changed"):
+        bench.run(chosen)
+
+
 def slowly(chain, factor):
     return replace(chain, t=chain.t * factor, qd=chain.qd / factor)
 
