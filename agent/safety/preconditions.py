@@ -124,8 +124,7 @@ def unsafe_in_motion(status: Status) -> str | None:
 def is_loopback(address: str) -> bool:
     """Whether an address, host:port or a host with options after commas, is on this machine."""
     first = address.split(",", 1)[0]
-    host, _, port = first.rpartition(":")
-    host = (host if port.isdigit() and host else first).strip("[]")
+    host = (first.rpartition(":")[0] or first).strip("[]")
     try:
         return ip_address(host).is_loopback
     except ValueError:  # a name: only the one that is this machine everywhere
