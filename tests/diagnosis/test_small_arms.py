@@ -21,7 +21,13 @@ from fake_controller.plant import Plant
 
 PERIOD = 0.002
 CYCLE = 5.0
-MODELLED = [name for name, effect in CATALOGUE.items() if not effect.once and name != "interpolator_mismatch"]
+#: One of each kind runs with every change: friction, body, position, channel.
+QUICK = ("stribeck", "payload", "gravity_spring", "time_delay")
+MODELLED = [
+    pytest.param(name, marks=() if name in QUICK else pytest.mark.verify)
+    for name, effect in CATALOGUE.items()
+    if not effect.once and name != "interpolator_mismatch"
+]
 
 SWINGING = ("joint_elasticity", "backlash", "torque_ripple")
 #: What is not tried on a motion without a trace of it.

@@ -100,7 +100,7 @@ def test_a_loop_beyond_a_cable_is_infeasible(problem_with: Any) -> None:
 
 
 def test_when_nothing_keeps_the_limits_the_nearest_miss_is_told(problem_with: Any) -> None:
-    everywhere = KeepOut("everything", (-3.0, -3.0, -3.0), (3.0, 3.0, 3.0))
+    everywhere = KeepOut("everything", (0.6, -1.0, 0.4), (1.6, 1.0, 1.4))  # around the sub-region, clear of the base
     with pytest.raises(InputError, match="everything") as error:
         search(problem_with(keep_out=(everywhere,)), population=4, generations=2, workers=1)
     assert "none of" in str(error.value)
