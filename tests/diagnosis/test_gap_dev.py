@@ -24,7 +24,7 @@ def test_nothing_is_found_where_nothing_is(diagnosed, measured):
     assert result["causes"] == []
 
 
-@pytest.mark.parametrize("case", [1, 2, 3, 4])
+@pytest.mark.parametrize("case", [1, 2, *(pytest.param(case, marks=pytest.mark.verify) for case in (3, 4))])
 def test_the_effect_and_its_joint_are_named(diagnosed, answers, case, measured):
     result = diagnosed(case).result
     (truth,) = answers[f"case_{case:02d}"]
@@ -38,6 +38,7 @@ def test_the_effect_and_its_joint_are_named(diagnosed, answers, case, measured):
     assert cause["closure"] > 0.85
 
 
+@pytest.mark.verify
 def test_the_sizes_are_those_of_the_key(diagnosed, answers):
     mass = diagnosed(2).result["causes"][0]["parameters"]["mass"]
     assert mass == pytest.approx(answers["case_02"][0]["mass"], rel=0.02)
@@ -47,7 +48,7 @@ def test_the_sizes_are_those_of_the_key(diagnosed, answers):
     assert delay == pytest.approx(answers["case_04"][0]["delay"], abs=4e-4)
 
 
-@pytest.mark.parametrize("case", [pytest.param(case, marks=pytest.mark.verify) for case in (1, 2, 3)] + [4])
+@pytest.mark.parametrize("case", [2, *(pytest.param(case, marks=pytest.mark.verify) for case in (1, 3, 4))])
 def test_a_withheld_effect_is_not_replaced_by_a_confident_wrong_name(arm, baseline, runs, answers, case):
     (truth,) = answers[f"case_{case:02d}"]
     result = diagnose(arm, runs(case), baseline, without=[truth["id"]]).result

@@ -108,7 +108,7 @@ def test_a_stop_on_a_slow_line_does_not_wait_for_the_samples(line):
     np.testing.assert_allclose(blocks[-1].reference_velocity[-1], 0, atol=1e-6)
 
 
-@pytest.mark.parametrize("every", [3000, 20_000])
+@pytest.mark.parametrize("every", [pytest.param(3000, marks=pytest.mark.verify), 20_000])
 def test_flipped_bits_cost_no_sample(line, every):
     """One byte in so many is damaged on its way to the driver, all the time while samples come."""
     cable, controller, driver = line()
