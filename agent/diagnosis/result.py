@@ -18,7 +18,7 @@ from agent.diagnosis.procedure import Search
 from agent.diagnosis.regimes import regimes
 
 SCHEMA = "diagnosis/1"
-_LEAST_CLOSURE = 0.5  # of the gap in plain held-out error, or its causes are not named
+_LEAST_CLOSURE = 0.5  # of a small gap in plain held-out error, half of that of others, or causes are not named
 _SMALL = 0.01  # of nominal: a gap so small that nothing closes is the model's own
 _NO_CLOSURE = 1.1
 _GAP = 2.0  # times a model's error on other motions, from where on a joint's error is more than that
@@ -52,9 +52,10 @@ def build(
     before, after = _rms(raw) / unit, _rms(left) / unit
     floor = _floor(dataset, left, unit, before)
     closure = _closure(before, after, floor)
-    if finding.causes and closure is not None and closure < _LEAST_CLOSURE:
-        # Gained where the background is small, not where the gap is: in plain error the causes explain nothing.
-        verdict = "no_gap" if before.max() < _SMALL else "unknown"
+    is_small = before.max() < _SMALL
+    if finding.causes and closure is not None and closure < (_LEAST_CLOSURE if is_small else _LEAST_CLOSURE / 2):
+        # Gained where the background is small, not where the gap is: in plain error the causes explain too little.
+        verdict = "no_gap" if is_small else "unknown"
         nothing = replace(finding, verdict=verdict, fit=search.fit, causes=(), rivals=(), probability=())
         return build(dataset, nothing, search, motion, warnings)
     causes = []
