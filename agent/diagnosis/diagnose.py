@@ -8,6 +8,7 @@ import numpy as np
 
 from agent.diagnosis.dataset import assemble
 from agent.diagnosis.effects import CATALOGUE
+from agent.diagnosis.gap import SMALL, held_out_gap
 from agent.diagnosis.motion_gap import motion_gap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.result import Diagnosis, build
@@ -38,8 +39,12 @@ def diagnose(
     dataset = assemble(robot, model, logs, cutoff)
     search = Search(dataset.fit, without, dataset.given)
     finding = search.run()
+    gap = held_out_gap(dataset, finding.fit)
+    if finding.causes and gap.hardly_closed:
+        finding = finding.without_causes("no_gap" if gap.largest < SMALL else "unknown", search.fit)
+        gap = held_out_gap(dataset, finding.fit)
     warnings = (*twice, *_warnings(robot, logs, model is not None))
-    return build(dataset, finding, search, motion_gap(logs), warnings)
+    return build(dataset, finding, gap, search, motion_gap(logs), warnings)
 
 
 def check_effects(names: Sequence[str]) -> None:

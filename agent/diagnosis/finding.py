@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,6 +43,10 @@ class Finding:
     steps: tuple[Step, ...]
     least: float
     by_chance: float
+
+    def without_causes(self, verdict: str, fit: Fit) -> Finding:
+        """The same search with nothing named, and the fit that has no effects."""
+        return replace(self, verdict=verdict, fit=fit, causes=(), rivals=(), chance=(), lead=())
 
     @property
     def probability(self) -> tuple[float, ...]:

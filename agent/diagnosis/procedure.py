@@ -22,7 +22,7 @@ NEAR = 0.04  # of what is explained: of forms this close the simplest is taken, 
 NEAR_FLOOR = 0.02
 ALIKE = 0.003  # of what is explained: forms this close cannot be told apart, however well the better one fits
 STANDS_OUT = 0.5  # of its gain must be energy over the background on its joints, log by log
-PRACTICAL = 0.005  # of nominal, root mean square: a smaller effect, or gap over the background, does not matter
+PRACTICAL = 0.0075  # of nominal, root mean square: a smaller effect, or gap over the background, does not matter
 UNFIT = 0.5  # of what a cause leaves, explained by a shape of its own kind
 MOST = 3
 _FIRSTS = 4
@@ -54,7 +54,7 @@ class Search:
         steps = [first]
         matters = self._matters(before)
         if not first.eligible and not matters:
-            return Finding("no_gap", base, (), (), (), (), 0.0, tuple(steps), *self._bounds)
+            return self._nothing("no_gap", steps)
         best: tuple[float, tuple[Candidate, ...]] | None = None
         for start in self._starts(first):
             chosen = self._forward((start,), steps)
@@ -66,12 +66,15 @@ class Search:
                 break
         abstained = "unknown" if matters else "no_gap"
         if best is None:
-            return Finding(abstained, base, (), (), (), (), 0.0, tuple(steps), *self._bounds)
+            return self._nothing(abstained, steps)
         fit = base.with_chosen(self._pruned(best[1]))
         closed = self.closed(before, fit)
         if closed < CLOSES:
-            return Finding(abstained, base, (), (), (), (), closed, tuple(steps), *self._bounds)
+            return self._nothing(abstained, steps, closed)
         return self._verdict(fit, closed, steps)
+
+    def _nothing(self, verdict: str, steps: list[Step], closed: float = 0.0) -> Finding:
+        return Finding(verdict, self.fit, (), (), (), (), closed, tuple(steps), *self._bounds)
 
     @property
     def _bounds(self) -> tuple[float, float]:

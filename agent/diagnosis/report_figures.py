@@ -21,7 +21,7 @@ def regime_map(diagnosis: Diagnosis) -> Figure:
     values = np.full((dataset.robot.dof, len(SHOWN)), np.nan)
     for joint in range(dataset.robot.dof):
         found = masks(dataset, joint)
-        relative = (diagnosis.before[:, joint] / dataset.fit.sigma[:, joint]) ** 2
+        relative = (diagnosis.gap.raw[:, joint] / dataset.fit.sigma[:, joint]) ** 2
         for column, regime in enumerate(SHOWN):
             here = found[regime] & np.isfinite(relative)
             if here.any():
@@ -39,7 +39,7 @@ def band_map(diagnosis: Diagnosis) -> Figure:
     dataset = diagnosis.dataset
     values = np.full((dataset.robot.dof, len(BANDS) + 1), np.nan)
     for joint in range(dataset.robot.dof):
-        error = diagnosis.before[:, joint]
+        error = diagnosis.gap.raw[:, joint]
         values[joint, :-1] = 100 * band_shares(dataset, error)
         phase = motor_phase_share(dataset, error, joint)
         if phase is not None:
@@ -61,7 +61,7 @@ def timeline(diagnosis: Diagnosis, joint: int) -> Figure:
     for number, (log, axis) in enumerate(zip(logs, axes[:, 0], strict=True)):
         here = np.flatnonzero(dataset.log == number)
         here = here[:: max(1, len(here) // _POINTS)]
-        before, after = diagnosis.before[here, joint], diagnosis.after[here, joint]
+        before, after = diagnosis.gap.raw[here, joint], diagnosis.gap.left[here, joint]
         axis.plot(dataset.time[here], before, label="model alone", color=SERIES[1])
         axis.plot(dataset.time[here], after, label="with the effects", color=SERIES[0])
         axis.set_ylabel(f"{log.name}\n[N·m]")

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,15 +12,14 @@ from agent.diagnosis.dataset import Dataset
 from agent.diagnosis.effects import CATALOGUE, Effect
 from agent.diagnosis.evidence import share_intervals
 from agent.diagnosis.finding import Finding
+from agent.diagnosis.gap import Gap
 from agent.diagnosis.motion_gap import MotionGap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.regimes import regimes
 
 SCHEMA = "diagnosis/1"
-_LEAST_CLOSURE = 0.5  # of a small gap in plain held-out error, half of that of others, or causes are not named
-_SMALL = 0.01  # of nominal: a gap so small that nothing closes is the model's own
-_NO_CLOSURE = 1.1
-_GAP = 2.0  # times a model's error on other motions, from where on a joint's error is more than that
+# Set-points are numbers, not measurements: where they differ, only a log that misplaces them in time speaks against it.
+_SET_POINTS_AS_RECORDED = 0.97
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,41 +31,25 @@ class Diagnosis:
     dataset: Dataset
     motion: MotionGap | None
     warnings: tuple[str, ...]
-    before: np.ndarray
-    after: np.ndarray
+    gap: Gap
 
 
 def build(
-    dataset: Dataset, finding: Finding, search: Search, motion: MotionGap | None, warnings: Sequence[str]
+    dataset: Dataset, finding: Finding, gap: Gap, search: Search, motion: MotionGap | None, warnings: Sequence[str]
 ) -> Diagnosis:
     """Figures held out, shares, regimes and what is not testable."""
     robot, fit = dataset.robot, finding.fit
     names = robot.joint_names
-    unit = np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 1.0)
     single = any(c.effect.once for c in fit.chosen)
-    seen = ~np.isnan(fit.out_of_fold(single)[:, 0])
-    raw = dataset.residual if dataset.given else dataset.fit.out_of_fold()
-    raw = np.where(seen[:, None], raw, np.nan)
-    left = fit.out_of_fold(single)
-    before, after = _rms(raw) / unit, _rms(left) / unit
-    floor = _floor(dataset, left, unit, before)
-    closure = _closure(before, after, floor)
-    is_small = before.max() < _SMALL
-    if finding.causes and closure is not None and closure < (_LEAST_CLOSURE if is_small else _LEAST_CLOSURE / 2):
-        # Gained where the background is small, not where the gap is: in plain error the causes explain too little.
-        verdict = "no_gap" if is_small else "unknown"
-        nothing = replace(finding, verdict=verdict, fit=search.fit, causes=(), rivals=(), probability=())
-        return build(dataset, nothing, search, motion, warnings)
     causes = []
     for number, (candidate, values, rivals, probability) in enumerate(
         zip(finding.causes, fit.values, finding.rivals, finding.probability, strict=True)
     ):
-        without = _rms(fit.out_of_fold(single, number)) / unit
         causes.append(
             {
                 "effect": candidate.effect.name,
                 "joints": [names[j] for j in candidate.joints],
-                "closure": _own_closure(before, without, after, floor),
+                "closure": gap.closure_without(fit.out_of_fold(single, number)),
                 "probability": probability,
                 "parameters": {
                     **{name: float(value) for name, value in candidate.settings.items()},
@@ -83,7 +65,7 @@ def build(
                 "effect": "interpolator_mismatch",
                 "joints": [],
                 "closure": motion.closure,
-                "probability": 0.97,
+                "probability": _SET_POINTS_AS_RECORDED,
                 "parameters": {"rate": motion.rate, "shift": motion.shift, "blend": motion.blend},
                 "equivalent_to": [],
             }
@@ -96,83 +78,42 @@ def build(
     result = {
         "schema": SCHEMA,
         "verdict": verdict,
-        "gap": {"joints": list(names), "before": _plain(before), "after": _plain(after), "floor": _plain(floor)},
+        "gap": {
+            "joints": list(names),
+            "before": _plain(gap.before),
+            "after": _plain(gap.after),
+            "floor": _plain(gap.floor),
+        },
         "motion_gap": _motion_part(motion, robot.dof),
-        "closure": closure,
-        "where": _where(dataset, raw / unit, before, floor),
+        "closure": gap.closure,
+        "where": _where(dataset, gap),
         "causes": causes,
         "not_testable": not_testable(dataset, search),
         "next_experiment": next_experiment(causes, verdict),
         "folds": _fold_names(dataset),
         "warnings": list(warnings),
     }
-    return Diagnosis(result, finding, dataset, motion, tuple(warnings), raw, left)
-
-
-def _rms(rows: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.nanmean(rows**2, axis=0))
+    return Diagnosis(result, finding, dataset, motion, tuple(warnings), gap)
 
 
 def _plain(values: np.ndarray | None) -> list[float] | None:
     return None if values is None else [float(value) for value in values]
 
 
-def _closure(before: np.ndarray, after: np.ndarray, floor: np.ndarray | None) -> float | None:
-    b, a = np.mean(before**2), np.mean(after**2)
-    f = 0.0 if floor is None else float(np.mean(floor**2))
-    return None if b < _NO_CLOSURE**2 * f or b <= 0 else float((b - a) / (b - f))
-
-
-def _own_closure(before, without, after, floor) -> float | None:
-    b = np.mean(before**2)
-    f = 0.0 if floor is None else float(np.mean(floor**2))
-    if b < _NO_CLOSURE**2 * f or b <= 0:
-        return None
-    return float((np.mean(without**2) - np.mean(after**2)) / (b - f))
-
-
-def _floor(dataset: Dataset, left: np.ndarray, unit: np.ndarray, before: np.ndarray) -> np.ndarray | None:
-    """√(½ mean (e_{c+1} − e_c)²) over adjacent cycles of the final residual, at equal times since the cycle's start."""
-    parts = []
-    for number, log in enumerate(dataset.logs):
-        starts = np.asarray(log.cycle_starts, dtype=float)
-        if len(starts) < 2:
-            continue
-        here = dataset.log == number
-        time, rows = dataset.time[here], left[here]
-        good = ~np.isnan(rows[:, 0])
-        time, rows = time[good], rows[good]
-        if len(time) < 10:
-            continue
-        for a, b in pairwise(starts):
-            at = np.arange(max(time[0], a), min(b, time[-1] - (b - a)), 1 / dataset.rate)
-            if len(at) < 10:
-                continue
-            first = np.stack([np.interp(at, time, column) for column in rows.T], axis=1)
-            second = np.stack([np.interp(at + b - a, time, column) for column in rows.T], axis=1)
-            parts.append(second - first)
-    if not parts:
-        return None
-    floor = np.sqrt(0.5 * np.mean(np.concatenate(parts) ** 2, axis=0)) / unit
-    if not dataset.given:
-        return floor
-    # what does not repeat, a contact or a torque that wanders, is no floor: a model's error on other motions bounds it
-    usual = dataset.model.held_out_rmse / unit
-    return np.where(before > _GAP * usual, np.minimum(floor, usual), floor)
-
-
-def _where(dataset: Dataset, raw: np.ndarray, before: np.ndarray, floor: np.ndarray | None) -> list[dict[str, Any]]:
-    excess = np.maximum(before**2 - (0.0 if floor is None else floor**2), 0)
+def _where(dataset: Dataset, gap: Gap) -> list[dict[str, Any]]:
+    raw = gap.raw / gap.unit
+    floor = np.zeros(raw.shape[1]) if gap.floor is None else gap.floor
+    excess = np.maximum(gap.before**2 - floor**2, 0)
     if excess.sum() <= 0:
-        excess = before**2 + 1e-300
+        excess = gap.before**2 + 1e-300
     share = excess / excess.sum()
-    interval = share_intervals(raw, np.zeros(len(share)) if floor is None else floor, dataset.fit.block)
+    interval = share_intervals(raw, floor, dataset.fit.block)
     return [
         {
             "joint": dataset.robot.joint_names[joint],
             "share": float(share[joint]),
             "interval": [float(edge) for edge in interval[joint]],
-            "regimes": regimes(dataset, raw[:, joint], joint, 0.0 if floor is None else float(floor[joint])),
+            "regimes": regimes(dataset, raw[:, joint], joint, float(floor[joint])),
         }
         for joint in np.argsort(-share, kind="stable")
     ]

@@ -1,0 +1,112 @@
+"""The torque gap in plain held-out error, by the definitions of CONTRACTS.md, 6."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from agent.diagnosis.dataset import Dataset
+from agent.diagnosis.fit import Fit
+
+LEAST_GAIN = 0.5  # of a small gap on the causes' joints, half of that of a larger one, or they explain too little
+SMALL = 0.01  # of nominal: a gap so small that nothing closes is the model's own
+_NO_CLOSURE = 1.1
+_USUAL = 2.0  # times a model's error on other motions, from where on a joint's error is more than that
+
+
+@dataclass(frozen=True, eq=False)
+class Gap:
+    """Errors held out, `raw` without and `left` with the causes (S', n) [N·m], NaN on guards; their size on each joint.
+
+    `before`, `after`, `floor` (n,) are RMSE over `unit` (n,), nominal torque or 1 N·m; `floor` is what does not repeat
+    from cycle to cycle, None without repeats. `gain` is the part of the plain squared error that the causes take away
+    on their own joints while these move, and `largest` the greatest error there over a scale that every joint has;
+    both are 0 without causes.
+    """
+
+    raw: np.ndarray
+    left: np.ndarray
+    unit: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    floor: np.ndarray | None
+    gain: float
+    largest: float
+
+    @property
+    def closure(self) -> float | None:
+        """(B² − A²) / (B² − F²); None where there is nothing to close."""
+        return self._part(self.before, self.after)
+
+    def closure_without(self, left: np.ndarray) -> float | None:
+        """What is lost of the closure where (S', n) [N·m] is left instead."""
+        return self._part(rms(left) / self.unit, self.after)
+
+    @property
+    def hardly_closed(self) -> bool:
+        """Whether causes gain where the background is small, and leave the gap of their own joints open."""
+        return self.gain < (LEAST_GAIN if self.largest < SMALL else LEAST_GAIN / 2)
+
+    def _part(self, worse: np.ndarray, better: np.ndarray) -> float | None:
+        b = np.mean(self.before**2)
+        f = 0.0 if self.floor is None else float(np.mean(self.floor**2))
+        return None if b < _NO_CLOSURE**2 * f or b <= 0 else float((np.mean(worse**2) - np.mean(better**2)) / (b - f))
+
+
+def held_out_gap(dataset: Dataset, fit: Fit) -> Gap:
+    """The gap with the effects of a fit: every row under the parameters that did not see it."""
+    robot = dataset.robot
+    unit = np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 1.0)
+    left = fit.out_of_fold(any(c.effect.once for c in fit.chosen))
+    raw = dataset.residual if dataset.given else dataset.fit.out_of_fold()
+    raw = np.where(np.isnan(left[:, :1]), np.nan, raw)
+    before, after = rms(raw) / unit, rms(left) / unit
+    gain, largest = _on_own_joints(fit, raw, left)
+    return Gap(raw, left, unit, before, after, _floor(dataset, left, unit, before), gain, largest)
+
+
+def _on_own_joints(fit: Fit, raw: np.ndarray, left: np.ndarray) -> tuple[float, float]:
+    """Gain and largest of a `Gap`. At standstill the torque is anything within stiction, which no model predicts."""
+    own = sorted({joint for candidate in fit.chosen for joint in candidate.blocks})
+    if not own:
+        return 0.0, 0.0
+    moves = (fit.sigma <= 1.01 * fit.sigma.min(axis=0)) & ~np.isnan(left)
+    before, after = (np.where(moves, rows / fit.reference.scale, np.nan)[:, own] for rows in (raw, left))
+    return float(1 - np.nansum(after**2) / np.nansum(before**2)), float(np.max(rms(before)))
+
+
+def rms(rows: np.ndarray) -> np.ndarray:
+    """(n,) root mean square of (S', n), guards left out."""
+    return np.sqrt(np.nanmean(rows**2, axis=0))
+
+
+def _floor(dataset: Dataset, left: np.ndarray, unit: np.ndarray, before: np.ndarray) -> np.ndarray | None:
+    """√(½ mean (e_{c+1} − e_c)²) over adjacent cycles of the final residual, at equal times since the cycle's start."""
+    parts = []
+    for number, log in enumerate(dataset.logs):
+        starts = np.asarray(log.cycle_starts, dtype=float)
+        if len(starts) < 2:
+            continue
+        here = dataset.log == number
+        time, rows = dataset.time[here], left[here]
+        good = ~np.isnan(rows[:, 0])
+        time, rows = time[good], rows[good]
+        if len(time) < 10:
+            continue
+        for a, b in pairwise(starts):
+            at = np.arange(max(time[0], a), min(b, time[-1] - (b - a)), 1 / dataset.rate)
+            if len(at) < 10:
+                continue
+            first = np.stack([np.interp(at, time, column) for column in rows.T], axis=1)
+            second = np.stack([np.interp(at + b - a, time, column) for column in rows.T], axis=1)
+            parts.append(second - first)
+    if not parts:
+        return None
+    floor = np.sqrt(0.5 * np.mean(np.concatenate(parts) ** 2, axis=0)) / unit
+    if not dataset.given:
+        return floor
+    # what does not repeat, a contact or a torque that wanders, is no floor: a model's error on other motions bounds it
+    usual = dataset.model.held_out_rmse / unit
+    return np.where(before > _USUAL * usual, np.minimum(floor, usual), floor)

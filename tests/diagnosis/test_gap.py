@@ -1,0 +1,49 @@
+"""The gap in plain error: which causes gain only where the background is small, and what standstill may not change."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.diagnosis.effects import CATALOGUE
+from agent.diagnosis.gap import held_out_gap
+
+
+@pytest.fixture(scope="module")
+def dataset(diagnosed):
+    """Of the run with an effect, which was found."""
+    found = diagnosed(1)
+    assert found.finding.causes
+    return found
+
+
+def test_the_cause_that_is_there_takes_the_gap_away(dataset):
+    gap = held_out_gap(dataset.dataset, dataset.finding.fit)
+    assert gap.gain > 0.5
+    assert not gap.hardly_closed
+
+
+def test_a_cause_on_another_joint_does_not(dataset):
+    fit = dataset.dataset.fit
+    (wrong,) = {c.joints for c in dataset.finding.causes}
+    other = tuple((joint + 1) % fit.reference.robot.dof for joint in wrong)
+    candidate = fit.candidate(CATALOGUE["torque_offset"], other, {})
+    gap = held_out_gap(dataset.dataset, fit.with_chosen([candidate]))
+    assert gap.gain < 0.25
+    assert gap.hardly_closed
+
+
+def test_without_causes_nothing_is_gained(dataset):
+    gap = held_out_gap(dataset.dataset, dataset.dataset.fit)
+    assert (gap.gain, gap.largest) == (0.0, 0.0)
+
+
+def test_what_happens_at_standstill_changes_no_gain(dataset):
+    data, fit = dataset.dataset, dataset.finding.fit
+    still = fit.sigma > 1.01 * fit.sigma.min(axis=0)
+    assert still.any()
+    noisy = replace(data, residual=np.where(still, data.residual + 50.0, data.residual))
+    assert held_out_gap(noisy, fit).gain == pytest.approx(held_out_gap(data, fit).gain)
+    assert held_out_gap(noisy, fit).before.max() > held_out_gap(data, fit).before.max()
