@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import random
 import shutil
 import socket
 import subprocess
@@ -104,6 +105,14 @@ def start_lasting_controller() -> Iterator[Callable[..., Emulator]]:
         yield start
 
 
+def free_port() -> int:
+    """A port of loopback for a program that is started later: none that the system gives to others meanwhile."""
+    for port in random.sample(range(20000, 30000), 100):
+        with contextlib.suppress(OSError), socket.create_server(("127.0.0.1", port)):
+            return port
+    raise OSError("no free port between 20000 and 30000")
+
+
 class Broker:
     """mosquitto on loopback until it is closed or killed; `address` is its host and port."""
 
@@ -111,8 +120,7 @@ class Broker:
         program = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/usr/local/sbin")
         if program is None:
             pytest.skip("needs an MQTT broker: apt-get install mosquitto")
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.address = ("127.0.0.1", free.getsockname()[1])
+        self.address = ("127.0.0.1", free_port())
         self._folder = tempfile.TemporaryDirectory()
         configuration = Path(self._folder.name) / "mosquitto.conf"
         configuration.write_text(BROKER_CONFIGURATION.format(port=self.address[1]), encoding="utf-8")

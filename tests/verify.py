@@ -1,6 +1,7 @@
 """`make verify`: run the long figures piece by piece and write docs/measured.md.
 
-Each test marked `verify` is a piece. A finished piece is kept in `.verify/` with the commit it ran on, so an
+Each test function marked `verify` is a piece, with all of its parameters. A
+finished piece is kept in `.verify/` with the commit it ran on, so an
 interrupted run goes on where it stopped; `--fresh` starts over, `--keep` also keeps what passed on earlier commits. The
 page names the commit of every piece. `tests/verify.py FOLDER…` runs the pieces of these folders or files alone; the
 others stand on the page as they were, or as not run.
@@ -15,12 +16,14 @@ import os
 import platform
 import subprocess
 import sys
+import tempfile
 import time
 from datetime import UTC, datetime
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 STATE = ROOT / ".verify"
+LONGEST = 4 * 3600  # s for one test, after which it counts as hung
 
 
 def main() -> int:
@@ -55,7 +58,7 @@ def main() -> int:
 def _collect(only: list[str]) -> list[str]:
     command = [sys.executable, "-m", "pytest", "--collect-only", "-m", "verify", *only]
     listing = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout
-    return [line for line in listing.splitlines() if "::" in line]
+    return list(dict.fromkeys(line.partition("[")[0] for line in listing.splitlines() if "::" in line))
 
 
 def _file(node: str) -> Path:
@@ -68,7 +71,16 @@ def _kept(node: str) -> dict | None:
 
 
 def _not_run(node: str) -> dict:
-    return {"node": node, "commit": "", "outcome": "not run", "seconds": "", "at": "", "figures": [], "tail": []}
+    return {
+        "node": node,
+        "commit": "",
+        "outcome": "not run",
+        "seconds": "",
+        "at": "",
+        "figures": [],
+        "summary": "",
+        "tail": [],
+    }
 
 
 def _run(node: str, commit: str) -> dict:
@@ -76,21 +88,20 @@ def _run(node: str, commit: str) -> dict:
     figures = done.with_suffix(".jsonl")
     figures.unlink(missing_ok=True)
     started = time.monotonic()
-    run = subprocess.run(
-        [sys.executable, "-m", "pytest", "-m", "verify", "-x", "--no-header", "-rs", node],
-        cwd=ROOT,
-        env={**os.environ, "CALIBRATION_FIGURES": str(figures)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    outcome = (
-        "failed"
-        if run.returncode
-        else "skipped"
-        if " skipped" in run.stdout and " passed" not in run.stdout
-        else "passed"
-    )
+    command = [sys.executable, "-m", "pytest", "-m", "verify", "--no-header", "-rsf", "--tb=short", node]
+    # a file and not a pipe: what a piece leaves running would keep that open
+    with tempfile.TemporaryFile("w+") as printed:
+        run = subprocess.run(
+            [*command, "-o", f"faulthandler_timeout={LONGEST}"],
+            cwd=ROOT,
+            env={**os.environ, "CALIBRATION_FIGURES": str(figures)},
+            stdout=printed,
+            stderr=subprocess.STDOUT,
+            check=False,
+        )
+        printed.seek(0)
+        output = printed.read()
+    outcome = "failed" if run.returncode else "passed" if " passed" in output else "skipped"
     lines = figures.read_text(encoding="utf-8").splitlines() if figures.exists() else []
     result = {
         "node": node,
@@ -99,7 +110,8 @@ def _run(node: str, commit: str) -> dict:
         "seconds": round(time.monotonic() - started, 1),
         "at": datetime.now(UTC).isoformat(timespec="minutes"),
         "figures": [json.loads(line) for line in lines],
-        "tail": run.stdout.strip().splitlines()[-15:] if outcome != "passed" else [],
+        "summary": output.strip().splitlines()[-1].strip("= ") if output.strip() else "",
+        "tail": [line for line in output.splitlines() if line.startswith(("SKIPPED", "FAILED", "ERROR"))],
     }
     beside = done.with_suffix(".tmp")
     beside.write_text(json.dumps(result), encoding="utf-8")
@@ -125,7 +137,7 @@ def _write(results: list[dict], commit: str) -> None:
     if not (short or failed or skipped):
         lines += ["None in what was run.", ""]
     lines += [_row(*row) for row in short]
-    lines += [f"- failed: `{result['node']}`" for result in failed]
+    lines += [f"- {line}" for result in failed for line in result["tail"] or [f"FAILED {result['node']}"]]
     lines += [f"- not run: `{result['node']}` ({_reason(result)})" for result in skipped]
     lines += ["", "## Figures", "", "| what | measured | target |", "| --- | --- | --- |"]
     lines += [f"| {f['what']} | {_value(f)} | {f['target']}{'' if f['ok'] else ' (missed)'} |" for f, _ in figures]
@@ -133,10 +145,10 @@ def _write(results: list[dict], commit: str) -> None:
         "",
         "## Pieces",
         "",
-        "| piece | outcome | seconds | when (UTC) | commit |",
-        "| --- | --- | --- | --- | --- |",
+        "| piece | outcome | when (UTC) | commit |",
+        "| --- | --- | --- | --- |",
     ]
-    lines += [f"| `{r['node']}` | {r['outcome']} | {r['seconds']} | {r['at']} | {r['commit'][:7]} |" for r in results]
+    lines += [f"| `{r['node']}` | {r['summary'] or r['outcome']} | {r['at']} | {r['commit'][:7]} |" for r in results]
     (ROOT / "docs" / "measured.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

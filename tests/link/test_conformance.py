@@ -16,6 +16,7 @@ from fake_controller.server_cnr import CnrServer
 from fake_controller.server_modbus import ModbusRtuServer, ModbusServer
 from fake_controller.server_serial import SerialServer
 from fake_controller.server_tcp import TcpServer
+from tests.conftest import free_port
 from tests.link.conftest import LONG, SHORT
 
 BAUD = 4_000_000
@@ -118,9 +119,7 @@ class SocketBench(FakeBench):
         return relay
 
     def nobody(self):
-        with socket.create_server(("127.0.0.1", 0)) as listener:
-            port = listener.getsockname()[1]
-        return self.created(f"127.0.0.1:{port}")
+        return self.created(f"127.0.0.1:{free_port()}")
 
     def mute(self):
         return self._answering(b"")

@@ -18,6 +18,7 @@ from fake_controller.execution import Slice
 from fake_controller.faults import Fault
 from fake_controller.server_cnr import CnrServer
 from fake_controller.servers import NoBrokerError
+from tests.conftest import free_port
 
 CLOCK_OFFSET = 1_234_567_890  # µs of the topics' clock before the controller's
 TOPICS = (
@@ -621,7 +622,6 @@ def test_counters_that_begin_anew(serve, broker):
 
 
 def test_without_a_broker_nothing_is_served(arm):
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        nobody = free.getsockname()
+    nobody = ("127.0.0.1", free_port())
     with pytest.raises(NoBrokerError, match=f"no MQTT broker at 127.0.0.1:{nobody[1]}"):
         CnrServer(build_controller(arm, 3, "fast"), broker=nobody)

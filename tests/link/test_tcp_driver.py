@@ -15,6 +15,7 @@ from drivers.protocol import Driver, Gap
 from drivers.tcp import TcpDriver
 from drivers.wire import tcp
 from drivers.wire.reasons import EndReason, Refusal
+from tests.conftest import free_port
 
 
 def samples(first: int, count: int, joints: int = 2, offset_ns: int = 0) -> tcp.Samples:
@@ -46,8 +47,7 @@ def test_what_is_no_address_is_refused_at_once(address):
 
 
 def test_nobody_there():
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+    port = free_port()
     with pytest.raises(DriverError, match=rf"no controller answers at 127.0.0.1:{port}.*is it on"):
         TcpDriver(f"127.0.0.1:{port}").connect()
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
 import re
 import shutil
-import socket
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from tests.conftest import free_port
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -27,12 +30,6 @@ def _blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.M)
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 def _tell(story: tuple[str, ...], folder: Path) -> subprocess.CompletedProcess[str]:
     """Type all commands of some pages into a shell, in a folder that has the recipes."""
     shutil.copytree(ROOT / "recipes", folder / "recipes")
@@ -44,20 +41,29 @@ def _tell(story: tuple[str, ...], folder: Path) -> subprocess.CompletedProcess[s
     script = "\n".join(f"echo '== {page}' >&2\n" + "\n".join(_blocks(DOCS / page, "sh")) for page in story)
     recipe = folder / "recipes" / "first_look.yaml"
     for port in ("9100", "9101"):
-        free = str(_free_port())
+        free = str(free_port())
         script = script.replace(port, free)
         recipe.write_text(recipe.read_text(encoding="utf-8").replace(port, free), encoding="utf-8")
     path = os.pathsep.join([str(folder / "bin"), os.environ["PATH"]])
-    return subprocess.run(
-        ["bash", "-c", f"set -e\ntrap 'kill $(jobs -p) 2>/dev/null' EXIT\n{script}\n"],
-        cwd=folder,
-        env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)},
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=540,
-    )
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)}
+    # files and not pipes: a program that is still in the background would keep those open
+    with open(folder / "out.txt", "w+") as out, open(folder / "err.txt", "w+") as err:
+        shell = subprocess.Popen(
+            ["bash", "-c", f"set -e\n{script}\n"],
+            cwd=folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=err,
+            start_new_session=True,
+        )
+        try:
+            code = shell.wait(timeout=540)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(shell.pid, signal.SIGKILL)
+        out.seek(0), err.seek(0)
+        return subprocess.CompletedProcess(shell.args, code, out.read(), err.read())
 
 
 def test_every_command_of_tutorial_and_how_tos(tmp_path: Path):
