@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import secrets
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -313,12 +314,8 @@ class CnrDriver:
     # From here on in the reader thread of the sockets, but for `_on_loss`.
 
     def _on_turn(self, feedbacks: list[Feedback]) -> None:
-        motion, broker, sockets = self._motion, self._broker, self._sockets
-        if broker is not None:
-            times, values = broker.joiner.take()
-            if motion is not None:
-                motion.clock_reset |= broker.joiner.restarts > 0
-                motion.samples(times, values)
+        motion, sockets = self._motion, self._sockets
+        self._take_samples(motion)
         if motion is None or sockets is None or motion.motion.over:
             return
         if feedbacks:
@@ -328,19 +325,39 @@ class CnrDriver:
             fault = DriverError(
                 f"{motion.motion.size >> 20} MiB of samples wait to be read; the motion was stopped: is the disk full?"
             )
-        if fault is not None:
+        if fault is not None and not motion.failing:
             self._end_with(sockets, motion, fault)
         sockets.guarded = not motion.motion.over
 
+    def _take_samples(self, motion: CnrMotion | None) -> None:
+        """What the broker had, for the motion; at rest nobody wants it."""
+        broker = self._broker
+        if broker is None:
+            return
+        times, values = broker.joiner.take()
+        if motion is not None and not motion.motion.over:
+            motion.samples(times, values)
+            motion.clock_reset |= broker.joiner.restarts > 0
+
     def _end_with(self, sockets: Sockets, motion: CnrMotion, fault: DriverError) -> None:
-        """The recording is worthless: stop the arm without waiting, and say why."""
+        """The recording is worthless from here on: stop the arm without waiting, and say why."""
         with contextlib.suppress(DriverError):  # a link that is down stops the arm as well
             sockets.post(MessageType.STOP)
-        motion.motion.finish(fault)
+        motion.fail(fault)
 
     def _on_failure(self, error: DriverError) -> None:
-        if self._motion is not None:
-            self._motion.motion.finish(error)
+        """The broker may still have samples of before, unless it was this end that closed the link."""
+        motion = self._motion
+        if motion is None:
+            return
+        try:
+            motion.fail(error)
+            while self._sockets is not None and not motion.motion.over:
+                self._take_samples(motion)
+                motion.turn()
+                time.sleep(FEEDBACK_PERIOD)
+        finally:
+            motion.motion.finish(error)
 
     def _on_loss(self, error: DriverError) -> None:
         """The broker is gone (in its thread)."""

@@ -90,13 +90,20 @@ class CnrMotion:
         self._silence = 0.0
         self._turned = time.monotonic()
         self._end: tuple[EndReason, str] | None = None
+        self._failure: DriverError | None = None
         self._end_time = 0.0  # controller time [s]
         self._drained = 0.0
+        self._cut = False  # samples went back in time: none of those that come belong to this motion
 
     @property
     def begun(self) -> bool:
         """Whether the arm was seen to move."""
         return self._moved or self.begun_at is not None
+
+    @property
+    def failing(self) -> bool:
+        """Whether it ends with an error."""
+        return self._failure is not None
 
     def pause(self) -> None:
         """The arm rests by intention, until `resume` (from any thread)."""
@@ -106,12 +113,18 @@ class CnrMotion:
         """The arm is about to move on."""
         self._moved, self._quiet, self._paused = False, 0, False
 
+    def fail(self, error: DriverError) -> None:
+        """The motion ends with this error, once the samples up to now are there (from any thread); the first counts."""
+        if self._failure is None:
+            self._failure, self._end_time, self._drained = error, self._time, 0.0
+
     def feedbacks(self, feedbacks: list[Feedback], status: Status) -> None:
         """What the controller said of itself."""
         for feedback in feedbacks:
             now, position = feedback.time * 1e-3, np.radians(feedback.joints[: self._arm.joints])
-            if now < self._time - _BACK:
-                self.clock_reset = True
+            self.clock_reset |= now < self._time - _BACK
+            if self.clock_reset:
+                return
             self._time = now
             if self.match is not None:
                 self.match.feedback(now, position)
@@ -123,10 +136,14 @@ class CnrMotion:
 
     def samples(self, times_us: np.ndarray, values: np.ndarray) -> None:
         """What the broker had: times (K,) [µs], values (K, 5, 10) in degrees and amperes."""
-        if len(times_us) == 0:
+        times = times_us * 1e-6
+        back = np.flatnonzero(np.diff(times, prepend=self._seen) < 0.0)
+        if len(back):
+            self.clock_reset = self._cut = True
+            times, values = times[: back[0]], values[: back[0]]
+        if len(times) == 0:
             return
         self._silence = 0.0
-        times = times_us * 1e-6
         values = values[:, :, : self._arm.joints].copy()
         values[:, :_CURRENT] = np.radians(values[:, :_CURRENT])
         assert self.match is not None
@@ -143,16 +160,19 @@ class CnrMotion:
             self._give_but_rest()
 
     def turn(self) -> DriverError | None:
-        """Called all the time: ends the motion where it is over; returns what is wrong, if anything is."""
+        """Called all the time: ends the motion where it is over; returns what is wrong, if anything is, for `fail`."""
         now = time.monotonic()
         passed, self._turned = min(now - self._turned, _TURN), now
         if self.motion.over:
             return None
+        self._silence += passed
+        self._drained += passed
+        if self._failure is not None:
+            self._finish_failed(self._failure)
+            return None
         if self.clock_reset:
             return DriverError("a clock of the controller went back while the arm moved: it was restarted; look at it")
-        self._silence += passed
         if self._end is not None:
-            self._drained += passed
             return self._finish(*self._end)
         if self._silent is None or not self.started:
             self._silence = 0.0
@@ -171,6 +191,12 @@ class CnrMotion:
                 return DriverError(f"the samples end {lacking:.1f} s before the motion did: {self._silent()}")
         self.motion.ended(reason, self._sequence, message)
         return None
+
+    def _finish_failed(self, error: DriverError) -> None:
+        """End the motion with an error once its samples are there, or none of them comes any more."""
+        lacking = 0.0 if self.match is None or self._cut else self._lacking(self.match)
+        if lacking <= 0.0 or self._silence > _DRAIN or self._drained > _LONGEST:
+            self.motion.finish(error)
 
     def _lacking(self, match: ClockMatch) -> float:
         """Seconds of samples up to the end that have not come."""

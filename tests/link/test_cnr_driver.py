@@ -293,6 +293,62 @@ def test_a_clock_that_goes_back_in_motion_ends_it():
     assert "clock" in str(run.turn())
 
 
+def received(run):
+    """Times of the samples that are handed out before the motion ends with an error about a clock."""
+    times = []
+    with pytest.raises(DriverError, match="clock"):
+        times.extend(block.time for block in run.motion.blocks())
+    return np.concatenate(times) if times else np.empty(0)
+
+
+def test_samples_that_a_busy_broker_still_has_are_waited_for_when_the_motion_fails():
+    """The sockets know of the fault while not one sample of the motion has come through."""
+    run = motion()
+    times = np.arange(0.0, 2.0, 0.002)
+    way = ramp(times)
+    for k in range(0, len(times), 10):
+        run.feedbacks([feedback(int(1000 * times[k]), way[k])], READY)
+    run.feedbacks([feedback(10)], READY)
+    run.fail(run.turn())
+    for k in range(0, len(times), 10):
+        assert not run.motion.over
+        run.feedbacks([feedback(30)], READY)
+        run.samples(*topics(times[k : k + 10], way[k : k + 10]))
+        assert run.turn() is None
+    assert run.motion.over
+    assert received(run)[-1] == pytest.approx(1.98, abs=0.03)
+
+
+@settings(deadline=None, max_examples=20)
+@given(size=st.integers(20, 2000))
+def test_samples_of_a_clock_that_went_back_are_none_of_the_motion(size):
+    """However many arrive at once, before and after in one go among them."""
+    run = motion()
+    times = np.concatenate([np.arange(10.0, 12.0, 0.002), np.arange(0.0, 2.0, 0.002)])
+    way = ramp(times - np.where(times >= 10.0, 10.0, -1.0))
+    for k in range(0, len(times), size):
+        run.samples(*topics(times[k : k + size], way[k : k + size]))
+        if not run.failing and (fault := run.turn()) is not None:
+            run.fail(fault)
+    run.turn()
+    assert run.motion.over
+    handed_out = received(run)
+    assert (handed_out[0], handed_out[-1]) == pytest.approx((10.9, 11.998), abs=0.01)
+    np.testing.assert_allclose(np.diff(handed_out), 0.002)
+
+
+def test_a_motion_that_fails_does_not_wait_for_a_broker_that_is_gone():
+    run = motion()
+    run.feedbacks([feedback(int(20 * k), ramp([0.02 * k])[0]) for k in range(100)], READY)
+    run.fail(DriverError("a clock, or whatever it is"))
+    run.turn()
+    assert not run.motion.over
+    run._silence = 60.0
+    run.turn()
+    assert run.motion.over
+    assert len(received(run)) == 0
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
