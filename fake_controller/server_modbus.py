@@ -23,6 +23,7 @@ from fake_controller.registers import MEMORY, RegisterMap
 from fake_controller.servers import deaf_socket
 
 MAX_CONNECTIONS = 8
+MAX_WAITING = 4096  # bytes of requests of one client that are not carried out yet
 
 # The library's own complaints about what clients send belong in no terminal.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
@@ -170,6 +171,36 @@ class _Connection(ServerRequestHandler):
             super().data_received(heard)
 
 
+class _TcpConnection(_Connection):
+    """Carries out one request after the other; of those that come before it has answered, the library forgets some."""
+
+    _waiting = b""
+
+    def data_received(self, data: bytes) -> None:
+        """Called by the library with whatever came."""
+        self._waiting += data
+        if len(self._waiting) > MAX_WAITING:
+            self.close()
+            return
+        self._take_up()
+
+    async def handle_request(self) -> None:
+        """Called by the library to answer `last_pdu`."""
+        await super().handle_request()
+        self.last_pdu = None
+        self._take_up()
+
+    def _take_up(self) -> None:
+        """Have the library read the next request, if there is a whole one and none is being carried out."""
+        size = self.max_buffer_size
+        while self._waiting and self.last_pdu is None:
+            before = len(self._waiting)
+            super().data_received(self._waiting[:size])
+            self._waiting, self.recv_buffer = self.recv_buffer + self._waiting[size:], b""
+            if len(self._waiting) == before:
+                return
+
+
 class _TcpServer(ModbusTcpServer):
     """With a limit on connections: one too many is closed at once."""
 
@@ -179,7 +210,7 @@ class _TcpServer(ModbusTcpServer):
 
     def callback_new_connection(self) -> _Connection:
         """Called by the library."""
-        connection = _Connection(self, self._faults)
+        connection = _TcpConnection(self, self._faults)
         if len(self.active_connections) >= MAX_CONNECTIONS:
             # Its transport comes with the next turn of the loop; there is nothing to close before that.
             self.loop.call_soon(self.loop.call_soon, connection.close)

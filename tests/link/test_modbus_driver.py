@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import itertools
 import socket
 import struct
 import time
@@ -289,6 +290,31 @@ def test_a_client_without_heartbeat_loses_the_arm_and_the_controller(server):
     with closing(ModbusDriver(server.address)) as driver:
         driver.connect()
         assert driver.identify().robot == "small_arm"
+
+
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(count=st.integers(1, 100), parts=st.lists(st.integers(1, 400), max_size=5))
+def test_requests_that_come_while_one_is_carried_out_are_answered_too(server, count, parts):
+    """A client that took a slow answer for lost asks again: the second request must not be the one that is lost."""
+    requests = b"".join(
+        struct.pack(">HHHBBHH", k, 0, 6, wire.UNIT, 3, wire.IDENTITY.address, 2) for k in range(1, count + 1)
+    )
+    cuts = sorted({0, len(requests), *(cut for cut in parts if cut < len(requests))})
+    with socket.create_connection(("127.0.0.1", server.port), 5) as client, client.makefile("rb") as answers:
+        for begin, end in itertools.pairwise(cuts):
+            client.sendall(requests[begin:end])
+        for k in range(1, count + 1):
+            assert struct.unpack(">HHHBBBI", answers.read(13)) == (k, 0, 7, wire.UNIT, 3, 4, wire.MAGIC)
+
+
+def test_a_client_that_never_waits_for_answers_is_cut_off(server):
+    request = struct.pack(">HHHBBHH", 1, 0, 6, wire.UNIT, 3, wire.IDENTITY.address, 2)
+    with socket.create_connection(("127.0.0.1", server.port), 5) as client, contextlib.suppress(OSError):
+        client.sendall(5000 * request)
+        while client.recv(65536):
+            pass
+    with ByHand(server, 5) as hand:
+        assert hand.read(wire.IDENTITY)["magic"] == wire.MAGIC
 
 
 def test_writes_that_are_refused(server):
