@@ -79,9 +79,11 @@ def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None,
 
 
 def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
-    from agent.estimation import EstimationSettings, estimate
+    from agent.estimation import EstimationSettings, IdentifiedModel, estimate
     from agent.identify import read_logs
 
+    if run.finished("estimate"):
+        return IdentifiedModel.load(run.file("model.json"))
     console.step("estimating")
     logs = read_logs([run.file(EXCITATION)], recipe.robot, console)
     model = estimate(
@@ -139,10 +141,11 @@ def _report(
 
 @contextmanager
 def step(run: RunFolder, name: str) -> Iterator[None]:
-    """Whatever ends the run inside is noted in the run folder."""
+    """Whatever ends the run inside is noted in the run folder; a step that an earlier start finished stays as it is."""
     try:
         yield
     except BaseException as error:
         run.stopped(name, str(error) or type(error).__name__)
         raise
-    run.finish(name)
+    if run.finished(name) is None:
+        run.finish(name)
