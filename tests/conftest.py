@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import json
 import os
 import random
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -55,6 +57,16 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(folder / "robot.yaml")
 
 
+_SYSTEM = ctypes.CDLL(None)
+_PR_SET_PDEATHSIG = 1
+
+
+def end_with_tests() -> None:
+    """`preexec_fn` of what would run for ever: it ends when its tests are killed, where the system can do that."""
+    if hasattr(_SYSTEM, "prctl"):
+        _SYSTEM.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
 class Emulator:
     """The fake controller as a process, as users meet it; as fast as it goes, where nothing else is said."""
 
@@ -63,7 +75,12 @@ class Emulator:
         command += ["--clock", "fast", "--watchdog", "5"]  # the machine that runs the tests may stall
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         self.process = subprocess.Popen(
-            [*command, *options], stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment
+            [*command, *options],
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+            env=environment,
+            preexec_fn=end_with_tests,
         )
         assert self.process.stdout is not None
         self.greeting = self.process.stdout.readline()
@@ -125,7 +142,7 @@ class Broker:
         configuration = Path(self._folder.name) / "mosquitto.conf"
         configuration.write_text(BROKER_CONFIGURATION.format(port=self.address[1]), encoding="utf-8")
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        self._process = subprocess.Popen([program, "-c", configuration], **quiet)
+        self._process = subprocess.Popen([program, "-c", configuration], preexec_fn=end_with_tests, **quiet)
         self._wait()
 
     def kill(self) -> None:
@@ -186,8 +203,9 @@ URDF = (
     + '<joint name="end" type="fixed"><parent link="lower"/><child link="tip"/><origin xyz="0.4 0 0"/></joint></robot>'
 )
 
-#: Nothing that is queued is ever thrown away.
+#: Nothing that is queued is ever thrown away. Who changes its user would not end with its tests.
 BROKER_CONFIGURATION = """\
+user root
 listener {port} 127.0.0.1
 allow_anonymous true
 persistence false

@@ -16,6 +16,7 @@ import pytest
 
 from agent.recording import read_log
 from fake_controller.scenario import FOLDER
+from tests.conftest import end_with_tests
 
 ROOT = Path(__file__).resolve().parents[2]
 LONG = """PROGRAM long HOLD, PROG_ARM=1
@@ -42,7 +43,8 @@ def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     def begin(*arguments: object, **options: object) -> subprocess.Popen[str]:
         command = [sys.executable, "-m", *map(str, arguments)]
         pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        running.append(subprocess.Popen(command, cwd=tmp_path, env=environment(), text=True, **pipes, **options))
+        ending = {"preexec_fn": end_with_tests, **options}
+        running.append(subprocess.Popen(command, cwd=tmp_path, env=environment(), text=True, **pipes, **ending))
         return running[-1]
 
     yield begin

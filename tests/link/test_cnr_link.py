@@ -16,6 +16,7 @@ from drivers.errors import DriverError
 from drivers.registry import create
 from fake_controller.build import build_controller
 from fake_controller.server_cnr import CnrServer
+from tests.conftest import end_with_tests
 
 ROOT = Path(__file__).resolve().parents[2]
 TEN_MINUTES = 600.0  # s
@@ -79,7 +80,9 @@ def test_ten_minutes_at_500_hz(tmp_path, broker, measured):
     command = [sys.executable, "-m", "fake_controller", "--driver", "cnr_comau", "--clock", "real", "--port", "0"]
     command += ["--watchdog", "5", "--broker", "{}:{}".format(*broker.address), "--ready-file", str(ready)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as emulator:
+    with subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, text=True, preexec_fn=end_with_tests
+    ) as emulator:
         try:
             assert emulator.stdout.readline()
             with connected(ready.read_text(encoding="utf-8").strip(), "comau_ns16") as driver:

@@ -13,6 +13,7 @@ import pytest
 from agent.recording import LogWriter, read_log, writer
 from agent.recording.log_file import LogFile
 from drivers.registry import create
+from tests.conftest import end_with_tests
 
 MINUTE = 60.0  # s
 TEN_MINUTES = 370  # cycles of the program below
@@ -40,7 +41,9 @@ def emulator(tmp_path, *options):
     ready = tmp_path / "ready"
     command = [sys.executable, "-m", "fake_controller", "--port", "0", "--ready-file", str(ready), *options]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True, preexec_fn=end_with_tests
+    ) as process:
         try:
             assert process.stdout.readline()
             yield process, ready.read_text(encoding="utf-8").strip()

@@ -13,6 +13,7 @@ import pytest
 
 from drivers.errors import DriverError
 from drivers.tcp import TcpDriver
+from tests.conftest import end_with_tests
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -21,9 +22,8 @@ ROOT = Path(__file__).resolve().parents[2]
 def process(*options):
     command = [sys.executable, "-m", "fake_controller", *options]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(
-        command, cwd=ROOT, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as running:
+    pipes = {"text": True, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, cwd=ROOT, env=environment, preexec_fn=end_with_tests, **pipes) as running:
         try:
             yield running
         finally:
