@@ -59,10 +59,9 @@ def apply_run(logs: Path, run: Path) -> Applied:
         InputError: no model, not accepted, or no longer the file that was accepted.
         AgentError: it cannot be written; the current model is what it was.
     """
-    try:
-        past, _ = read_run(run)
-    except (OSError, ValueError, KeyError, TypeError):
-        raise InputError(f"{run}: not a complete run folder") from None
+    past, _ = read_run(run)
+    if past.kind == "diagnose":
+        raise InputError(f"{run}: this run is a diagnosis and made no model; apply a calibration or a recalibration")
     if not past.accepted:
         why = f" ({past.reason})" if past.reason else ""
         raise InputError(f"{run}: this run is {past.status}{why}; only the model of an accepted run is made current")
@@ -74,7 +73,10 @@ def apply_run(logs: Path, run: Path) -> Applied:
     if accepted != sha256:
         raise InputError(f"{model}: this is not the model that was accepted (SHA-256 differs); it was changed since")
     place = _place(logs, past.robot, past.serial)
-    before = current_model(logs, past.robot, past.serial)
+    try:
+        before = current_model(logs, past.robot, past.serial)
+    except InputError:  # damaged: to apply a run is what mends it
+        before = None
     if before is not None and before.sha256 == sha256 and before.run == past.run:
         return before
     try:

@@ -89,6 +89,8 @@ def history(
 
     with open_history(logs) as past:
         runs = past.runs(robot, serial)
+        for damaged in past.damaged:
+            print(f"agent: {damaged}", file=sys.stderr)
         if as_json:
             import json
 
@@ -98,6 +100,8 @@ def history(
             print(json.dumps(data))
             return
     print(history_table(runs))
+    if not runs and not past.damaged:
+        print("no runs yet: `agent calibrate RECIPE` makes the first", file=sys.stderr)
 
 
 @app.command()
@@ -133,7 +137,8 @@ def report(
 ) -> None:
     """Make the HTML page of a run again, or the page over all runs. Prints its path."""
     from agent.history import find_run
-    from agent.reports import report_again, write_index
+    from agent.report_again import report_again
+    from agent.reports import write_index
 
     if (run is None) == (not index):
         raise InputError("report: name a run, or give --index for the page over all of them")

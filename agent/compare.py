@@ -155,6 +155,12 @@ def compare_runs(before: Path, after: Path, console: Console) -> Comparison:
     from agent.estimation import IdentifiedModel
     from agent.identify import read_logs
 
+    for run in (before, after):
+        if not (run / "model.json").is_file():
+            raise InputError(
+                f"{run}: this run has no model (a diagnosis, or stopped before its end); only calibrations and "
+                "recalibrations can be compared"
+            )
     models = [IdentifiedModel.load(run / "model.json") for run in (before, after)]
     if models[0].robot.joint_names != models[1].robot.joint_names or models[0].robot.name != models[1].robot.name:
         raise InputError(

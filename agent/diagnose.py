@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +14,10 @@ from agent.robot import RobotDescription, load_robot
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
+    from agent.diagnosis.forward import Simulated
 
+#: The model that was the simulator, as a run folder keeps it: the file that was named may be another one later.
+_SIMULATOR = "simulator.json"
 #: Slow motions beside the excitation loop: enough to hold one out, few enough to wait for.
 _VALIDATION_MOTIONS = 3
 
@@ -58,7 +62,7 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
     from agent.calibrate import step
     from agent.recipe import load_recipe
     from agent.record_plan import record_plan
-    from agent.run import RunFolder, robot_lock, sha256_file
+    from agent.run import RunFolder, robot_lock, sha256_file, write_atomically
 
     _check(question, [])
     loaded = load_recipe(recipe)
@@ -66,7 +70,9 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
     loaded = replace(loaded, validate=replace(loaded.validate, motions=few))
     with robot_lock(loaded.controller.driver, loaded.controller.address):
         run = RunFolder.create(runs, loaded.robot.name, loaded.path)
-        run.note(kind="diagnose")
+        run.note(kind="diagnose", question={"cutoff": question.cutoff, "without": question.without})
+        if question.model is not None:
+            run.write_text(_SIMULATOR, question.model.read_text(encoding="utf-8"))
         console.say(f"run {run.path}")
         with step(run, "plan"):
             plan = planning.plan_once(loaded, run, console)
@@ -75,24 +81,38 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
             recordings = record_plan(loaded, plan, run, console, runs, yes)
         with step(run, "diagnose"):
             console.step("diagnosing")
-            here = replace(question, report=question.report or run.file("report.html"))
+            here = replace(question, report=run.file("report.html"))
             result = _diagnose(loaded.robot, [recording.path for recording in recordings], here, console)
             run.write_json("result.json", result)
+            if question.report is not None:
+                write_atomically(question.report, here.report.read_text(encoding="utf-8"))
         run.complete(True)
     return result
 
 
+def diagnose_again(run: Path, robot: RobotDescription, console: Console) -> str:
+    """HTML of the page of a recorded diagnosis, from the run's files.
+
+    Raises:
+        InputError: a log or the model cannot be read.
+        KeyError: the run does not say what was asked.
+    """
+    from agent.diagnosis.report import diagnosis_report
+
+    asked = json.loads((run / "state.json").read_text(encoding="utf-8"))["question"]
+    model = run / _SIMULATOR
+    question = Question(model if model.exists() else None, asked["cutoff"], tuple(asked["without"]))
+    logs = [run / "excitation.mcap", *sorted(run.glob("validation_[0-9][0-9].mcap"))]
+    return diagnosis_report(*_find(robot, logs, question, console))
+
+
 def _diagnose(robot: RobotDescription, paths: Sequence[Path], question: Question, console: Console) -> dict[str, Any]:
-    from agent.diagnosis import diagnose, simulate, simulation_part
-    from agent.estimation import IdentifiedModel
+    from agent.diagnosis import simulation_part
 
     _check(question, paths)
-    reference = None if question.model is None else IdentifiedModel.load(question.model)
-    logs = read_logs(list(paths), robot, console)
-    found = diagnose(robot, logs, reference, question.cutoff, question.without)
+    found, simulated = _find(robot, paths, question, console)
     for warning in found.warnings:
         console.warn(warning)
-    simulated = simulate(found)
     result = {**found.result, "simulation": simulation_part(found, simulated)}
     if question.report is not None:
         from agent.diagnosis.report import diagnosis_report
@@ -102,6 +122,17 @@ def _diagnose(robot: RobotDescription, paths: Sequence[Path], question: Question
     if question.out is not None:
         _write_model(found, question.out, console)
     return result
+
+
+def _find(
+    robot: RobotDescription, paths: Sequence[Path], question: Question, console: Console
+) -> tuple[Diagnosis, list[Simulated]]:
+    from agent.diagnosis import diagnose, simulate
+    from agent.estimation import IdentifiedModel
+
+    reference = None if question.model is None else IdentifiedModel.load(question.model)
+    found = diagnose(robot, read_logs(list(paths), robot, console), reference, question.cutoff, question.without)
+    return found, simulate(found)
 
 
 def _check(question: Question, logs: Sequence[Path]) -> None:

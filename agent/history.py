@@ -18,7 +18,17 @@ from typing import Any
 from agent.errors import AgentError, InputError
 
 FILE = "history.sqlite"
-_VERSION = 2
+_VERSION = 3
+#: Result codes of SQLite with which the system says no; what else goes wrong is damage.
+_REFUSALS = (
+    sqlite3.SQLITE_PERM,
+    sqlite3.SQLITE_BUSY,
+    sqlite3.SQLITE_LOCKED,
+    sqlite3.SQLITE_READONLY,
+    sqlite3.SQLITE_IOERR,
+    sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_CANTOPEN,
+)
 _TABLES = """
 CREATE TABLE runs (
     run TEXT PRIMARY KEY, changed INTEGER, robot TEXT, serial TEXT, kind TEXT, started TEXT, status TEXT,
@@ -34,11 +44,11 @@ CREATE INDEX by_robot ON runs (robot, serial, started);
 class PastRun:
     """One run folder.
 
-    `kind` is `calibrate` or `recalibrate`; `status` that of the run folder (`finished` is accepted, `rejected` is the
-    gate's word); `loop` the key of its stored loop, `program` the SHA-256 of its program, `reference` the run whose
-    model it was compared with, `reason` why it was rejected or stopped; `worst` the largest normalised RMSE of any
-    axis. `data` holds joints, normalised_rmse, gate, the conditions of the run, and `watch`: what the trends of this
-    machine said after it, a sentence each.
+    `kind` is `calibrate`, `recalibrate` or `diagnose`; `status` that of the run folder (`finished` is accepted where
+    there is a gate, `rejected` is the gate's word); `loop` the key of its stored loop, `program` the SHA-256 of its
+    program, `reference` the run whose model it was compared with, `reason` why it was rejected or stopped; `worst` the
+    largest normalised RMSE of any axis. `data` holds joints, normalised_rmse, gate, the conditions of the run, the
+    `verdict` of a diagnosis, and `watch`: what the trends of this machine said after it, a sentence each.
     """
 
     run: str
@@ -56,9 +66,20 @@ class PastRun:
     data: dict[str, Any] = field(default_factory=dict)
 
     @property
+    def complete(self) -> bool:
+        """Whether it reached its end."""
+        return self.status in ("finished", "rejected")
+
+    @property
     def accepted(self) -> bool:
         """Whether its gate let it through."""
-        return self.status == "finished"
+        return self.status == "finished" and self.kind != "diagnose"
+
+    @property
+    def outcome(self) -> str:
+        """What came of it, in a word or two: the gate's, or the diagnosis's."""
+        finished = "accepted" if self.accepted else self.data["verdict"].replace("_", " ")
+        return finished if self.status == "finished" else self.status
 
 
 @dataclass(frozen=True)
@@ -72,10 +93,11 @@ class PastParameter:
 
 
 class History:
-    """The runs of one folder; opened by `open_history`."""
+    """The runs of one folder; opened by `open_history`. `damaged` says which folders cannot be read, and why."""
 
     def __init__(self, folder: Path, connection: sqlite3.Connection):
         self.folder = folder
+        self.damaged: list[str] = []
         self._connection = connection
 
     def runs(self, robot: str | None = None, serial: str | None = None) -> list[PastRun]:
@@ -117,11 +139,16 @@ class History:
             for name in fresh:
                 self._add(name, present[name])
 
+    def close(self) -> None:
+        """Let go of the file."""
+        self._connection.close()
+
     def _add(self, name: str, changed: int) -> None:
         try:
             run, parameters = read_run(self.folder / name)
-        except (OSError, ValueError, KeyError, TypeError):
-            return  # a folder that is being written, or is no run; it is looked at again next time
+        except InputError as error:
+            self.damaged.append(str(error))  # it is looked at again next time
+            return
         row = (name, changed, run.robot, run.serial, run.kind, run.started, run.status, run.controller, run.loop)
         row += (run.program, run.reference, run.reason, run.worst, json.dumps(run.data))
         self._connection.execute(f"INSERT INTO runs VALUES ({', '.join('?' * len(row))})", row)
@@ -143,20 +170,23 @@ def open_history(folder: Path) -> Iterator[History]:
         raise InputError(f"{folder}: no runs are kept there; name the folder with --logs")
     path = folder / FILE
     try:
-        connection = _connect(path)
+        try:
+            history = _open(folder)
+        except (sqlite3.DatabaseError, ValueError, TypeError) as error:
+            if _refused(error):
+                raise
+            path.replace(path.with_suffix(".damaged"))  # the folders have all that was in it
+            history = _open(folder)
+        try:
+            yield history
+        finally:
+            history.close()
     except sqlite3.DatabaseError as error:
-        if isinstance(error, sqlite3.OperationalError):
-            raise _unwritable(path, error) from None
-        path.replace(path.with_suffix(".damaged"))  # the folders have all that was in it
-        connection = _connect(path)
-    try:
-        history = History(folder, connection)
-        history.update()
-        yield history
-    except sqlite3.OperationalError as error:
-        raise _unwritable(path, error) from None
-    finally:
-        connection.close()
+        if _refused(error):
+            why = f"the history cannot be kept there: {error}; free space or rights?"
+        else:
+            why = f"damaged ({error}); delete it, it is made again from the run folders"
+        raise AgentError(f"{path}: {why}") from None
 
 
 def find_run(logs: Path, name: str) -> Path:
@@ -175,8 +205,31 @@ def read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
     """What a run folder says.
 
     Raises:
-        OSError, ValueError, KeyError, TypeError: it is no run folder, or is being written.
+        InputError: one of its files cannot be read.
     """
+    with readable(path):
+        return _read_run(path)
+
+
+@contextlib.contextmanager
+def readable(run: Path) -> Iterator[None]:
+    """Turns what damaged files of a run, or those of another version, lead to into one message.
+
+    Raises:
+        InputError: with what is missing or wrong, and what there is to do.
+    """
+    try:
+        yield
+    except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+        what = f"{error} is missing in them" if isinstance(error, KeyError) else str(error)
+        page = run / "report.html"
+        advice = f"the page of its own time is {page}" if page.is_file() else "it has no page of its own time"
+        raise InputError(
+            f"{run}: files of this run are damaged, or another version of the agent wrote them ({what}); {advice}"
+        ) from error
+
+
+def _read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
     state = _read_json(path / "state.json")
     result = _read_json(path / "result.json") if (path / "result.json").exists() else {}
     validation = result.get("validation", {})
@@ -187,6 +240,7 @@ def read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
         "normalised_rmse": figures,
         "gate": result.get("gate", {}).get("normalised_rmse"),
         "conditions": result.get("conditions", {}),
+        "verdict": result.get("verdict", ""),
         "watch": state.get("watch", []),
     }
     run = PastRun(
@@ -217,15 +271,15 @@ def history_table(runs: Sequence[PastRun]) -> str:
             run.run,
             run.serial or "-",
             run.kind,
-            {"finished": "accepted"}.get(run.status, run.status),
+            run.outcome,
             "-" if run.worst is None else f"{100 * run.worst:.2f} %",
-            str(run.data.get("conditions", {}).get("cycles", "-")),
+            str(run.data["conditions"].get("cycles", "-")),
         )
         for run in runs
     ]
     widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
     lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-    latest = {(run.robot, run.serial): run for run in runs if run.status in ("finished", "rejected")}
+    latest = {(run.robot, run.serial): run for run in runs if run.complete and run.kind != "diagnose"}
     told = [f"{robot} {serial}: {line}" for (robot, serial), run in latest.items() for line in run.data["watch"]]
     return "\n".join([*lines, *([""] if told else []), *told])
 
@@ -261,8 +315,13 @@ def history_json(history: History, runs: Sequence[PastRun]) -> dict[str, Any]:
     }
 
 
-def _connect(path: Path) -> sqlite3.Connection:
-    connection = sqlite3.connect(path, timeout=30.0)
+def _refused(error: Exception) -> bool:
+    """Whether it is the system that says no, and not the file that is damaged."""
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF in _REFUSALS
+
+
+def _open(folder: Path) -> History:
+    connection = sqlite3.connect(folder / FILE, timeout=30.0)
     try:
         connection.execute("PRAGMA foreign_keys = ON")
         version = connection.execute("PRAGMA user_version").fetchone()[0]
@@ -272,10 +331,13 @@ def _connect(path: Path) -> sqlite3.Connection:
                     "BEGIN; DROP TABLE IF EXISTS parameters; DROP TABLE IF EXISTS runs;"
                     f"{_TABLES} PRAGMA user_version = {_VERSION}; COMMIT;"
                 )
-    except sqlite3.DatabaseError:
+        history = History(folder, connection)
+        history.update()
+        history.runs()  # a damaged file shows
+    except (sqlite3.DatabaseError, ValueError, TypeError):
         connection.close()
         raise
-    return connection
+    return history
 
 
 def _folders(folder: Path) -> Iterator[tuple[str, int]]:
@@ -286,8 +348,10 @@ def _folders(folder: Path) -> Iterator[tuple[str, int]]:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    return json.loads(path.read_text(encoding="utf-8"))
-
-
-def _unwritable(path: Path, error: sqlite3.Error) -> AgentError:
-    return AgentError(f"{path}: the history cannot be kept there: {error}; free space or rights?")
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from None
+    if not isinstance(data, dict):
+        raise ValueError(f"{path.name} holds no object")
+    return data

@@ -1,8 +1,7 @@
-"""Reports from what lies in run folders: further sections of a new one, one made again, the page over all runs."""
+"""Reports from what lies in run folders: further sections of a new one, the page over all runs."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -12,10 +11,10 @@ import numpy as np
 
 from agent.console import Console
 from agent.errors import InputError
-from agent.history import open_history, read_run
-from agent.recipe import Recipe, load_recipe
+from agent.history import open_history
+from agent.recipe import Recipe
 from agent.recording.log import AROUND
-from agent.run import RunFolder, sha256_file, write_atomically
+from agent.run import RunFolder, write_atomically
 
 if TYPE_CHECKING:
     from agent.compare import Comparison
@@ -95,23 +94,6 @@ def recalibration_page(
     return recalibration_report(data)
 
 
-def report_again(run: Path, console: Console) -> Path:
-    """Make the report of a complete run from its files; returns the page's path.
-
-    Raises:
-        InputError: the run is not complete, or something it needs is missing.
-    """
-    try:
-        past, _ = read_run(run)
-        result = json.loads((run / "result.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{run}: not a complete run, there is nothing to report yet ({error})") from None
-    recipe = _recipe(run)
-    again = past.kind == "recalibrate"
-    page = _recalibration(run, recipe, result, console) if again else _calibration(run, recipe, result)
-    return write_atomically(run / "report.html", page)
-
-
 def write_index(logs: Path, robot: str | None = None, serial: str | None = None) -> Path:
     """Write `index.html` over all runs of a folder, or of one robot in it; returns its path.
 
@@ -124,7 +106,10 @@ def write_index(logs: Path, robot: str | None = None, serial: str | None = None)
     with open_history(logs) as history:
         runs = history.runs(robot, serial)
         if not runs:
-            raise InputError(f"{logs}: no runs of that robot; `agent history` lists what there is")
+            which = "no runs yet; `agent calibrate RECIPE` makes one"
+            if robot is not None or serial is not None:
+                which = "no runs of that robot; `agent history` lists what there is"
+            raise InputError(f"{logs}: {which}")
         watched = watch(runs)
         latest = {run for one in watched for trend in one.trends[:1] for run in trend.runs}
         parameters = history.parameters(latest)
@@ -167,45 +152,6 @@ def _shown_cycle(log: Log, prediction: Prediction) -> tuple[np.ndarray, np.ndarr
     chosen = np.flatnonzero((part.time >= start) & (part.time <= stop))
     chosen = chosen[:: max(1, len(chosen) // 1500)]
     return part.time[chosen], part.measured[chosen], part.predicted[chosen], part.half_width[chosen]
-
-
-def _calibration(run: Path, recipe: Recipe, result: dict[str, Any]) -> str:
-    from agent.estimation import IdentifiedModel
-    from agent.planning import replan
-    from agent.recording import read_log
-    from agent.report import run_report
-    from agent.result import run_data
-    from agent.validation import predict_log
-
-    model = IdentifiedModel.load(run / "model.json")
-    logs = sorted(run.glob("validation_[0-9][0-9].mcap"))
-    if not logs:
-        raise InputError(f"{run}: its validation logs are gone, the report cannot be made again")
-    predictions = [predict_log(model, read_log(path, recipe.robot)) for path in logs]
-    plan = replan(recipe, json.loads((run / "plan.json").read_text(encoding="utf-8")))
-    further = further_sections(run, recipe, model, predictions)
-    return run_report(run_data(recipe, plan, result, model, predictions, further))
-
-
-def _recalibration(run: Path, recipe: Recipe, result: dict[str, Any], console: Console) -> str:
-    from agent.compare import Comparison
-    from agent.estimation import IdentifiedModel
-    from agent.identify import read_logs
-    from agent.validation import predict_log
-
-    model = IdentifiedModel.load(run / "model.json")
-    (log,) = read_logs([run / "excitation.mcap"], recipe.robot, console)
-    comparison = Comparison.from_dict(json.loads((run / "comparison.json").read_text(encoding="utf-8")))
-    program = (run / "program.pdl").read_text(encoding="utf-8")
-    return recalibration_page(recipe, program, result, comparison, log, predict_log(model, log))
-
-
-def _recipe(run: Path) -> Recipe:
-    """The run's own recipe; where it names files beside it, the original must still be what it was."""
-    state = json.loads((run / "state.json").read_text(encoding="utf-8"))
-    original, copy = Path(state["recipe"]), run / "recipe.yaml"
-    unchanged = original.is_file() and sha256_file(original) == state["inputs_sha256"]["recipe.yaml"]
-    return load_recipe(original if unchanged else copy)
 
 
 def _last_accepted(run: Path) -> Path | None:

@@ -138,7 +138,7 @@ def watch(runs: Sequence[PastRun]) -> list[Watch]:
     """Look at the latest runs of every machine and program; those with too few runs are left out."""
     groups: dict[tuple[str, str, str], list[PastRun]] = {}
     for run in runs:
-        if run.status in ("finished", "rejected") and run.data["conditions"].get("friction"):
+        if run.complete and run.data["conditions"].get("friction"):
             groups.setdefault((run.robot, run.serial, run.program), []).append(run)
     return [_watch(key, group[-WINDOW:]) for key, group in groups.items() if len(group) >= FEWEST]
 

@@ -55,14 +55,14 @@ def _all_runs(runs: Sequence[PastRun]) -> Section:
             run.run,
             run.serial or "-",
             run.kind,
-            {"finished": "accepted"}.get(run.status, run.status),
+            run.outcome,
             "-" if run.worst is None else f"{100 * run.worst:.2f}",
             str(run.data["conditions"].get("cycles", "-")),
             run.reason,
         )
         for run in reversed(runs)
     ]
-    links = [f"{quote(run.run)}/report.html" if run.worst is not None else "" for run in reversed(runs)]
+    links = [f"{quote(run.run)}/report.html" if run.complete else "" for run in reversed(runs)]
     accepted = sum(run.accepted for run in runs)
     text = (f"{len(runs)} runs, {accepted} accepted; the newest first.",)
     header = ("run", "serial", "kind", "result", "worst axis [%]", "cycles", "reason")

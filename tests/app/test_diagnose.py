@@ -29,7 +29,11 @@ def test_a_recipe_is_recorded_then_diagnosed(start_controller, write_recipe, run
     folder = only_run(tmp_path / "logs")
     assert json.loads((folder / "result.json").read_text()) == result
     assert json.loads((folder / "state.json").read_text())["status"] == "finished"
-    assert "time delay" in (folder / "report.html").read_text(encoding="utf-8")
+    page = folder / "report.html"
+    assert "time delay" in page.read_text(encoding="utf-8")
+    page.unlink()
+    assert run_agent("report", folder).returncode == 0
+    assert "time delay" in page.read_text(encoding="utf-8"), "made again from the run's own files"
     assert [entry.effect for entry in IdentifiedModel.load(tmp_path / "model.json").effects] == ["time_delay"]
 
 

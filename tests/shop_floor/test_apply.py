@@ -47,6 +47,26 @@ def test_the_model_stays_when_its_run_is_deleted(write_runs):
     assert applied.model.read_bytes() == content
 
 
+@pytest.mark.parametrize("name", ["about.json", "model.json"])
+def test_a_damaged_current_model_is_mended_by_applying_a_run(write_runs, name: str):
+    logs, runs = _three(write_runs)
+    apply_run(logs, runs[0])
+    damaged = apply_run(logs, runs[1]).model.parent.resolve() / name
+    damaged.write_text("[]", encoding="utf-8")
+    with pytest.raises(InputError, match="apply a run again"):
+        current_model(logs, "comau_ns16", "NS16-1")
+    assert apply_run(logs, runs[1]).run == runs[1].name
+    assert current_model(logs, "comau_ns16", "NS16-1").model.read_bytes() == (runs[1] / "model.json").read_bytes()
+
+
+def test_a_diagnosis_has_no_model_to_apply(write_runs):
+    logs, (run, *_) = _three(write_runs)
+    state = json.loads((run / "state.json").read_text(encoding="utf-8"))
+    (run / "state.json").write_text(json.dumps(state | {"kind": "diagnose"}), encoding="utf-8")
+    with pytest.raises(InputError, match="a diagnosis and made no model"):
+        apply_run(logs, run)
+
+
 def test_a_disk_that_fills_up_leaves_the_current_model(write_runs, monkeypatch: pytest.MonkeyPatch):
     logs, runs = _three(write_runs)
     apply_run(logs, runs[0])
