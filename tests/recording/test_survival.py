@@ -59,6 +59,14 @@ def test_a_killed_writer_loses_at_most_the_last_second(tmp_path, acknowledged):
     assert any("not closed" in repair.kind for repair in log.repairs)
 
 
+def test_a_writer_that_was_killed_at_once_leaves_a_log_that_says_so(tmp_path):
+    with LogWriter(tmp_path / "log.mcap", ["joint_1"], robot="arm", motion="long", sample_rate=500.0):
+        cut = tmp_path / "cut.mcap"
+        cut.write_bytes((tmp_path / "log.mcap").read_bytes())
+    with pytest.raises(InputError, match="no messages in it; its writer stopped before it had written any"):
+        read_log(cut)
+
+
 _FILLER = """
 import resource, sys
 import numpy as np
