@@ -16,13 +16,14 @@ from agent.diagnosis.likeness import best_by_place, complexity, imitates, plausi
 LEAST_GAIN = 0.02  # an effect must gain as much to be named
 LEAST_SHARE = 0.35  # of what is still unexplained, for every further effect
 CLOSES = 0.75  # of the excess over the background, or the cause is unknown
-FITS = (0.95, 0.98, 0.98)  # of it by one, two, three effects, or the forms are not beyond doubt
+FITS = (0.975, 0.98, 0.98)  # of it by one, two, three effects, or the forms are not beyond doubt
 EXCESS = 0.6  # over the background on one joint before something counts as unexplained
 NEAR = 0.04  # of what is explained: of forms this close the simplest is taken, unless the best one fits far better
 NEAR_FLOOR = 0.02
 ALIKE = 0.003  # of what is explained: forms this close cannot be told apart, however well the better one fits
 STANDS_OUT = 0.5  # of its gain must be energy over the background on its joints, log by log
 PRACTICAL = 0.0075  # of nominal, root mean square: a smaller effect, or gap over the background, does not matter
+RUNNER_UP = 0.5  # of a cause's gain, by the next best forms where the cause itself fits doubtfully
 UNFIT = 0.5  # of what a cause leaves, explained by a shape of its own kind
 MOST = 3
 _FIRSTS = 4
@@ -272,7 +273,7 @@ class Search:
             step = self.scan(without)
             lost = self._total(without) - total
             margin = max(NEAR_FLOOR * self.rows, ALIKE * lost, self._excess(fit, tuple(candidate.blocks)))
-            rivals, behind = [], np.inf
+            rivals, runners, behind = [], [], np.inf
             equals = [s.candidate.place for s in step.scores if twins(candidate, s) and lost - s.gain <= margin]
             for score in step.eligible:
                 if score.candidate.place == candidate.place:
@@ -284,9 +285,11 @@ class Search:
                     rivals.append(score.candidate.place)
                 elif short > margin:
                     behind = min(behind, short / margin)
+                    if score.gain > RUNNER_UP * lost:
+                        runners.append(score.candidate.place)
             named = [place for place in equals if place[0] in self.allowed]
             rivals = list(dict.fromkeys([*named, *rivals]))[:2]
-            ranked.append((lost, candidate, tuple(rivals), behind, bool(equals)))
+            ranked.append((lost, candidate, tuple(rivals), behind, bool(equals), tuple(runners[:2])))
         ranked.sort(key=lambda entry: -entry[0])
         causes = tuple(entry[1] for entry in ranked)
         rivals = [entry[2] for entry in ranked]
@@ -298,6 +301,8 @@ class Search:
         chance = tuple(self.null.chance(entry[0]) for entry in ranked)
         lead = tuple(float(entry[3]) for entry in ranked)
         doubtful = closed < FITS[len(causes) - 1]
+        if doubtful and not rivals[0]:
+            rivals[0] = ranked[0][5]
         verdict = "ambiguous" if rivals[0] or ranked[0][4] or doubtful else "explained"
         return Finding(
             verdict,

@@ -45,7 +45,12 @@ def headline(result: Mapping[str, Any]) -> str:
     cause = result["causes"][0]
     sure = how_sure(result["verdict"], cause["probability"])
     effect = cause["effect"]
-    return f"{place(cause)}: {sure} {name(effect)}: {IN_WORDS[effect]} (probability {cause['probability']:.2f})."
+    text = f"{place(cause)}: {sure} {name(effect)}: {IN_WORDS[effect]} (probability {cause['probability']:.2f})."
+    return _sentence(text)
+
+
+def _sentence(text: str) -> str:
+    return text[0].upper() + text[1:]
 
 
 def _worst_joints(result: Mapping[str, Any]) -> str:
@@ -76,10 +81,8 @@ def _about_cause(cause: Mapping[str, Any]) -> Iterator[str]:
     if cause["closure"] is not None:
         closes = f" It closes {100 * cause['closure']:.0f} % of the gap on motion that it was not fitted to."
     together = " for it and what cannot be told from it" if cause["equivalent_to"] else ""
-    yield (
-        f"{place(cause)}, {name(effect.name)}: {IN_WORDS[effect.name]}. "
-        f"Probability {cause['probability']:.2f}{together}.{closes}"
-    )
+    opening = f"{place(cause)}, {name(effect.name)}: {IN_WORDS[effect.name]}. "
+    yield f"{_sentence(opening)}Probability {cause['probability']:.2f}{together}.{closes}"
     yield f"Look at: {effect.look_at}."
     yield f"It shows as: {effect.signature}."
     if cause["equivalent_to"]:
@@ -136,9 +139,10 @@ def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Se
     parts: list[Any] = [before_and_after(diagnosis)]
     motion = result["motion_gap"]
     if diagnosis.motion is not None and diagnosis.motion.notable:
-        floor = motion["floor"] or [float("nan")] * robot.dof
+        floor = motion["floor"] or [None] * robot.dof
+        parts_of = (motion["before"], motion["after"], floor)
         rows = [
-            (joint, *(f"{1e3 * part[k]:.3f}" for part in (motion["before"], motion["after"], floor)))
+            (joint, *("-" if part[k] is None else f"{1e3 * part[k]:.3f}" for part in parts_of))
             for k, joint in enumerate(robot.joint_names)
         ]
         text.append("What was executed is not what was planned; torque is judged on the executed motion.")

@@ -4,8 +4,8 @@ import numpy as np
 
 from agent.diagnosis.effects.two_mass import TwoMass
 
-_GAPS = (2e-4, 4e-4, 8e-4, 1.6e-3, 3.2e-3, 6.4e-3, 1.28e-2)  # rad
-_FREQUENCIES = (22.0, 32.0, 45.0, 65.0)  # Hz, of the link on its locked motor while the teeth touch
+_GAPS = np.geomspace(2e-4, 1.3e-2, 11)  # rad
+_FREQUENCIES = np.geomspace(7.0, 65.0, 10)  # Hz, of the link on its locked motor while the teeth touch
 _DAMPING = 0.15
 
 
@@ -18,9 +18,10 @@ class Backlash(TwoMass):
     signature = "pulses right after the load torque changes sign, quiet elsewhere"
     confused_with = ("presliding", "joint_elasticity")
     look_at = "play of the gear: turn the link by hand with the motor braked"
-    refined = ("gap", "stiffness")
+    refined = ("gap", "stiffness", "damping")
     limits = ("joint_elasticity",)
-    grid = tuple((frequency, _DAMPING, gap) for frequency in _FREQUENCIES for gap in _GAPS)
+    grid = tuple((float(frequency), _DAMPING, float(gap)) for frequency in _FREQUENCIES for gap in _GAPS)
+    few = tuple((frequency, _DAMPING, gap) for frequency in (22.0, 45.0) for gap in (8e-4, 3e-3))
 
     def settings(self, survey, joints):
         loads = np.concatenate([s.link_load[s.kept, joints[0]] for s in survey.signals])

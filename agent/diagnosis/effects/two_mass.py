@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import ClassVar
 
 import numpy as np
@@ -12,6 +13,9 @@ from agent.diagnosis.signals import Signals
 
 _RATE = 1500.0  # Hz of the integration, at least
 _TRIED = 2  # of a joint's grid, in full
+_SUSPECT = 1.3  # Σ e² / σ² to a row from which on a joint gets the whole grid, and half of the worst joint's
+_PROMISING = 0.15  # of a joint's Σ e² / σ², taken away by the best of the grid: its neighbours are worth a look
+_NEIGHBOURS = (1.12, 1.05)  # factors of frequency and play, finer with every round
 
 
 def leads(
@@ -61,19 +65,41 @@ class TwoMass(Effect):
     """τ_k = −a d/dt(M_kk ḋ), τ_j = −a M_jk d̈, a near 1: what the joints feel of a motor that leads its link by d.
 
     A resonance is far narrower than a step of any grid that could be tried in full. So the whole `grid` is tried on the
-    joint itself, where it costs one column each, and only the best of it on all joints.
+    joint itself, where it costs one column each, then the neighbours of the best, and only the best of all on all
+    joints. A joint that the model predicts gets a few of the grid, to say what would be found there.
     """
 
     #: (frequency [Hz] of the link on its locked motor, damping ratio, play [rad])
     grid: ClassVar[tuple[tuple[float, float, float], ...]]
+    few: ClassVar[tuple[tuple[float, float, float], ...]]
 
     def settings(self, survey, joints):
         (k,) = joints
         tried, columns = self._alone(survey)[k]
+        best, gain = self._best(survey, k, tried, columns)
+        energy = _energy(survey)[k] * len(columns)
+        for factor in _NEIGHBOURS:
+            if gain < _PROMISING * energy:
+                break
+            near = [neighbour for entry in best for neighbour in self._neighbours(entry, factor)]
+            self.prepare(survey.signals, [((k,), entry) for entry in near])
+            best, gain = self._best(survey, k, near, self._on_joint(survey, k, near))
+        return best
+
+    def _best(
+        self, survey: Survey, k: int, tried: Sequence[dict[str, float]], columns: np.ndarray
+    ) -> tuple[list[dict[str, float]], float]:
+        """The ones that gain most, possible ones first, and the first one's gain."""
         gain, share = survey.gains_alone(k, columns)
         possible = np.array([self.plausible({}, {"share": value}) for value in share])
-        order = np.lexsort((-gain, ~possible))
-        return [tried[at] for at in order[:_TRIED]]
+        order = np.lexsort((-gain, ~possible))[:_TRIED]
+        return [tried[at] for at in order], float(gain[order[0]])
+
+    def _neighbours(self, entry: dict[str, float], factor: float) -> list[dict[str, float]]:
+        """Every combination of nonlinear parameters a step up, as they are, and a step down."""
+        steps = {"stiffness": factor**2, "damping": factor**4, "gap": factor}
+        values = [[entry[name] * steps[name] ** power for power in (-1, 0, 1)] for name in entry]
+        return [dict(zip(entry, combination, strict=True)) for combination in product(*values)]
 
     def _alone(self, survey: Survey) -> dict[int, tuple[list[dict[str, float]], np.ndarray]]:
         """Per joint: what is tried, and (S', len(tried)) torque on that joint alone, all motions in a row."""
@@ -86,9 +112,11 @@ class TwoMass(Effect):
 
     def _tried(self, survey: Survey, k: int) -> list[dict[str, float]]:
         inertia = float(np.mean([s.mass[:, k, k].mean() for s in survey.signals]))
+        energy = _energy(survey)
+        grid = self.grid if energy[k] > min(_SUSPECT, 0.5 * energy.max()) else self.few
         return [
             {"stiffness": inertia * (2 * np.pi * frequency) ** 2, "damping": damping, **({"gap": gap} if gap else {})}
-            for frequency, damping, gap in self.grid
+            for frequency, damping, gap in grid
         ]
 
     def _on_joint(self, survey: Survey, k: int, tried: Sequence[Mapping[str, float]]) -> np.ndarray:
@@ -123,6 +151,12 @@ class TwoMass(Effect):
 
     def freedom(self, settings):
         return 2
+
+
+def _energy(survey: Survey) -> np.ndarray:
+    """(n,) mean of (e / σ)² of what is left."""
+    parts = zip(survey.residuals, survey.sigmas, strict=True)
+    return np.mean(np.concatenate([(left / sigma) ** 2 for left, sigma in parts]), axis=0)
 
 
 def _key(k: int, settings: Mapping[str, float]) -> tuple[int, float, float, float]:
