@@ -21,6 +21,7 @@ from drivers.modbus import MakeClient, ModbusDriver
 from drivers.motion import Motion
 from drivers.serial_port import SerialChannel, open_port, parse_port
 from drivers.wire import modbus as registers
+from drivers.wire.rtu import without_strays
 from drivers.wire.serial import UPLOAD_BLOCK, HuntingDecoder, decode, frame_time, samples_per_second
 from drivers.wire.tcp import MAX_BATCH, End, Fetch, Samples
 
@@ -146,10 +147,18 @@ class RtuDriver(ModbusDriver):
 
     def _make_client(self) -> MakeClient:
         port = open_port(self._port, self._timeout)
+        request = b""
 
         def make(trace: Callable[[bool, bytes], bytes]) -> ModbusBaseSyncClient:
+            def pass_on(sending: bool, data: bytes) -> bytes:
+                nonlocal request
+                data = trace(sending, data)
+                if sending:
+                    request = data
+                return data if sending else without_strays(request, data)
+
             client = ModbusSerialClient(
-                self._port.port, baudrate=self._port.baud, timeout=self._timeout, retries=0, trace_packet=trace
+                self._port.port, baudrate=self._port.baud, timeout=self._timeout, retries=0, trace_packet=pass_on
             )
             port.inter_byte_timeout = client.inter_byte_timeout
             client.socket = port

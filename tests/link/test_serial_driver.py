@@ -5,11 +5,16 @@ import logging
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymodbus.framer import FramerRTU
+from pymodbus.pdu import DecodePDU
 
 from drivers.errors import ConfigurationError, DriverError, ProtocolError
 from drivers.registry import create
 from drivers.serial import RtuDriver, SerialDriver
 from drivers.wire import tcp
+from drivers.wire.rtu import without_strays
 from drivers.wire.serial import HuntingDecoder
 from fake_controller.build import build_controller
 from fake_controller.cable import Cable
@@ -95,6 +100,45 @@ def test_it_says_that_the_line_is_too_slow(line, protocol, caplog):
         _, _, driver = line(protocol, FAST)
         list(start(driver, SHORT))
         assert caplog.text == ""
+
+
+def test_an_answer_that_comes_again_is_not_taken_for_the_next_one(line):
+    """RTU has no transaction numbers: whatever stands before an answer could be it."""
+    cable, controller, driver = line("rtu")
+    before = [b""]
+
+    def repeat(end, data):
+        if end == "far":
+            return data
+        before.append(data)
+        return before[-2] + data
+
+    cable.tamper = repeat
+    check_complete(driver, list(start(driver, program("  MOVE JOINT TO {2, -3}"))))
+    assert controller.motions_started == 1
+    assert len(before) > 20
+
+
+def frame(*data):
+    return FramerRTU(DecodePDU(False)).encode(bytes(data[1:]), data[0], 0)
+
+
+ANSWERS = st.one_of(
+    st.integers(1, 125).map(lambda count: frame(1, 3, 2 * count, *range(2 * count))),
+    st.tuples(st.integers(0, 255), st.integers(1, 120)).map(lambda at: frame(1, 16, 0, at[0], 0, at[1])),
+)
+
+
+@given(earlier=st.lists(ANSWERS, max_size=3), noise=st.binary(max_size=20), cut=st.integers(0, 300))
+def test_answers_to_other_requests_are_left_out_and_nothing_else(earlier, noise, cut):
+    request, answer = frame(1, 3, 10, 0, 0, 126), frame(1, 3, 252, *range(252))
+    assert without_strays(request, b"".join([*earlier, answer[:cut]])) == answer[:cut]
+    assert without_strays(request, answer + noise) == answer + noise
+    damaged = bytes([*answer[:9], answer[9] ^ 1, *answer[10:]])
+    assert without_strays(frame(1, 3, 10, 0, 0, 2), damaged) == damaged
+    write = frame(1, 16, 10, 0, 0, 2, 4, 0, 0, 0, 0)
+    assert without_strays(write, b"".join([*earlier, frame(1, 16, 10, 0, 0, 2)])) == frame(1, 16, 10, 0, 0, 2)
+    assert without_strays(write, frame(1, 144, 3)) == frame(1, 144, 3)
 
 
 def test_a_stop_on_a_slow_line_does_not_wait_for_the_samples(line):
