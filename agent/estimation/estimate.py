@@ -21,6 +21,7 @@ from agent.estimation.problem import Estimate, Problem
 from agent.estimation.selection import ladder, paper_terms
 from agent.estimation.summary import build_model
 from agent.recording.log import Log
+from agent.recording.scratch import parts
 from agent.robot import RobotDescription
 
 if TYPE_CHECKING:
@@ -122,17 +123,36 @@ def estimate(
 
 def _check_motion(logs: Sequence[Log]) -> None:
     names = ", ".join(str(log.path) for log in logs)
-    if all(np.ptp(log.position, axis=0).max(initial=0.0) == 0.0 for log in logs):
+    if not any(_differs(log, log.position, log.position[0]) for log in logs):
         raise InputError(f"{names}: no joint moves, so there is nothing to estimate from; record a motion")
-    if all(log.effort is not None and not log.effort.any() for log in logs):
+    if all(log.effort is not None and not _differs(log, log.effort, 0.0) for log in logs):
         raise InputError(f"{names}: the torque is zero throughout; is its channel recorded, is its map right?")
 
 
 def _check_twice(logs: Sequence[Log]) -> None:
     # Held-out error would be that of rows that were fitted.
     for one, other in combinations(logs, 2):
-        if np.array_equal(one.position, other.position) and np.array_equal(one.effort, other.effort):
+        if len(one.t) == len(other.t) and all(_same(one, other, part) for part in parts(len(one.t))):
             raise InputError(f"{one.path} and {other.path} are the same recording; give each log once")
+
+
+def _differs(log: Log, values: np.ndarray, constant: np.ndarray | float) -> bool:
+    for part in parts(len(values)):
+        if np.any(values[part] != constant):
+            return True
+        log.scratch.release()
+    return False
+
+
+def _same(one: Log, other: Log, part: slice) -> bool:
+    if (one.effort is None) != (other.effort is None):
+        return False
+    same = np.array_equal(one.position[part], other.position[part])
+    if one.effort is not None and other.effort is not None:
+        same = same and np.array_equal(one.effort[part], other.effort[part])
+    one.scratch.release()
+    other.scratch.release()
+    return same
 
 
 def rigid_bodies(

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.errors import InputError
+from agent.estimation.clock import Clock
 from agent.recording.log import Log
 
 DEFAULT_CUTOFF = 30.0
@@ -68,22 +69,35 @@ class Motion:
     edge: int
     step: int
 
-    def low_pass(self, signals: np.ndarray) -> np.ndarray:
+    def low_pass(self, signals: np.ndarray, every: int = 1) -> np.ndarray:
         """(S, m) signals of this motion → (S', m) filtered at the cut-off, edges dropped, every `step`-th sample.
 
-        Fastest where a signal's samples lie one after the other in memory; so they do in what it returns.
+        Signals of the samples `thinned(every)` alone do as well. Fastest where a signal's samples lie one after the
+        other in memory; so they do in what it returns.
         """
 
         def response(frequency: np.ndarray) -> np.ndarray:
             warped = np.tan(np.pi * np.minimum(frequency / self.rate, 0.5)) / np.tan(np.pi * self.cutoff / self.rate)
             return 1 / (1 + warped ** (2 * self.order))
 
-        return _respond(signals, self.rate, [response], self.kept)[0]
+        first, stop = self.edge // every, -(-(len(self.time) - self.edge - self.edge % every) // every)
+        return _respond(signals, self.rate / every, [response], slice(first, stop, self.step // every))[0]
 
     @property
     def kept(self) -> slice:
         """Samples of `time`, `q`, … that `low_pass` returns."""
         return slice(self.edge, len(self.time) - self.edge, self.step)
+
+    @property
+    def fewest(self) -> int:
+        """The largest k for which what is smooth in the motion, as columns of rigid bodies are, may be computed for
+        `thinned(k)` alone: nothing of it comes down below twice the cut-off."""
+        lowest = 1.5 * self.pass_edge + 3 * self.cutoff
+        return max(k for k in range(1, self.step + 1) if k == 1 or (self.step % k == 0 and self.rate / k >= lowest))
+
+    def thinned(self, every: int) -> slice:
+        """Every k-th sample, those of `kept` among them; `every` divides `step`."""
+        return slice(self.edge % every, None, every)
 
 
 def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator[Motion]:
@@ -106,27 +120,27 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
             f"needs {needed:.2f} s. Record longer, or raise the cut-off"
         )
     for first, last in long_enough:
-        time, position, torque, set_points = _even(log, first, last)
-        rate = (len(time) - 1) / (time[-1] - time[0])
-        every = max(1, int(rate / (16 * cutoff))) if reduce else 1
-        working = rate / every
-        q, qd, qdd = smooth_and_differentiate(position, rate, flat, stop, every)
-        if torque is not None and every > 1:
-            torque = smooth_and_differentiate(torque, rate, flat, stop, every)[0]
-        if set_points is not None:
-            set_points = smooth_and_differentiate(set_points, rate, flat, stop, every)[0]
-        time = time[::every]
+        clock = Clock.of(log, first, last)
+        every = max(1, int(clock.rate / (16 * cutoff))) if reduce else 1
+        working = clock.rate / every
         margin = int(np.ceil(edge * working))
         step = max(1, int(working / (4 * cutoff))) if reduce else 1
-        for piece in _pieces(len(time), margin, step):
+        for piece in _pieces(-(-clock.size // every), margin, step):
+            grid = slice(piece.start * every, min(piece.stop * every, clock.size))
+            position, torque, set_points = clock.signals(grid)
+            q, qd, qdd = smooth_and_differentiate(position, clock.rate, flat, stop, every)
+            if torque is not None:
+                torque = smooth_and_differentiate(torque, clock.rate, flat, stop, every)[0] if every > 1 else torque
+            if set_points is not None:
+                set_points = smooth_and_differentiate(set_points, clock.rate, flat, stop, every)[0]
             yield Motion(
                 log=log.name,
-                time=time[piece],
-                q=q[piece],
-                qd=qd[piece],
-                qdd=qdd[piece],
-                torque=None if torque is None else torque[piece],
-                set_points=None if set_points is None else set_points[piece],
+                time=clock.time(grid)[::every],
+                q=q,
+                qd=qd,
+                qdd=qdd,
+                torque=torque,
+                set_points=set_points,
                 cycle_starts=log.cycle_starts,
                 rate=working,
                 cutoff=cutoff,
@@ -135,6 +149,7 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
                 edge=margin,
                 step=step,
             )
+            log.scratch.release()
 
 
 def _pieces(size: int, margin: int, step: int) -> Iterator[slice]:
@@ -239,59 +254,3 @@ def _edge_time(cutoff: float, pass_edge: float, stop_edge: float) -> float:
     """
     spread = _HALF_BAND / (np.pi * (stop_edge - pass_edge))
     return 2.5 * spread + 4 / cutoff
-
-
-def _even(log: Log, start: int, stop: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """Time, position, torque and set-points of one stretch on an even grid, single missing samples filled in.
-
-    Uneven stamps mean either an uneven sampling or a late stamp on an even one. The position tells: sampled evenly it
-    is smooth in the sample number, else it is smooth in the stamps.
-    """
-    stamps, position = log.t[start:stop], log.position[start:stop]
-    torque = None if log.effort is None else log.effort[start:stop]
-    set_points = None if log.reference_position is None else log.reference_position[start:stop]
-    if set_points is not None and not np.all(np.isfinite(set_points)):
-        set_points = None
-    number = _sample_numbers(stamps, log.sample_rate)
-    slope, intercept = np.polyfit(number, stamps, 1)
-    grid = intercept + slope * np.arange(number[-1] + 1)
-    clock = intercept + slope * number
-    uneven = np.max(np.abs(stamps - clock)) > 1e-3 * slope
-    if not uneven and len(grid) == len(stamps):
-        return grid, position, torque, set_points
-    from scipy.interpolate import CubicSpline, PchipInterpolator
-
-    knots = stamps
-    if np.all(np.diff(number) > 0) and (
-        not uneven or _roughness(CubicSpline(clock, position)(grid)) <= _roughness(CubicSpline(stamps, position)(grid))
-    ):
-        knots = clock
-    inside = np.clip(grid, knots[0], knots[-1])
-    return (
-        grid,
-        CubicSpline(knots, position)(inside),
-        None if torque is None else PchipInterpolator(knots, torque)(inside),
-        None if set_points is None else CubicSpline(knots, set_points)(inside),
-    )
-
-
-def _sample_numbers(stamps: np.ndarray, rate: float) -> np.ndarray:
-    """(S,) number of the sampling period in which each stamp lies, from 0.
-
-    Any stamp may be late, the first one too, and a rate that is off by 1e-4 is half a period off after 5000 samples. So
-    the first 200 stamps tell the phase (their circular mean), then a line through them the rate, well enough for twice
-    as many, and so on.
-    """
-    size = 200
-    turns = np.exp(2j * np.pi * rate * (stamps[:size] - stamps[0]))
-    slope, intercept = 1 / rate, stamps[0] + np.angle(turns.mean()) / (2 * np.pi * rate)
-    while True:
-        number = np.round((stamps[:size] - intercept) / slope)
-        if size >= len(stamps):
-            return number - number[0]
-        slope, intercept = np.polyfit(number, stamps[:size], 1)
-        size *= 2
-
-
-def _roughness(position: np.ndarray) -> float:
-    return float(np.sum(np.diff(position, 4, axis=0) ** 2))

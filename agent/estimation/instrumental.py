@@ -31,10 +31,11 @@ def instrumental(problem: Problem) -> Estimate:
     """Weighted instrumental variables."""
     start = consistent(problem)
     observation = problem.observation
+    scratch = observation.stretches.scratch
     instruments = []
     for stretch in observation.stretches:
         simulated = _simulate(problem, start, stretch.motion)
-        instruments.append(replace(stretch, rigid=rigid_columns(observation.rigid, simulated)))
+        instruments.append(replace(stretch, rigid=rigid_columns(observation.rigid, simulated, scratch)))
     moments = collect(observation, problem.partition, problem.terms, problem.friction(), instruments=instruments)
     given = all(stretch.motion.set_points is not None for stretch in observation.stretches)
     source = "the controller's set-points" if given else "smoothed measured positions, as set-points are missing"

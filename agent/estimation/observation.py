@@ -1,16 +1,15 @@
 """The observation: measured torque and regressor columns of all logs, filtered alike, ready for any fit.
 
 Rows of joint i hold only what acts on it, so each joint has its own narrow matrix: the base parameters of its own and
-of outer links, and the friction of the axles coupled to it. Blocks of 60 s bound the memory of everything but the
-result, which is a few times the cut-off in rate.
+of outer links, and the friction of the axles coupled to it. Long logs are cut in pieces whose columns wait on disk.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from agent.errors import InputError
 from agent.estimation.filtering import FilterSettings, Motion, motions, resolve_cutoff
 from agent.estimation.friction_terms import AxleMotion, FrictionTerm, axle_columns
 from agent.recording.log import Log
+from agent.recording.scratch import Scratch
 from agent.robot import RobotDescription
 
 if TYPE_CHECKING:
@@ -111,12 +111,31 @@ def _chunks(size: int) -> Iterator[slice]:
 
 
 @dataclass(frozen=True, eq=False)
+class Stretches(Sequence[Stretch]):
+    """Stretches whose arrays lie in `scratch`: going over them gives the memory of each back."""
+
+    items: tuple[Stretch, ...]
+    scratch: Scratch = field(default_factory=Scratch)
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self.items[index]
+
+    def __iter__(self) -> Iterator[Stretch]:
+        for stretch in self.items:
+            yield stretch
+            self.scratch.release()
+
+
+@dataclass(frozen=True, eq=False)
 class Observation:
     """All logs, filtered. Columns of any friction term, or of anything else computed from the motions, can be added."""
 
     robot: RobotDescription
     rigid: RigidBodies
-    stretches: tuple[Stretch, ...]
+    stretches: Stretches
 
     def joint_columns(
         self, stretch: Stretch, terms: tuple[FrictionTerm, ...], rigid_parameters: np.ndarray | None = None
@@ -170,29 +189,38 @@ def observe(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -
     for log in logs:
         check_log(rigid.robot, log)
     settings = replace(settings, cutoff=min(resolve_cutoff(log, settings) for log in logs))
+    scratch = Scratch()
     stretches = []
     for index, log in enumerate(logs):
-        stretches += [filtered(rigid, index, motion) for motion in motions(log, settings)]
-    return Observation(rigid.robot, rigid, tuple(stretches))
+        for motion in motions(log, settings):
+            stretches.append(filtered(rigid, index, motion, scratch))
+            scratch.release()
+    return Observation(rigid.robot, rigid, Stretches(tuple(stretches), scratch))
 
 
-def filtered(rigid: RigidBodies, log_index: int, motion: Motion) -> Stretch:
+def filtered(rigid: RigidBodies, log_index: int, motion: Motion, scratch: Scratch) -> Stretch:
     """Regressor columns of one motion and its torque, through the same filter; unfiltered torque is not kept."""
     assert motion.torque is not None
-    torque, speed = np.split(motion.low_pass(np.hstack([motion.torque, motion.qd])), 2, axis=1)
+    signals = scratch.keep(motion.low_pass(np.hstack([motion.torque, motion.qd])))
+    torque, speed = np.split(signals, 2, axis=1)
+    q, qd, qdd = (scratch.keep(values) for values in (motion.q, motion.qd, motion.qdd))
+    set_points = None if motion.set_points is None else scratch.keep(motion.set_points)
     return Stretch(
         log_index=log_index,
-        motion=replace(motion, torque=None),
+        motion=replace(motion, q=q, qd=qd, qdd=qdd, set_points=set_points, torque=None),
         time=motion.time[motion.kept],
         speed=speed,
         torque=torque,
-        rigid=rigid_columns(rigid, motion),
+        rigid=rigid_columns(rigid, motion, scratch),
     )
 
 
-def rigid_columns(rigid: RigidBodies, motion: Motion) -> tuple[np.ndarray, ...]:
+def rigid_columns(rigid: RigidBodies, motion: Motion, scratch: Scratch) -> tuple[np.ndarray, ...]:
     """Per joint (S', b_i): the filtered columns of the base parameters that act on it."""
-    columns = motion.low_pass(rigid.acting(motion.q, motion.qd, motion.qdd))
+    every = motion.fewest
+    thinned = motion.thinned(every)
+    acting = rigid.acting(motion.q[thinned], motion.qd[thinned], motion.qdd[thinned])
+    columns = scratch.keep(motion.low_pass(acting, every))
     return tuple(np.split(columns, np.cumsum([len(support) for support in rigid.support])[:-1], axis=1))
 
 

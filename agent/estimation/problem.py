@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -42,13 +42,15 @@ class Problem:
         terms: tuple[FrictionTerm, ...],
         load: np.ndarray | None = None,
         trust: float = 1.0,
+        keep: bool = False,
     ) -> Problem:
-        """Of fitting these terms; without `load`, it is that of the URDF's links."""
+        """Of fitting these terms; without `load`, it is that of the URDF's links. `keep` the columns of friction."""
         prior = physical_prior(observation, terms)
         load = prior.mean[: observation.rigid.count] if load is None else load
         friction = (observation.friction(stretch, terms, load) for stretch in observation.stretches)
-        moments = collect(observation, partition, terms, friction)
-        return cls(observation, partition, terms, load, moments, prior, trust)
+        kept = _kept(observation, friction) if keep else []
+        moments = collect(observation, partition, terms, kept or friction)
+        return cls(observation, partition, terms, load, moments, prior, trust, kept)
 
     def select(self, chosen: np.ndarray) -> Problem:
         """The same with some of the terms, by index."""
@@ -59,15 +61,16 @@ class Problem:
             terms=tuple(self.terms[k] for k in chosen),
             moments=self.moments.select(columns),
             prior=self.prior.select(columns),
-            _friction=[],
+            _friction=_kept(self.observation, (columns.T[chosen].T for columns in self._friction)),
         )
 
     def friction(self) -> list[np.ndarray]:
         """Per stretch (S', T): the terms' filtered columns, worked out once."""
         if not self._friction:
-            self._friction.extend(
+            friction = (
                 self.observation.friction(stretch, self.terms, self.load) for stretch in self.observation.stretches
             )
+            self._friction.extend(_kept(self.observation, friction))
         return self._friction
 
     def with_own_trust(self) -> Problem:
@@ -93,6 +96,15 @@ class Problem:
             for joint, (index, block) in enumerate(self.observation.joint_rows(stretch, self.terms, friction)):
                 total[index] += block[:, :-1].T @ given[:, joint]
         return total
+
+
+def _kept(observation: Observation, columns: Iterable[np.ndarray]) -> list[np.ndarray]:
+    scratch = observation.stretches.scratch
+    kept = []
+    for block in columns:
+        kept.append(scratch.keep(block))
+        scratch.release()
+    return kept
 
 
 @dataclass(frozen=True, eq=False)

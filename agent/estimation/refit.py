@@ -155,4 +155,4 @@ def _without_effects(observation: Observation, model: IdentifiedModel) -> Observ
         m = stretch.motion
         added = model.predict(m.q, m.qd, m.qdd, m.time) - bare.predict(m.q, m.qd, m.qdd, m.time)
         stretches.append(replace(stretch, torque=stretch.torque - m.low_pass(added)))
-    return replace(observation, stretches=tuple(stretches))
+    return replace(observation, stretches=replace(observation.stretches, items=tuple(stretches)))

@@ -47,10 +47,11 @@ def ladder(observation: Observation, partition: Partition) -> Problem:
     """Climb the ladder; the problem of fitting the terms it ends with."""
     n = observation.robot.dof
     coupling = observation.robot.coupling
-    motion = [stretch.motion for stretch in observation.stretches]
-    fastest = np.max([np.abs(m.qd @ coupling.T).max(axis=0) for m in motion], axis=0)
+    fastest = np.max([np.abs(s.motion.qd @ coupling.T).max(axis=0) for s in observation.stretches], axis=0)
     fastest = np.maximum(fastest, 1e-6 * observation.robot.max_velocity)
-    travelled = np.maximum(np.ptp(np.concatenate([m.q @ coupling.T for m in motion]), axis=0), 1e-6)
+    axles = (stretch.motion.q @ coupling.T for stretch in observation.stretches)
+    ends = np.array([(positions.min(axis=0), positions.max(axis=0)) for positions in axles])
+    travelled = np.maximum(ends[:, 1].max(axis=0) - ends[:, 0].min(axis=0), 1e-6)
     grids = [
         [
             Reversal(),
@@ -70,7 +71,7 @@ def ladder(observation: Observation, partition: Partition) -> Problem:
     load = solve(problem.moments, weights, problem.prior, problem.trust)[: observation.rigid.count]
     candidates = (term for axle in range(n) for term in _candidates(axle, reversals[axle], float(fastest[axle])))
     terms = (*paper_terms(reversals), *candidates)
-    wide = Problem.pose(observation, partition, terms, load, problem.trust)
+    wide = Problem.pose(observation, partition, terms, load, problem.trust, keep=True)
     return wide.select(_climb(wide, weights, len(problem.terms)))
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from agent.recording.scratch import Scratch
+
 #: What to keep beside a cycle that is cut out of a log [s]: more than filters drop at its ends.
 AROUND = 1.0
 
@@ -33,7 +35,8 @@ class Log:
     reference_position, planned_position (S, n) or None: set-points of the controller, and what was planned, on the
     same stamps (NaN where there is none). `sample_rate` [Hz] is that of intervals without a missing sample. `segments`
     are [start, stop) sample ranges without a gap in them: stretches of at most 10 ms or two samples may be missing, see
-    `agent.recording.resampled`. `stamp` is the first sample's controller time [s].
+    `agent.recording.resampled`. `stamp` is the first sample's controller time [s]. The arrays of a long log lie in
+    `scratch`: who goes over all of them part by part releases it after each.
     """
 
     path: Path
@@ -50,6 +53,7 @@ class Log:
     cycle_starts: tuple[float, ...] = ()
     metadata: dict[str, str] = field(default_factory=dict)
     repairs: tuple[Repair, ...] = ()
+    scratch: Scratch = field(default_factory=Scratch, repr=False)
 
     @property
     def name(self) -> str:

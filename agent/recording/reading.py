@@ -15,6 +15,7 @@ from agent.errors import InputError
 from agent.recording.log import Log, Repair
 from agent.recording.log_file import PLANNED, REFERENCES, RUN, STATES
 from agent.recording.scan import Messages, Scan, scan
+from agent.recording.scratch import Scratch, parts
 from agent.recording.stamps import BRIDGED, match, put_in_order, spacing_of
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
     if topic is None:
         raise InputError(f"{path}: {_no_joint_states(found)}")
     names = _joint_names(path, found.topics[topic], robot)
-    table = _table(found.topics.pop(topic), names)
+    table = _table(found.topics.pop(topic), names, found.scratch)
     if table is None:
         raise InputError(f"{path}: {topic}: no message holds a finite position of every joint ({', '.join(names)})")
     run = found.metadata.get(RUN, {})
@@ -69,7 +70,9 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
     spacing = spacing_of(stamp, _nominal_rate(run))
     in_order = len(rows) == len(table.stamp) and not np.any(np.diff(rows) != 1)
     arrays = (table.position, table.velocity, table.effort)
-    position, velocity, effort = (values if values is None or in_order else values[rows] for values in arrays)
+    position, velocity, effort = (
+        values if values is None or in_order else found.scratch.take(values, rows) for values in arrays
+    )
     duration = (int(stamp[-1]) - int(stamp[0])) / _NANO
     repairs = [*_file_repairs(found, topic, duration), *_run_repairs(run, spacing.repairs)]
     repairs += [*table.repairs, *order.repairs, *spacing.repairs]
@@ -90,6 +93,7 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
         cycle_starts=_cycle_starts(run, (int(stamp[0]) - table.first) / _NANO, duration, repairs),
         metadata=run,
         repairs=tuple(repairs),
+        scratch=found.scratch,
     )
 
 
@@ -128,7 +132,7 @@ def _joint_names(path: Path, groups: Sequence[Messages], robot: RobotDescription
     return robot.joint_names
 
 
-def _table(groups: list[Messages], names: tuple[str, ...]) -> _Table | None:
+def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> _Table | None:
     """Whole, finite samples of the named joints, and what was left out."""
     if not any(set(names) <= set(group.layout.names) for group in groups):
         return None
@@ -150,8 +154,9 @@ def _table(groups: list[Messages], names: tuple[str, ...]) -> _Table | None:
     repairs: list[Repair] = []
     arrays: list[np.ndarray | None] = []
     for field in ("position", "velocity", "effort"):
-        values = _column(usable, field, names)
-        unknown = ~np.all(np.isfinite(values), axis=1)
+        values = _column(usable, field, names, scratch)
+        unknown = np.concatenate([~np.all(np.isfinite(values[part]), axis=1) for part in parts(len(values))])
+        scratch.release()
         if field != "position" and np.count_nonzero(unknown) > 0.5 * len(stamp):
             if any(getattr(group, field) is not None for group in usable):
                 kind = f"samples without a finite {field}, so all {field} left out"
@@ -169,15 +174,15 @@ def _table(groups: list[Messages], names: tuple[str, ...]) -> _Table | None:
         rows = np.argsort(order, kind="stable")
         rows = rows[keep[rows]]
         stamp = stamp[rows]
-        arrays = [None if values is None else values[rows] for values in arrays]
+        arrays = [None if values is None else scratch.take(values, rows) for values in arrays]
     repairs += [_repair(kind, np.concatenate(stamps), first) for kind, stamps in left_out.items()]
     assert arrays[0] is not None  # positions are never left out
     return _Table(first, stamp, arrays[0], arrays[1], arrays[2], tuple(repairs))
 
 
-def _column(groups: list[Messages], field: str, names: tuple[str, ...]) -> np.ndarray:
+def _column(groups: list[Messages], field: str, names: tuple[str, ...], scratch: Scratch) -> np.ndarray:
     """(S, n) values of the named joints, NaN where a message has none."""
-    result = np.empty((sum(len(group.stamp) for group in groups), len(names)))
+    result = scratch.empty((sum(len(group.stamp) for group in groups), len(names)))
     start = 0
     for group in groups:
         stop = start + len(group.stamp)
@@ -189,6 +194,7 @@ def _column(groups: list[Messages], field: str, names: tuple[str, ...]) -> np.nd
         else:
             result[start:stop] = values[:, [group.layout.names.index(name) for name in names]]
         start = stop
+        scratch.release()
     return result
 
 
@@ -201,7 +207,7 @@ def _set_points(
         return None
     groups = found.topics.pop(topic)
     total = sum(len(group.stamp) for group in groups)
-    table = _table(groups, names)
+    table = _table(groups, names, found.scratch)
     if table is None:
         repairs.append(Repair(f"{topic}: messages without a position of every joint, left out", 0.0, total))
         return None
@@ -215,7 +221,7 @@ def _set_points(
         where = (int(order.stamp[0]) - int(stamp[0])) / _NANO
         repairs.append(Repair(f"{topic}: messages without a sample at their stamps, left out", where, total))
         return None
-    values = table.position[order.rows[nearest]]
+    values = found.scratch.take(table.position, order.rows[nearest])
     values[~same] = np.nan
     return values
 

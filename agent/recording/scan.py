@@ -26,6 +26,7 @@ from mcap.records import Channel, Metadata, Schema
 
 from agent.errors import InputError
 from agent.recording.joint_state import JointStateLayout, parse_layout
+from agent.recording.scratch import Scratch
 
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")
@@ -56,9 +57,11 @@ class Scan:
     """What was found. topics: decoded messages by topic; types: message type and encoding of every topic.
 
     closed: the writer finished the file; dropped: bytes that could not be read at its end; damaged: chunks left out,
-    each with the number of the chunk; unreadable: messages by topic that are no joint states.
+    each with the number of the chunk; unreadable: messages by topic that are no joint states; scratch: where the
+    numbers of a long log are.
     """
 
+    scratch: Scratch = field(default_factory=Scratch)
     topics: dict[str, list[Messages]] = field(default_factory=lambda: defaultdict(list))
     types: dict[str, str] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -203,6 +206,7 @@ class _Scanner:
         self._before += self._size
         self._located.clear()
         self._parts, self._size = [], 0
+        self._found.scratch.release()
 
     def _decode_alike(self, topic: str, channel: int, records: np.ndarray, order: np.ndarray) -> None:
         """Decode messages of one channel and length, layout by layout."""
@@ -228,12 +232,16 @@ class _Scanner:
                     layout=layout,
                     order=places,
                     stamp=layout.stamps(messages),
-                    position=layout.array(messages, 0),
-                    velocity=layout.array(messages, 1),
-                    effort=layout.array(messages, 2),
+                    position=self._array(layout, messages, 0),
+                    velocity=self._array(layout, messages, 1),
+                    effort=self._array(layout, messages, 2),
                 )
             )
             records, order = records[~alike], order[~alike]
+
+    def _array(self, layout: JointStateLayout, messages: np.ndarray, index: int) -> np.ndarray | None:
+        values = layout.array(messages, index)
+        return None if values is None else self._found.scratch.keep(values)
 
     def _next_layout(self, message: bytes) -> JointStateLayout | None:
         if self._layout_count == _MAX_LAYOUTS:

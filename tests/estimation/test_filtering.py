@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.errors import InputError
+from agent.estimation import filtering
 from agent.estimation.filtering import FilterSettings, motions, smooth_and_differentiate
 
 
@@ -149,3 +150,33 @@ def test_smoothing_removes_what_lies_beyond_its_band():
     inside = slice(200, -200)
     assert np.abs(smooth[inside, 0] - slow[inside]).max() < 1e-5
     assert np.abs(second[inside, 0] + (10 * np.pi) ** 2 * slow[inside]).max() < 1e-2
+
+
+def test_a_stretch_in_pieces_gives_the_same_columns(arm, multisine, make_log, monkeypatch):
+    robot = arm(2)
+    t = np.arange(0, 40, 1 / 500) + np.random.default_rng(0).uniform(-4e-4, 4e-4, 20_000)
+    q, qd, _ = multisine(2, t)
+    log = make_log(robot, t, q, qd, rate=500.0)
+    (whole,) = _motions(log)
+    monkeypatch.setattr(filtering, "_PIECE", 4000)
+    pieces = _motions(log)
+    assert len(pieces) > 3
+    for name in ("q", "qd", "qdd", "torque"):
+        expected = whole.low_pass(getattr(whole, name))
+        found = np.concatenate([piece.low_pass(getattr(piece, name)) for piece in pieces])
+        assert np.abs(found - expected).max() < 1e-3 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(("rate", "cutoff"), [(500.0, 30.0), (1000.0, 30.0), (5000.0, 20.0), (100.0, None)])
+def test_smooth_signals_may_be_thinned_before_the_filter(arm, make_log, rate, cutoff):
+    robot = arm(1)
+    t = np.arange(int(10 * rate)) / rate
+    q = np.sin(2 * np.pi * 4 * t)[:, None]
+    (motion,) = _motions(make_log(robot, t, q, None), cutoff)
+    every = motion.fewest
+    column = motion.qdd * np.cos(motion.q)
+    thinned = motion.low_pass(column[motion.thinned(every)], every)
+    expected = motion.low_pass(column)
+    assert thinned.shape == expected.shape
+    assert np.abs(thinned - expected).max() < 1e-3 * np.abs(expected).max()
+    assert every == (1 if rate == 100 else 2)

@@ -1,0 +1,79 @@
+"""Arrays of long logs on disk instead of in memory.
+
+They lie in temporary files without a name, mapped: the same arrays for whoever reads them, while `Scratch.release`
+gives their pages back. What is small stays in memory, so a log of some minutes never touches the disk.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import tempfile
+from collections.abc import Iterator
+
+import numpy as np
+
+_IN_MEMORY = 2**26  # bytes handed out before the disk is used
+_EXTENT = 2**26  # bytes of a file
+_ROWS = 2**15  # worked on at a time
+
+
+class Scratch:
+    """Room for arrays. A full disk is an OSError when room is asked for, not a bus error when it is written to."""
+
+    def __init__(self) -> None:
+        self._left = _IN_MEMORY
+        self._extents: list[mmap.mmap] = []
+        self._used = 0
+
+    def empty(self, shape: tuple[int, ...]) -> np.ndarray:
+        """An array of float64 whose values are to be written."""
+        size = 8 * int(np.prod(shape))
+        if size <= self._left:
+            self._left -= size
+            return np.empty(shape)
+        if not self._extents or self._used + size > len(self._extents[-1]):
+            self._extents.append(_extent(max(size, _EXTENT)))
+            self._used = 0
+        start, self._used = self._used, self._used + size
+        return np.frombuffer(self._extents[-1], count=size // 8, offset=start).reshape(shape)
+
+    def keep(self, values: np.ndarray) -> np.ndarray:
+        """The same values, moved here; in the order of memory they had."""
+        if values.nbytes <= self._left:
+            self._left -= values.nbytes
+            return values
+        turned = values.ndim > 1 and values.flags.f_contiguous
+        moved = self.empty(values.T.shape if turned else values.shape)
+        moved[...] = values.T if turned else values
+        return moved.T if turned else moved
+
+    def take(self, values: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """(len(rows), n) of (S, n), in the order of `rows` (indices)."""
+        taken = self.empty((len(rows), *values.shape[1:]))
+        for part in parts(len(rows)):
+            taken[part] = values[rows[part]]
+            self.release()
+        return taken
+
+    def release(self) -> None:
+        """Give the memory of what lies on disk back; the values stay, and come again when they are looked at."""
+        for extent in self._extents:
+            extent.madvise(mmap.MADV_DONTNEED)
+
+
+def parts(size: int) -> Iterator[slice]:
+    """Cut `size` rows into parts that are small beside a long log."""
+    return (slice(first, min(first + _ROWS, size)) for first in range(0, size, _ROWS))
+
+
+def _extent(size: int) -> mmap.mmap:
+    with tempfile.TemporaryFile() as file:
+        try:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+            else:
+                file.truncate(size)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, tempfile.gettempdir()) from None
+        return mmap.mmap(file.fileno(), size)
