@@ -41,8 +41,9 @@ class Outcome:
                 f"prediction error    {axes}",
                 f"                    of nominal torque, {validation['motions']} unseen motions at "
                 f"{validation['speed']:g} m/s",
-                f"result              {'accepted' if self.accepted else 'REJECTED'}  "
-                f"(gate {100 * result['gate']['normalised_rmse']:.1f} % on every axis)",
+                "result              "
+                + ("accepted" if self.accepted else f"REJECTED: {result['reason']}")
+                + f"  (gate {100 * result['gate']['normalised_rmse']:.1f} % on every axis)",
                 f"report              {self.run / 'report.html'}",
                 "",
             ]

@@ -28,10 +28,15 @@ def worse_joints(model: IdentifiedModel, rmse: np.ndarray) -> list[str]:
     return [name for name, above in zip(model.robot.joint_names, rmse > limit, strict=True) if above]
 
 
+def joint_moves(prediction: Prediction) -> np.ndarray:
+    """(S, n) bool."""
+    speed = np.abs(prediction.velocity)
+    return speed > _STANDSTILL * speed.max(axis=0)
+
+
 def moving_rmse(prediction: Prediction) -> np.ndarray:
     """(n,) [N·m] over the samples in which each joint itself moves."""
-    speed = np.abs(prediction.velocity)
-    moving = speed > _STANDSTILL * speed.max(axis=0)
+    moving = joint_moves(prediction)
     return np.sqrt(np.sum(prediction.error**2 * moving, axis=0) / np.maximum(1, moving.sum(axis=0)))
 
 

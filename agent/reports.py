@@ -11,6 +11,7 @@ import numpy as np
 
 from agent.console import Console
 from agent.errors import InputError
+from agent.fresh_data import diagnose_if_worse, joint_moves, moving_rmse, worse_joints
 from agent.history import open_history
 from agent.recipe import Recipe
 from agent.recording.log import AROUND
@@ -50,7 +51,6 @@ def further_sections(
 def against_last(run: RunFolder, log: Log, console: Console) -> dict[str, Any]:
     """The last accepted run of the same loop, and why its model predicts a fresh log worse than it did, if it does."""
     from agent.estimation import IdentifiedModel
-    from agent.fresh_data import diagnose_if_worse, moving_rmse, worse_joints
     from agent.validation import predict_log
 
     last = _last_accepted(run.path)
@@ -130,15 +130,16 @@ def watch_lines(logs: Path, robot: str, serial: str) -> list[str]:
 
 
 def _cycle_errors(log: Log, prediction: Prediction) -> np.ndarray:
-    """(cycles, n) RMSE over nominal torque of every cycle, moving samples; of the whole log where nothing repeats."""
+    """(cycles, n) RMSE over nominal torque of a cycle, while the joint moves; of the whole log where none repeats."""
+    moving = joint_moves(prediction)
     ends = [*log.cycle_starts, float(log.t[-1])] if log.cycle_starts else [0.0, float(log.t[-1])]
     rows = []
     for start, stop in pairwise(ends):
         inside = slice(*np.searchsorted(prediction.time, (start, stop)))
-        error = prediction.measured[inside] - prediction.predicted[inside]
-        moving = prediction.moving[inside]
-        if moving.any():
-            rows.append(np.sqrt(np.mean(error[moving] ** 2, axis=0)) / prediction.model.robot.nominal_torque)
+        energy = np.sum(prediction.error[inside] ** 2 * moving[inside], axis=0)
+        if moving[inside].any():
+            rms = np.sqrt(energy / np.maximum(1, moving[inside].sum(axis=0)))
+            rows.append(rms / prediction.model.robot.nominal_torque)
     return np.array(rows)
 
 

@@ -39,6 +39,11 @@ def build_result(
         "schema": "calibration/1",
         "robot": recipe.robot.name,
         "accepted": bool(np.all(figures <= gate)),
+        "reason": "; ".join(
+            f"{name}: prediction error {100 * figure:.2f} %, the gate is {100 * gate:.2f} %"
+            for name, figure in zip(recipe.robot.joint_names, figures, strict=True)
+            if not figure <= gate
+        ),
         "gate": {"normalised_rmse": gate},
         "search": {
             "method": recipe.search.method,

@@ -74,9 +74,13 @@ class RunFolder:
             raise InputError(f"{path}: not a run folder (it has no {_STATE})") from None
         except (OSError, ValueError) as error:
             raise InputError(f"{path / _STATE}: cannot be read: {error}") from None
-        if state.get("schema") != "run/1":
-            raise InputError(f"{path / _STATE}: schema {state.get('schema')!r} is not one this version can go on with")
-        if state["inputs_sha256"]["recipe.yaml"] != recipe_sha256:
+        schema = state.get("schema") if isinstance(state, dict) else None
+        if schema != "run/1" or not {"inputs_sha256", "status", "steps"} <= state.keys():
+            raise InputError(
+                f"{path / _STATE}: damaged, or of another version of the agent (schema {schema!r}); start a new run "
+                "without --resume"
+            )
+        if state["inputs_sha256"].get("recipe.yaml") != recipe_sha256:
             raise InputError(f"{path}: this run was started with another recipe; start a new run without --resume")
         if state["status"] in ("finished", "rejected"):
             raise InputError(f"{path}: this run is complete ({state['status']}); there is nothing to resume")
@@ -165,7 +169,9 @@ def robot_lock(driver: str, address: str) -> Iterator[None]:
     except Timeout:
         raise BusyError(f"{driver} {address}: another run holds this robot; wait for it to end, or stop it") from None
     except OSError as error:
-        raise AgentError(f"{lock.lock_file}: the robot's lock cannot be made: {error.strerror}") from None
+        raise AgentError(
+            f"{lock.lock_file}: the robot's lock cannot be made: {error.strerror}; did another user make it?"
+        ) from None
     try:
         yield
     finally:

@@ -163,9 +163,7 @@ def parameter_trends(
             continue  # kept from run to run, not estimated
         deviations = np.array([table[name].deviation for table in tables])
         scale = max(float(np.median(np.abs(values))), 1e-300)
-        found.append(
-            _trend(name, "", tables[-1][name].unit, runs, times, values, deviations, values / scale, rate, len(names))
-        )
+        found.append(_trend(name, "", tables[-1][name].unit, runs, times, values, deviations, scale, rate, len(names)))
     return found
 
 
@@ -193,7 +191,7 @@ def _watch(key: tuple[str, str, str], runs: list[PastRun]) -> Watch:
             background = Background(np.median(centred[:, others], axis=1), *answer, noise)
         name = f"friction of {joint} at {level['speed']:.2g} rad/s"
         trends.append(
-            _trend(name, joint, "N·m", runs, times, values[:, k], deviations[:, k], logs[:, k], background, len(keys))
+            _trend(name, joint, "N·m", runs, times, values[:, k], deviations[:, k], None, background, len(keys))
         )
     warnings = tuple(_warnings(runs, times, trends))
     return Watch(robot, serial, program, tuple(trends), warnings, _common_rate(rates, doubts))
@@ -207,11 +205,15 @@ def _trend(
     times: np.ndarray,
     values: np.ndarray,
     deviations: np.ndarray,
-    y: np.ndarray,
+    scale: float | None,
     background: Background,
     series: int,
 ) -> Trend:
-    """Test one series y (R,) for a drift and for steps, beside what all axles share."""
+    """Test one series (R,) for a drift and for steps, beside what all axles share.
+
+    It is looked at as its logarithm, where `scale` is None, or as a multiple of `scale`.
+    """
+    y = np.log(values) if scale is None else values / scale
     number = np.arange(len(y))
     shapes = [("drift", line(times), 1), ("drift", line(number), 1)]  # age wears, and so does use
     places = range(_SEGMENT, len(y) - _SEGMENT + 1)
@@ -226,8 +228,7 @@ def _trend(
     significant = probability < FALSE_ALARMS / series
     fit, design = fit_course(y, background, shape if significant else None)
     common = design[:, 1] * fit[1] if background.varies else np.zeros(len(y))
-    to_values = values / y if not joint else None
-    expected = np.exp(design @ fit) if joint else design @ fit * np.median(to_values)
+    expected = np.exp(design @ fit) if scale is None else design @ fit * scale
     return Trend(
         name=name,
         joint=joint,

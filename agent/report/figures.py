@@ -79,14 +79,17 @@ def new_plot(width: float = 10.0, height: float = 3.2, rows: int = 1, columns: i
 def search_history(best: np.ndarray, mean: np.ndarray) -> Figure:
     """Fitness over the generations (the paper's Fig. 4a): best (G,) and mean of the feasible (G,)."""
     plot, axes = new_plot()
-    generation = np.arange(len(best))
+    generation = np.arange(1, len(best) + 1)
     axes[0, 0].plot(generation, best, label="best")
     axes[0, 0].plot(generation, mean, label="mean of the feasible", linestyle="--")
     axes[0, 0].set_xlabel("generation")
+    axes[0, 0].xaxis.get_major_locator().set_params(integer=True)
     axes[0, 0].set_ylabel("log10 det(HᵀH / M)")
     axes[0, 0].legend()
     rows = np.column_stack([generation, best, mean])
-    return to_figure("search-history", "Fitness over the generations.", plot, ("generation", "best", "mean"), rows)
+    return to_figure(
+        "search-history", "Fitness over the generations; higher is better.", plot, ("generation", "best", "mean"), rows
+    )
 
 
 def speed_profile(t: np.ndarray, speed: np.ndarray, wanted: float) -> Figure:
@@ -97,7 +100,8 @@ def speed_profile(t: np.ndarray, speed: np.ndarray, wanted: float) -> Figure:
     axes[0, 0].set_xlabel("time [s]")
     axes[0, 0].set_ylabel("TCP speed [m/s]")
     rows = np.column_stack([t, speed])
-    return to_figure("speed", "Speed of the tool along one cycle.", plot, ("t_s", "speed_m_s"), rows)
+    caption = "Speed of the tool along one cycle; dots: as programmed."
+    return to_figure("speed", caption, plot, ("t_s", "speed_m_s"), rows)
 
 
 def limit_margins(t: np.ndarray, use: dict[str, np.ndarray], names: tuple[str, ...]) -> Figure:
@@ -113,7 +117,9 @@ def limit_margins(t: np.ndarray, use: dict[str, np.ndarray], names: tuple[str, .
     axes[-1, 0].set_xlabel("time [s]")
     header = ("t_s", *(f"{kind} {name}" for kind in use for name in names))
     rows = np.column_stack([t, *use.values()])
-    return to_figure("margins", "Use of the limits along one cycle, as a fraction of each.", plot, header, rows)
+    return to_figure(
+        "margins", "Use of the limits along one cycle, as a fraction of each; dots: the limit.", plot, header, rows
+    )
 
 
 def motion_box_plot(normalised_rmse: np.ndarray, names: tuple[str, ...], gate: float, caption: str) -> Figure:

@@ -43,11 +43,11 @@ def diagnosis_section(result: dict[str, Any]) -> Section:
     gap = result["gap"]
     shares = {entry["joint"]: entry["share"] for entry in result["where"]}
     where = [
-        (joint, f"{before:.4g}", f"{after:.4g}", _percent(shares.get(joint)))
+        (joint, f"{100 * before:.3f}", f"{100 * after:.3f}", _percent(shares.get(joint)))
         for joint, before, after in zip(gap["joints"], gap["before"], gap["after"], strict=True)
     ]
     causes_header = ("effect", "joints", "closes [%]", "probability", "parameters", "as good")
-    where_header = ("joint", "error before", "error after", "share of the gap [%]")
+    where_header = ("joint", "error without [%]", "error with these effects [%]", "share of the gap [%]")
     parts = (Table("causes", causes_header, causes), Table("gap", where_header, where))
     return Section("Diagnosis against the last model", text, parts)
 

@@ -58,8 +58,12 @@ def motion_section(data: MotionData) -> Section:
 
 def search_section(data: SearchData) -> Section:
     """Fitness over the generations."""
-    found = f"Fitness {data.fitness:.2f} after {data.evaluations} candidates, each run through the interpolator."
-    return Section("Search", (found,), (search_history(data.best, data.mean),))
+    text = (
+        f"Fitness {data.fitness:.2f} after {data.evaluations} candidates, each run through the interpolator.",
+        "Fitness is log10 det(HᵀH/M), H the observation matrix of M samples: one more means that the motion tells ten "
+        "times as much about all parameters taken together. It compares loops of one robot, nothing else.",
+    )
+    return Section("Search", text, (search_history(data.best, data.mean),))
 
 
 def plan_report(data: MotionData, search: SearchData, program: str) -> str:

@@ -81,7 +81,7 @@ def _part(part: Table | Figure | Scene) -> dict[str, Any]:
         return {
             "kind": "table",
             "part": part,
-            "words": [_of_words([row[k] for row in part.rows]) for k in range(len(part.header))],
+            "look": [_look([str(row[k]) for row in part.rows]) for k in range(len(part.header))],
             "csv": _data_link(_csv(part.header, part.rows)),
         }
     if isinstance(part, Figure):
@@ -99,9 +99,18 @@ def _part(part: Table | Figure | Scene) -> dict[str, Any]:
     return {"kind": "scene", "part": part, "json": text, "csv": _data_link(_csv(("what", "x_m", "y_m", "z_m"), rows))}
 
 
-def _of_words(cells: Sequence[str]) -> bool:
-    """Whether a column reads better from the left, in lines as short as they need be."""
-    return any(len(cell) > 12 and not cell[:1].isdigit() for cell in map(str, cells))
+def _look(cells: Sequence[str]) -> str:
+    """Class of a column: numbers stand to the right, text to the left, and long text is broken into lines."""
+    words = [cell for cell in cells if cell not in ("", "-") and not _is_number(cell)]
+    return "" if not words else "text long" if max(map(len, words)) > 24 else "text"
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _csv(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -25,6 +25,7 @@ def residual_section(predictions: Sequence[Prediction]) -> Section:
     text = (
         "Root mean square of what the model leaves, by what the joint does: where it is larger than elsewhere, "
         "something acts that the model does not have.",
+        "At standstill friction may be anything within stiction, so that column is the largest on a healthy arm too.",
     )
     return Section("Residuals by joint and regime", text, (_heat_map(figures, predictions[0]),))
 
@@ -99,7 +100,8 @@ def _heat_map(values: np.ndarray, prediction: Prediction) -> Figure:
     axis.set_xticks(range(len(REGIMES)), REGIMES)
     axis.set_yticks(range(len(names)), names)
     caption = "RMSE by joint (rows) and regime (columns), in % of nominal joint torque."
-    return to_figure("residuals", caption, plot, REGIMES, values)
+    rows = np.column_stack([np.arange(1, len(names) + 1), shown])
+    return to_figure("residuals", caption, plot, ("axis", *(f"{regime} [%]" for regime in REGIMES)), rows)
 
 
 def _cell(column: int, row: int, shade: float):

@@ -41,10 +41,10 @@ def run_report(data: RunData) -> str:
     """HTML text of the report."""
     result = data.result
     accepted, diagnosis = result["accepted"], result["diagnosis"]
-    worst = max(result["validation"]["normalised_rmse"])
+    worst, axis = max(zip(result["validation"]["normalised_rmse"], result["validation"]["joints"], strict=True))
     headline = (
-        f"{'Accepted' if accepted else 'Rejected'}: the worst axis predicts unseen motions in the sub-region to "
-        f"{100 * worst:.2f} % of its nominal torque; the gate is {100 * result['gate']['normalised_rmse']:.1f} %."
+        f"{'Accepted' if accepted else 'Rejected'}: the worst axis, {axis}, predicts unseen motions in the sub-region "
+        f"to {100 * worst:.2f} % of its nominal torque; the gate is {100 * result['gate']['normalised_rmse']:.1f} %."
     )
     if diagnosis is not None:
         headline = f"{headline} {diagnosis['summary']}"
@@ -65,10 +65,16 @@ def run_report(data: RunData) -> str:
 
 
 def _validation(data: RunData) -> Section:
-    validation = data.result["validation"]
+    validation, gate = data.result["validation"], data.result["gate"]["normalised_rmse"]
     names = tuple(validation["joints"])
     rows = [
-        (name, f"{rmse:.3g}", f"{100 * moving:.3f}", f"{100 * everything:.3f}")
+        (
+            name,
+            f"{rmse:.3g}",
+            f"{100 * moving:.3f}",
+            f"{100 * everything:.3f}",
+            "" if moving <= gate else "above the gate",
+        )
         for name, rmse, moving, everything in zip(
             names,
             validation["rmse"],
@@ -77,17 +83,22 @@ def _validation(data: RunData) -> Section:
             strict=True,
         )
     ]
-    header = ("axis", "RMSE [N·m]", "of nominal, moving [%]", "of nominal, all samples [%]")
-    text = (
+    header = ("axis", "RMSE [N·m]", "of nominal, moving [%]", "of nominal, all samples [%]", "")
+    text = [
         f"{validation['motions']} random motions at {validation['speed']:g} m/s that took no part in the fit.",
         "Normalised: RMSE over the axis's nominal joint torque. Moving samples decide; standstill is shown beside.",
-    )
+    ]
+    if not data.result["accepted"]:
+        text.append(
+            "The model of a rejected run is not made current. The residuals below show in which regime it is off; "
+            "if they are alike everywhere, more cycles, a longer search or faster motion tell more."
+        )
     parts = (
         Table("validation", header, rows),
         motion_box_plot(
             data.normalised_rmse,
             names,
-            data.result["gate"]["normalised_rmse"],
+            gate,
             f"Prediction error on {len(data.normalised_rmse)} unseen motions in the sub-region, per axis.",
         ),
         torque_prediction(*data.prediction, names, "Torque on one unseen motion, the one in the middle of the field."),

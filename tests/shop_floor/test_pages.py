@@ -55,6 +55,19 @@ def browse(tmp_path: Path) -> Callable[..., tuple[list[str], list[str], str]]:
     return open_page
 
 
+@pytest.fixture
+def worn(shop: Path, start_controller) -> Path:
+    """The shop, where the machine has got 30 % more Coulomb friction on joint_2 since."""
+    effects = shop / "effects.json"
+    wear = {"effect": "friction_change", "joints": ["joint_2"], "parameters": {"coulomb": 1.3}}
+    effects.write_text(json.dumps([wear]), encoding="utf-8")
+    machine = start_controller("--seed", "7", "--effects", str(effects))
+    recipe = shop / "recipe.yaml"
+    text = re.sub(r'address: "[^"]*"', f'address: "{machine.address}"', recipe.read_text(encoding="utf-8"))
+    recipe.write_text(text, encoding="utf-8")
+    return shop
+
+
 def _pages(calibrated: Path) -> dict[str, Path]:
     run = next(path for path in (calibrated / "logs").iterdir() if (path / "state.json").exists())
     return {"calibration": run / "report.html"}
@@ -138,19 +151,10 @@ def test_a_recalibration(shop: Path, run_agent, browse):
     assert page.read_text(encoding="utf-8") == before, "made again from its files, it is the same page"
 
 
-def test_a_calibration_anew_of_a_machine_that_changed_opens_with_the_diagnosis(
-    shop: Path, run_agent, start_controller, browse
-):
-    effects = shop / "effects.json"
-    worn = {"effect": "friction_change", "joints": ["joint_2"], "parameters": {"coulomb": 1.3}}
-    effects.write_text(json.dumps([worn]), encoding="utf-8")
-    machine = start_controller("--seed", "7", "--effects", str(effects))
-    recipe = shop / "recipe.yaml"
-    text = re.sub(r'address: "[^"]*"', f'address: "{machine.address}"', recipe.read_text(encoding="utf-8"))
-    recipe.write_text(text, encoding="utf-8")
+def test_a_calibration_anew_of_a_machine_that_changed_opens_with_the_diagnosis(worn: Path, run_agent, browse):
     run = run_agent("calibrate", "recipe.yaml", "-q")
     assert run.returncode == 0, run.stderr
-    folder = shop / run.stdout.strip()
+    folder = worn / run.stdout.strip()
     found = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
     assert (found["causes"][0]["effect"], found["causes"][0]["joints"]) == ("friction_change", ["joint_2"])
     page = _check_file(folder / "report.html")
@@ -168,6 +172,21 @@ def test_a_calibration_made_again(shop: Path, run_agent):
     run = run_agent("report", page.parent.name)
     assert run.returncode == 0, run.stderr
     assert page.read_text(encoding="utf-8") == before
+
+
+def test_a_rejected_calibration_names_the_axis(shop: Path, run_agent):
+    (file,) = (shop / "logs").glob("*/result.json")
+    result = json.loads(file.read_text(encoding="utf-8"))
+    figures = dict(zip(result["validation"]["joints"], result["validation"]["normalised_rmse"], strict=True))
+    worst, second = sorted(figures, key=figures.get, reverse=True)[:2]
+    gate = (figures[worst] + figures[second]) / 2
+    file.write_text(json.dumps(result | {"accepted": False, "gate": {"normalised_rmse": gate}}), encoding="utf-8")
+    run = run_agent("report", file.parent.name)
+    assert run.returncode == 0, run.stderr
+    page = (file.parent / "report.html").read_text(encoding="utf-8")
+    assert f"Rejected: the worst axis, {worst}," in page
+    assert page.count("above the gate</td>") == 1
+    assert "not made current" in page
 
 
 def test_the_page_over_all_runs(write_runs, browse):
@@ -200,17 +219,10 @@ def test_a_page_without_trends(write_runs, browse):
     assert browse(page)[:2] == ([], [])
 
 
-def test_a_diagnosis_opens_the_report_when_the_last_model_predicts_worse(shop: Path, run_agent, start_controller):
-    effects = shop / "effects.json"
-    worn = {"effect": "friction_change", "joints": ["joint_2"], "parameters": {"coulomb": 1.3}}
-    effects.write_text(json.dumps([worn]), encoding="utf-8")
-    machine = start_controller("--seed", "7", "--effects", str(effects))
-    recipe = shop / "recipe.yaml"
-    text = re.sub(r'address: "[^"]*"', f'address: "{machine.address}"', recipe.read_text(encoding="utf-8"))
-    recipe.write_text(text, encoding="utf-8")
+def test_a_diagnosis_opens_the_report_when_the_last_model_predicts_worse(worn: Path, run_agent):
     run = run_agent("recalibrate", "recipe.yaml")
     assert run.returncode == 0, run.stderr
-    folder = shop / run.stdout.strip()
+    folder = worn / run.stdout.strip()
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     assert result["validation"]["worse_before"] == ["joint_2"]
     found = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
