@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import secrets
+import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -30,6 +31,7 @@ from drivers.wire.reasons import EndReason
 FEEDBACK_PERIOD = 0.02
 _SAMPLE_PATIENCE = 1.0  # s without a sample, at least
 _HAND_TIMEOUT = 600.0  # s for somebody to press START
+_STOP_AGAIN = 0.05  # s between two stop commands of which the first was not taken
 
 _log = logging.getLogger(__name__)
 
@@ -52,12 +54,16 @@ class CnrDriver:
     """`drivers.protocol.Driver` on CNR's open programs: programs are stored by FTP and started by the socket, or by
     hand.
 
+    `STOP` is the command that ends a motion on its path for good.
+
     Args:
         address: where everything is.
         timeout: how long [s] to wait for an answer.
         start_timeout: the same for `start`, for the arm to rest after `stop`, and for FTP.
         buffer_limit: bytes of samples kept for a consumer that is behind; beyond it the motion is stopped.
     """
+
+    STOP = MessageType.STOP
 
     def __init__(
         self,
@@ -79,6 +85,7 @@ class CnrDriver:
         self._machine: Machine | None = None
         self._motion: CnrMotion | None = None
         self._stored = "", ""
+        self._starting = threading.Lock()  # whoever holds it may start a trajectory, or say that none is to follow
 
     @property
     def gaps(self) -> tuple[Gap, ...]:
@@ -110,7 +117,7 @@ class CnrDriver:
         self._motion = None
         self._stored = "", ""
         address = self._address
-        self._sockets = Sockets(address, self._timeout, self._on_turn, self._on_failure)
+        self._sockets = Sockets(address, self._timeout, self._on_turn, self._on_failure, self.STOP)
         try:
             self._machine = self._folder.machine()
             self._sockets.watchdog = self._machine.watchdog
@@ -207,13 +214,16 @@ class CnrDriver:
         return self._motion.motion.blocks()
 
     def stop(self) -> None:
-        """Ask for a stop on the path, wait until the arm rests, and empty the queue."""
+        """Ask for a stop on the path, and wait until the arm rests."""
         sockets, motion = self._sockets, self._motion
         if sockets is None or (sockets.failure is not None and (motion is None or motion.motion.over)):
             return
+        with self._starting:
+            if motion is not None:
+                motion.motion.stopping = True
+            answer = sockets.command(self.STOP)
         if motion is not None:
-            motion.motion.stopping = True
-        answer = sockets.command(MessageType.STOP)
+            answer = self._insist_on_stop(sockets, motion, answer)
         rests = sockets.wait_feedback(lambda: not sockets.feedback().is_moving, self._start_timeout)
         if motion is not None:
             rests = rests and motion.motion.wait(self._start_timeout)
@@ -222,13 +232,15 @@ class CnrDriver:
                 f"the controller at {self._address.host} {'did not answer' if answer is None else 'took'} the stop "
                 "command, but does not report the arm at rest; use the emergency stop"
             )
-        sockets.command(MessageType.CANCEL)
 
     def close(self) -> None:
-        """Close the link; a controller that still moves comes to rest by itself. Never raises."""
+        """Close the link; where the arm may still move it is told to stop first. Never raises."""
         sockets, self._sockets = self._sockets, None
         broker, self._broker = self._broker, None
         if sockets is not None:
+            if self._motion is not None and not self._motion.motion.over:
+                with contextlib.suppress(DriverError):
+                    sockets.post(self.STOP)
             sockets.close()
         if broker is not None:
             broker.close()
@@ -238,6 +250,18 @@ class CnrDriver:
             raise DriverError(f"the link to {self._address.host} is not open; connect first")
         self._sockets.check()
         return self._sockets
+
+    def _insist_on_stop(self, sockets: Sockets, motion: CnrMotion, answer: Answer | None) -> Answer | None:
+        """Say it again where the controller did not take it: it does not before its flag says that the arm moves."""
+        until, told = time.monotonic() + self._start_timeout, False
+        while answer is not None and not answer.success and not motion.motion.wait(_STOP_AGAIN):
+            if time.monotonic() > until:
+                return answer
+            if self._address.by_hand and not told:
+                told = True
+                self.tell("the controller does not take the stop command: press HOLD at the teach pendant, now")
+            answer = sockets.command(self.STOP)
+        return answer
 
     def _moves(self, feedback: Feedback) -> bool:
         motion = self._motion
@@ -288,7 +312,13 @@ class CnrDriver:
                 "link was closed, which stops the arm. Go and look at it"
             )
         if not answer.success:
-            raise _refused_start(what, sockets.fresh_status(), point.sequence_number != 0)
+            state = sockets.fresh_status()
+            if sockets.feedback().is_moving:
+                raise DriverError(
+                    f"the controller refused {what}, because the arm moves already; it was told to stop. Do its "
+                    "programs take back the permission to move at the end of a trajectory, as docs/real-robot.md asks?"
+                )
+            raise _refused_start(what, state, point.sequence_number != 0)
         assert self._motion is not None
         self._motion.started = True
         return answer
@@ -342,7 +372,7 @@ class CnrDriver:
     def _end_with(self, sockets: Sockets, motion: CnrMotion, fault: DriverError) -> None:
         """The recording is worthless from here on: stop the arm without waiting, and say why."""
         with contextlib.suppress(DriverError):  # a link that is down stops the arm as well
-            sockets.post(MessageType.STOP)
+            sockets.post(self.STOP)
         motion.fail(fault)
 
     def _on_failure(self, error: DriverError) -> None:

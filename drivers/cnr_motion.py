@@ -219,7 +219,8 @@ class CnrMotion:
             return
         self._quiet += 1
         if self.motion.stopping:
-            if self._quiet > 1:
+            # The flag falls as the arm begins to slow down, and rises some time after a start was taken.
+            if self._quiet >= _BELIEVED and rested >= _RESTING:
                 self._over((EndReason.STOPPED, ""), now)
         elif over and self.started:
             self._over((EndReason.DONE, ""), now)

@@ -26,8 +26,12 @@ _LINGER = 0.05  # s between two looks whether a trajectory is over
 
 
 class PointDriver(CnrDriver):
-    """`drivers.protocol.Driver` and `TakesPoints` on CNR's open programs as they are published."""
+    """`drivers.protocol.Driver` and `TakesPoints` on CNR's open programs, nearly as they are published.
 
+    A *stop* only holds the trajectory there, and the next start would go on with it; *cancel* ends it.
+    """
+
+    STOP = MessageType.CANCEL
     _trajectories: tuple[tuple[Point, ...], ...] = ()
 
     def upload(self, name: str, text: str) -> str:
@@ -78,11 +82,14 @@ class PointDriver(CnrDriver):
         """The rest of the first trajectory and all others (in a thread of its own)."""
         try:
             while feeder.go_on(motion):
-                self._command_start(sockets, "the start of the next trajectory", Point())
+                with self._starting:
+                    if motion.motion.stopping:
+                        return
+                    self._command_start(sockets, "the start of the next trajectory", Point())
                 feeder.started()
                 motion.resume()
         except DriverError as error:
-            if not motion.motion.over:
+            if not (motion.motion.over or motion.motion.stopping):
                 self._end_with(sockets, motion, error)
 
 

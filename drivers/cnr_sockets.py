@@ -60,6 +60,7 @@ class Sockets:
         timeout: for a connection and for an answer [s].
         on_turn: called in the reader thread some 50 times a second, with the feedbacks that came since.
         on_failure: called once, as the last, in the reader thread, when the link ends for whatever reason.
+        stop: the command that is sent where the controller falls silent in motion.
 
     Raises:
         RefusedError: another client holds the programs.
@@ -73,6 +74,7 @@ class Sockets:
         timeout: float,
         on_turn: Callable[[list[Feedback]], None],
         on_failure: Callable[[DriverError], None],
+        stop: MessageType,
     ) -> None:
         self.watchdog = timeout
         self.guarded = False
@@ -80,6 +82,7 @@ class Sockets:
         self._timeout = timeout
         self._on_turn = on_turn
         self._on_failure = on_failure
+        self._stop = stop
         self._answers: queue.SimpleQueue[Message | None] = queue.SimpleQueue()
         self._asking = threading.Lock()
         self._changed = threading.Condition()
@@ -279,7 +282,7 @@ class Sockets:
                 self._on_turn(feedbacks)
                 if self.guarded and silence >= self.watchdog:
                     with contextlib.suppress(DriverError):
-                        self.post(MessageType.STOP)
+                        self.post(self._stop)
                     raise DriverError(
                         f"{self._feedback.peer} fell silent: no feedback for {self.watchdog * 1000:.0f} ms while the "
                         "arm may move; it was told to stop. Go and look at it"

@@ -65,21 +65,29 @@ class TrajectoryPort(Port):
             case MessageType.FINISHED:
                 self.queue.complete = True
                 self._run_points(client, message)
-            case MessageType.START if self.queue.empty:
+            case MessageType.START if self.queue.empty and point.sequence_number:
                 self._run(client, message, lambda: self._start_program(point.sequence_number), point.sequence_number)
-            case MessageType.START if not self.queue.started and not self._reports.moving:
+            case MessageType.START if not (self.queue.empty or self.queue.started or self._reports.moving):
                 self.queue.started = True
                 self.queue.read_ahead()
                 self._run_points(client, message)
-            case MessageType.STOP | MessageType.CANCEL:
+            case MessageType.STOP if self._under_way():
+                self.queue.started = False  # held: the next start goes on with it
+                self._controller.stop(EndReason.STOPPED, "stopped on command")
+                self._answer(client, message, done=True)
+            case MessageType.CANCEL if self._under_way():
                 self.queue.clear()
                 self._controller.stop(EndReason.STOPPED, "stopped on command")
-                self._answer(client, message, done=self._reports.moving)
+                self._answer(client, message, done=True)
             case MessageType.SHUTDOWN:
                 self._answer(client, message, done=True)
                 self._cut()
             case _:
                 self._answer(client, message, done=False)
+
+    def _under_way(self) -> bool:
+        """The arm moves, or will as soon as the last point is there."""
+        return self._reports.moving or (self.queue.started and not self.queue.complete)
 
     def _take(self, client: Client, message: Message, point: Point) -> None:
         if self.queue.empty:

@@ -472,7 +472,7 @@ def linked():
             script = Script(reply, order)
             undo.callback(script.close)
             failures: list[DriverError] = []
-            sockets = Sockets(script.address, timeout, lambda _: None, failures.append)
+            sockets = Sockets(script.address, timeout, lambda _: None, failures.append, MessageType.STOP)
             undo.callback(sockets.close)
             sockets.failures = failures
             return script, sockets
@@ -495,6 +495,17 @@ def test_a_command_that_is_not_answered_is_not_sent_again(linked):
     script, sockets = linked(lambda m: success(m) if m.type == MessageType.PING else None, timeout=0.3)
     assert sockets.command(MessageType.START, Point(sequence_number=5)) is None
     assert [m.type for m in script.heard].count(MessageType.START) == 1
+
+
+@pytest.mark.parametrize(("moves", "kind"), [(0, RefusedError), (1, DriverError)])
+def test_a_start_that_is_refused_because_the_arm_moves_is_no_refusal(linked, moves, kind):
+    """Programs that still have the permission of the trajectory before begin with the first points that come."""
+    script, sockets = linked(lambda message: success(message, done=message.type != MessageType.START))
+    script.feedback = feedback(10, moves=moves)
+    assert sockets.wait_feedback(lambda: sockets.feedback().is_moving == moves, 20)
+    with pytest.raises(DriverError) as refused:
+        create("cnr_comau", "127.0.0.1,mode=points")._command_start(sockets, "the start", Point())
+    assert type(refused.value) is kind
 
 
 def test_a_late_answer_is_not_taken_for_that_of_the_next_command(linked):
@@ -530,7 +541,7 @@ def test_a_client_that_is_one_too_many_is_told(linked):
         threading.Thread(target=script._accept, args=(listener, lambda _: None), daemon=True).start()
     ports = [listener.getsockname()[1] for listener in script.listeners]
     with pytest.raises(RefusedError, match="another client"):
-        Sockets(CnrAddress("127.0.0.1", *ports), 5.0, lambda _: None, lambda _: None)
+        Sockets(CnrAddress("127.0.0.1", *ports), 5.0, lambda _: None, lambda _: None, MessageType.STOP)
     script.close()
 
 
@@ -543,7 +554,7 @@ def test_a_turn_that_fails_ends_the_link_with_a_message(linked):
             raise ValueError("as told")
 
     with pytest.raises(ProtocolError, match="as told"):
-        Sockets(script.address, 5.0, fail, failures.append)
+        Sockets(script.address, 5.0, fail, failures.append, MessageType.STOP)
     assert len(failures) == 1
     script.close()
 

@@ -13,7 +13,10 @@ import pytest
 from agent.robot import load_robot
 from agent.robot.drivetrain import torque_per_ampere
 from drivers.errors import DriverError
+from drivers.protocol import ViaPoint
 from drivers.registry import create
+from drivers.wire.cnr import MessageType
+from drivers.wire.reasons import EndReason
 from fake_controller.build import build_controller
 from fake_controller.server_cnr import CnrServer
 from tests.conftest import end_with_tests
@@ -71,6 +74,30 @@ def test_torque_is_the_sensors_whichever_way_it_went(arm, broker):
     at = next(k for k, torque in enumerate(got["torque"]) if np.allclose(torque, true.torque[1], rtol=1e-9))
     for name, values in vars(true).items():
         np.testing.assert_allclose(got[name][at : at + len(values) - 1], values[1:], rtol=1e-9, atol=1e-9)
+
+
+def test_points_that_were_stopped_are_not_held_for_the_next_start(broker):
+    """The programs go on with what was stopped only; nobody expects that of a start."""
+    away, back = (ViaPoint(np.radians([turn, 0.0, -90.0, 0.0, 20.0, 0.0]), 0.0, 0.05) for turn in (10.0, 0.0))
+    controller = build_controller("comau_ns16", seed=3, clock="fast")
+    with closing(CnrServer(controller, watchdog=2.0, broker=broker.address, waits=True)) as server:
+        with connected(server.address, "comau_ns16") as driver:  # the pose it begins in is singular
+            driver.start("p", driver.upload("p", "PROGRAM p\nBEGIN\n  MOVE JOINT TO {0, 0, -90, 0, 20, 0}\nEND p\n"))
+            assert sum(map(len, driver.samples())) > 0
+        with connected(f"{server.address},mode=points", "comau_ns16") as driver:
+            driver.load("swing", "0" * 64, [away, back])
+            driver.start("swing", "0" * 64)
+            received = driver.samples()
+            next(received)
+            driver.stop()
+            assert not controller.moving
+            assert sum(map(len, received)) > 0
+            assert controller.motions_started == 2
+            assert not driver._sockets.command(MessageType.START).success
+            driver.load("back", "1" * 64, [back])
+            driver.start("back", "1" * 64)
+            assert sum(map(len, driver.samples())) > 0
+    assert controller.ends == [EndReason.DONE, EndReason.STOPPED, EndReason.DONE]
 
 
 @pytest.mark.verify

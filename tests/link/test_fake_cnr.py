@@ -475,8 +475,10 @@ def test_a_full_queue_is_busy_until_the_arm_reads_it(bench):
     assert link.ask(trajectory(1))[1][1] == 1
     assert link.done(point(199, (0, 0)))
     assert not bench.controller.moving, "the rest of the trajectory is still to come"
-    assert not link.done(trajectory(3012)), "nothing moves; but the trajectory is gone"
+    assert link.done(trajectory(3012)), "what was to move does not any more"
+    assert link.done(trajectory(3002))
     assert link.done(point(1, (0, 0)))
+    assert bench.controller.motions_started == 0
 
 
 def test_points_that_cannot_be_run_are_refused_and_say_so(bench):
@@ -500,6 +502,28 @@ def test_a_stop_brings_the_arm_to_rest_on_its_path(bench, kind):
     reference = bench.recorded().reference_position
     np.testing.assert_allclose(reference[:, 1], -1.5 * reference[:, 0], atol=1e-6)
     assert bench.controller.ends == [EndReason.STOPPED]
+
+
+@pytest.mark.parametrize(("kind", "goes_on"), [(3011, True), (3012, False)])
+def test_a_stop_holds_the_points_and_a_cancel_drops_them(serve, kind, goes_on):
+    bench = serve(robot="comau_ns16")
+    feedback, link = bench.feedback(), bench.trajectory()
+    bench.store(program("  MOVE JOINT TO {0, 0, -90, 0, 20, 0}"))
+    assert link.done(start(1))
+    feedback.until_rest()
+    assert link.done(point(1, (10, 0, -90, 0, 20, 0), speed=0.1))
+    assert link.done(trajectory(3002))
+    assert link.done(start())
+    before = len(feedback.all)
+    feedback.until(lambda record: record[feedback.MOVING], before)
+    assert link.done(trajectory(kind))
+    feedback.until_rest(before)
+    assert not link.done(trajectory(3012)), "nothing moves"
+    before = len(feedback.all)
+    assert link.done(start()) is goes_on
+    if goes_on:
+        feedback.until_rest(before)
+    assert bench.controller.motions_started == 2 + goes_on
 
 
 def test_feedback_that_nobody_answers_stops_the_arm(serve):
