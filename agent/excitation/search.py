@@ -18,6 +18,8 @@ from agent.excitation.workers import Workers, available_cores
 
 #: Methods by the names that a recipe uses.
 METHODS = {"genetic": genetic, "random": random_search}
+#: A process more costs as much to start as so many candidates to score.
+_CANDIDATES_A_WORKER = 60
 #: So many of the best candidates are scored again on all samples.
 FINALISTS = 10
 
@@ -77,7 +79,8 @@ def search(
     workers: int | None = None,
     progress: Callable[[Generation], None] | None = None,
 ) -> SearchResult:
-    """Find a loop. The same seed gives the same loop to the bit, for any number of `workers` (default: all cores).
+    """Find a loop. The same seed gives the same loop to the bit, for any number of `workers` (default: all cores,
+    where there is work for them).
 
     `progress` is called after each generation. The ten best candidates are scored again on all samples, and the best of
     them is the result.
@@ -89,7 +92,8 @@ def search(
     if method not in METHODS:
         raise InputError(f"search method {method!r} is not known; there are: {', '.join(METHODS)}")
     history = _History(progress)
-    with Workers(_scorer, problem, workers or available_cores()) as team:
+    workers = workers or min(available_cores(), 1 + population * generations // _CANDIDATES_A_WORKER)
+    with Workers(_scorer, problem, workers) as team:
         candidates = Candidates(problem)
         rng = np.random.default_rng(seed)
         METHODS[method](team.evaluate, problem.genes, population, generations, rng, history.note)
