@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +23,7 @@ PROGRAM_ERROR = 2  # error code of a program that could not be run, or not to it
 _PERIOD_NS = round(PERIOD * 1e9)
 _EVERY = round(TICK / PERIOD)  # samples from one feedback record to the next
 _REST = 250  # samples at rest before and after a motion where the clock does not wait; most that are made up for
+_LATE = 3  # ticks without a record of a moving arm after which the last one is told again
 _NO_FRAME = (0.0,) * 6
 
 
@@ -65,6 +68,8 @@ class Reports:
         self._index = controller.clock.now() // _PERIOD_NS  # of the last sample, on the grid of the period
         still = np.zeros((1, controller.robot.dof))
         self._last = Slice(controller.position[None], still, controller.torque[None], controller.reference[None], still)
+        self._told: Feedback | None = None  # the record that was offered last
+        self._told_at = 0.0  # s, monotonic
         self._lock = threading.Lock()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._rest, name="reports", daemon=True)
@@ -122,6 +127,7 @@ class Reports:
                 if self.silence >= self._watchdog:
                     silent = f"no feedback was answered for {self._watchdog * 1000:.0f} ms"
                     self._controller.stop(EndReason.WATCHDOG, silent)
+                self._tell_again()
                 continue
             if self.silence >= IDLE_LIMIT:
                 self.silence = 0.0
@@ -163,7 +169,13 @@ class Reports:
             time=(int(time_ns) - self._counted_from) // 1_000_000,
             is_moving=int(self.moving),
         )
+        self._told, self._told_at = record, time.monotonic()
         self._feedback.offer(record, spare=not self.moving)
+
+    def _tell_again(self) -> None:
+        """The feedback program does not wait for an arm whose next moves are still planned."""
+        if self._told is not None and time.monotonic() - self._told_at > _LATE * TICK:
+            self._feedback.offer(replace(self._told, is_moving=1, last_point_processed=self.last_point), spare=True)
 
     def _state(self) -> Status:
         state = self._controller.state

@@ -526,6 +526,17 @@ def test_a_stop_holds_the_points_and_a_cancel_drops_them(serve, kind, goes_on):
     assert bench.controller.motions_started == 2 + goes_on
 
 
+def test_feedback_goes_on_while_the_arm_waits_for_its_next_moves(serve):
+    bench = serve(clock="real", faults=[Fault("slow", "streaming", 0.1, 6.0)])
+    feedback, link = bench.feedback(), bench.trajectory()
+    bench.store(program("  MOVE JOINT TO {1, -1}"))
+    assert link.done(start(1))
+    feedback.until_rest()
+    times = [record[feedback.TIME] for record in feedback.all if record[feedback.MOVING]]
+    assert (np.diff(times) >= 0).all()
+    assert (np.diff(times) == 0).any()
+
+
 def test_feedback_that_nobody_answers_stops_the_arm(serve):
     bench = serve(watchdog=0.3)
     feedback, link = bench.feedback(), bench.trajectory()
