@@ -21,6 +21,8 @@ _SIMULATOR = "simulator.json"
 #: Slow motions beside the excitation loop: enough to hold one out, few enough to wait for.
 _VALIDATION_MOTIONS = 3
 
+#: The effect that shows in the path and not in torque.
+_PATH = "interpolator_mismatch"
 _VERDICTS = {
     "no_gap": "no gap: nothing of practical size beyond what the model's own prediction error allows",
     "explained": "explained",
@@ -174,13 +176,17 @@ def diagnosis_text(result: dict[str, Any]) -> str:
     lines = [_VERDICTS[result["verdict"]]]
     for cause in result["causes"]:
         joints = ", ".join(cause["joints"]) or "the whole arm"
-        closure = "" if cause["closure"] is None else f", closes {100 * cause['closure']:.0f} % of the gap"
+        gap_of = "the gap between planned and executed path" if cause["effect"] == _PATH else "the gap"
+        closure = "" if cause["closure"] is None else f", closes {100 * cause['closure']:.0f} % of {gap_of}"
         lines.append(f"  {cause['effect']} on {joints}{closure}, probability {cause['probability']:.2f}")
         parameters = "  ".join(f"{name} {value:.4g}" for name, value in cause["parameters"].items())
         lines.append(f"    {parameters}")
         for other in cause["equivalent_to"]:
             lines.append(f"    as good: {other['effect']} on {', '.join(other['joints']) or 'the whole arm'}")
     gap = result["gap"]
+    lines.append(
+        "torque error held out, over nominal torque (N·m where there is none); floor: what no cycle repeats"
+    )
     lines.append(f"{'joint':12} {'before':>9} {'after':>9} {'floor':>9} {'share':>7}   mostly in")
     shares = {entry["joint"]: entry for entry in result["where"]}
     for k, name in enumerate(gap["joints"]):
@@ -191,7 +197,7 @@ def diagnosis_text(result: dict[str, Any]) -> str:
             f"   {', '.join(regimes)}"
         )
     if result["closure"] is not None:
-        lines.append(f"closure {result['closure']:.3f}")
+        lines.append(f"closed: {100 * result['closure']:.1f} % of the gap in torque")
     if result.get("simulation"):
         before, after = (100 * max(result["simulation"]["torque"][side]) for side in ("before", "after"))
         lines.append(f"worst joint in forward simulation: {before:.2f} % of nominal torque, then {after:.2f} %")
