@@ -37,9 +37,8 @@ def consistent(problem: Problem) -> Estimate:
     held_out = cross_validate(problem, moments, weights, programme.parameters)
     note = "Every link has a physical mass distribution; rotor inertias and friction are not negative."
     standard = unknowns[: programme.standard]
-    return Estimate(
-        programme.to_parameters @ unknowns, weights, moments, held_out, programme.parameters, note, standard
-    )
+    parameters = programme.to_parameters @ unknowns
+    return Estimate(parameters, weights, moments, held_out, programme.parameters, problem.trust, note, standard)
 
 
 def trust_prior(problem: Problem) -> Problem:

@@ -36,7 +36,7 @@ def essential(problem: Problem) -> Estimate:
     solver = _on(problem, chosen)
     note = f"{len(chosen)} of {moments.parameters} parameters are essential; the others are zero."
     held_out = cross_validate(problem, moments, weights, solver)
-    return Estimate(solver(total), weights, moments, held_out, solver, note)
+    return Estimate(solver(total), weights, moments, held_out, solver, problem.trust, note)
 
 
 def _on(problem: Problem, kept: np.ndarray) -> Solver:

@@ -47,7 +47,8 @@ def finish(problem: Problem, moments: Moments, weights: np.ndarray, note: str) -
         return solve_sum(total, problem.prior, problem.trust)
 
     held_out = cross_validate(problem, moments, weights, solver)
-    return Estimate(solver(moments.weighted(weights)), weights, moments, held_out, solver, note)
+    parameters = solver(moments.weighted(weights))
+    return Estimate(parameters, weights, moments, held_out, solver, problem.trust, note)
 
 
 def refined(problem: Problem, found: Estimate) -> Estimate:

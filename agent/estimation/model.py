@@ -175,9 +175,10 @@ class IdentifiedModel:
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
         lines.append(f"condition number of the scaled observation matrix: {self.condition_number:.3g}")
         errors = "  ".join(
-            f"{name} {error:.3g}" for name, error in zip(self.robot.joint_names, self.held_out_rmse, strict=True)
+            f"{joint.name} {error:.3g} {'N' if joint.prismatic else 'N·m'}"
+            for joint, error in zip(self.robot.joints, self.held_out_rmse, strict=True)
         )
-        lines.append(f"held-out RMSE [N·m]: {errors}")
+        lines.append(f"held-out RMSE: {errors}")
         return "\n".join([*lines, *self.notes])
 
     def to_dict(self) -> dict[str, Any]:

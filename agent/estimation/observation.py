@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.errors import InputError
+from agent.estimation.cutoff import quiet_cutoff
 from agent.estimation.filtering import FilterSettings, Motion, motions, resolve_cutoff
 from agent.estimation.friction_terms import AxleMotion, FrictionTerm, axle_columns
 from agent.recording.log import Log
@@ -131,11 +132,15 @@ class Stretches(Sequence[Stretch]):
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """All logs, filtered. Columns of any friction term, or of anything else computed from the motions, can be added."""
+    """All logs, filtered. Columns of any friction term, or of anything else computed from the motions, can be added.
+
+    `noisy` is the joint whose noise lowered the cut-off.
+    """
 
     robot: RobotDescription
     rigid: RigidBodies
     stretches: Stretches
+    noisy: int | None = None
 
     def joint_columns(
         self, stretch: Stretch, terms: tuple[FrictionTerm, ...], rigid_parameters: np.ndarray | None = None
@@ -181,21 +186,27 @@ class Observation:
 
 
 def observe(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -> Observation:
-    """Filter logs into an observation, all with the cut-off that the slowest sampling allows unless it is given.
+    """Filter logs into an observation, all with the cut-off that the slowest sampling and the noisiest positions allow,
+    unless it is given.
 
     Raises:
         InputError: a log without torque, with other joints than the robot, or too short for the filter.
     """
     for log in logs:
         check_log(rigid.robot, log)
-    settings = replace(settings, cutoff=min(resolve_cutoff(log, settings) for log in logs))
+    cutoff, noisy = min(resolve_cutoff(log, settings) for log in logs), None
+    if settings.cutoff is None:
+        for log in logs:
+            cutoff, joint = quiet_cutoff(rigid.dynamics, log, cutoff)
+            noisy = noisy if joint is None else joint
+    settings = replace(settings, cutoff=cutoff)
     scratch = Scratch()
     stretches = []
     for index, log in enumerate(logs):
         for motion in motions(log, settings):
             stretches.append(filtered(rigid, index, motion, scratch))
             scratch.release()
-    return Observation(rigid.robot, rigid, Stretches(tuple(stretches), scratch))
+    return Observation(rigid.robot, rigid, Stretches(tuple(stretches), scratch), noisy)
 
 
 def filtered(rigid: RigidBodies, log_index: int, motion: Motion, scratch: Scratch) -> Stretch:

@@ -110,7 +110,8 @@ def _kept(observation: Observation, columns: Iterable[np.ndarray]) -> list[np.nd
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """parameters (p,); `weights` (2, n), `moments` and `solver` that lead to them; `held_out` (folds, 2, n) squared
-    error on rows left out; `standard` (10 n + n,) the inertial parameters behind the base parameters, where there are.
+    error on rows left out; `trust` in the prior that went into them; `standard` (10 n + n,) the inertial parameters
+    behind the base parameters, where there are.
     """
 
     parameters: np.ndarray
@@ -118,6 +119,7 @@ class Estimate:
     moments: Moments
     held_out: np.ndarray
     solver: Solver
+    trust: float
     note: str
     standard: np.ndarray | None = None
 

@@ -108,7 +108,7 @@ def _friction(problem: Problem, model: IdentifiedModel) -> Estimate:
         weights = reweight(moments, parameters)
         parameters = solver(moments.weighted(weights))
     held_out = cross_validate(problem, moments, weights, solver)
-    return Estimate(parameters, weights, moments, held_out, solver, "", model.standard)
+    return Estimate(parameters, weights, moments, held_out, solver, problem.trust, "", model.standard)
 
 
 def _covariance(problem: Problem, found: Estimate, model: IdentifiedModel) -> np.ndarray:

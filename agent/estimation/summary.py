@@ -80,6 +80,11 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.
     yield f"Held-out errors: {problem.partition.folds} folds of {kind}."
     if found.note:
         yield found.note
+    if problem.observation.noisy is not None:
+        yield (
+            f"The cut-off is {model.cutoff:g} Hz: higher, noise of the positions would be too much of the torque of "
+            f"{model.robot.joint_names[problem.observation.noisy]}."
+        )
     if model.condition_number > _BAD_CONDITION:
         number = f"{model.condition_number:.3g}" if np.isfinite(model.condition_number) else "beyond 1e7"
         yield (

@@ -28,8 +28,8 @@ def covariance(problem: Problem, found: Estimate) -> np.ndarray:
     """(p, p) covariance of an estimate."""
     prior, partition = problem.prior, problem.partition
     total = found.moments.weighted(found.weights)
-    bread = inverse(total[:-1, :-1] + problem.trust * prior.precision)
-    stationary = bread @ (_noise(problem, found) + problem.trust**2 * prior.precision) @ bread.T
+    bread = inverse(total[:-1, :-1] + found.trust * prior.precision)
+    stationary = bread @ (_noise(problem, found) + found.trust**2 * prior.precision) @ bread.T
     estimates = np.array(
         [
             found.solver(total - found.moments.weighted(found.weights, partition.cluster == cluster))

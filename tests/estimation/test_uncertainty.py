@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from agent.estimation import EstimationSettings, estimate
+from agent.estimation.blocks import partition
 from agent.estimation.estimate import rigid_bodies
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.friction_terms import AxleMotion, Reversal, axle_columns
+from agent.estimation.least_squares import weighted
 from agent.estimation.observation import observe
 from agent.estimation.prior import link_prior
+from agent.estimation.problem import Problem
 from agent.estimation.selection import paper_terms
 from agent.estimation.solving import autocorrelation_time
+from agent.estimation.uncertainty import covariance
 from agent.validation import predict_log
 
 
@@ -65,6 +71,27 @@ def test_intervals_cover_over_two_hundred_runs(arm, multisine, make_log, measure
         measured(name, 100 * share, "%", "90 to 98 %", 0.90 <= share <= 0.98)
     assert 0.90 <= hits.mean() <= 0.98
     assert 0.90 <= shares.mean() <= 0.98
+
+
+def test_intervals_cover_with_more_trust_in_the_prior(arm, multisine, make_log):
+    """Truths are drawn from the prior, so an estimate that trusts it too much is off by what the prior is."""
+    robot = arm(2)
+    t = np.arange(4000) / 500
+    q, qd, qdd = multisine(2, t)
+    rigid, _, _ = rigid_bodies(robot)
+    mean, deviation = link_prior(observe(rigid, [make_log(robot, t, q, 20 * qd)], FilterSettings()))
+    hits = []
+    for run in range(12):
+        rng = np.random.default_rng(run)
+        truth = rigid.projection @ rng.normal(mean, deviation)
+        torque = rigid.torque(q, qd, qdd, truth) + rng.normal(size=q.shape)
+        observation = observe(rigid, [make_log(robot, t, q, torque)], FilterSettings())
+        problem = Problem.pose(observation, partition(observation.stretches), paper_terms([Reversal()] * 2))
+        found = weighted(replace(problem, trust=1000 * problem.with_own_trust().trust))
+        deviations = np.sqrt(np.diag(covariance(problem, found)))
+        error = np.abs(found.parameters - np.append(truth, np.zeros(6)))[: len(truth)]
+        hits.append(error < 1.96 * deviations[: len(truth)])
+    assert 0.90 <= np.mean(hits) <= 1
 
 
 def test_deviations_shrink_with_data_as_they_should(arm, multisine, make_log):
