@@ -126,6 +126,8 @@ class Controller:
         self._ring = Ring()
         self._switch: StopSwitch | None = None
         self._thread: threading.Thread | None = None
+        self._rests = threading.Event()
+        self._rests.set()
         self._reference = home(robot)
         plant.rest(self._reference)
         self._position = plant.position
@@ -258,6 +260,7 @@ class Controller:
             self._switch = StopSwitch(self.state.override)
             self._count = self._counter_zero = 0
             self.motions_started += 1
+            self._rests.clear()
             self._thread = threading.Thread(
                 target=self._move, args=(_chain(first, chains), self._switch, listener), name="motion", daemon=True
             )
@@ -291,10 +294,7 @@ class Controller:
 
     def wait(self, timeout: float) -> bool:
         """Wait until the arm rests and its client has heard of it; False if that takes longer [s]."""
-        thread = self._thread
-        if thread is not None and thread.is_alive():
-            thread.join(timeout)
-        return not self.moving
+        return self._rests.wait(timeout)
 
     def shut_down(self) -> None:
         """Bring the arm to rest and wait for that."""
@@ -401,7 +401,10 @@ class Controller:
         with self._lock:
             self._switch = None
             self.ends.append(reason)
-        listener.on_end(reason, self._count - self._counter_zero, message)
+        try:
+            listener.on_end(reason, self._count - self._counter_zero, message)
+        finally:
+            self._rests.set()
 
 
 def home(robot: RobotDescription) -> np.ndarray:

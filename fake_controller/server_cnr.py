@@ -72,6 +72,10 @@ class CnrServer:
         """Bring the arm to rest, tell so, and stop serving."""
         self._undo.close()
 
+    def press_start(self) -> None:
+        """As `TrajectoryPort.press_start`."""
+        self._trajectory.press_start()
+
     def drop_clients(self) -> None:
         """Cut every connection, as a pulled cable does."""
         for part in (self._folder, self._feedback, self._status, self._trajectory):

@@ -51,6 +51,17 @@ class TrajectoryPort(Port):
     def left(self) -> None:
         self._gone()
 
+    def press_start(self) -> None:
+        """Run the program that the folder names, as somebody who stands at the controller does.
+
+        Raises:
+            RefusedRequest, InputError: it cannot run.
+        """
+        name, text = self._folder.chosen()
+        self._controller.start(name, hashlib.sha256(text).hexdigest(), secrets.token_bytes(16), self._reports)
+        self._reports.begin(last_point=0, by_hand=True)
+        self._controller.go()
+
     def heard(self, client: Client, message: Message) -> None:
         point = message.record
         assert isinstance(point, Point)
@@ -87,7 +98,7 @@ class TrajectoryPort(Port):
 
     def _under_way(self) -> bool:
         """The arm moves, or will as soon as the last point is there."""
-        return self._reports.moving or (self.queue.started and not self.queue.complete)
+        return self._reports.flag or (self.queue.started and not self.queue.complete)
 
     def _take(self, client: Client, message: Message, point: Point) -> None:
         if self.queue.empty:

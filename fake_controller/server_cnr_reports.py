@@ -55,6 +55,7 @@ class Reports:
         self.last_point = 0
         self.program_error = False
         self.silence = 0.0  # s since feedback was answered
+        self._by_hand = False
         self._controller = controller
         self._feedback = feedback
         self._status = status
@@ -80,10 +81,18 @@ class Reports:
         self._closing.set()
         self._thread.join(5.0)
 
-    def begin(self, last_point: int) -> None:
-        """The arm is about to move; `last_point` is what is told once its program has run to the end."""
+    @property
+    def flag(self) -> bool:
+        """What the records say of whether the arm moves."""
+        return self.moving and not self._by_hand
+
+    def begin(self, last_point: int, by_hand: bool = False) -> None:
+        """The arm is about to move; `last_point` is what is told once its program has run to the end.
+
+        Of a motion that somebody started by hand the socket programs know nothing.
+        """
         with self._lock:
-            self.moving, self.program_error = True, False
+            self.moving, self.program_error, self._by_hand = True, False, by_hand
             self.last_point, self._finished = 0, last_point
             self.silence, self._next_sample = 0.0, 0
             self._pass_time()
@@ -167,7 +176,7 @@ class Reports:
             cartesian=tuple(place.tolist()),
             last_point_processed=self.last_point,
             time=(int(time_ns) - self._counted_from) // 1_000_000,
-            is_moving=int(self.moving),
+            is_moving=int(self.flag),
         )
         self._told, self._told_at = record, time.monotonic()
         self._feedback.offer(record, spare=not self.moving)
@@ -175,7 +184,8 @@ class Reports:
     def _tell_again(self) -> None:
         """The feedback program does not wait for an arm whose next moves are still planned."""
         if self._told is not None and time.monotonic() - self._told_at > _LATE * TICK:
-            self._feedback.offer(replace(self._told, is_moving=1, last_point_processed=self.last_point), spare=True)
+            record = replace(self._told, is_moving=int(self.flag), last_point_processed=self.last_point)
+            self._feedback.offer(record, spare=True)
 
     def _state(self) -> Status:
         state = self._controller.state
@@ -186,7 +196,7 @@ class Reports:
             e_stopped=int(state.emergency_stop),
             error_code=_code(state.alarms[0]) if state.alarms else PROGRAM_ERROR * int(self.program_error),
             in_error=int(in_error),
-            in_motion=int(self.moving),
+            in_motion=int(self.flag),
             mode=Mode.AUTO if auto else Mode.MANUAL,
             motion_possible=int(state.drives_on and auto and state.cell_closed and not in_error),
         )

@@ -97,7 +97,7 @@ def only_run() -> Callable[[Path], Path]:
     """Finds the one run folder in a folder of runs."""
 
     def find(logs: Path) -> Path:
-        (run,) = (entry for entry in logs.iterdir() if entry.is_dir())
+        (run,) = (state.parent for state in logs.glob("*/state.json"))
         return run
 
     return find

@@ -100,6 +100,33 @@ def test_points_that_were_stopped_are_not_held_for_the_next_start(broker):
     assert controller.ends == [EndReason.DONE, EndReason.STOPPED, EndReason.DONE]
 
 
+def test_a_person_starts_the_program_and_has_to_stop_it(arm, broker):
+    """The socket programs know nothing of a program that was started by hand: they ignore a stop."""
+    told = []
+    controller = build_controller(arm, seed=3, clock="fast")
+    with closing(CnrServer(controller, watchdog=2.0, broker=broker.address, waits=True)) as server:
+
+        def person(text):
+            told.append(text)
+            if "press START" in text:
+                server.press_start()
+            if "press HOLD" in text:
+                controller.stop(EndReason.STOPPED, "by hand")
+
+        with connected(f"{server.address},start=hand", arm) as driver:
+            driver.tell = person
+            driver.start("p", driver.upload("p", ARM))
+            received = driver.samples()
+            next(received)
+            driver.stop()
+            assert not controller.moving
+            assert sum(map(len, received)) > 0
+            driver.start("p", driver.upload("p", ARM.replace("2000", "1")))
+            assert sum(map(len, driver.samples())) > 0
+    assert ["select program p" in text for text in told] == [True, False, True]
+    assert controller.ends == [EndReason.STOPPED, EndReason.DONE]
+
+
 @pytest.mark.verify
 def test_ten_minutes_at_500_hz(tmp_path, broker, measured):
     """Real time, five topics: every sample joined; the CPU is that of driver and reader."""
