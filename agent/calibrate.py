@@ -36,8 +36,8 @@ class Outcome:
         return "\n".join(
             [
                 "",
-                f"fitness             {result['search']['fitness']:.2f}  (log10 det(HᵀH/M))",
-                f"condition number    {result['estimation']['condition_number']:.0f}",
+                f"fitness             {result['search']['fitness']:.2f}  (log10 det(HᵀH/M), higher is better)",
+                f"condition number    {result['estimation']['condition_number']:.0f}  (below 100 is good)",
                 f"prediction error    {axes}",
                 f"                    of nominal torque, {validation['motions']} unseen motions at "
                 f"{validation['speed']:g} m/s",

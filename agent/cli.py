@@ -32,7 +32,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
 )
 
 
@@ -56,6 +56,7 @@ def init(
 
     given = {"robot": robot, "driver": driver, "controller": controller, "centre": centre, "size": size}
     print(write_recipe(recipe, {**given, "orientation": orientation, "cone": cone}))
+    print(f"next: agent check {recipe} (moves nothing)", file=sys.stderr)
 
 
 @app.command()

@@ -45,7 +45,11 @@ class PlanFiles:
     def text(self) -> str:
         """A few lines for people."""
         use = ", ".join(f"{kind} {100 * value:.0f} %" for kind, value in self.limit_use.items())
-        lines = [f"fitness {self.search['fitness']:.2f}", self.description, f"largest use of the joint limits: {use}"]
+        lines = [
+            f"fitness {self.search['fitness']:.2f} (higher is better)",
+            self.description,
+            f"largest use of the joint limits: {use}",
+        ]
         return "\n".join([*lines, *(str(self.folder / name) for name in ("program.pdl", "plan.html"))])
 
 

@@ -55,13 +55,14 @@ class Outcome:
         if self.result is None:
             return f"skipped: {self.skipped}"
         validation = self.result["validation"]
-        axes = "  ".join(
+        axes = [
             f"{name} {_percent(value)} (was {_percent(before)})"
             for name, value, before in zip(
                 validation["joints"], validation["normalised_rmse"], validation["normalised_rmse_before"], strict=True
             )
-        )
-        lines = [f"prediction error    {axes}", f"change              {self.result['comparison']}"]
+        ]
+        rows = ["  ".join(axes[k : k + 3]) for k in range(0, len(axes), 3)]
+        lines = ["prediction error    " + f"\n{'':20}".join(rows), f"change              {self.result['comparison']}"]
         if self.result["diagnosis"]:
             lines.append(f"diagnosis           {self.result['diagnosis']['summary']}")
         word = "accepted; it is the current model now" if self.accepted else f"REJECTED: {self.result['reason']}"

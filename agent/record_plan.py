@@ -27,7 +27,7 @@ def record_plan(recipe: Recipe, plan: Plan, run: RunFolder, console: Console, lo
         with open_link(recipe, console, yes, logs) as link:
             run.note(serial=link.identity.serial)
             ready = programs(recipe, list(missing.values()), link.position())
-            console.step(f"recording {len(missing)} motions, {sum(total for *_, total in ready):.0f} s of them")
+            console.step(f"recording {len(missing)} motions, {sum(total for *_, total in ready):.0f} s in all")
             for (name, motion), (text, chains, total) in zip(missing.items(), ready, strict=True):
                 _set_aside(run.file(name))
                 recording = link.run(motion.name, text, run.file(name), motion.kind, chains, total)
