@@ -48,6 +48,7 @@ class Controller:
     status_fails_later: bool = False
     pushes: bool = False  # all blocks at once, not one a look
     spacing: int = 2_500_000  # of the samples [ns]
+    celsius: tuple[float, ...] = ()  # of the motors
     starts: int = 0
     stops: int = 0
     asked: list[str] = field(default_factory=list)
@@ -62,7 +63,7 @@ class Controller:
             case tcp.AskStatus():
                 return tcp.StatusReply(**state)
             case tcp.AskTemperatures():
-                return tcp.TemperaturesReply(())
+                return tcp.TemperaturesReply(self.celsius)
             case tcp.UploadBegin(name, _, checksum):
                 state |= {"program": name, "checksum": self.stores or checksum}
                 return tcp.Done()
