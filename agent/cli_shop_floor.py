@@ -66,7 +66,9 @@ def schedule(
     from agent.schedule import install as write_units
     from agent.schedule import make_schedule, next_steps
 
-    if authorisation is not None:
+    if authorisation is None:
+        print("without --authorisation FILE, nothing but an emulator on this computer will move", file=sys.stderr)
+    else:
         load_authorisation(authorisation)
     made = make_schedule(load_recipe(recipe), logs, Path.cwd(), at, authorisation)
     if not install:
