@@ -11,13 +11,15 @@ from agent.estimation.problem import Estimate, Problem
 from agent.estimation.solving import clear_gain
 
 _LEAST_GAIN = 0.01
+_NOT_PHYSICAL = 3.0  # times the error of the first estimator, from which on a consistent fit is a sign of wrong data
 
 
 def choose(problem: Problem, estimators: dict[str, Callable[[Problem], Estimate]]) -> tuple[str, Estimate]:
     """Name and estimate of the best of several estimators, with the reason in its note.
 
     The first is the yardstick: another takes its place only if its weighted squared error on the folds held out is
-    lower by 1 % and by more than that gain scatters between folds.
+    lower by 1 % and by more than that gain scatters between folds. How much worse `consistent`, one of them, is tells
+    data that no arm can have.
     """
     found = {name: estimator(problem) for name, estimator in estimators.items()}
     first = next(iter(found))
@@ -36,5 +38,10 @@ def choose(problem: Problem, estimators: dict[str, Callable[[Problem], Estimate]
         if better
         else f"no other is better than {first} by more than the scatter between held-out stretches"
     )
-    note = f"Method: {best}; {reason} (held-out error over that of {first}: {table})."
-    return best, replace(found[best], note=" ".join(part for part in (note, found[best].note) if part))
+    notes = [f"Method: {best}; {reason} (held-out error over that of {first}: {table}).", found[best].note]
+    if errors["consistent"].sum() > _NOT_PHYSICAL**2 * errors[first].sum():
+        notes.append(
+            "No bodies with mass and no friction that brakes explain these torques nearly as well: are signs and units "
+            "of torques, gear ratios and gravity right?"
+        )
+    return best, replace(found[best], note=" ".join(part for part in notes if part))

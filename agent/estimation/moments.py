@@ -17,6 +17,7 @@ from agent.estimation.friction_terms import FrictionTerm
 from agent.estimation.observation import Observation, Stretch
 
 _STANDSTILL = 0.005  # of the highest speed seen on the joint
+_RESTING = 1e-6  # of its highest speed at all: round-off in a channel that is constant
 
 Cells = np.ndarray | slice
 ALL_CELLS = slice(None)
@@ -124,4 +125,5 @@ def standstill(observation: Observation) -> list[np.ndarray]:
 
 def standstill_speed(observation: Observation) -> np.ndarray:
     """(n,) [rad/s] up to which a joint counts as standing still."""
-    return _STANDSTILL * np.max([np.abs(stretch.speed).max(axis=0) for stretch in observation.stretches], axis=0)
+    fastest = np.max([np.abs(stretch.speed).max(axis=0) for stretch in observation.stretches], axis=0)
+    return np.maximum(_STANDSTILL * fastest, _RESTING * observation.robot.max_velocity)

@@ -19,6 +19,8 @@ from agent.recording.log import Log
 
 _BAD_CONDITION = 1000.0
 _NOTABLE_STANDSTILL = 0.05
+_TOO_FAST = 2.0  # times a joint's highest speed by the robot description
+_RESTING = 1e-4  # s, in which a joint at its highest speed moves as far as one that rests may
 
 
 def build_model(
@@ -80,6 +82,7 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.
     yield f"Held-out errors: {problem.partition.folds} folds of {kind}."
     if found.note:
         yield found.note
+    yield from _doubts(problem.observation)
     if problem.observation.noisy is not None:
         yield (
             f"The cut-off is {model.cutoff:g} Hz: higher, noise of the positions would be too much of the torque of "
@@ -110,6 +113,28 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.
         yield (
             "Standstill, where friction is anything within stiction, is in the fit with the weight its residuals "
             f"earn: {', '.join(shares)}."
+        )
+
+
+def _doubts(observation: Observation) -> Iterator[str]:
+    """What in the motion itself speaks for a channel that is dead or of another unit."""
+    robot = observation.robot
+    motions = (stretch.motion for stretch in observation.stretches)
+    extremes = np.array([(m.q.min(axis=0), m.q.max(axis=0), np.abs(m.qd).max(axis=0)) for m in motions])
+    travelled = extremes[:, 1].max(axis=0) - extremes[:, 0].min(axis=0)
+    resting = np.flatnonzero(travelled <= _RESTING * robot.max_velocity)
+    if len(resting):
+        names = ", ".join(robot.joint_names[k] for k in resting)
+        yield (
+            f"These joints never move: {names}. Their friction and inertia are not in the data; if they did move, "
+            "their positions were not recorded."
+        )
+    times = extremes[:, 2].max(axis=0) / robot.max_velocity
+    for k in np.flatnonzero(times > _TOO_FAST):
+        speed = f"{extremes[:, 2, k].max():.3g} {'m' if robot.joints[k].prismatic else 'rad'}/s"
+        yield (
+            f"{robot.joint_names[k]} reaches {speed}, {times[k]:.3g} times its highest speed by the robot description: "
+            "are the unit of its positions and its gear ratio right?"
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from agent.errors import InputError
 from agent.estimation import EFFECTS, EstimationSettings, IdentifiedModel, ModelEffect, estimate
+from agent.estimation.estimate import rigid_bodies
 
 
 @pytest.fixture(scope="module")
@@ -156,3 +158,24 @@ def test_a_file_from_before_the_groups_is_read(model, motion, tmp_path):
     old = IdentifiedModel.load(tmp_path / "old.json")
     columns = model.columns(*motion)
     assert np.array_equal(old.prediction_interval(columns, motion[1]), old.prediction_interval(columns))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "note"),
+    [
+        (lambda q, torque: (np.degrees(q), torque), "joint_1 reaches .* times its highest speed"),
+        (lambda q, torque: (q, -torque), "are signs and units of torques"),
+        (lambda q, torque: (np.column_stack([q[:, 0], np.full(len(q), 0.3)]), torque), "never move: joint_2"),
+    ],
+    ids=["degrees", "sign", "dead channel"],
+)
+def test_a_log_that_was_recorded_or_mapped_wrongly_is_doubted(arm, multisine, make_log, wrong, note):
+    robot = arm(2)
+    t = np.arange(5000) / 500
+    q, qd, qdd = multisine(2, t)
+    rigid, _, _ = rigid_bodies(robot)
+    values = rigid.projection @ np.append(rigid.dynamics.standard_parameters(), [1e-4, 1e-4])
+    torque = rigid.torque(q, qd, qdd, values) + 5 * np.sign(qd) + 2 * qd
+    right, doubted = (estimate(robot, [make_log(robot, t, *data)]) for data in ((q, torque), wrong(q, torque)))
+    assert re.search(note, "\n".join(doubted.notes))
+    assert not re.search(note, "\n".join(right.notes))
