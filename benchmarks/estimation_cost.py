@@ -5,7 +5,7 @@
 Logs of the emulated COMAU NS16 at 500 Hz, 60 s and 20 minutes unless given, are written to a temporary folder: one
 minute of motion, repeated with noise of its own. Each fit runs in a process of its own, on one thread; its time is
 process time from the start of reading to the end of writing, imports included and told apart; memory is the peak of
-the whole process by Linux (`getrusage` would count what started it).
+the whole process.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ METHODS = ("weighted", "consistent", "auto")
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 FIT = """
-import json, re, sys, time
+import json, resource, sys, time
 start = time.process_time()
 from agent.console import Console
 from agent.identify import estimate_files
@@ -35,7 +35,7 @@ import agent.estimation, agent.recording, agent.robot.dynamics, scipy.fft, scipy
 imported = time.process_time()
 from pathlib import Path
 estimate_files("comau_ns16", [Path(sys.argv[1])], Path(sys.argv[2]), None, sys.argv[3], Console(verbosity=-1))
-peak = int(re.search("VmHWM: *\\t*([0-9]+)", Path("/proc/self/status").read_text())[1]) / 1024
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 print(json.dumps([imported - start, time.process_time() - imported, peak]))
 """
 
@@ -55,8 +55,9 @@ def main() -> None:
 
 def measure(log: Path, model: Path, method: str) -> tuple[float, float, float]:
     """Imports [s], fit [s], and peak memory [MiB]."""
+    # a process begins with the peak of the one that started it: here that of a shell
     run = subprocess.run(
-        [sys.executable, "-c", FIT, str(log), str(model), method],
+        ["sh", "-c", '"$@"; exit $?', "sh", sys.executable, "-c", FIT, str(log), str(model), method],
         cwd=ROOT,
         env={**os.environ, **ONE_THREAD},
         stdout=subprocess.PIPE,
