@@ -53,10 +53,10 @@ def _all_runs(runs: Sequence[PastRun]) -> Section:
     rows = [
         (
             run.run,
-            run.serial or "-",
-            run.kind,
             run.outcome,
             "-" if run.worst is None else f"{100 * run.worst:.2f}",
+            run.kind,
+            run.serial or "-",
             str(run.data["conditions"].get("cycles", "-")),
             run.reason,
         )
@@ -65,7 +65,7 @@ def _all_runs(runs: Sequence[PastRun]) -> Section:
     links = [f"{quote(run.run)}/report.html" if run.complete else "" for run in reversed(runs)]
     accepted = sum(run.accepted for run in runs)
     text = (f"{len(runs)} runs, {accepted} accepted; the newest first.",)
-    header = ("run", "serial", "kind", "result", "worst axis [%]", "cycles", "reason")
+    header = ("run", "result", "worst axis [%]", "kind", "serial", "cycles", "reason")
     return Section("Runs", text, (Table("runs", header, rows, links),))
 
 
