@@ -77,9 +77,7 @@ def changes_figure(comparison: Comparison) -> Figure:
     axes[0, 0].set_xticks(place, [change.name for change in changes], rotation=90, fontsize=6)
     axes[0, 0].set_ylabel("change [std. deviations]")
     rows = np.column_stack([[c.before for c in changes], [c.after for c in changes], values])
-    caption = (
-        "Change of each parameter in standard deviations of a change, cut at 30; what is beyond the dots is no chance."
-    )
+    caption = "Change of each parameter in standard deviations of a change, cut at 30; beyond the dots it is no chance."
     return to_figure("changes", caption, plot, ("before", "after", "deviations"), rows)
 
 
