@@ -6,12 +6,14 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.errors import InputError
+from agent.recording.jumps import Mended, mend_jumps
 from agent.recording.log import Log, Repair
 from agent.recording.log_file import PLANNED, REFERENCES, RUN, STATES
 from agent.recording.scan import Messages, Scan, scan
@@ -67,15 +69,19 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
     run = found.metadata.get(RUN, {})
     order = put_in_order(table.stamp, table.measured, str(path))
     stamp, rows = order.stamp, order.rows
-    spacing = spacing_of(stamp, _nominal_rate(run))
     in_order = len(rows) == len(table.stamp) and not np.any(np.diff(rows) != 1)
-    arrays = (table.position, table.velocity, table.effort)
-    position, velocity, effort = (
-        values if values is None or in_order else found.scratch.take(values, rows) for values in arrays
-    )
+    arrays = [table.position, table.velocity, table.effort]
+    if not in_order:
+        arrays = [_take(found.scratch, values, rows) for values in arrays]
+    jumps = Mended(None, (), ()) if robot is None else mend_jumps(stamp, arrays[0], robot, found.scratch)
+    if jumps.keep is not None:
+        stamp = stamp[jumps.keep]
+        arrays = [_take(found.scratch, values, jumps.keep) for values in arrays]
+    position, velocity, effort = arrays
+    spacing = spacing_of(stamp, _nominal_rate(run))
     duration = (int(stamp[-1]) - int(stamp[0])) / _NANO
     repairs = [*_file_repairs(found, topic, duration), *_run_repairs(run, spacing.repairs)]
-    repairs += [*table.repairs, *order.repairs, *spacing.repairs]
+    repairs += [*table.repairs, *order.repairs, *jumps.repairs, *spacing.repairs]
     references = _set_points(found, REFERENCES, names, stamp, spacing.rate, repairs)
     planned = _set_points(found, PLANNED, names, stamp, spacing.rate, repairs)
     return Log(
@@ -89,12 +95,24 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
         planned_position=planned,
         sample_rate=spacing.rate,
         stamp=int(stamp[0]) / _NANO,
-        segments=spacing.segments,
+        segments=_cut(spacing.segments, jumps.cuts),
         cycle_starts=_cycle_starts(run, (int(stamp[0]) - table.first) / _NANO, duration, repairs),
         metadata=run,
         repairs=tuple(repairs),
         scratch=found.scratch,
     )
+
+
+def _take(scratch: Scratch, values: np.ndarray | None, rows: np.ndarray) -> np.ndarray | None:
+    return None if values is None else scratch.take(values, rows)
+
+
+def _cut(segments: Sequence[tuple[int, int]], cuts: Sequence[int]) -> tuple[tuple[int, int], ...]:
+    """[start, stop) ranges, cut before some samples."""
+    pieces = []
+    for start, stop in segments:
+        pieces += pairwise([start, *(cut for cut in cuts if start < cut < stop), stop])
+    return tuple(pieces)
 
 
 def _topic(found: Scan, wanted: str) -> str | None:
@@ -174,7 +192,7 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
         rows = np.argsort(order, kind="stable")
         rows = rows[keep[rows]]
         stamp = stamp[rows]
-        arrays = [None if values is None else scratch.take(values, rows) for values in arrays]
+        arrays = [_take(scratch, values, rows) for values in arrays]
     repairs += [_repair(kind, np.concatenate(stamps), first) for kind, stamps in left_out.items()]
     assert arrays[0] is not None  # positions are never left out
     return _Table(first, stamp, arrays[0], arrays[1], arrays[2], tuple(repairs))

@@ -1,0 +1,93 @@
+"""Positions that no arm can have reached: encoders that wrap around, single wrong samples, lost counts.
+
+A joint that moves further between two samples than five times its highest speed allows, and 10 ms of that besides for
+stamps that are late, did not move: something happened to its position.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.recording.log import Repair
+from agent.recording.scratch import Scratch, parts
+
+if TYPE_CHECKING:
+    from agent.robot import RobotDescription
+
+_NANO = 1_000_000_000
+_TIMES, _LATE = 5.0, 0.010  # of the highest speed; s
+_TURN = 2 * np.pi
+#: With other jumps in more than this part of the samples it is the description or a unit that is wrong.
+_MOST = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Mended:
+    """`keep`: indices of the samples to keep, None for all; `cuts`: samples, counted after that, before which nothing
+    is known of where the joint was."""
+
+    keep: np.ndarray | None
+    cuts: tuple[int, ...]
+    repairs: tuple[Repair, ...]
+
+
+def mend_jumps(stamp: np.ndarray, position: np.ndarray, robot: RobotDescription, scratch: Scratch) -> Mended:
+    """Unwrap positions (S, n) in place, and tell which samples at sorted stamps (S,) [ns] to leave out or to cut at."""
+    places, joints, steps, limits = _find(stamp, position, robot.max_velocity, scratch)
+    turning = ~np.array([joint.prismatic for joint in robot.joints])[joints]
+    turns = np.round(steps / _TURN)
+    wrapped = turning & (turns != 0) & (np.abs(steps - turns * _TURN) <= limits)
+    if np.count_nonzero(~wrapped) > _MOST * len(stamp):
+        return Mended(None, (), ())
+    time = (stamp - stamp[0]) / _NANO
+    repairs = []
+    for joint in np.unique(joints[wrapped]):
+        own = wrapped & (joints == joint)
+        _unwrap(position, int(joint), places[own], turns[own], scratch)
+        name = f"positions of {robot.joint_names[joint]} that wrap around, made continuous"
+        repairs.append(Repair(name, float(time[places[own][0] + 1]), int(own.sum())))
+    places, joints, steps, limits = (values[~wrapped] for values in (places, joints, steps, limits))
+    dropped: set[int] = set()
+    cuts: set[int] = set()
+    for place, joint, step, limit in zip(places.tolist(), joints.tolist(), steps, limits, strict=True):
+        back = steps[(places == place + 1) & (joints == joint)]
+        if place in dropped and np.any((places == place - 1) & (joints == joint)):
+            continue  # the way back
+        if len(back) and abs(step + back[0]) <= 2 * limit:
+            dropped.add(place + 1)
+        else:
+            cuts.add(place + 1)
+            name = f"{robot.joint_names[joint]} jumps by {step:.3g}, further than it can move; cut there"
+            repairs.append(Repair(name, float(time[place + 1]), 1))
+    if dropped:
+        repairs.append(Repair("samples with an impossible position, dropped", float(time[min(dropped)]), len(dropped)))
+    keep = np.delete(np.arange(len(stamp)), sorted(dropped)) if dropped else None
+    cuts_kept = sorted(cut - sum(place < cut for place in dropped) for cut in cuts)
+    return Mended(keep, tuple(cuts_kept), tuple(repairs))
+
+
+def _find(
+    stamp: np.ndarray, position: np.ndarray, fastest: np.ndarray, scratch: Scratch
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of every jump: the sample before it, the joint, how far, and what would have been possible."""
+    found = []
+    for part in parts(len(stamp) - 1):
+        after = slice(part.start + 1, part.stop + 1)
+        step = position[after] - position[part]
+        limit = fastest * (_TIMES * (stamp[after] - stamp[part])[:, None] / _NANO + _LATE)
+        rows, joints = np.nonzero(np.abs(step) > limit)
+        found.append((rows + part.start, joints, step[rows, joints], limit[rows, joints]))
+        scratch.release()
+    places, joints, steps, limits = (np.concatenate(values) for values in zip(*found, strict=True))
+    return places, joints, steps, limits
+
+
+def _unwrap(position: np.ndarray, joint: int, places: np.ndarray, turns: np.ndarray, scratch: Scratch) -> None:
+    for part in parts(len(position)):
+        rows = np.arange(part.start, part.stop)
+        before = np.searchsorted(places, rows)  # jumps that lie before each sample
+        position[part, joint] -= _TURN * np.append(0.0, np.cumsum(turns))[before]
+        scratch.release()
