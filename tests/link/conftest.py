@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from drivers.wire import tcp
+from tests.link.cnr_peer import Bench
 
 
 def program(body: str) -> str:
@@ -145,3 +146,16 @@ def tampered() -> Iterator[Callable[[int, Callable[[bool, bytes], bytes]], str]]
         with contextlib.suppress(OSError):
             handle.shutdown(socket.SHUT_RDWR)
         handle.close()
+
+
+@pytest.fixture
+def serve(arm, broker) -> Iterator[Callable[..., Bench]]:
+    """`serve(robot, **options)`: the fake for CNR's programs, and whoever talks to it."""
+    with contextlib.ExitStack() as undo:
+        yield lambda robot=arm, **options: Bench(robot, broker, undo, **options)
+
+
+@pytest.fixture
+def bench(serve) -> Bench:
+    """One of these, as fast as it goes."""
+    return serve()
