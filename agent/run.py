@@ -63,10 +63,10 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path, recipe_sha256: str) -> RunFolder:
-        """Open a run to go on with it.
+        """Open a calibration to go on with it.
 
         Raises:
-            InputError: no such run, a damaged state, or the recipe changed since.
+            InputError: no such run or one of another kind, a damaged state, or the recipe changed since.
         """
         try:
             state = json.loads((path / _STATE).read_text(encoding="utf-8"))
@@ -80,6 +80,8 @@ class RunFolder:
                 f"{path / _STATE}: damaged, or of another version of the agent (schema {schema!r}); start a new run "
                 "without --resume"
             )
+        if (kind := state.get("kind", "calibrate")) != "calibrate":
+            raise InputError(f"{path}: only calibrations are gone on with; start this one again: `agent {kind}`")
         if state["inputs_sha256"].get("recipe.yaml") != recipe_sha256:
             raise InputError(f"{path}: this run was started with another recipe; start a new run without --resume")
         if state["status"] in ("finished", "rejected"):

@@ -15,6 +15,7 @@ from agent.errors import AgentError, InputError
 from agent.history import FILE, history_table, open_history
 from agent.report_again import report_again
 from agent.reports import write_index
+from agent.run import RunFolder
 
 QUIET = Console(verbosity=-1)
 
@@ -93,6 +94,24 @@ def test_an_unfinished_run_has_nothing_to_report(write_runs, kind: str, status: 
         report_again(run, QUIET)
     assert ("--resume" in str(caught.value)) == (kind == "calibrate")
     assert ("emergency stop" in str(caught.value)) == (status == "stopped")
+
+
+@pytest.mark.parametrize("kind", ["recalibrate", "diagnose"])
+def test_only_a_calibration_is_gone_on_with(write_runs, kind: str):
+    (run,) = _runs(write_runs(1))
+    _edit(run / "state.json", kind=kind, status="stopped", inputs_sha256={"recipe.yaml": "s"})
+    before = (run / "state.json").read_bytes()
+    with pytest.raises(InputError, match=f"start this one again: `agent {kind}`"):
+        RunFolder.open(run, "s")
+    assert (run / "state.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("content", ["", "[]", '"x"', "{}", '{"schema": "run/1"}', '{"schema": "run/2"}'])
+def test_a_damaged_state_is_not_gone_on_with(write_runs, content: str):
+    (run,) = _runs(write_runs(1))
+    (run / "state.json").write_text(content, encoding="utf-8")
+    with pytest.raises(InputError, match=r"state\.json"):
+        RunFolder.open(run, "s")
 
 
 def test_a_diagnosis_is_in_the_table_with_its_verdict_and_passes_no_gate(write_runs):
