@@ -166,7 +166,9 @@ class Execution:
             while given < len(position) - 1:
                 if switch.speed != speed:
                     ratio, speed = switch.speed / speed, switch.speed
-                    position, velocity = retimed(position[given:], velocity[given:], ratio, self._period)
+                    position, velocity = retimed(
+                        position[given:], velocity[given:], ratio, self._max_acceleration, self._period
+                    )
                     given = 0
                 until = min(given + self._slice_samples, len(position) - 1)
                 yield self._follow(position[given + 1 : until + 1], velocity[given + 1 : until + 1])
@@ -239,19 +241,36 @@ def path_stop(
         duration *= 1.2
 
 
-def retimed(position: np.ndarray, velocity: np.ndarray, ratio: float, period: float) -> tuple[np.ndarray, np.ndarray]:
+def retimed(
+    position: np.ndarray, velocity: np.ndarray, ratio: float, max_acceleration: np.ndarray, period: float
+) -> tuple[np.ndarray, np.ndarray]:
     """The same path at `ratio` times its speed, as after a turn of the override.
 
-    ds/dt goes from one to `ratio` as a half cosine, so that speed has no step.
+    ds/dt goes from one to `ratio` as a half cosine, so that speed has no step, and so slowly that no joint goes beyond
+    its acceleration (or beyond what the path asks for anyway), even if the path ends before that.
 
     Args:
         position, velocity: (S, n); the first row is the last set-point given.
+        max_acceleration: (n,).
 
     Returns:
         position and velocity, both (K, n); the first row stays.
     """
     length = period * (len(position) - 1)
-    ramp = min(_OVERRIDE_RAMP, length / max(1.0, ratio))
+    own = np.abs(np.diff(velocity, axis=0)).max(axis=0, initial=0.0) / period * max(1.0, ratio) ** 2
+    allowed = 1.01 * np.maximum(max_acceleration, own)
+    ramp = min(_OVERRIDE_RAMP, length)
+    while True:
+        q, qd = _ramped(position, velocity, ratio, ramp, period)
+        if ramp > 10 * length or np.all(np.abs(np.diff(qd, axis=0)).max(axis=0) / period <= allowed):
+            return q, qd
+        ramp *= 1.2
+
+
+def _ramped(
+    position: np.ndarray, velocity: np.ndarray, ratio: float, ramp: float, period: float
+) -> tuple[np.ndarray, np.ndarray]:
+    length = period * (len(position) - 1)
     turned = ramp * (1 + ratio) / 2  # path time that the ramp takes
     duration = ramp + max(0.0, length - turned) / ratio
     t = period * np.arange(1, int(np.ceil(duration / period)) + 1)
@@ -259,7 +278,8 @@ def retimed(position: np.ndarray, velocity: np.ndarray, ratio: float, period: fl
     s = on + (ratio - 1) / 2 * (on - ramp / np.pi * np.sin(np.pi * on / ramp)) + ratio * (t - on)
     rate = 1 + (ratio - 1) / 2 * (1 - np.cos(np.pi * on / ramp))
     s[-1] = max(s[-1], length)
-    q, qd = _along(position, velocity, s / period, rate, period)
+    needed = int(np.argmax(s >= length)) + 1
+    q, qd = _along(position, velocity, s[:needed] / period, rate[:needed], period)
     return np.vstack([position[:1], q]), np.vstack([velocity[:1], qd])
 
 

@@ -1,13 +1,14 @@
 """How the fake controller carries out a program: chains, plans, stops on the path, time."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.motion.program import Delay, JointTarget, Move, MoveType
 from agent.motion.trajectory import Trajectory
 from fake_controller.clock import FastClock, RealClock
-from fake_controller.execution import Planner, path_stop
+from fake_controller.execution import Planner, path_stop, retimed
 
 PERIOD = 0.002
 LIMITS = np.array([4.0, 8.0])
@@ -43,6 +44,26 @@ def test_a_stop_near_the_end_ends_at_the_end():
     q, qd = path_stop(position, np.gradient(position, PERIOD, axis=0), LIMITS, PERIOD)
     np.testing.assert_array_equal(q[-1], position[-1])
     np.testing.assert_array_equal(qd[-1], 0)
+
+
+@given(begin=st.integers(0, 990), ratio=st.sampled_from([0.1, 0.5, 0.9, 2.0]))
+@settings(max_examples=50, deadline=None)
+def test_a_turn_of_the_override_keeps_to_path_and_limits(begin, ratio):
+    """Whenever it comes: at the beginning the arm still gains speed, at the end it has little way left."""
+    t = np.linspace(0, np.pi, 1000)[:, None]
+    limits = np.array([4.0, 8.0])
+    velocity = limits * 999 * PERIOD / np.pi * np.sin(t)  # asks for all of the acceleration, first and last
+    position = PERIOD * np.cumsum(velocity, axis=0)
+    q, qd = retimed(position[begin:], velocity[begin:], ratio, limits, PERIOD)
+    np.testing.assert_array_equal(q[0], position[begin])
+    np.testing.assert_allclose(q[-1], position[-1], atol=1e-9)
+    np.testing.assert_allclose(qd[-1], 0, atol=1e-9)
+    np.testing.assert_allclose(q[:, 1], 2 * q[:, 0], atol=1e-6)
+    assert np.all(np.abs(np.diff(qd, axis=0)).max(axis=0) / PERIOD <= 1.02 * max(1.0, ratio) ** 2 * limits)
+    middle = len(q) // 2
+    if begin < 100 and ratio != 0.9:
+        planned = np.interp(q[middle, 0], position[:, 0], velocity[:, 0])
+        assert qd[middle, 0] == pytest.approx(ratio * planned, rel=0.02)
 
 
 class Recorder:
