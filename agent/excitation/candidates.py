@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 #: The search takes the regressor at every so many interpolated samples; limits are checked at every one.
 EVERY = 10
+#: Joints of a loop end where they began within this [rad, m].
+_CLOSED = 1e-3
 #: A clearance that lacks so many metres ranks like a limit that is exceeded by its own size.
 CELL_SCALE = 0.1
 
@@ -113,6 +115,12 @@ class Candidates:
             trajectory = self.loop(genome).trajectory
         except (MotionError, KinematicsError) as error:
             return infeasible(error.excess, str(error))
+        wound = trajectory.q[-1] - trajectory.q[0]
+        joint = int(np.argmax(np.abs(wound)))
+        if abs(wound[joint]) > _CLOSED:
+            name, degrees = self.problem.robot.joint_names[joint], np.degrees(wound[joint])
+            complaint = f"{name} ends the loop {degrees:.0f} deg from where it began: cycles would wind it up"
+            return infeasible(float(abs(wound[joint])), complaint)
         report = check_cell(trajectory, self.problem.settings.fly_distance)
         if report.collision is not None:
             return infeasible(report.depth / CELL_SCALE, str(report.collision))

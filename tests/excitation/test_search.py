@@ -99,6 +99,24 @@ def test_a_loop_beyond_a_cable_is_infeasible(problem_with: Any) -> None:
     assert Candidates(problem_with(joint_ranges=long)).score(genome).feasible
 
 
+def test_a_loop_that_winds_the_wrist_up_is_infeasible(candidates: Candidates) -> None:
+    """Every move of it keeps the limits, and the tool comes back to where it began, with joints 4 and 6 a turn away."""
+    points = [
+        [0.8, 0.5, 0.3, 0.9, 0.9, 0.2],
+        [1.0, 0.1, 0.1, 0.4, 0.9, 0.9],
+        [0.0, 1.0, 0.0, 0.9, 0.1, 0.5],
+        [0.2, 0.3, 0.0, 0.1, 0.0, 0.7],
+        [0.2, 0.4, 0.7, 0.3, 0.9, 0.2],
+        [0.2, 0.2, 0.1, 1.0, 0.4, 0.4],
+    ]
+    genome = np.ravel(points)
+    q = candidates.loop(genome).trajectory.q
+    assert np.allclose(np.abs(q[-1] - q[0]), [0, 0, 0, 2 * np.pi, 0, 2 * np.pi], atol=1e-6)
+    score = candidates.score(genome)
+    assert not score.feasible
+    assert "360 deg from where it began" in score.reason
+
+
 def test_when_nothing_keeps_the_limits_the_nearest_miss_is_told(problem_with: Any) -> None:
     everywhere = KeepOut("everything", (0.6, -1.0, 0.4), (1.6, 1.0, 1.4))  # around the sub-region, clear of the base
     with pytest.raises(InputError, match="everything") as error:
