@@ -26,12 +26,11 @@ _MOST = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Mended:
-    """`keep`: indices of the samples to keep, None for all; `cuts`: samples, counted after that, before which nothing
-    is known of where the joint was."""
+    """`dropped`: samples to leave out; `cuts`: samples before which nothing is known of where the joint was."""
 
-    keep: np.ndarray | None
-    cuts: tuple[int, ...]
-    repairs: tuple[Repair, ...]
+    dropped: tuple[int, ...] = ()
+    cuts: tuple[int, ...] = ()
+    repairs: tuple[Repair, ...] = ()
 
 
 def mend_jumps(stamp: np.ndarray, position: np.ndarray, robot: RobotDescription, scratch: Scratch) -> Mended:
@@ -41,7 +40,7 @@ def mend_jumps(stamp: np.ndarray, position: np.ndarray, robot: RobotDescription,
     turns = np.round(steps / _TURN)
     wrapped = turning & (turns != 0) & (np.abs(steps - turns * _TURN) <= limits)
     if np.count_nonzero(~wrapped) > _MOST * len(stamp):
-        return Mended(None, (), ())
+        return Mended()
     time = (stamp - stamp[0]) / _NANO
     repairs = []
     for joint in np.unique(joints[wrapped]):
@@ -64,9 +63,7 @@ def mend_jumps(stamp: np.ndarray, position: np.ndarray, robot: RobotDescription,
             repairs.append(Repair(name, float(time[place + 1]), 1))
     if dropped:
         repairs.append(Repair("samples with an impossible position, dropped", float(time[min(dropped)]), len(dropped)))
-    keep = np.delete(np.arange(len(stamp)), sorted(dropped)) if dropped else None
-    cuts_kept = sorted(cut - sum(place < cut for place in dropped) for cut in cuts)
-    return Mended(keep, tuple(cuts_kept), tuple(repairs))
+    return Mended(tuple(sorted(dropped)), tuple(sorted(cuts)), tuple(repairs))
 
 
 def _find(

@@ -18,6 +18,7 @@ from agent.recording.log import Log, Repair
 from agent.recording.log_file import PLANNED, REFERENCES, RUN, STATES
 from agent.recording.scan import Messages, Scan, scan
 from agent.recording.scratch import Scratch, parts
+from agent.recording.spikes import find_spikes
 from agent.recording.stamps import BRIDGED, match, put_in_order, spacing_of
 
 if TYPE_CHECKING:
@@ -73,15 +74,12 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
     arrays = [table.position, table.velocity, table.effort]
     if not in_order:
         arrays = [_take(found.scratch, values, rows) for values in arrays]
-    jumps = Mended(None, (), ()) if robot is None else mend_jumps(stamp, arrays[0], robot, found.scratch)
-    if jumps.keep is not None:
-        stamp = stamp[jumps.keep]
-        arrays = [_take(found.scratch, values, jumps.keep) for values in arrays]
+    stamp, arrays, cuts, mended = _mended(stamp, arrays, robot, found.scratch)
     position, velocity, effort = arrays
     spacing = spacing_of(stamp, _nominal_rate(run))
     duration = (int(stamp[-1]) - int(stamp[0])) / _NANO
     repairs = [*_file_repairs(found, topic, duration), *_run_repairs(run, spacing.repairs)]
-    repairs += [*table.repairs, *order.repairs, *jumps.repairs, *spacing.repairs]
+    repairs += [*table.repairs, *order.repairs, *mended, *spacing.repairs]
     references = _set_points(found, REFERENCES, names, stamp, spacing.rate, repairs)
     planned = _set_points(found, PLANNED, names, stamp, spacing.rate, repairs)
     return Log(
@@ -95,12 +93,32 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
         planned_position=planned,
         sample_rate=spacing.rate,
         stamp=int(stamp[0]) / _NANO,
-        segments=_cut(spacing.segments, jumps.cuts),
+        segments=_cut(spacing.segments, cuts),
         cycle_starts=_cycle_starts(run, (int(stamp[0]) - table.first) / _NANO, duration, repairs),
         metadata=run,
         repairs=tuple(repairs),
         scratch=found.scratch,
     )
+
+
+def _mended(
+    stamp: np.ndarray, arrays: list[np.ndarray | None], robot: RobotDescription | None, scratch: Scratch
+) -> tuple[np.ndarray, list[np.ndarray | None], tuple[int, ...], list[Repair]]:
+    """Stamps (S,) and arrays without samples that cannot be, where to cut them, and what there is to say."""
+    position, _, effort = arrays
+    assert position is not None
+    jumps = Mended() if robot is None else mend_jumps(stamp, position, robot, scratch)
+    spikes = np.array([], int) if effort is None else find_spikes(effort, scratch)
+    repairs = list(jumps.repairs)
+    if len(spikes):
+        kind = "samples whose torque stands out alone, dropped"
+        repairs.append(_repair(kind, stamp[spikes], int(stamp[0])))
+    dropped = np.union1d(jumps.dropped, spikes).astype(int)
+    cuts = tuple(int(cut - np.searchsorted(dropped, cut)) for cut in jumps.cuts)
+    if len(dropped):
+        keep = np.delete(np.arange(len(stamp)), dropped)
+        stamp, arrays = stamp[keep], [_take(scratch, values, keep) for values in arrays]
+    return stamp, arrays, cuts, repairs
 
 
 def _take(scratch: Scratch, values: np.ndarray | None, rows: np.ndarray) -> np.ndarray | None:

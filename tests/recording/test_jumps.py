@@ -1,4 +1,4 @@
-"""Positions that no arm can have reached."""
+"""Positions that no arm can have reached, and torques that stand out alone."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ ROBOT = load_robot("comau_ns16")
 
 @pytest.fixture
 def through_file(tmp_path):
-    """`through_file(q)`: the log that comes back of positions (S, 6) at 500 Hz, their torque being cos q."""
+    """`through_file(q, torque=None)`: the log that comes back of positions (S, 6) at 500 Hz; their torque is cos q."""
 
-    def write_and_read(q: np.ndarray) -> Log:
+    def write_and_read(q: np.ndarray, torque: np.ndarray | None = None) -> Log:
         log = Log(
             path=tmp_path / "log.mcap",
             joint_names=ROBOT.joint_names,
             t=np.arange(len(q)) / 500,
             position=q,
             velocity=None,
-            effort=np.cos(q),
+            effort=np.cos(q) if torque is None else torque,
             reference_position=None,
             planned_position=None,
             sample_rate=500.0,
@@ -76,3 +76,15 @@ def test_a_wrong_unit_is_not_mended(through_file, motion):
     log = through_file(np.degrees(motion))
     assert np.array_equal(log.position, np.degrees(motion))
     assert not log.repairs
+
+
+def test_torques_that_stand_out_alone_are_dropped(through_file, motion):
+    rng = np.random.default_rng(0)
+    torque = 5 * np.sign(np.cos(3 * motion)) + np.cos(motion) + 0.1 * rng.normal(size=motion.shape)
+    torque[1000:1100, 2] += 30.0  # a contact
+    knocked = torque.copy()
+    knocked[[400, 401, 2200], [0, 0, 5]] += 80.0
+    log = through_file(motion, knocked)
+    assert np.array_equal(log.effort, np.delete(torque, [400, 401, 2200], axis=0))
+    assert any("torque stands out alone" in repair.kind and repair.count == 3 for repair in log.repairs)
+    assert not through_file(motion, torque).repairs
