@@ -291,7 +291,7 @@ class Sockets:
     def _take(self, source: _Socket) -> list[Feedback]:
         data = source.connection.recv(_RECEIVE)
         if not data:
-            if not source.heard:
+            if not all(each.heard for each in self._sockets):  # one that is turned away loses all, in any order
                 raise RefusedError(
                     f"{source.peer} closes the connection at once: another client holds the programs, or they have to "
                     "be activated again at the controller"
