@@ -50,7 +50,8 @@ def headline(result: Mapping[str, Any]) -> str:
 
 
 def _sentence(text: str) -> str:
-    return text[0].upper() + text[1:]
+    """Begun with a capital, unless with the name of a joint."""
+    return f"T{text[1:]}" if text.startswith("the ") else text
 
 
 def _worst_joints(result: Mapping[str, Any]) -> str:

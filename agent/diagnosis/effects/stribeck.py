@@ -4,6 +4,9 @@ import numpy as np
 
 from agent.diagnosis.effects.effect import Effect, highest_speed, on_axle
 
+# Of the highest speed. Below it is how the friction reverses, in which a model and a machine differ without any effect.
+_SPEEDS = (0.02, 0.035, 0.06, 0.1, 0.17, 0.28)
+
 
 class Stribeck(Effect):
     """τ = a s exp(−(|w| / v)^δ): v the speed over which it fades, δ 1 or 2."""
@@ -19,11 +22,7 @@ class Stribeck(Effect):
 
     def settings(self, survey, joints):
         fastest = highest_speed(survey, joints[0])
-        return [
-            {"speed": fastest * fraction, "shape": shape}
-            for fraction in (0.005, 0.01, 0.02, 0.035, 0.06, 0.1, 0.17, 0.28)
-            for shape in (1.0, 2.0)
-        ]
+        return [{"speed": fastest * fraction, "shape": shape} for fraction in _SPEEDS for shape in (1.0, 2.0)]
 
     def names(self, settings):
         return ("rise",)
