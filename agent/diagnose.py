@@ -184,9 +184,7 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         for other in cause["equivalent_to"]:
             lines.append(f"    as good: {other['effect']} on {', '.join(other['joints']) or 'the whole arm'}")
     gap = result["gap"]
-    lines.append(
-        "torque error held out, over nominal torque (N·m where there is none); floor: what no cycle repeats"
-    )
+    lines.append("torque error held out, over nominal torque (N·m where there is none); floor: what no cycle repeats")
     lines.append(f"{'joint':12} {'before':>9} {'after':>9} {'floor':>9} {'share':>7}   mostly in")
     shares = {entry["joint"]: entry for entry in result["where"]}
     for k, name in enumerate(gap["joints"]):
