@@ -18,6 +18,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# The same examples every time, so that a test tells of the change and not of the draw; `make verify` draws fresh ones.
+settings.register_profile("same", derandomize="CALIBRATION_FIGURES" not in os.environ)
+settings.load_profile("same")
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT / "../shared/data"
