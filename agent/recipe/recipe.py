@@ -249,10 +249,10 @@ def examine_recipe(path: Path | str) -> tuple[Recipe | None, list[str]]:
 def _document(path: Path, data: Any, faults: dict[tuple[Any, ...], str]) -> RecipeDocument | None:
     """The document without its faulty keys, or without what holds them, if it can be."""
     while faults:
-        kept = without_faults(data, faults)
-        if kept == data:
+        data = without_faults(data, faults)
+        before, faults = faults, find_faults(path, data, RecipeDocument)
+        if faults.keys() == before.keys():  # not by comparing documents: one that holds .nan never equals itself
             return None
-        data, faults = kept, find_faults(path, kept, RecipeDocument)
     return RecipeDocument.model_validate(data)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
@@ -331,6 +331,7 @@ def mutated_recipes(draw: st.DrawFn) -> str:
 
 
 @given(mutated_recipes())
+@example(".nan")
 @settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
 def test_a_mutated_recipe_loads_or_is_an_input_error(recipe_file: Path, text: str) -> None:
     with contextlib.suppress(InputError):
