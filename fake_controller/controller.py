@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import re
 import threading
 import time
 import traceback
@@ -15,35 +13,22 @@ from typing import Protocol
 import numpy as np
 
 from agent.motion.interpolator import Interpolator
-from agent.motion.pdl2 import Pdl2Error, Program, parse_program
+from agent.motion.pdl2 import Pdl2Error
 from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.clock import Clock
 from fake_controller.execution import CannotMove, Chain, Execution, Planner, Slice, StopSwitch
 from fake_controller.faults import Fault, Faults
 from fake_controller.plant import Plant
+from fake_controller.programs import ProgramMemory, RefusedRequest, check_program
 from fake_controller.ring import Recorded, Ring, part_of
 
 CONTROLLER = "fake controller"
 VERSION = "1.0"
 PERIOD = 0.002  # s
-MAX_PROGRAM = 1024 * 1024  # bytes of one program
-MEMORY = 4 * 1024 * 1024  # bytes of all programs
-MAX_PROGRAMS = 64
 REMEMBERED_MOTIONS = 10_000
 
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,31}")
 _CALIBRATION_POSE = {"comau_ns16": np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])}
-
-
-class RefusedRequest(Exception):
-    """A request that the controller does not carry out; line and column belong to program text, 0 for none."""
-
-    def __init__(self, reason: Refusal, message: str, line: int = 0, column: int = 0) -> None:
-        super().__init__(message)
-        self.reason = reason
-        self.line = line
-        self.column = column
 
 
 class Listener(Protocol):
@@ -67,15 +52,6 @@ class State:
     override: float = 1.0
     cell_closed: bool = True
     emulator: bool = True  # what it says of itself; tests need a controller that says it drives a machine
-
-
-@dataclass(frozen=True, eq=False)
-class _Stored:
-    """A translated program, its text and the SHA-256 (hex) of that."""
-
-    program: Program
-    text: bytes
-    checksum: str
 
 
 class Controller:
@@ -111,8 +87,6 @@ class Controller:
         self.motions_started = 0
         self.ends: list[EndReason] = []
         self.when_restarting: list[Callable[[], None]] = []
-        self._memory_full = False
-        self._alter_next = False
         self._slowness = 1.0
         self._counter_zero = 0
         self._count = 0
@@ -120,8 +94,7 @@ class Controller:
         self._execution = Execution(plant, forward, robot.max_acceleration, PERIOD, clock.slice_samples)
         self._machine = plant.machine
         self._lock = threading.RLock()
-        self._programs: dict[str, _Stored] = {}
-        self._last_stored = ""
+        self._programs = ProgramMemory(robot)
         self._motion_ids: OrderedDict[bytes, None] = OrderedDict()
         self._ring = Ring()
         self._switch: StopSwitch | None = None
@@ -167,13 +140,13 @@ class Controller:
     def stored(self) -> tuple[str, str]:
         """Name and SHA-256 (hex) of the program that was stored last; empty where there is none."""
         with self._lock:
-            stored = self._programs.get(self._last_stored.lower())
-            return ("", "") if stored is None else (self._last_stored, stored.checksum)
+            last = self._programs.last
+        return ("", "") if last is None else (last.name, last.checksum)
 
     def text(self, name: str) -> bytes:
         """The stored text of a program; empty where there is none."""
         with self._lock:
-            stored = self._programs.get(name.lower())
+            stored = self._programs.find(name)
         return b"" if stored is None else stored.text
 
     def history(self) -> str:
@@ -195,19 +168,11 @@ class Controller:
         RefusedRequest: a program of this name and size cannot be stored now.
         """
         self.reach("upload")
-        if not _NAME.fullmatch(name):
-            raise RefusedRequest(
-                Refusal.BAD_REQUEST,
-                f"{name!r} cannot name a program: 1 to 32 letters, digits or _, the first no digit",
-            )
-        if size > MAX_PROGRAM:
-            raise RefusedRequest(Refusal.TOO_LARGE, f"{size} bytes; a program may have {MAX_PROGRAM}")
+        check_program(name, size)
         with self._lock:
             if self.moving:
                 raise RefusedRequest(Refusal.MOVING, "no program is stored while one runs; stop it first")
-            others = [len(stored.text) for key, stored in self._programs.items() if key != name.lower()]
-            if self._memory_full or len(others) >= MAX_PROGRAMS or sum(others) + size > MEMORY:
-                raise RefusedRequest(Refusal.MEMORY_FULL, "the program memory is full; delete programs")
+            self._programs.check_room(name, size)
 
     def store(self, name: str, data: bytes) -> str:
         """Translate and store a program; returns the SHA-256 (hex) of what is stored.
@@ -215,21 +180,10 @@ class Controller:
         Raises:
             RefusedRequest: not a program, or it cannot be stored now.
         """
-        try:
-            program = parse_program(data.decode("utf-8"), name, self.robot)
-        except UnicodeDecodeError:
-            raise RefusedRequest(Refusal.SYNTAX, f"program {name} is not UTF-8 text") from None
-        except Pdl2Error as error:
-            message = f"{error.word}: {error.reason}" if error.word else error.reason
-            raise RefusedRequest(Refusal.SYNTAX, message, error.line, error.column) from None
+        program = self._programs.translate(name, data)
         with self._lock:
             self.check_upload(name, len(data))
-            if self._alter_next:
-                data, self._alter_next = data + b" ", False
-            stored = _Stored(program, data, hashlib.sha256(data).hexdigest())
-            self._programs[name.lower()] = stored
-            self._last_stored = name
-        return stored.checksum
+            return self._programs.keep(name, program, data).checksum
 
     def start(self, name: str, checksum: str, motion_id: bytes, listener: Listener) -> None:
         """Begin to run a stored program; `listener` hears the rest.
@@ -246,7 +200,7 @@ class Controller:
             if len(self._motion_ids) > REMEMBERED_MOTIONS:
                 self._motion_ids.popitem(last=False)
             self._check_ready()
-            stored = self._programs.get(name.lower())
+            stored = self._programs.find(name)
             if stored is None:
                 raise RefusedRequest(Refusal.UNKNOWN_PROGRAM, f"no program {name!r} is stored")
             if stored.checksum != checksum.lower():
@@ -335,16 +289,14 @@ class Controller:
             case "wrong_robot":
                 self.name = f"{self.name}_other"
             case "full_memory":
-                self._memory_full = True
+                self._programs.full = True
 
     def _alter_stored(self, phase: str) -> None:
-        if phase == "upload":
-            self._alter_next = True
-            return
         with self._lock:
-            for key, stored in self._programs.items():
-                other = hashlib.sha256(stored.checksum.encode()).hexdigest()
-                self._programs[key] = _Stored(stored.program, stored.text, other)
+            if phase == "upload":
+                self._programs.alter_next = True
+            else:
+                self._programs.alter()
 
     def _restart(self) -> None:
         """Power off and on: connections, programs and memory are gone, and the drives are off."""

@@ -27,7 +27,8 @@ from drivers.wire.tcp import (
     UploadEnd,
     decode,
 )
-from fake_controller.controller import Controller, RefusedRequest
+from fake_controller.controller import Controller
+from fake_controller.programs import RefusedRequest
 from fake_controller.replies import Upload, identity_reply, status_reply
 
 

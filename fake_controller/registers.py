@@ -14,9 +14,10 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from drivers.errors import ProtocolError
 from drivers.wire import modbus as wire
 from drivers.wire.reasons import EndReason, Refusal
-from fake_controller.controller import CONTROLLER, PERIOD, Controller, RefusedRequest
+from fake_controller.controller import CONTROLLER, PERIOD, Controller
 from fake_controller.controller import VERSION as CONTROLLER_VERSION
 from fake_controller.execution import Slice
+from fake_controller.programs import RefusedRequest
 from fake_controller.replies import Upload
 
 MEMORY = 400_000  # samples kept for a client that reads slower than the arm moves: 13 minutes

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from agent.errors import InputError
 from drivers.wire.cnr import CommType, Message, MessageType, Point, QueueStatus, ReplyCode
 from drivers.wire.reasons import EndReason
-from fake_controller.controller import Controller, RefusedRequest
+from fake_controller.controller import Controller
+from fake_controller.programs import RefusedRequest
 from fake_controller.server_cnr_ftp import ProgramFolder
 from fake_controller.server_cnr_queue import PROGRAM, PointQueue
 from fake_controller.server_cnr_reports import Reports

@@ -18,16 +18,9 @@ from pyftpdlib.servers import FTPServer
 
 from drivers.wire.cnr import IDENTITY_FILE, PROGRAM_FILE
 from drivers.wire.reasons import Refusal
-from fake_controller.controller import (
-    CONTROLLER,
-    MAX_PROGRAM,
-    MAX_PROGRAMS,
-    PERIOD,
-    VERSION,
-    Controller,
-    RefusedRequest,
-)
+from fake_controller.controller import CONTROLLER, PERIOD, VERSION, Controller
 from fake_controller.faults import Faults
+from fake_controller.programs import MAX_PROGRAM, MAX_PROGRAMS, RefusedRequest
 from fake_controller.server_cnr_sockets import listening_socket
 
 MAX_CONNECTIONS = 8

@@ -5,13 +5,12 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
-import time
 from collections.abc import Callable
 
 from drivers.errors import ProtocolError
 from drivers.wire.cnr import LITTLE, CommType, Decoder, Message, MessageType, Record, ReplyCode, encode
 from fake_controller.faults import Faults
-from fake_controller.servers import deaf_socket
+from fake_controller.servers import accepted, deaf_socket
 
 SEND_LIMIT = 5.0  # s
 _RECEIVE = 64 * 1024
@@ -110,14 +109,7 @@ class Port:
         """It has gone."""
 
     def _accept(self) -> None:
-        while not self._closing.is_set():
-            try:
-                connection, _ = self._listener.accept()
-            except OSError:
-                if self._closing.is_set():
-                    return
-                time.sleep(0.1)  # out of file handles; some come back
-                continue
+        for connection in accepted(self._listener, self._closing):
             with self._lock:
                 if self.client is not None or self._closing.is_set():
                     connection.close()

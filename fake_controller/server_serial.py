@@ -22,9 +22,10 @@ from drivers.wire.serial import (
     samples_per_frame,
 )
 from drivers.wire.tcp import VERSION, End, Heartbeat, Hello, Welcome, encode
-from fake_controller.controller import Controller, RefusedRequest
+from fake_controller.controller import Controller
 from fake_controller.execution import Slice
 from fake_controller.frame_client import FrameClient
+from fake_controller.programs import RefusedRequest
 from fake_controller.registers import IDLE_LIMIT, LONGEST_WATCHDOG, MEMORY
 
 MAX_REPLIES = 64  # answers that wait for the line

@@ -26,11 +26,12 @@ from drivers.wire.tcp import (
     Welcome,
     encode,
 )
-from fake_controller.controller import Controller, RefusedRequest
+from fake_controller.controller import Controller
 from fake_controller.execution import Slice
 from fake_controller.frame_client import FrameClient
+from fake_controller.programs import RefusedRequest
 from fake_controller.replies import samples_message
-from fake_controller.servers import deaf_socket
+from fake_controller.servers import accepted, deaf_socket
 
 MAX_CONNECTIONS = 8
 WATCHDOG_RANGE = (0.05, 5.0)  # s
@@ -116,14 +117,7 @@ class TcpServer:
                 self._holder = None
 
     def _accept(self) -> None:
-        while not self._closing.is_set():
-            try:
-                connection, _ = self._listener.accept()
-            except OSError:
-                if self._closing.is_set():
-                    return
-                time.sleep(0.1)  # out of file handles; some come back
-                continue
+        for connection in accepted(self._listener, self._closing):
             with self._lock:
                 if len(self._sessions) >= MAX_CONNECTIONS:
                     connection.close()

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import threading
+import time
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Protocol
 
 from fake_controller.faults import check_wire
@@ -102,6 +105,19 @@ def deaf_socket(address: str, port: int) -> socket.socket:
     bound = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET)
     bound.bind((address, port))
     return bound
+
+
+def accepted(listener: socket.socket, closing: threading.Event) -> Iterator[socket.socket]:
+    """Connections as they come, until `closing` is set and the listener closed."""
+    while not closing.is_set():
+        try:
+            connection, _ = listener.accept()
+        except OSError:
+            if closing.is_set():
+                return
+            time.sleep(0.1)  # out of file handles; some come back
+            continue
+        yield connection
 
 
 def _on_port(wire: str, controller: Controller, port: str, baud: int, watchdog: float, waits: bool) -> Server:

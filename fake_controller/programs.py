@@ -1,0 +1,114 @@
+"""The controller's program memory: what is translated and stored, under which name, and when it is full."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass, replace
+
+from agent.motion.pdl2 import Pdl2Error, Program, parse_program
+from agent.robot import RobotDescription
+from drivers.wire.reasons import Refusal
+
+MAX_PROGRAM = 1024 * 1024  # bytes of one program
+MEMORY = 4 * 1024 * 1024  # bytes of all programs
+MAX_PROGRAMS = 64
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,31}")
+
+
+class RefusedRequest(Exception):
+    """A request that the controller does not carry out; line and column belong to program text, 0 for none."""
+
+    def __init__(self, reason: Refusal, message: str, line: int = 0, column: int = 0) -> None:
+        super().__init__(message)
+        self.reason = reason
+        self.line = line
+        self.column = column
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """A translated program under the name it was stored by, its text and the SHA-256 (hex) of that."""
+
+    name: str
+    program: Program
+    text: bytes
+    checksum: str
+
+
+class ProgramMemory:
+    """Programs by name, whatever the case of its letters. Not thread-safe: the controller locks.
+
+    `full` and `alter_next` are faults: no room for anything, and another text stored than the one that came.
+    """
+
+    def __init__(self, robot: RobotDescription) -> None:
+        self._robot = robot
+        self._programs: dict[str, Stored] = {}
+        self._last = ""
+        self.full = False
+        self.alter_next = False
+
+    @property
+    def last(self) -> Stored | None:
+        """What was stored last, if it is still there."""
+        return self.find(self._last)
+
+    def find(self, name: str) -> Stored | None:
+        """The program of this name."""
+        return self._programs.get(name.lower())
+
+    def check_room(self, name: str, size: int) -> None:
+        """Raises:
+        RefusedRequest: there is no room for so many bytes under this name.
+        """
+        others = [len(stored.text) for key, stored in self._programs.items() if key != name.lower()]
+        if self.full or len(others) >= MAX_PROGRAMS or sum(others) + size > MEMORY:
+            raise RefusedRequest(Refusal.MEMORY_FULL, "the program memory is full; delete programs")
+
+    def translate(self, name: str, data: bytes) -> Program:
+        """The program that a text is.
+
+        Raises:
+            RefusedRequest: none, with line and column.
+        """
+        try:
+            return parse_program(data.decode("utf-8"), name, self._robot)
+        except UnicodeDecodeError:
+            raise RefusedRequest(Refusal.SYNTAX, f"program {name} is not UTF-8 text") from None
+        except Pdl2Error as error:
+            message = f"{error.word}: {error.reason}" if error.word else error.reason
+            raise RefusedRequest(Refusal.SYNTAX, message, error.line, error.column) from None
+
+    def keep(self, name: str, program: Program, data: bytes) -> Stored:
+        """Store a translated program in place of the one of its name."""
+        if self.alter_next:
+            data, self.alter_next = data + b" ", False
+        stored = Stored(name, program, data, hashlib.sha256(data).hexdigest())
+        self._programs[name.lower()] = stored
+        self._last = name
+        return stored
+
+    def alter(self) -> None:
+        """A fault: every stored text is another one from now on, as its checksum tells."""
+        for key, stored in self._programs.items():
+            other = hashlib.sha256(stored.checksum.encode()).hexdigest()
+            self._programs[key] = replace(stored, checksum=other)
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._programs.clear()
+
+
+def check_program(name: str, size: int) -> None:
+    """Raises:
+    RefusedRequest: no controller stores a program of this name or size.
+    """
+    if not _NAME.fullmatch(name):
+        raise RefusedRequest(
+            Refusal.BAD_REQUEST,
+            f"{name!r} cannot name a program: 1 to 32 letters, digits or _, the first no digit",
+        )
+    if size > MAX_PROGRAM:
+        raise RefusedRequest(Refusal.TOO_LARGE, f"{size} bytes; a program may have {MAX_PROGRAM}")
