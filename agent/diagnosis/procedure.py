@@ -25,6 +25,7 @@ STANDS_OUT = 0.5  # of its gain must be energy over the background on its joints
 PRACTICAL = 0.0075  # of nominal, root mean square: a smaller effect, or gap over the background, does not matter
 RUNNER_UP = 0.5  # of a cause's gain, by the next best forms where the cause itself fits doubtfully
 UNFIT = 0.5  # of what a cause leaves, explained by a shape of its own kind
+LEAST_SURE = 0.5  # probability of the first cause's class: what is rather wrong than right is not named
 MOST = 3
 _FIRSTS = 4
 
@@ -72,7 +73,8 @@ class Search:
         closed = self.closed(before, fit)
         if closed < CLOSES:
             return self._nothing(abstained, steps, closed)
-        return self._verdict(fit, closed, steps)
+        finding = self._verdict(fit, closed, steps)
+        return finding if finding.probability[0] > LEAST_SURE else self._nothing(abstained, steps, closed)
 
     def _nothing(self, verdict: str, steps: list[Step], closed: float = 0.0) -> Finding:
         return Finding(verdict, self.fit, (), (), (), (), closed, tuple(steps), *self._bounds)
