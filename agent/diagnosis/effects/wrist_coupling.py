@@ -17,7 +17,7 @@ class WristCoupling(Effect):
     that the model has for the axle times a share near 1, or a viscous and a Coulomb part of their own (`free`) where
     the model's friction sits elsewhere. What joint i feels depends on where torque is reported. On the joint side its
     motor carries the axle's share too, Δτ_i = r (a (ẇ + r q̈_i) + F(w + r q̇_i)); on the axle's side the load of joint j
-    reaches it unseen, Δτ_i = d r τ_j with d near -1.
+    without its rotor reaches it unseen, Δτ_i = r (d τ_j + a ẇ) with d near -1.
     """
 
     name = "wrist_coupling"
@@ -56,7 +56,7 @@ class WristCoupling(Effect):
         columns = {k: coupling[k] * more for k in np.flatnonzero(coupling)}
         if "axle_side" in settings:
             carried = np.zeros_like(more)
-            carried[:, -1] = signals.rigid[:, j]
+            carried[:, 0], carried[:, -1] = acceleration, signals.rigid[:, j]
         else:
             carried = np.column_stack([acceleration + ratio * signals.qdd[:, i], turned])
         columns[i] = columns.get(i, 0.0) + ratio * carried
