@@ -195,6 +195,24 @@ def test_the_extended_model_runs_like_the_machine(diagnosed, arm):
     assert off[0].max() < 0.25 * off[1].max()
 
 
+def test_a_motor_that_turns_along_is_found_as_it_is_built_in(arm, model):
+    """The simulated motor has rotor and friction of its own, so the form has nothing free but how far it turns."""
+    coupling = {"effect": "wrist_coupling", "joints": ["joint_1", "joint_3"], "parameters": {"factor": -0.28}}
+    plant = Plant(arm, seed=3, effects=[coupling])
+    found = diagnose(arm, [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))], model)
+    (cause,) = found.result["causes"]
+    assert (found.result["verdict"], cause["effect"], cause["joints"]) == (
+        "explained",
+        "wrist_coupling",
+        coupling["joints"],
+    )
+    assert cause["closure"] > 0.99
+    parameters = cause["parameters"]
+    assert parameters["ratio"] == pytest.approx(-0.28, rel=0.03)
+    assert parameters["friction"] == pytest.approx(1, abs=0.05)  # of what the model has for that motor
+    assert parameters["transmission"] == pytest.approx(-1, abs=0.05)
+
+
 def test_the_page_says_what_where_and_what_to_do(diagnosed):
     page = diagnosis_report(diagnosed, simulate(diagnosed))
     for words in (
