@@ -21,8 +21,6 @@ _SIMULATOR = "simulator.json"
 #: Slow motions beside the excitation loop: enough to hold one out, few enough to wait for.
 _VALIDATION_MOTIONS = 3
 
-#: The effect that shows in the path and not in torque.
-_PATH = "interpolator_mismatch"
 _VERDICTS = {
     "no_gap": "no gap: nothing of practical size beyond what the model's own prediction error allows",
     "explained": "explained",
@@ -173,12 +171,13 @@ def _write_model(found: Diagnosis, out: Path, console: Console) -> None:
 
 def diagnosis_text(result: dict[str, Any]) -> str:
     """A diagnosis for people."""
+    from agent.diagnosis.words import closes
+
     lines = [_VERDICTS[result["verdict"]]]
     for cause in result["causes"]:
         joints = ", ".join(cause["joints"]) or "the whole arm"
-        gap_of = "the gap between planned and executed path" if cause["effect"] == _PATH else "the gap"
-        closure = "" if cause["closure"] is None else f", closes {100 * cause['closure']:.0f} % of {gap_of}"
-        lines.append(f"  {cause['effect']} on {joints}{closure}, probability {cause['probability']:.2f}")
+        closed = f", {closes(cause)}" if closes(cause) else ""
+        lines.append(f"  {cause['effect']} on {joints}{closed}, probability {cause['probability']:.2f}")
         parameters = "  ".join(f"{name} {value:.4g}" for name, value in cause["parameters"].items())
         lines.append(f"    {parameters}")
         for other in cause["equivalent_to"]:

@@ -11,7 +11,7 @@ from agent.diagnosis.finding import Step
 from agent.diagnosis.forward import Simulated, simulation_part
 from agent.diagnosis.report_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
 from agent.diagnosis.result import Diagnosis
-from agent.diagnosis.words import IN_WORDS, REGIMES, how_sure, name, place
+from agent.diagnosis.words import IN_WORDS, PATH, REGIMES, closes, how_sure, name, place
 from agent.report.page import Page, Section, Table, render
 
 _HEADLINES = {
@@ -46,6 +46,8 @@ def headline(result: Mapping[str, Any]) -> str:
     sure = how_sure(result["verdict"], cause["probability"])
     effect = cause["effect"]
     text = f"{place(cause)}: {sure} {name(effect)}: {IN_WORDS[effect]} (probability {cause['probability']:.2f})."
+    if [entry["effect"] for entry in result["causes"]] == [PATH]:
+        text += " In torque, model and robot agree."
     return _sentence(text)
 
 
@@ -78,12 +80,10 @@ def _cause_section(diagnosis: Diagnosis) -> Section:
 
 def _about_cause(cause: Mapping[str, Any]) -> Iterator[str]:
     effect = CATALOGUE[cause["effect"]]
-    closes = ""
-    if cause["closure"] is not None:
-        closes = f" It closes {100 * cause['closure']:.0f} % of the gap on motion that it was not fitted to."
+    closed = f" On motion that it was not fitted to: {closes(cause)}." if closes(cause) else ""
     together = " for it and what cannot be told from it" if cause["equivalent_to"] else ""
     opening = f"{place(cause)}, {name(effect.name)}: {IN_WORDS[effect.name]}. "
-    yield f"{_sentence(opening)}Probability {cause['probability']:.2f}{together}.{closes}"
+    yield f"{_sentence(opening)}Probability {cause['probability']:.2f}{together}.{closed}"
     yield f"Look at: {effect.look_at}."
     yield f"It shows as: {effect.signature}."
     if cause["equivalent_to"]:

@@ -43,6 +43,10 @@ REGIMES = {
     "motor_phase": "with the motor's angle",
 }
 
+#: The effect that shows in the path and not in torque.
+PATH = "interpolator_mismatch"
+_DESCRIBES = 0.1  # of the gap between planned and executed path, or its form has nothing to say
+
 
 def place(entry: Mapping[str, Any]) -> str:
     """Where a cause of a result, or one of its equivalents, sits."""
@@ -59,3 +63,15 @@ def how_sure(verdict: str, probability: float) -> str:
     if verdict == "ambiguous":
         return "one of several, first"
     return "most likely" if probability >= 0.7 else "perhaps"
+
+
+def closes(cause: Mapping[str, Any]) -> str:
+    """What a cause closes of which gap; empty where that cannot be said."""
+    closure = cause["closure"]
+    if closure is None:
+        return ""
+    if cause["effect"] != PATH:
+        return f"closes {100 * closure:.0f} % of the gap"
+    if closure < _DESCRIBES:
+        return "no change of rate, shift in time or rounding that all motions share describes it"
+    return f"closes {100 * closure:.0f} % of the gap between planned and executed path"

@@ -218,7 +218,7 @@ def test_the_page_says_what_where_and_what_to_do(diagnosed):
     for words in (
         "a mass at the flange that the model does not have",
         "Look at: what hangs on the flange",
-        "of the gap on motion that it was not fitted to",
+        "On motion that it was not fitted to: closes ",
         "Forward simulation",
         "Steps of the procedure",
         "Not testable here",
