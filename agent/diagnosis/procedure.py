@@ -141,13 +141,8 @@ class Search:
                 leaders = [s for s in leaders if best[s.candidate.place].gain > 0.5 * leaders[0].gain]
             wanted = []
             for place in (s.candidate.place for s in leaders):
-                candidate = best[place].candidate
-                for name in candidate.effect.refined:
-                    if name not in candidate.settings:
-                        continue
-                    for scale in (1 / factor, factor):
-                        settings = {**candidate.settings, name: candidate.settings[name] * scale}
-                        wanted.append((candidate.effect, candidate.joints, settings))
+                effect, joints = best[place].candidate.effect, place[1]
+                wanted += [(effect, joints, near) for near in effect.nearby(best[place].candidate.settings, factor)]
             finer = fit.candidates(wanted)
             self.pool += [c for c in finer if c.effect.name not in _RESIDUAL_DRIVEN]
             for score in fit.score(finer):

@@ -58,12 +58,7 @@ class Trial:
         best = max(scores, key=lambda score: score.gain)
         for factor in _FACTORS:
             now = best.candidate.settings
-            finer = [
-                (kind, place, {**now, name: now[name] * scale})
-                for name in kind.refined
-                if name in now
-                for scale in (1 / factor, factor)
-            ]
+            finer = [(kind, place, near) for near in kind.nearby(now, factor)]
             best = max([best, *fit.score(fit.candidates(finer))], key=lambda score: score.gain)
         return best.candidate
 

@@ -209,8 +209,7 @@ def test_a_motor_that_turns_along_is_found_as_it_is_built_in(arm, model):
     assert cause["closure"] > 0.99
     parameters = cause["parameters"]
     assert parameters["ratio"] == pytest.approx(-0.28, rel=0.03)
-    assert parameters["friction"] == pytest.approx(1, abs=0.05)  # of what the model has for that motor
-    assert parameters["transmission"] == pytest.approx(-1, abs=0.05)
+    assert parameters["share"] == pytest.approx(1, abs=0.05)  # of the friction that the model has for that motor
 
 
 def test_the_page_says_what_where_and_what_to_do(diagnosed):

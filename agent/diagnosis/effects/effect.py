@@ -63,6 +63,11 @@ class Effect(ABC):
         """Nonlinear parameters to try; one empty dictionary where there are none."""
         return [{}]
 
+    def nearby(self, settings: Mapping[str, float], factor: float) -> list[dict[str, float]]:
+        """Settings with one of the nonlinear parameters that are worth a finer search a `factor` up or down."""
+        steps = ((name, scale) for name in self.refined if name in settings for scale in (1 / factor, factor))
+        return [{**settings, name: settings[name] * scale} for name, scale in steps]
+
     @abstractmethod
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         """(k,) names of the linear parameters."""

@@ -6,18 +6,19 @@ from agent.diagnosis.effects.effect import Effect
 from agent.diagnosis.signals import Signals
 from agent.estimation.friction_terms import AxleMotion, axle_columns
 
-_RATIOS = (0.07, 0.12, 0.2, 0.35, 0.6, 1.0)
+_RATIOS = (0.05, 0.068, 0.09, 0.12, 0.16, 0.22, 0.3, 0.4, 0.55, 0.74, 1.0)
+_FREE_RATIOS = (0.1, 0.3, 0.6, 1.0)
 _REVERSAL = 2e-3  # of the highest speed, where the model's friction reverses over a travel or at once
 
 
 class WristCoupling(Effect):
     """Axle j turns at w + r q̇_i and not at w = (C q̇)_j alone, so its rotor and friction act at that speed.
 
-    What the axle's motor gives more, Δf = a r q̈_i + F(w + r q̇_i) − F(w), reaches joint k as C_jk Δf. F is the friction
-    that the model has for the axle times a share near 1, or a viscous and a Coulomb part of their own (`free`) where
-    the model's friction sits elsewhere. What joint i feels depends on where torque is reported. On the joint side its
-    motor carries the axle's share too, Δτ_i = r (a (ẇ + r q̈_i) + F(w + r q̇_i)); on the axle's side the load of joint j
-    without its rotor reaches it unseen, Δτ_i = r (d τ_j + a ẇ) with d near -1.
+    What the axle's motor gives more, Δf = a r q̈_i + b (F(w + r q̇_i) − F(w)), reaches joint k as C_jk Δf. F is the
+    friction that the model has for the axle, and b near 1. What joint i feels depends on where torque is reported. On
+    the joint side its motor carries the axle's share too, Δτ_i = r (a (ẇ + r q̈_i) + b F(w + r q̇_i)); on the axle's side
+    the load of joint j without its rotor reaches it unseen, Δτ_i = r (a ẇ − b τ_j). Where the model's friction sits
+    elsewhere, viscous and Coulomb part and that load have factors of their own (`free`).
     """
 
     name = "wrist_coupling"
@@ -35,38 +36,61 @@ class WristCoupling(Effect):
         return [(i, j) for i in range(first, robot.dof) for j in range(i + 1, robot.dof)]
 
     def settings(self, survey, joints):
-        ratios = [sign * ratio for ratio in _RATIOS for sign in (-1.0, 1.0)]
-        kinds = [{**free, **side} for free in ({}, {"free": 1.0}) for side in ({}, {"axle_side": 1.0})]
-        return [{"ratio": ratio, **kind} for ratio in ratios for kind in kinds]
+        kinds = [
+            *({"ratio": ratio} for ratio in _RATIOS),
+            *({"ratio": ratio, "free": 1.0} for ratio in _FREE_RATIOS),
+        ]
+        sides: tuple[dict[str, float], ...] = ({}, {"axle_side": 1.0})
+        return [
+            {**kind, "ratio": sign * kind["ratio"], **side} for kind in kinds for side in sides for sign in (-1.0, 1.0)
+        ]
+
+    def nearby(self, settings, factor):
+        """A free one with the model's friction too, some steps around: that one is sharper, and easily passed over."""
+        near = super().nearby(settings, factor)
+        if "free" in settings:
+            tied = {name: value for name, value in settings.items() if name != "free"}
+            near += [{**tied, "ratio": tied["ratio"] * factor**power} for power in range(-3, 4)]
+        return near
 
     def names(self, settings):
-        friction = ("viscous", "coulomb") if "free" in settings else ("friction",)
-        return ("rotor", *friction, *(("transmission",) if "axle_side" in settings else ()))
+        if "free" not in settings:
+            return ("rotor", "share")
+        return ("rotor", "viscous", "coulomb", *(("transmission",) if "axle_side" in settings else ()))
 
     def columns(self, signals, joints, settings):
         i, j = joints
         ratio = settings["ratio"]
-        friction = _viscous_and_coulomb if "free" in settings else _model_friction
-        alone, turned = (friction(signals, j, i, part) for part in (0.0, ratio))
+        alone, turned = (_friction(signals, j, i, part, "free" in settings) for part in (0.0, ratio))
         coupling = signals.reference.coupling[j]
         acceleration = signals.qdd @ coupling
-        more = np.column_stack([ratio * signals.qdd[:, i], turned - alone])
+        width = len(self.names(settings))
+        more, carried = np.zeros((2, len(alone), width))
+        last = 1 + alone.shape[1]
+        more[:, 0], more[:, 1:last] = ratio * signals.qdd[:, i], turned - alone
         if "axle_side" in settings:
-            more = np.column_stack([more, np.zeros(len(more))])
-        columns = {k: coupling[k] * more for k in np.flatnonzero(coupling)}
-        if "axle_side" in settings:
-            carried = np.zeros_like(more)
-            carried[:, 0], carried[:, -1] = acceleration, signals.rigid[:, j]
+            carried[:, 0] = acceleration
+            carried[:, -1] = signals.rigid[:, j] * (1.0 if "free" in settings else -1.0)
         else:
-            carried = np.column_stack([acceleration + ratio * signals.qdd[:, i], turned])
+            carried[:, 0], carried[:, 1:last] = acceleration + ratio * signals.qdd[:, i], turned
+        columns = {k: coupling[k] * more for k in np.flatnonzero(coupling)}
         columns[i] = columns.get(i, 0.0) + ratio * carried
         return columns
 
     def plausible(self, settings, values):
-        return 0.3 < values.get("friction", 1.0) < 1.7
+        return values["rotor"] > 0 and 0.3 < values.get("share", 1.0) < 1.7 and values.get("transmission", -1.0) < 0
 
     def freedom(self, settings):
         return 1 + len(self.names(settings))
+
+
+def _friction(signals: Signals, axle: int, joint: int, ratio: float, free: bool) -> np.ndarray:
+    """(S, 1) of the model, or (S, 2) parts of its own, remembered: both sides ask for the same."""
+    known = signals.__dict__.setdefault("_turning", {})
+    key = (axle, joint if ratio else axle, ratio, free)
+    if key not in known:
+        known[key] = (_viscous_and_coulomb if free else _model_friction)(signals, axle, joint, ratio)
+    return known[key]
 
 
 def _model_friction(signals: Signals, axle: int, joint: int, ratio: float) -> np.ndarray:
