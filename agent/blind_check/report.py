@@ -16,7 +16,7 @@ _TARGETS = (
 
 
 def weak_spots(scores: Scores) -> list[str]:
-    """What misses its mark, worst first by the order of the issue, and every effect that was not always named."""
+    """What misses its mark, and every effect that was not always named."""
     spots = []
     alarms = scores["false_alarms"]
     if alarms["count"] > max(1, round(alarms["of"] / 150)):
