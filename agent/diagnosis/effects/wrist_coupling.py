@@ -14,11 +14,11 @@ _REVERSAL = 2e-3  # of the highest speed, where the model's friction reverses ov
 class WristCoupling(Effect):
     """Axle j turns at w + r q̇_i and not at w = (C q̇)_j alone, so its rotor and friction act at that speed.
 
-    What the axle's motor gives more, Δf = a r q̈_i + b (F(w + r q̇_i) − F(w)), reaches joint k as C_jk Δf. F is the
-    friction that the model has for the axle, and b near 1. What joint i feels depends on where torque is reported. On
-    the joint side its motor carries the axle's share too, Δτ_i = r (a (ẇ + r q̈_i) + b F(w + r q̇_i)); on the axle's side
-    the load of joint j without its rotor reaches it unseen, Δτ_i = r (a ẇ − b τ_j). Where the model's friction sits
-    elsewhere, viscous and Coulomb part and that load have factors of their own (`free`).
+    What the axle's motor gives more, Δf_j = a r q̈_i + b (F(w + r q̇_i) − F(w)), reaches joint k as C_jk Δf_j. F is the
+    friction that the model has for the axle, and b near 1. What else there is depends on where torque is reported. On
+    the joint side the motor of joint i carries the axle's share too, Δτ_i = r (a (ẇ + r q̈_i) + b F(w + r q̇_i)). On the
+    axles' side the load f_j of the axle, without its rotor, reaches axle i unseen: Δf_i = r (a ẇ − b f_j). Where the
+    model's friction sits elsewhere, viscous and Coulomb part and that load have factors of their own (`free`).
     """
 
     name = "wrist_coupling"
@@ -62,20 +62,21 @@ class WristCoupling(Effect):
         i, j = joints
         ratio = settings["ratio"]
         alone, turned = (_friction(signals, j, i, part, "free" in settings) for part in (0.0, ratio))
-        coupling = signals.reference.coupling[j]
-        acceleration = signals.qdd @ coupling
+        coupling = signals.reference.coupling
+        acceleration = signals.qdd @ coupling[j]
         width = len(self.names(settings))
         more, carried = np.zeros((2, len(alone), width))
         last = 1 + alone.shape[1]
         more[:, 0], more[:, 1:last] = ratio * signals.qdd[:, i], turned - alone
         if "axle_side" in settings:
+            carriers = coupling[i]
             carried[:, 0] = acceleration
-            carried[:, -1] = signals.rigid[:, j] * (1.0 if "free" in settings else -1.0)
+            carried[:, -1] = signals.axles.load[:, j] * (1.0 if "free" in settings else -1.0)
         else:
+            carriers = np.eye(len(coupling))[i]
             carried[:, 0], carried[:, 1:last] = acceleration + ratio * signals.qdd[:, i], turned
-        columns = {k: coupling[k] * more for k in np.flatnonzero(coupling)}
-        columns[i] = columns.get(i, 0.0) + ratio * carried
-        return columns
+        felt = np.flatnonzero(np.abs(coupling[j]) + np.abs(carriers))
+        return {int(k): coupling[j, k] * more + carriers[k] * ratio * carried for k in felt}
 
     def plausible(self, settings, values):
         return values["rotor"] > 0 and 0.3 < values.get("share", 1.0) < 1.7 and values.get("transmission", -1.0) < 0
