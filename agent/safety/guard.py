@@ -291,8 +291,10 @@ class GuardedLink:
 
     @contextmanager
     def _advice(self, what: str) -> Iterator[None]:
-        """Errors of the driver leave with what to do about them."""
+        """Errors of the driver leave with what to do about them, unless they ask after it themselves."""
         try:
             yield
         except DriverError as error:
+            if str(error).endswith("?"):
+                raise
             raise type(error)(f"{error}; {what}") from None
