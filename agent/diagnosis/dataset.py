@@ -10,6 +10,7 @@ import numpy as np
 
 from agent.diagnosis.fit import Fit, Fold
 from agent.diagnosis.signals import Reference, Signals
+from agent.diagnosis.standstill import STANDING
 from agent.errors import InputError
 from agent.estimation.estimate import EstimationSettings, estimate
 from agent.estimation.filtering import FilterSettings
@@ -27,7 +28,6 @@ _GUARD = 0.2  # s
 _BLOCKS = 5
 _SHORTEST = 3.0  # s of a log alone
 _STICTION = 0.58  # of the Coulomb level: torque anywhere below it, root mean square
-_STANDSTILL = 0.004  # of the highest speed
 _NEAR_STANDSTILL = 0.05  # s
 _USUAL_ERROR = 0.04
 _LEAST_BACKGROUND = 0.002  # of nominal
@@ -140,7 +140,7 @@ def _background(reference: Reference, moving: np.ndarray, speed: np.ndarray, sig
             level[term.axle] = abs(model.values[count + k])
     still = np.maximum(_STICTION * level @ np.abs(reference.coupling), 2 * moving)
     fastest = np.abs(speed).max(axis=0)
-    standing = np.abs(speed) <= _STANDSTILL * fastest
+    standing = np.abs(speed) <= STANDING * fastest
     rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
     reach = int(_NEAR_STANDSTILL * rate)
     near = standing.copy()

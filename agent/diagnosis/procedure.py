@@ -11,6 +11,7 @@ from agent.diagnosis.evidence import Null, null_gains
 from agent.diagnosis.finding import Finding, Step
 from agent.diagnosis.fit import Candidate, Fit, Score
 from agent.diagnosis.likeness import best_by_place, complexity, imitates, plausible, twins
+from agent.diagnosis.standstill import at_rest
 
 #: All in units of the background energy of all rows, Σ e² / σ² of a model that is right.
 LEAST_GAIN = 0.02  # an effect must gain as much to be named
@@ -22,6 +23,7 @@ NEAR = 0.04  # of what is explained: of forms this close the simplest is taken, 
 NEAR_FLOOR = 0.02
 ALIKE = 0.003  # of what is explained: forms this close cannot be told apart, however well the better one fits
 STANDS_OUT = 0.5  # of its gain must be energy over the background on its joints, log by log
+CLEAR = 3.0  # times the background in motion, reversals too, and no standstill accounts for it
 PRACTICAL = 0.0075  # of nominal, root mean square: a smaller effect, or gap over the background, does not matter
 RUNNER_UP = 0.5  # of a cause's gain, by the next best forms where the cause itself fits doubtfully
 UNFIT = 0.5  # of what a cause leaves, explained by a shape of its own kind
@@ -93,7 +95,11 @@ class Search:
         """Whether a joint is far above its background, in proportion and in torque."""
         background = self.fit.sigma.min(axis=0) / self.fit.reference.scale  # where the joint moves
         over = np.sqrt(np.maximum(energy - 1, 0)) * background
-        return bool(np.any((energy > 1 + EXCESS) & (over > PRACTICAL)))
+        moving = np.where(at_rest(self.fit.signals), np.nan, self.fit.out_of_fold() / self.fit.reference.scale)
+        with np.errstate(invalid="ignore"):
+            passing = np.sqrt(np.nanmean(moving**2, axis=0))
+        clear = (passing > CLEAR * background) & (passing**2 > background**2 + PRACTICAL**2)
+        return bool(np.any(((energy > 1 + EXCESS) & (over > PRACTICAL)) | clear))
 
     def closed(self, before: np.ndarray, fit: Fit) -> float:
         """How much of the excess over the background is gone; 1 where there was none to speak of."""

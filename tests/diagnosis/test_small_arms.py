@@ -240,6 +240,17 @@ def test_an_unknown_gap_is_located_on_the_page(arm, model):
     assert "Run next" in page
 
 
+def test_a_gap_in_passing_is_not_taken_for_stiction(arm):
+    """All of it lies around reversals, where a joint at rest may have any torque below the Coulomb level."""
+    rated = replace(arm, joints=tuple(replace(joint, nominal_motor_torque=1.0) for joint in arm.joints))
+    late = {"effect": "presliding", "joints": ["joint_2"], "parameters": {"share": 0.8, "travel": 0.001}}
+    plant = Plant(rated, seed=3, effects=[late])
+    logs = [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))]
+    found = diagnose(rated, logs, learn(rated), without=[name for name in CATALOGUE if name != "torque_constant"])
+    assert found.result["verdict"] == "unknown"
+    assert found.result["where"][0]["joint"] == "joint_2"
+
+
 def test_shares_of_regimes_are_shares_with_intervals(diagnosed):
     for entry in diagnosed.result["where"]:
         for regime in entry["regimes"]:

@@ -1,0 +1,28 @@
+"""Where joints stand still: stiction holds them there, and the torque is anything below the Coulomb level."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from agent.diagnosis.signals import Signals
+
+#: Of the highest speed: a joint that is no faster stands.
+STANDING = 0.004
+_LONG = 0.1  # s, or it only passes through a reversal
+_NEAR = 0.05  # s around it, over which the filter carries the torque
+
+
+def at_rest(signals: Sequence[Signals]) -> np.ndarray:
+    """(S', n) bool, all motions in a row: whether a joint stands there for a while, or close by."""
+    from scipy.ndimage import binary_dilation, binary_opening
+
+    fastest = np.max([np.abs(motion.qd).max(axis=0) for motion in signals], axis=0)
+    parts = []
+    for motion in signals:
+        rate = 1 / float(np.median(np.diff(motion.time)))
+        standing = np.abs(motion.qd) <= STANDING * fastest
+        long = binary_opening(standing, np.ones((max(int(_LONG * rate), 1), 1)))
+        parts.append(binary_dilation(long, np.ones((2 * int(_NEAR * rate) + 1, 1)))[motion.kept])
+    return np.concatenate(parts)
