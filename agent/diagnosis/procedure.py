@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,8 +24,11 @@ NEAR = 0.04  # of what is explained: of forms this close the simplest is taken, 
 NEAR_FLOOR = 0.02
 ALIKE = 0.003  # of what is explained: forms this close cannot be told apart, however well the better one fits
 STANDS_OUT = 0.5  # of its gain must be energy over the background on its joints, log by log
-CLEAR = 3.0  # times the background in motion, reversals too, and no standstill accounts for it
-PRACTICAL = 0.0075  # of nominal, root mean square: a smaller effect, or gap over the background, does not matter
+CLEAR = 2.0  # times the background away from standstill, or a joint's gap may be the model's own
+PRACTICAL = (
+    0.005  # of nominal, root mean square: a smaller effect, or gap over the background in motion, does not matter
+)
+MUCH = 0.0075  # of nominal, over the background of all rows, where a joint hardly moves
 RUNNER_UP = 0.5  # of a cause's gain, by the next best forms where the cause itself fits doubtfully
 UNFIT = 0.5  # of what a cause leaves, explained by a shape of its own kind
 LEAST_SURE = 0.5  # probability of the first cause's class: what is rather wrong than right is not named
@@ -48,6 +52,7 @@ class Search:
         self.least = LEAST_GAIN * self.rows
         self._scanned: dict[frozenset[Candidate], Step] = {}
         joints = range(fit.reference.robot.dof)
+        self._at_rest = at_rest(fit.signals)
         self.moves = tuple(any(np.ptp(s.q[:, j]) > 1e-4 for s in fit.signals) for j in joints)
 
     def run(self) -> Finding:
@@ -56,7 +61,7 @@ class Search:
         before = self.joint_energy(base)
         first = self.scan(base)
         steps = [first]
-        matters = self._matters(before)
+        matters = bool(np.any(self._noticed(base)))
         if not first.eligible and not matters:
             return self._nothing("no_gap", steps)
         best: tuple[float, tuple[Candidate, ...]] | None = None
@@ -91,15 +96,17 @@ class Search:
         single = any(c.effect.once for c in fit.chosen)
         return np.nanmean((fit.out_of_fold(single) / fit.sigma) ** 2, axis=0)
 
-    def _matters(self, energy: np.ndarray) -> bool:
-        """Whether a joint is far above its background, in proportion and in torque."""
-        background = self.fit.sigma.min(axis=0) / self.fit.reference.scale  # where the joint moves
+    def _noticed(self, fit: Fit) -> np.ndarray:
+        """(n,) joints whose gap is of practical size: clear of the background in motion, or far above it in all."""
+        background = fit.sigma.min(axis=0) / fit.reference.scale  # where the joint moves
+        left = fit.out_of_fold() / fit.reference.scale
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # a joint that always rests has no mean
+            moving = np.sqrt(np.nanmean(np.where(self._at_rest, np.nan, left) ** 2, axis=0))
+        clear = (moving > CLEAR * background) & (moving**2 > background**2 + PRACTICAL**2)
+        energy = self.joint_energy(fit)
         over = np.sqrt(np.maximum(energy - 1, 0)) * background
-        moving = np.where(at_rest(self.fit.signals), np.nan, self.fit.out_of_fold() / self.fit.reference.scale)
-        with np.errstate(invalid="ignore"):
-            passing = np.sqrt(np.nanmean(moving**2, axis=0))
-        clear = (passing > CLEAR * background) & (passing**2 > background**2 + PRACTICAL**2)
-        return bool(np.any(((energy > 1 + EXCESS) & (over > PRACTICAL)) | clear))
+        return clear | ((energy > 1 + EXCESS) & (over > MUCH))
 
     def closed(self, before: np.ndarray, fit: Fit) -> float:
         """How much of the excess over the background is gone; 1 where there was none to speak of."""
@@ -159,7 +166,7 @@ class Search:
     def _eligible(self, fit: Fit, best: dict) -> tuple[Score, ...]:
         """Scores that could be named: plausible, allowed, large enough, and better than their own simpler limits."""
         result = []
-        over = self._over_background(fit)
+        over, noticed = self._over_background(fit), self._noticed(fit)
         for place, score in best.items():
             name = place[0]
             effect = score.candidate.effect
@@ -168,7 +175,8 @@ class Search:
             if self.size(fit, score) < PRACTICAL:
                 continue
             repeats = self.given and not effect.once
-            if repeats and np.sum(over[list(score.candidate.blocks)]) < STANDS_OUT * score.gain:
+            joints = list(score.candidate.blocks)
+            if repeats and (not np.any(noticed[joints]) or np.sum(over[joints]) < STANDS_OUT * score.gain):
                 continue  # a model that was fitted with it would look the same
             if any(self._as_good(score, limit, best) for limit in effect.limits):
                 continue

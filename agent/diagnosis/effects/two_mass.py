@@ -21,7 +21,7 @@ _NEIGHBOURS = (1.12, 1.05)  # factors of frequency and play, finer with every ro
 def leads(
     motions: Sequence[Signals], joints: np.ndarray, stiffness: np.ndarray, gap: np.ndarray, damping: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Per motion ṗ [N·m] and d̈ [rad/s²] (S, K) of the motor's lead d over the link, for K of each argument (K,).
+    """Per motion ṗ [N·m] and d̈ [rad/s²] of the motor's lead d over the link, (S, K) float32, K of each argument (K,).
 
     The motor moves as measured, so the link's momentum p = m ḋ obeys ṗ + c ḋ + k z(d) = L, with L the torque the rigid
     link would take, m(t) its inertia about the joint, z(d) the twist beyond half the play (without play z(d) = d) and
@@ -32,20 +32,24 @@ def leads(
     def side_by_side(parts: list[np.ndarray]) -> np.ndarray:
         return np.hstack([np.pad(part, ((0, longest - len(part)), (0, 0)), mode="edge") for part in parts])
 
-    load = side_by_side([motion.link_load[:, joints] for motion in motions])
-    inertia = side_by_side([np.maximum(motion.mass[:, joints, joints], 1e-9) for motion in motions])
+    load = side_by_side([motion.link_load for motion in motions])
+    diagonal = [np.diagonal(motion.mass, axis1=1, axis2=2) for motion in motions]
+    inertia = np.maximum(side_by_side(diagonal), 1e-9)
+    dof = motions[0].q.shape[1]
+    column = np.concatenate([motion * dof + joints for motion in range(len(motions))])
     k, half = np.tile(stiffness, len(motions)), 0.5 * np.tile(gap, len(motions))
-    c = 2 * np.tile(damping, len(motions)) * np.sqrt(k * inertia.mean(axis=0))
+    c = 2 * np.tile(damping, len(motions)) * np.sqrt(k * inertia.mean(axis=0)[column])
     period = float(np.median(np.diff(motions[0].time)))
     substeps = max(2, int(np.ceil(_RATE * period)))
     step = period / substeps
-    twist = load[0] / k + np.sign(load[0]) * half
-    momentum = np.zeros_like(k)
-    momenta = np.zeros((longest + 1, len(k)))
+    first = load[0, column]
+    twist = first / k + np.sign(first) * half
+    momentum, velocity = np.zeros((2, len(k)))
+    torque, second = np.empty((2, longest, len(k)), dtype=np.float32)
     has_gap = bool(np.any(half > 0))
     impulse, spring, mobility = step * load, step * k, 1 / inertia
     for sample in range(longest):
-        pushed, inverse = impulse[sample], mobility[sample]
+        pushed, inverse, before = impulse[sample, column], mobility[sample, column], momentum
         kept, moved = 1 - step * c * inverse, step * inverse
         for _ in range(substeps):
             if has_gap:
@@ -54,9 +58,9 @@ def leads(
             else:
                 momentum = kept * momentum + pushed - spring * twist
             twist = twist + moved * momentum
-        momenta[sample + 1] = momentum
-    torque = np.diff(momenta, axis=0) / period
-    second = np.diff(momenta[1:] * mobility, axis=0, prepend=0) / period
+        torque[sample] = (momentum - before) / period
+        slower, velocity = velocity, momentum * inverse
+        second[sample] = (velocity - slower) / period
     parts = zip(*(np.split(part, len(motions), axis=1) for part in (torque, second)), motions, strict=True)
     return [(one[: len(motion.time)], two[: len(motion.time)]) for one, two, motion in parts]
 
@@ -136,8 +140,7 @@ class TwoMass(Effect):
             return
         joints, stiffness, damping, gap = (np.array(part) for part in zip(*new, strict=True))
         for of_motion, (torque, second) in zip(known, leads(motions, joints, stiffness, gap, damping), strict=True):
-            pairs = zip(torque.T.astype(np.float32), second.T.astype(np.float32), strict=True)
-            of_motion.update(zip(new, pairs, strict=True))
+            of_motion.update(zip(new, zip(torque.T, second.T, strict=True), strict=True))
 
     def _lead(self, signals: Signals, k: int, settings: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         return signals.__dict__["_leads"][_key(k, settings)]
