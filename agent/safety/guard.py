@@ -291,10 +291,10 @@ class GuardedLink:
 
     @contextmanager
     def _advice(self, what: str) -> Iterator[None]:
-        """Errors of the driver leave with what to do about them, unless they ask after it themselves."""
+        """Errors of the driver leave with what to do about them; some ask after it already."""
         try:
             yield
         except DriverError as error:
-            if str(error).endswith("?"):
-                raise
-            raise type(error)(f"{error}; {what}") from None
+            asked = str(error).endswith("?")
+            advice = " Put that right, then run the command again" if asked else f"; {what}"
+            raise type(error)(f"{error}{advice}") from None
