@@ -28,7 +28,7 @@ CLEAR = 2.0  # times the background away from standstill, or a joint's gap may b
 PRACTICAL = (
     0.005  # of nominal, root mean square: a smaller effect, or gap over the background in motion, does not matter
 )
-MUCH = 0.0075  # of nominal, over the background of all rows, where a joint hardly moves
+MUCH = 0.0075  # of nominal: a gap that is told of though nothing explains it, or one over the background of all rows
 RUNNER_UP = 0.5  # of a cause's gain, by the next best forms where the cause itself fits doubtfully
 UNFIT = 0.5  # of what a cause leaves, explained by a shape of its own kind
 LEAST_SURE = 0.5  # probability of the first cause's class: what is rather wrong than right is not named
@@ -61,7 +61,7 @@ class Search:
         before = self.joint_energy(base)
         first = self.scan(base)
         steps = [first]
-        matters = bool(np.any(self._noticed(base)))
+        matters = bool(np.any(self._noticed(base, MUCH)))
         if not first.eligible and not matters:
             return self._nothing("no_gap", steps)
         best: tuple[float, tuple[Candidate, ...]] | None = None
@@ -96,14 +96,14 @@ class Search:
         single = any(c.effect.once for c in fit.chosen)
         return np.nanmean((fit.out_of_fold(single) / fit.sigma) ** 2, axis=0)
 
-    def _noticed(self, fit: Fit) -> np.ndarray:
-        """(n,) joints whose gap is of practical size: clear of the background in motion, or far above it in all."""
+    def _noticed(self, fit: Fit, least: float = PRACTICAL) -> np.ndarray:
+        """(n,) joints whose gap is of a size: `least` over the background in motion, or `MUCH` over it in all rows."""
         background = fit.sigma.min(axis=0) / fit.reference.scale  # where the joint moves
         left = fit.out_of_fold() / fit.reference.scale
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # a joint that always rests has no mean
             moving = np.sqrt(np.nanmean(np.where(self._at_rest, np.nan, left) ** 2, axis=0))
-        clear = (moving > CLEAR * background) & (moving**2 > background**2 + PRACTICAL**2)
+        clear = (moving > CLEAR * background) & (moving**2 > background**2 + least**2)
         energy = self.joint_energy(fit)
         over = np.sqrt(np.maximum(energy - 1, 0)) * background
         return clear | ((energy > 1 + EXCESS) & (over > MUCH))

@@ -46,12 +46,10 @@ class WristCoupling(Effect):
         ]
 
     def nearby(self, settings, factor):
-        """A free one with the model's friction too, some steps around: that one is sharper, and easily passed over."""
-        near = super().nearby(settings, factor)
-        if "free" in settings:
-            tied = {name: value for name, value in settings.items() if name != "free"}
-            near += [{**tied, "ratio": tied["ratio"] * factor**power} for power in range(-3, 4)]
-        return near
+        """Several steps each way, for the gain over the ratio peaks narrowly; a free one with the model's friction too."""
+        tied = {name: value for name, value in settings.items() if name != "free"}
+        kinds = [settings, tied] if "free" in settings else [settings]
+        return [{**kind, "ratio": kind["ratio"] * factor**power} for kind in kinds for power in range(-3, 4)]
 
     def names(self, settings):
         if "free" not in settings:
