@@ -46,7 +46,7 @@ class WristCoupling(Effect):
         ]
 
     def nearby(self, settings, factor):
-        """Several steps each way, as the gain peaks narrowly over the ratio; a free one with the model's friction too."""
+        """Several steps each way, as the gain peaks narrowly over the ratio; a free one with the model's friction."""
         tied = {name: value for name, value in settings.items() if name != "free"}
         kinds = [settings, tied] if "free" in settings else [settings]
         return [{**kind, "ratio": kind["ratio"] * factor**power} for kind in kinds for power in range(-3, 4)]
