@@ -25,10 +25,8 @@ NEAR_FLOOR = 0.02
 ALIKE = 0.003  # of what is explained: forms this close cannot be told apart, however well the better one fits
 STANDS_OUT = 0.5  # of its gain must be energy over the background on its joints, log by log
 CLEAR = 2.0  # times the background away from standstill, or a joint's gap may be the model's own
-PRACTICAL = (
-    0.005  # of nominal, root mean square: a smaller effect, or gap over the background in motion, does not matter
-)
-MUCH = 0.0075  # of nominal: a gap that is told of though nothing explains it, or one over the background of all rows
+PRACTICAL = 0.005  # of nominal, root mean square: a smaller effect, or gap over the background in motion, is let be
+MUCH = 0.0075  # of nominal: a gap told of though nothing explains it, or one over the background of all rows
 RUNNER_UP = 0.5  # of a cause's gain, by the next best forms where the cause itself fits doubtfully
 UNFIT = 0.5  # of what a cause leaves, explained by a shape of its own kind
 LEAST_SURE = 0.5  # probability of the first cause's class: what is rather wrong than right is not named
