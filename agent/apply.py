@@ -14,13 +14,15 @@ import shutil
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from agent.console import Console
 from agent.errors import AgentError, InputError
 from agent.history import open_history, read_run
-from agent.recipe import Recipe
 from agent.run import RunFolder, sha256_file, write_atomically
+
+if TYPE_CHECKING:
+    from agent.recipe import Recipe
 
 _FOLDER = "models"
 
@@ -99,6 +101,17 @@ def apply_run(logs: Path, run: Path) -> Applied:
     return _about(place / "current")
 
 
+def current_runs(logs: Path) -> tuple[set[str], list[str]]:
+    """Names of the runs of a folder whose models are the current ones of their robots; and what is damaged."""
+    names, damaged = set(), []
+    for place in sorted((logs / _FOLDER).glob("*")):
+        try:
+            names |= {_about(place / "current").run} if (place / "current").is_symlink() else set()
+        except InputError as error:
+            damaged.append(str(error))
+    return names, damaged
+
+
 def apply_previous(logs: Path, robot: str | None = None, serial: str | None = None) -> Applied:
     """Go back to the model that was current before; once more goes further back.
 
@@ -147,7 +160,6 @@ def remember(run: RunFolder, console: Console) -> None:
             pass
         if run.state["status"] == "finished" and current_model(logs, run.state["robot"], run.state["serial"]) is None:
             apply_run(logs, run.path)
-            console.say("first accepted model of this robot: it is its current model now")
     except AgentError as error:  # the run itself is complete, and `agent history` finds it again
         console.warn(str(error))
 

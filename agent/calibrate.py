@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from agent import planning
 from agent.apply import origin, remember
 from agent.console import Console
+from agent.ending import current_run, ending_text
 from agent.recipe import Recipe
 from agent.record import Recording
 from agent.record_plan import EXCITATION, record_plan, validation_logs
@@ -20,14 +21,17 @@ from agent.run import RunFolder, robot_lock, sha256_file
 
 @dataclass(frozen=True)
 class Outcome:
-    """Run folder, the content of its `result.json`, and whether the gate accepted it."""
+    """Run folder, the content of its `result.json`, whether the gate accepted it, and what comes next."""
 
     run: Path
     result: dict[str, Any]
     accepted: bool
+    ending: str = ""
 
     def summary(self) -> str:
         """One screen."""
+        from agent.estimation import condition_text
+
         result, validation = self.result, self.result["validation"]
         axes = "  ".join(
             f"{name} {100 * value:.2f} %"
@@ -37,7 +41,7 @@ class Outcome:
             [
                 "",
                 f"fitness             {result['search']['fitness']:.2f}  (log10 det(HᵀH/M), higher is better)",
-                f"condition number    {result['estimation']['condition_number']:.0f}  (below 100 is good)",
+                f"condition number    {condition_text(result['estimation']['condition_number'])}  (below 100 is good)",
                 f"prediction error    {axes}",
                 f"                    of nominal torque, {validation['motions']} unseen motions at "
                 f"{validation['speed']:g} m/s",
@@ -45,6 +49,7 @@ class Outcome:
                 + ("accepted" if self.accepted else f"REJECTED: {result['reason']}")
                 + f"  (gate {100 * result['gate']['normalised_rmse']:.1f} % on every axis)",
                 f"report              {self.run / 'report.html'}",
+                self.ending,
                 "",
             ]
         )
@@ -76,7 +81,7 @@ def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None,
         with step(run, "report"):
             outcome = _report(recipe, plan, run, recordings, model, validation, console)
         remember(run, console)
-        return outcome
+        return replace(outcome, ending=ending_text(run, recipe))
 
 
 def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
@@ -130,6 +135,8 @@ def _report(
     result["serial"] = run.state["serial"]
     result["conditions"] = conditions(log, predict_log(model, log), recordings[0])
     result |= against_last(run, log, console)
+    current = current_run(run.path.parent, recipe.robot.name, result["serial"])
+    result["current_model"] = run.path.name if result["accepted"] and current is None else current
     run.write_json("result.json", result)
     typical = typical_motion(predictions)
     write_analysis(run.file("analysis.mcap"), read_log(run.file(typical.log), recipe.robot), typical)

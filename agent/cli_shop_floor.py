@@ -87,21 +87,23 @@ def history(
     as_json: AsJson = False,
 ) -> None:
     """Past runs: what they found, and what the gate said."""
+    from agent.apply import current_runs
     from agent.history import history_json, history_table, open_history
 
     with open_history(logs) as past:
         runs = past.runs(robot, serial)
-        for damaged in past.damaged:
+        current, lost = current_runs(logs)
+        for damaged in (*past.damaged, *lost):
             print(f"agent: {damaged}", file=sys.stderr)
         if as_json:
             import json
 
             from agent.trends import watch
 
-            data = {**history_json(past, runs), "watch": [one.to_dict() for one in watch(runs)]}
+            data = {**history_json(past, runs, current), "watch": [one.to_dict() for one in watch(runs)]}
             print(json.dumps(data))
             return
-    print(history_table(runs))
+    print(history_table(runs, current))
     if not runs and not past.damaged:
         print("no runs yet: `agent calibrate RECIPE` makes the first", file=sys.stderr)
 

@@ -60,6 +60,7 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
     """
     from agent import planning
     from agent.calibrate import step
+    from agent.ending import ending_text
     from agent.recipe import load_recipe
     from agent.record_plan import record_plan
     from agent.run import RunFolder, robot_lock, sha256_file, write_atomically
@@ -87,6 +88,7 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
             if question.report is not None:
                 write_atomically(question.report, here.report.read_text(encoding="utf-8"))
         run.complete(True)
+    console.say(ending_text(run, loaded))
     return result
 
 

@@ -10,7 +10,7 @@ import contextlib
 import json
 import os
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -80,6 +80,10 @@ class PastRun:
         """What came of it, in a word or two: the gate's, or the diagnosis's."""
         finished = "accepted" if self.accepted else self.data["verdict"].replace("_", " ")
         return finished if self.status == "finished" else self.status
+
+    def outcome_with(self, current: Collection[str]) -> str:
+        """The same, marked where its model is a current one."""
+        return f"{self.outcome}, current" if self.run in current else self.outcome
 
 
 @dataclass(frozen=True)
@@ -263,15 +267,15 @@ def _read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
     return run, [PastParameter(p["name"], p["unit"], p["value"], p["standard_deviation"]) for p in rows]
 
 
-def history_table(runs: Sequence[PastRun]) -> str:
-    """A line a run, newest last; then what the trends said last of each machine."""
+def history_table(runs: Sequence[PastRun], current: Collection[str] = ()) -> str:
+    """A line a run, newest last, with the runs that current models are of marked; then what the trends said last."""
     header = ("run", "serial", "kind", "result", "worst axis", "cycles")
     rows = [header] + [
         (
             run.run,
             run.serial or "-",
             run.kind,
-            run.outcome,
+            run.outcome_with(current),
             "-" if run.worst is None else f"{100 * run.worst:.2f} %",
             str(run.data["conditions"].get("cycles", "-")),
         )
@@ -284,7 +288,7 @@ def history_table(runs: Sequence[PastRun]) -> str:
     return "\n".join([*lines, *([""] if told else []), *told])
 
 
-def history_json(history: History, runs: Sequence[PastRun]) -> dict[str, Any]:
+def history_json(history: History, runs: Sequence[PastRun], current: Collection[str] = ()) -> dict[str, Any]:
     """Everything the history knows of these runs, as plain data."""
     parameters = history.parameters(run.run for run in runs)
     return {
@@ -298,6 +302,7 @@ def history_json(history: History, runs: Sequence[PastRun]) -> dict[str, Any]:
                 "started": run.started,
                 "status": run.status,
                 "accepted": run.accepted,
+                "current": run.run in current,
                 "reason": run.reason,
                 "reference": run.reference,
                 "program_sha256": run.program,

@@ -36,12 +36,6 @@ class Observability:
     combined: int
     within_noise: tuple[str, ...]
 
-    @property
-    def condition_number(self) -> float:
-        """Largest over smallest singular value; inf where something is not seen at all."""
-        largest, smallest = self.singular_values[[0, -1]]
-        return float(largest / smallest) if smallest > 1e-7 * largest else float("inf")
-
 
 def observability(model: IdentifiedModel, log: Log, directions: int = 3) -> Observability:
     """Look at a model along one cycle of the motion that it was estimated from."""

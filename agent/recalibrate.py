@@ -13,6 +13,7 @@ from agent import planning
 from agent.apply import apply_run, current_model, origin, remember
 from agent.calibrate import step
 from agent.console import Console
+from agent.ending import current_run, ending_text
 from agent.errors import ControllerError, InputError
 from agent.fresh_data import diagnose_if_worse, worse_joints
 from agent.history import PastRun, open_history
@@ -39,11 +40,12 @@ _SURE = 3.0
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of it: `skipped` says why nothing was done; else run folder, `result.json` and the gate's word."""
+    """What came of it: `skipped` says why nothing was done; else run folder, `result.json` and what comes next."""
 
     skipped: str = ""
     run: Path | None = None
     result: dict[str, Any] | None = None
+    ending: str = ""
 
     @property
     def accepted(self) -> bool:
@@ -65,15 +67,18 @@ class Outcome:
         lines = ["prediction error    " + f"\n{'':20}".join(rows), f"change              {self.result['comparison']}"]
         if self.result["diagnosis"]:
             lines.append(f"diagnosis           {self.result['diagnosis']['summary']}")
-        word = "accepted; it is the current model now" if self.accepted else f"REJECTED: {self.result['reason']}"
-        return "\n".join([*lines, f"result              {word}", f"report              {self.run}/report.html"])
+        lines.append(f"compared with       {self.result['reference']}")
+        word = "accepted" if self.accepted else f"REJECTED: {self.result['reason']}"
+        lines += [f"result              {word}", f"report              {self.run}/report.html", self.ending]
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The last accepted run of the same loop, its model, and the loop."""
+    """The last accepted run of the same loop, the model that is compared with and the run it is of, and the loop."""
 
     past: PastRun
+    run: str
     model: IdentifiedModel
     loop: StoredLoop
 
@@ -100,7 +105,7 @@ def recalibrate(
     with robot_lock(recipe.controller.driver, recipe.controller.address):
         reference = _reference(recipe, logs, past)
         run = RunFolder.create(logs, recipe.robot.name, recipe.path)
-        facts = {"reference": past.run, "program": reference.loop.checksum, "serial": past.serial}
+        facts = {"reference": reference.run, "program": reference.loop.checksum, "serial": past.serial}
         run.note(kind="recalibrate", **facts, **origin(recipe))
         console.say(f"run {run.path}")
         with step(run, "record"):
@@ -116,6 +121,8 @@ def recalibrate(
             result = _judge(recipe, reference, run, recording, found, comparison, met)
             worse = result["validation"]["worse_before"]
             result["diagnosis"] = diagnose_if_worse(reference.model, worse, log, run, console)
+            current = current_run(logs, recipe.robot.name, run.state["serial"])
+            result["current_model"] = run.path.name if result["accepted"] else current
         with step(run, "report"):
             _report(recipe, reference.loop, run, result, comparison, log, prediction)
         remember(run, console)
@@ -125,7 +132,7 @@ def recalibrate(
         run.note(watch=watched)
     for line in watched:
         console.warn(line)
-    return Outcome(run=run.path, result=result)
+    return Outcome(run=run.path, result=result, ending=ending_text(run, recipe))
 
 
 def _last_accepted(recipe: Recipe, logs: Path) -> PastRun:
@@ -168,8 +175,9 @@ def _reference(recipe: Recipe, logs: Path, past: PastRun) -> Reference:
         )
     current = current_model(logs, past.robot, past.serial)
     applied = current is not None and current.run != past.run and _loop_of(logs, current.run) == past.loop
-    model = current.model if current is not None and applied else logs / past.run / "model.json"
-    return Reference(past, IdentifiedModel.load(model), loop)
+    if current is not None and applied:
+        return Reference(past, current.run, IdentifiedModel.load(current.model), loop)
+    return Reference(past, past.run, IdentifiedModel.load(logs / past.run / "model.json"), loop)
 
 
 def _loop_of(logs: Path, run: str) -> str:
@@ -224,7 +232,7 @@ def _estimate(recipe: Recipe, reference: Reference, run: RunFolder, console: Con
     found = refit(reference.model, [log], what, recipe.tool)
     found.model.save(run.file("model.json"))
     run.note(model_sha256=sha256_file(run.file("model.json")))
-    return log, found, compare_models(reference.model, found.model, log, reference.past.run, run.path.name)
+    return log, found, compare_models(reference.model, found.model, log, reference.run, run.path.name)
 
 
 def _judge(
@@ -244,7 +252,7 @@ def _judge(
         "schema": "recalibration/1",
         "robot": recipe.robot.name,
         "serial": run.state["serial"],
-        "reference": reference.past.run,
+        "reference": reference.run,
         "parameters": recipe.recalibrate.parameters,
         "accepted": not faults,
         "reason": "; ".join(faults),

@@ -58,7 +58,7 @@ def _calibration(run: Path, recipe: Recipe, console: Console) -> str:
     predictions = [predict_log(model, read_log(path, recipe.robot)) for path in logs]
     plan = replan(recipe, _json(run / "plan.json"))
     further = further_sections(run, recipe, model, predictions)
-    return run_report(run_data(recipe, plan, _json(run / "result.json"), model, predictions, further))
+    return run_report(run_data(recipe, plan, _result(run), model, predictions, further))
 
 
 def _recalibration(run: Path, recipe: Recipe, console: Console) -> str:
@@ -70,7 +70,7 @@ def _recalibration(run: Path, recipe: Recipe, console: Console) -> str:
     comparison = Comparison.from_dict(_json(run / "comparison.json"))
     program = (run / "program.pdl").read_text(encoding="utf-8")
     prediction = predict_log(_model(run), log)
-    return recalibration_page(recipe, program, _json(run / "result.json"), comparison, log, prediction)
+    return recalibration_page(recipe, program, _result(run), comparison, log, prediction)
 
 
 def _diagnosis(run: Path, recipe: Recipe, console: Console) -> str:
@@ -83,6 +83,14 @@ def _model(run: Path) -> IdentifiedModel:
     from agent.estimation import IdentifiedModel
 
     return IdentifiedModel.load(run / "model.json")
+
+
+def _result(run: Path) -> dict[str, Any]:
+    """The run's result, with the model that is current now."""
+    from agent.ending import current_run
+
+    result = _json(run / "result.json")
+    return {**result, "current_model": current_run(run.parent, result["robot"], result["serial"])}
 
 
 def _json(path: Path) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from agent.apply import current_runs
 from agent.console import Console
 from agent.errors import InputError
 from agent.fresh_data import diagnose_if_worse, joint_moves, moving_rmse, worse_joints
@@ -31,21 +32,28 @@ def further_sections(
     """Observation matrix, residuals, comparison with the last accepted run of the same loop, and health of the logs."""
     from agent.compare import compare_models
     from agent.estimation import IdentifiedModel
-    from agent.observability import observability
     from agent.recording import read_log
     from agent.report.comparison_sections import comparison_section
     from agent.report.log_sections import log_section
-    from agent.report.observation_section import observation_section
     from agent.report.residual_sections import residual_section
 
     log = read_log(run / "excitation.mcap", recipe.robot)
-    sections = [observation_section(observability(model, log)), residual_section(predictions)]
+    sections = [observation_part(model, log), residual_section(predictions)]
     last = _last_accepted(run)
     if last is not None:
         before = IdentifiedModel.load(last / "model.json")
         sections.append(comparison_section(compare_models(before, model, log, last.name, run.name)))
     sections.append(log_section(_logs(run, recipe)))
     return sections
+
+
+def observation_part(model: IdentifiedModel, log: Log) -> Section:
+    """What a model's own motion shows of its parameters."""
+    from agent.estimation import condition_text
+    from agent.observability import observability
+    from agent.report.observation_section import observation_section
+
+    return observation_section(observability(model, log), condition_text(model.condition_number))
 
 
 def against_last(run: RunFolder, log: Log, console: Console) -> dict[str, Any]:
@@ -65,12 +73,10 @@ def recalibration_page(
     recipe: Recipe, program: str, result: dict[str, Any], comparison: Comparison, log: Log, prediction: Prediction
 ) -> str:
     """HTML of a recalibration's report; `program` is the text of the loop, `prediction` is of its `log`."""
-    from agent.observability import observability
     from agent.plan_files import motion_data
     from agent.planning import plan_statements
     from agent.report.comparison_sections import comparison_section
     from agent.report.log_sections import log_section
-    from agent.report.observation_section import observation_section
     from agent.report.recalibration_report import RecalibrationData, recalibration_report
     from agent.report.residual_sections import residual_section
 
@@ -78,7 +84,7 @@ def recalibration_page(
     *_, cycle = plan_statements(recipe, program, "program.pdl", log.position[0])[1]
     via_points = np.array(result["loop"]["via_points"])
     sections = (
-        observation_section(observability(model, log)),
+        observation_part(model, log),
         comparison_section(comparison),
         residual_section([prediction]),
         log_section([log]),
@@ -118,7 +124,7 @@ def write_index(logs: Path, robot: str | None = None, serial: str | None = None)
         parameter_trends([by_name[name] for name in one.trends[0].runs], parameters) if one.trends else []
         for one in watched
     ]
-    return write_atomically(logs / "index.html", index_page(IndexData(runs, watched, courses)))
+    return write_atomically(logs / "index.html", index_page(IndexData(runs, watched, courses, current_runs(logs)[0])))
 
 
 def watch_lines(logs: Path, robot: str, serial: str) -> list[str]:

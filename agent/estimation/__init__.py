@@ -2,6 +2,15 @@
 
 from agent.estimation.estimate import METHODS, EstimationSettings, estimate
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.model import EFFECTS, IdentifiedModel, ModelEffect
+from agent.estimation.model import EFFECTS, IdentifiedModel, ModelEffect, condition_text
 
-__all__ = ["EFFECTS", "METHODS", "EstimationSettings", "FilterSettings", "IdentifiedModel", "ModelEffect", "estimate"]
+__all__ = [
+    "EFFECTS",
+    "METHODS",
+    "EstimationSettings",
+    "FilterSettings",
+    "IdentifiedModel",
+    "ModelEffect",
+    "condition_text",
+    "estimate",
+]

@@ -173,7 +173,7 @@ class IdentifiedModel:
         rows = [row[:5] for row in self.rows()]
         widths = [max(len(row[k]) for row in rows) for k in range(5)]
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-        lines.append(f"condition number of the scaled observation matrix: {self.condition_number:.3g}")
+        lines.append(f"condition number of the scaled observation matrix: {condition_text(self.condition_number)}")
         errors = "  ".join(
             f"{joint.name} {error:.3g} {'N' if joint.prismatic else 'N·m'}"
             for joint, error in zip(self.robot.joints, self.held_out_rmse, strict=True)
@@ -329,6 +329,11 @@ def _effect(entry: ModelEffect) -> EffectTorque:
     if entry.effect not in EFFECTS:
         raise InputError(f"the model has an effect {entry.effect!r} that this version cannot evaluate")
     return EFFECTS[entry.effect]
+
+
+def condition_text(number: float) -> str:
+    """A condition number as every page and summary shows it."""
+    return f"{number:.0f}" if np.isfinite(number) else "beyond 1e7"
 
 
 def _standard_unit(name: str) -> str:

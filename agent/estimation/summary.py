@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.estimation.model import IdentifiedModel
+from agent.estimation.model import IdentifiedModel, condition_text
 from agent.estimation.moments import Moments, standstill_speed
 from agent.estimation.observation import Observation
 from agent.estimation.problem import Estimate, Problem
@@ -89,7 +89,7 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.
             f"{model.robot.joint_names[problem.observation.noisy]}."
         )
     if model.condition_number > _BAD_CONDITION:
-        number = f"{model.condition_number:.3g}" if np.isfinite(model.condition_number) else "beyond 1e7"
+        number = condition_text(model.condition_number)
         yield (
             f"The condition number of the observation matrix is {number}: these motions hardly tell some parameters "
             "apart. Together they are sound on motions like these, each alone is not; a motion planned for excitation, "

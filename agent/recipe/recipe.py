@@ -183,12 +183,16 @@ class Recalibrate:
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
-    """One recipe file. `text` is what it said, `sha256` (hex) of that text, `path` where it was."""
+    """One recipe file. `text` is what it said, `sha256` (hex) of that text, `path` where it was.
+
+    `robot_source` is what `--robot` takes for the same robot: a built-in name, or a path from here.
+    """
 
     path: Path
     text: str
     sha256: str
     robot: RobotDescription
+    robot_source: str
     tool: Tool | None
     controller: Controller
     cell: Cell
@@ -321,6 +325,7 @@ def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Re
         text=text,
         sha256=hashlib.sha256(text.encode("utf-8")).hexdigest(),
         robot=robot,
+        robot_source=document.robot if document.robot in builtin_robots() else str(path.parent / document.robot),
         tool=_tool(document.tool),
         controller=Controller(document.controller.driver, document.controller.address),
         cell=Cell(

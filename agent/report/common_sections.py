@@ -13,6 +13,14 @@ from agent.report.page import Section, Table
 _NORMAL_95 = 1.96
 
 
+def current_sentence(result: dict[str, Any]) -> str:
+    """Whether the robot's current model is that of this run, or of which other one, when the page was made."""
+    current, run = result["current_model"], result["provenance"]["run"]
+    if current is None:
+        return "The robot has no current model."
+    return f"The robot's current model is that of {'this run' if current == run else current}."
+
+
 def parameters_section(table: Sequence[Sequence[str]], notes: Sequence[str] = ()) -> Section:
     """Every parameter with its 95 % interval; `table` is that of `IdentifiedModel.rows`, header first."""
     _, *rows = table

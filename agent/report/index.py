@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from urllib.parse import quote
@@ -21,11 +21,15 @@ _MOST_POINTS = 400
 
 @dataclass(frozen=True, eq=False)
 class IndexData:
-    """All runs, oldest first; what the trends say per machine and program, and the course of its parameters."""
+    """All runs, oldest first; what the trends say per machine and program, and the course of its parameters.
+
+    `current` names the runs that the robots' current models are of.
+    """
 
     runs: Sequence[PastRun]
     watched: Sequence[Watch]
     parameters: Sequence[Sequence[Trend]]
+    current: Collection[str] = ()
 
 
 def index_page(data: IndexData) -> str:
@@ -39,7 +43,7 @@ def index_page(data: IndexData) -> str:
         headline, verdict = "No axle's friction drifts, and no limit comes near.", "good"
     else:
         headline, verdict = f"{len(data.runs)} runs; trends need at least eight runs of one program.", "plain"
-    sections = [_all_runs(data.runs)]
+    sections = [_all_runs(data)]
     sections += [
         section
         for number, (one, parameters) in enumerate(zip(data.watched, data.parameters, strict=True))
@@ -49,11 +53,12 @@ def index_page(data: IndexData) -> str:
     return render(Page(f"Calibrations of {names}", headline, verdict, sections))
 
 
-def _all_runs(runs: Sequence[PastRun]) -> Section:
+def _all_runs(data: IndexData) -> Section:
+    runs = data.runs
     rows = [
         (
             run.run,
-            run.outcome,
+            run.outcome_with(data.current),
             "-" if run.worst is None else f"{100 * run.worst:.2f}",
             run.kind,
             run.serial or "-",

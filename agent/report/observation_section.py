@@ -15,14 +15,12 @@ if TYPE_CHECKING:
 _USUAL_LIMIT = 100  # Gautier and Khalil's rule of thumb for exciting trajectories
 
 
-def observation_section(found: Observability) -> Section:
-    """Condition number, singular values, the directions that are seen least, and what is not identifiable."""
-    number = found.condition_number
-    condition = f"{number:.0f}" if np.isfinite(number) else "beyond 1e7"
+def observation_section(found: Observability, condition_number: str) -> Section:
+    """Condition number of the fit, singular values, the directions seen least, and what is not identifiable."""
     text = [
-        f"{found.parameters} parameters; condition number {condition}, of the observation matrix along one cycle, rows "
-        "weighted by the residuals, columns scaled to unit length. The rule of thumb for a good excitation is below "
-        f"{_USUAL_LIMIT}.",
+        f"{found.parameters} parameters; condition number {condition_number}, of the weighted observation matrix that "
+        "the model was estimated from, columns scaled to unit length. The rule of thumb for a good excitation is below "
+        f"{_USUAL_LIMIT}. Singular values and directions are those along one cycle, rows weighted by the residuals.",
         _unidentifiable(found),
     ]
     if found.within_noise:

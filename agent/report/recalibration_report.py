@@ -10,6 +10,7 @@ import numpy as np
 
 from agent.report.common_sections import (
     conditions_section,
+    current_sentence,
     diagnosis_part,
     parameters_section,
     provenance_section,
@@ -38,8 +39,9 @@ def recalibration_report(data: RecalibrationData) -> str:
     """HTML text of the report."""
     result = data.result
     accepted, diagnosis = result["accepted"], result["diagnosis"]
-    word = "Accepted, and the current model now" if accepted else f"Rejected: {result['reason']}"
-    headline = f"{word}. {diagnosis['summary']}" if diagnosis else f"{word}. {result['comparison']}."
+    word = "Accepted" if accepted else f"Rejected: {result['reason']}"
+    headline = f"{word}. {current_sentence(result)} "
+    headline += diagnosis["summary"] if diagnosis else f"{result['comparison']}."
     sections = [
         _validation(data),
         motion_section(data.motion),

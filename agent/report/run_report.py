@@ -10,6 +10,7 @@ import numpy as np
 
 from agent.report.common_sections import (
     conditions_section,
+    current_sentence,
     diagnosis_part,
     parameters_section,
     provenance_section,
@@ -44,7 +45,8 @@ def run_report(data: RunData) -> str:
     worst, axis = max(zip(result["validation"]["normalised_rmse"], result["validation"]["joints"], strict=True))
     headline = (
         f"{'Accepted' if accepted else 'Rejected'}: the worst axis, {axis}, predicts unseen motions in the sub-region "
-        f"to {100 * worst:.2f} % of its nominal torque; the gate is {100 * result['gate']['normalised_rmse']:.1f} %."
+        f"to {100 * worst:.2f} % of its nominal torque; the gate is {100 * result['gate']['normalised_rmse']:.1f} %. "
+        f"{current_sentence(result)}"
     )
     if diagnosis is not None:
         headline = f"{headline} {diagnosis['summary']}"

@@ -12,8 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from agent.apply import apply_run
 from agent.errors import AgentError, InputError
 from agent.history import FILE, find_run, history_json, history_table, open_history
+from agent.reports import write_index
 
 
 def test_runs_with_their_parameters_in_order(write_runs):
@@ -78,6 +80,28 @@ def test_the_table_ends_with_what_the_trends_said_last(write_runs):
         "comau_ns16 NS16-1: joint_3 reaches the gate",
     ]
     assert "joint_1 stepped" not in table
+
+
+def test_the_current_model_is_marked_in_the_table_and_on_the_index(write_runs):
+    logs = write_runs(3)
+    runs = sorted(path for path in logs.iterdir() if path.is_dir())
+    apply_run(logs, runs[1])
+    listed = _agent("history", "--logs", str(logs))
+    marked = [line.split()[0] for line in listed.stdout.splitlines() if "accepted, current" in line]
+    assert marked == [runs[1].name]
+    page = write_index(logs).read_text(encoding="utf-8")
+    assert page.count("accepted, current") == 1
+    (logs / "models" / "comau_ns16_NS16-1" / "current" / "about.json").write_text("[]", encoding="utf-8")
+    damaged = _agent("history", "--logs", str(logs))
+    assert damaged.returncode == 0
+    assert "apply a run again" in damaged.stderr
+    assert "current" not in damaged.stdout
+
+
+def _agent(*arguments: str) -> subprocess.CompletedProcess[str]:
+    root = Path(__file__).resolve().parents[2]
+    command = [sys.executable, "-m", "agent", *arguments]
+    return subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
 
 
 def test_a_folder_that_is_not_there_is_said_plainly(tmp_path: Path):

@@ -29,7 +29,6 @@ def test_singular_values_are_those_of_the_matrix(run):
     matrix = motion.low_pass(columns.reshape(len(columns), -1)).reshape(-1, len(model.values))
     expected = np.linalg.svd(matrix / np.linalg.norm(matrix, axis=0), compute_uv=False)
     np.testing.assert_allclose(found.singular_values, expected, rtol=1e-6)
-    assert found.condition_number == pytest.approx(expected[0] / expected[-1], rel=1e-6)
 
 
 def test_what_nothing_shows_is_named(run):
@@ -37,7 +36,7 @@ def test_what_nothing_shows_is_named(run):
     found = observability(model, log)
     assert {"m1", "mz1", "Ixx1", "Iyy1"} <= set(found.never_acting), "the first link turns about the vertical alone"
     assert not set(found.never_acting) & set(model.names)
-    assert found.weakest[0][0] == pytest.approx(1 / found.condition_number)
+    assert found.weakest[0][0] == pytest.approx(found.singular_values[-1] / found.singular_values[0])
     assert set(found.weakest[0][1]) <= set(model.names)
 
 
@@ -46,4 +45,4 @@ def test_a_joint_that_rests_is_not_seen(run):
     still = log.position.copy()
     still[:, 5] = still[0, 5]
     found = observability(model, type(log)(**{**log.__dict__, "position": still}))
-    assert found.condition_number > 1e6
+    assert found.singular_values[-1] < 1e-6 * found.singular_values[0]

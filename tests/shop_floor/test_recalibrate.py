@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from datetime import UTC, datetime, timedelta
@@ -25,16 +26,31 @@ def _current(shop: Path) -> Path:
     return shop / "logs" / "models" / "comau_ns16_FAKE-0007" / "current" / "model.json"
 
 
+def _accepted_again(run: Path) -> Path:
+    """A second accepted calibration of the same loop a second later, which is not made current."""
+    copy = run.with_name(f"{run.name}_2")
+    shutil.copytree(run, copy)
+    state = json.loads((run / "state.json").read_text(encoding="utf-8"))
+    started = datetime.fromisoformat(state["started"]) + timedelta(seconds=1)
+    (copy / "state.json").write_text(json.dumps(state | {"started": started.isoformat()}), encoding="utf-8")
+    return copy
+
+
 def test_the_stored_loop_is_run_again_judged_recorded_and_made_current(shop, run_agent):
     (first,) = _runs(shop)
     assert _current(shop).read_bytes() == (first / "model.json").read_bytes(), "the first accepted one is current"
+    later = _accepted_again(first)
     run = run_agent("recalibrate", "recipe.yaml")
     assert run.returncode == 0, run.stderr
     assert "search" not in run.stderr
     folder = shop / run.stdout.strip()
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     assert result["accepted"]
-    assert result["reference"] == first.name
+    assert result["reference"] == first.name, "what it was compared with: the current model, not the newest run"
+    assert json.loads((folder / "state.json").read_text(encoding="utf-8"))["reference"] == first.name
+    assert json.loads((folder / "comparison.json").read_text(encoding="utf-8"))["before"] == first.name
+    assert result["current_model"] == folder.name
+    assert "current model       that of this run" in run.stderr
     assert result["diagnosis"] is None
     assert max(result["validation"]["normalised_rmse"]) < 0.01
     assert (folder / "program.pdl").read_bytes() == (first / "program.pdl").read_bytes()
@@ -50,9 +66,10 @@ def test_the_stored_loop_is_run_again_judged_recorded_and_made_current(shop, run
     assert _current(shop).read_bytes() == (folder / "model.json").read_bytes()
 
     listed = json.loads(run_agent("history", "--json").stdout)["runs"]
-    assert [(entry["run"], entry["kind"]) for entry in listed] == [
-        (first.name, "calibrate"),
-        (folder.name, "recalibrate"),
+    assert [(entry["run"], entry["kind"], entry["current"]) for entry in listed] == [
+        (first.name, "calibrate", False),
+        (later.name, "calibrate", False),
+        (folder.name, "recalibrate", True),
     ]
     compared = json.loads(run_agent("compare", first.name, folder.name, "--json").stdout)
     assert not any(entry["moved"] for entry in compared["parameters"]), "nothing was done to the machine"
