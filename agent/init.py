@@ -11,9 +11,10 @@ from pathlib import Path
 
 from agent.errors import InputError
 from agent.recipe import load_recipe, recipe_schema, template
+from agent.recipe.schema import BARE_ANGLE, BARE_LEAN, BARE_PLACE, BARE_REACH
 from agent.robot import builtin_robots, load_robot
 from agent.run import write_atomically
-from agent.units import Dimension, parse_quantity
+from agent.units import Bare, Dimension, parse_quantity
 
 #: Beside the recipe; editors with a YAML language server read it.
 SCHEMA = "recipe.schema.json"
@@ -59,8 +60,12 @@ def write_recipe(path: Path, given: dict[str, str | None]) -> Path:
         cone=answers["cone"],
     )
     write_atomically(path, f"# yaml-language-server: $schema={SCHEMA}\n{text}")
+    try:
+        load_recipe(path)  # what was written can be read
+    except InputError:
+        path.unlink()
+        raise
     write_atomically(path.parent / SCHEMA, schema_text())
-    load_recipe(path)  # what was written can be read
     return path
 
 
@@ -84,15 +89,20 @@ def questions() -> list[Question]:
         if not text.strip():
             raise InputError("an address is expected, host:port for tcp")
 
-    lengths, angles = _three(Dimension.LENGTH), _three(Dimension.ANGLE)
+    places, sizes = _three(Dimension.LENGTH, BARE_PLACE), _three(Dimension.LENGTH, BARE_REACH)
+    angles = _three(Dimension.ANGLE, BARE_ANGLE)
+
+    def lean(text: str) -> None:
+        _quantity(text, Dimension.ANGLE, BARE_LEAN)
+
     return [
         Question("robot", "robot: built-in name, or path of a robot.yaml", "comau_ns16", robot),
         Question("driver", "driver of the controller link", "tcp", driver),
         Question("controller", "address of the controller", "127.0.0.1:9100", address),
-        Question("centre", "centre of the sub-region, base frame: x, y, z", "1.0 m, 0 m, 0.8 m", lengths),
-        Question("size", "size of the sub-region: x, y, z", "500 mm, 600 mm, 400 mm", lengths),
+        Question("centre", "centre of the sub-region, base frame: x, y, z", "1.0 m, 0 m, 0.8 m", places),
+        Question("size", "size of the sub-region: x, y, z", "500 mm, 600 mm, 400 mm", sizes),
         Question("orientation", "tool orientation: Euler ZYZ a, e, r", "0 deg, 180 deg, 0 deg", angles),
-        Question("cone", "how far the tool may lean from it", "30 deg", lambda text: _quantity(text, Dimension.ANGLE)),
+        Question("cone", "how far the tool may lean from it", "30 deg", lean),
     ]
 
 
@@ -118,22 +128,23 @@ def _valid(question: Question, value: str) -> None:
         raise InputError(f"--{question.name} {value}: {error}") from None
 
 
-def _three(dimension: Dimension) -> Callable[[str], None]:
+def _three(dimension: Dimension, bare: Bare) -> Callable[[str], None]:
     def check(text: str) -> None:
         parts = _parts(text)
         if len(parts) != 3:
             raise InputError(f"three quantities with commas between are expected, not {len(parts)}")
         for part in parts:
-            _quantity(part, dimension)
+            _quantity(part, dimension, bare)
 
     return check
 
 
-def _quantity(text: str, dimension: Dimension) -> None:
+def _quantity(text: str, dimension: Dimension, bare: Bare) -> None:
     try:
-        parse_quantity(float(text), dimension)
+        number: float | str = float(text)
     except ValueError:
-        parse_quantity(text, dimension)
+        number = text
+    parse_quantity(number, dimension, bare)
 
 
 def _parts(text: str) -> tuple[str, ...]:

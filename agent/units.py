@@ -50,12 +50,46 @@ class Dimension(Enum):
         return f'{self.value.name} ("{self.value.example}"; {word} {", ".join(units)}; {bare})'
 
 
-def parse_quantity(value: Any, dimension: Dimension) -> float:
-    """The SI value of a number, or of a text such as ``"20 mm"``.
+@dataclass(frozen=True)
+class Bare:
+    """Sizes that a number without a unit may have in one place [SI], and the unit that was probably meant beyond them.
+
+    A whole number of that unit is what people forget to write a unit behind: `30` for 30 deg, `7` for 7 d.
+    """
+
+    meant: str
+    most: float = math.inf
+    least: float = 0.0
+
+    def __contains__(self, number: float) -> bool:
+        return number == 0 or self.least <= abs(number) <= self.most
+
+
+def parse_quantity(value: Any, dimension: Dimension, bare: Bare | None = None) -> float:
+    """The SI value of a number, or of a text such as ``"20 mm"``; `bare` says which numbers need no unit, None: all.
 
     Raises:
-        InputError: not a number, not finite, or a unit of another dimension; says what is allowed.
+        InputError: not a number, not finite, a unit of another dimension, or a number that needs a unit; says what is
+            allowed.
     """
+    number = _parse(value, dimension)
+    if bare is not None and number not in bare and _has_no_unit(value):
+        raise InputError(_needs_unit(number, dimension, bare))
+    return number
+
+
+def _has_no_unit(value: Any) -> bool:
+    return not isinstance(value, str) or re.fullmatch(rf"\s*{_NUMBER}\s*", value) is not None
+
+
+def _needs_unit(number: float, dimension: Dimension, bare: Bare) -> str:
+    si = f"{100 * number:g} %" if dimension is Dimension.RATIO else f"{number:g} {next(iter(dimension.value.factors))}"
+    text = f"a number without a unit is SI, and {si} is hardly meant here"
+    guess = f"{number:g} {bare.meant}"
+    return f"{text}; did you mean {guess}?" if parse_quantity(guess, dimension) in bare else f"{text}; write the unit"
+
+
+def _parse(value: Any, dimension: Dimension) -> float:
     expected = f"{dimension.description} is expected"
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         raise InputError(f"{expected}, not {_kind(value)}")

@@ -14,7 +14,7 @@ import numpy as np
 from agent.documents import find_faults, line_of, read_yaml, without_faults
 from agent.errors import InputError
 from agent.motion.program import MotionSettings
-from agent.recipe.schema import RecipeDocument, ToolSection, ViaPointsSection
+from agent.recipe.schema import BARE_ANGLE, BARE_PLACE, RecipeDocument, ToolSection, ViaPointsSection
 from agent.robot import RobotDescription, builtin_robots, load_robot
 from agent.units import Dimension, parse_quantity
 
@@ -346,8 +346,8 @@ def _joint_range(name: str, document: RecipeDocument, robot: RobotDescription) -
     if name not in robot.joint_names:
         raise InputError(f"{robot.name} has no such joint; allowed are {', '.join(robot.joint_names)}")
     joint = robot.joints[robot.joint_names.index(name)]
-    dimension = Dimension.LENGTH if joint.prismatic else Dimension.ANGLE
-    lower, upper = (parse_quantity(value, dimension) for value in document.cell.joint_ranges[name])
+    dimension, bare = (Dimension.LENGTH, BARE_PLACE) if joint.prismatic else (Dimension.ANGLE, BARE_ANGLE)
+    lower, upper = (parse_quantity(value, dimension, bare) for value in document.cell.joint_ranges[name])
     unit = "m" if joint.prismatic else "rad"
     if lower >= upper:
         raise InputError(f"the lower end must come first and be below the upper; it is {lower:g} to {upper:g} {unit}")

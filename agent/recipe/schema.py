@@ -18,7 +18,7 @@ from pydantic_core import InitErrorDetails
 
 from agent.errors import InputError
 from agent.motion.program import FlyTrajectory, FlyType
-from agent.units import Dimension, parse_quantity
+from agent.units import Bare, Dimension, parse_quantity
 
 #: Estimators that `estimate.method` may name; `auto` lets held-out error choose.
 ESTIMATION_METHODS = (
@@ -35,10 +35,10 @@ ESTIMATION_METHODS = (
 SEARCH_METHODS = ("genetic", "random")
 
 
-def _quantity(dimension: Dimension) -> Any:
+def _quantity(dimension: Dimension, bare: Bare) -> Any:
     def parse(value: Any) -> float:
         try:
-            return parse_quantity(value, dimension)
+            return parse_quantity(value, dimension, bare)
         except InputError as error:
             raise ValueError(str(error)) from None
 
@@ -47,13 +47,25 @@ def _quantity(dimension: Dimension) -> Any:
     return Annotated[float, BeforeValidator(parse), WithJsonSchema(described)]
 
 
-Length = _quantity(Dimension.LENGTH)
-Angle = _quantity(Dimension.ANGLE)
-Mass = _quantity(Dimension.MASS)
-Time = _quantity(Dimension.TIME)
-Frequency = _quantity(Dimension.FREQUENCY)
-Speed = _quantity(Dimension.SPEED)
-Ratio = _quantity(Dimension.RATIO)
+_FULL_TURN = 6.283185307179586
+_DECADE = 3652 * 86_400.0
+
+#: What a number without a unit may be. Arms reach a few metres, no tool is turned twice, no gate lets a tenth through.
+BARE_PLACE = Bare("mm", 10.0)
+BARE_REACH = Bare("mm", 2.0)
+BARE_ANGLE = Bare("deg", _FULL_TURN)
+BARE_LEAN = Bare("deg", _FULL_TURN / 4)
+
+Place = _quantity(Dimension.LENGTH, BARE_PLACE)
+Reach = _quantity(Dimension.LENGTH, BARE_REACH)
+Angle = _quantity(Dimension.ANGLE, BARE_ANGLE)
+Lean = _quantity(Dimension.ANGLE, BARE_LEAN)
+Mass = _quantity(Dimension.MASS, Bare("g", 500.0))
+Interval = _quantity(Dimension.TIME, Bare("d", least=3600.0))
+Frequency = _quantity(Dimension.FREQUENCY, Bare("kHz", least=1.0))
+Speed = _quantity(Dimension.SPEED, Bare("mm/s", 10.0))
+Ratio = _quantity(Dimension.RATIO, Bare("%", 1.0))
+GateRatio = _quantity(Dimension.RATIO, Bare("%", 0.1))
 
 
 def _joint_position(value: Any) -> Any:
@@ -71,9 +83,6 @@ def _joint_position(value: Any) -> Any:
 _POSITION = {"anyOf": [{"type": "number"}, {"type": "string"}], "description": "rad or m, by the kind of the joint"}
 JointPosition = Annotated[float | str, BeforeValidator(_joint_position), WithJsonSchema(_POSITION)]
 
-_FULL_TURN = 6.283185307179586
-_DECADE = 3652 * 86_400.0
-
 
 def _listed(names: str, count: int) -> BeforeValidator:
     def check(value: Any) -> Any:
@@ -86,15 +95,21 @@ def _listed(names: str, count: int) -> BeforeValidator:
 
 
 _FARTHEST = 100.0  # m: farther than any arm on any track
-_Place = Annotated[Length, Field(ge=-_FARTHEST, le=_FARTHEST)]
+_Place = Annotated[Place, Field(ge=-_FARTHEST, le=_FARTHEST)]
 _Heading = Annotated[Angle, Field(ge=-2 * _FULL_TURN, le=2 * _FULL_TURN)]
 Position = Annotated[tuple[_Place, _Place, _Place], _listed("x, y, z", 3)]
 Orientation = Annotated[tuple[_Heading, _Heading, _Heading], _listed("a, e, r", 3)]
 Pose = Annotated[tuple[_Place, _Place, _Place, _Heading, _Heading, _Heading], _listed("x, y, z, a, e, r", 6)]
 
-_Extent = Annotated[Length, Field(ge=0, le=_FARTHEST)]
-_Reach = Annotated[Length, Field(gt=0, le=_FARTHEST)]
-_Turn = Annotated[Angle, Field(ge=0, le=_FULL_TURN)]
+_ToolPlace = Annotated[Reach, Field(ge=-_FARTHEST, le=_FARTHEST)]
+ToolPosition = Annotated[tuple[_ToolPlace, _ToolPlace, _ToolPlace], _listed("x, y, z", 3)]
+ToolPose = Annotated[
+    tuple[_ToolPlace, _ToolPlace, _ToolPlace, _Heading, _Heading, _Heading], _listed("x, y, z, a, e, r", 6)
+]
+
+_Extent = Annotated[Reach, Field(ge=0, le=_FARTHEST)]
+_Radius = Annotated[Reach, Field(gt=0, le=_FARTHEST)]
+_Turn = Annotated[Lean, Field(ge=0, le=_FULL_TURN)]
 JointRange = Annotated[tuple[JointPosition, JointPosition], _listed("lower, upper", 2)]
 Extent = Annotated[tuple[_Extent, _Extent, _Extent], _listed("dx, dy, dz", 3)]
 Range = Annotated[tuple[_Extent, _Extent, _Extent, _Turn, _Turn, _Turn], _listed("dx, dy, dz, da, de, dr", 6)]
@@ -112,9 +127,9 @@ class Section(BaseModel):
 class ToolSection(Section):
     """What is mounted on the flange; all in the flange's frame."""
 
-    frame: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    frame: ToolPose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     mass: Annotated[Mass, Field(ge=0, le=10_000)] = 0.0
-    centre_of_mass: Position | None = None
+    centre_of_mass: ToolPosition | None = None
 
 
 class ControllerSection(Section):
@@ -166,7 +181,7 @@ class FlySection(Section):
 
     type: FlyType = FlyType.FLY_CART
     trajectory: FlyTrajectory = FlyTrajectory.FLY_TOL
-    distance: Annotated[Length, Field(ge=0, le=1)] = 0.02
+    distance: Annotated[Reach, Field(ge=0, le=1)] = 0.02
     percent: Annotated[Ratio, Field(ge=0.01, le=1)] = 1.0
     stress: Annotated[Ratio, Field(ge=0.01, le=1)] = 0.5
 
@@ -177,7 +192,14 @@ class BoxSection(Section):
     centre: Position
     size: Extent
     orientation: Orientation
-    cone: Annotated[Angle, Field(ge=0, le=_FULL_TURN / 2)] = 0.0
+    cone: Annotated[Lean, Field(ge=0, le=_FULL_TURN / 2)] = 0.0
+
+    @field_validator("size")
+    @classmethod
+    def _some_size(cls, size: tuple[float, float, float]) -> tuple[float, float, float]:
+        if not any(size):
+            raise ValueError('a box of no size has no room for via-points; its edges are lengths such as "500 mm"')
+        return size
 
 
 class PointEntry(Section):
@@ -191,8 +213,8 @@ class TubeSection(Section):
     """All within `radius` of a taught path (poses joined by straight lines) and `cone` of its orientation."""
 
     path: Annotated[list[Pose], Field(min_length=2, max_length=1000)]
-    radius: _Reach
-    cone: Annotated[Angle, Field(ge=0, le=_FULL_TURN / 2)] = 0.0
+    radius: _Radius
+    cone: Annotated[Lean, Field(ge=0, le=_FULL_TURN / 2)] = 0.0
 
 
 class ViaPointsSection(Section):
@@ -202,8 +224,15 @@ class ViaPointsSection(Section):
     box: BoxSection | None = None
     points: Annotated[list[PointEntry], Field(min_length=2, max_length=50)] | None = None
     like: Name | None = None
-    around: _Reach | None = None
+    around: _Radius | None = None
     tube: TubeSection | None = None
+
+    @field_validator("points")
+    @classmethod
+    def _some_range(cls, points: list[PointEntry] | None) -> list[PointEntry] | None:
+        if points is not None and not any(any(point.range) for point in points):
+            raise ValueError("no point has a range, so there is nothing to search; give at least one of them a range")
+        return points
 
     @model_validator(mode="wrap")
     @classmethod
@@ -271,13 +300,13 @@ class ValidateSection(Section):
 class GateSection(Section):
     """What is accepted."""
 
-    normalised_rmse: Annotated[Ratio, Field(gt=0, le=1)] = 0.03
+    normalised_rmse: Annotated[GateRatio, Field(gt=0, le=1)] = 0.03
 
 
 class RecalibrateSection(Section):
     """How often, and what, is estimated again."""
 
-    every: Annotated[Time, Field(gt=0, le=_DECADE)] = 604_800.0
+    every: Annotated[Interval, Field(gt=0, le=_DECADE)] = 604_800.0
     parameters: Literal["friction", "all"] = "friction"
 
 

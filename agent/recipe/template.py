@@ -8,7 +8,7 @@ from collections.abc import Sequence
 _BARE = re.compile(r"[0-9]+(\.[0-9]+){3}:[0-9]+|[A-Za-z_][A-Za-z0-9_./-]*(:[0-9]+)?")
 
 _TEMPLATE = """\
-# Calibration recipe. Quantities are texts with a unit; a bare number is SI (m, rad, kg, s, Hz).
+# Calibration recipe. Quantities are texts with a unit; a bare number is SI, where it can be meant so.
 robot: {robot}                  # built-in name, or path of a robot.yaml (from this file's folder)
 
 # tool:                         # what is mounted on the flange; all in the flange's frame

@@ -145,6 +145,9 @@ def test_the_alternatives_of_via_points(recipe_file: Path) -> None:
         (f"{TUBE}, around: 5 mm", "via_points.around", "like alone"),
         ("count: 6, like: task.pdl", "via_points.around", "required"),
         ("count: 6, like: absent.pdl, around: 1 cm", "via_points.like", "no such file"),
+        (POINTS.replace("[1 cm, 2 cm, 3 cm, 0, 10 deg, 0]", "[0, 0, 0, 0, 0, 0]"), "via_points.points", "no point has"),
+        ("count: 6, like: absent.pdl, around: 50", "via_points.around", "did you mean 50 mm?"),
+        (TUBE.replace("50 mm", "50"), "via_points.tube.radius", "did you mean 50 mm?"),
         ("count: 6, like: absent.pdl, around: 0 mm", "via_points.around", "greater than 0"),
         (TUBE.replace("count: 4", "count: 1"), "via_points.count", "greater than or equal to 2"),
     ],
@@ -167,7 +170,25 @@ def test_a_clash_of_alternatives_is_named(recipe_file: Path, via_points: str, ke
         ("speed: 500 mm/s", "speed:", 7, "motion.speed", "not nothing"),
         ("distance: 30 mm", "distance: 30 deg", 8, "motion.fly.distance", "a unit of an angle"),
         ("type: FLY_NORM", "type: FLY", 8, "motion.fly.type", "'FLY_NORM' or 'FLY_CART'"),
-        ("percent: 80 %", "percent: 80", 8, "motion.fly.percent", "less than or equal to 1"),
+        ("normalised_rmse: 0.05", "normalised_rmse: 0.5", 17, "gate.normalised_rmse", "50 % is hardly meant"),
+        ("normalised_rmse: 0.05", "normalised_rmse: 0.5", 17, "gate.normalised_rmse", "did you mean 0.5 %?"),
+        ("every: 12 h", "every: 7", 18, "recalibrate.every", "did you mean 7 d?"),
+        ("every: 12 h", 'every: "7"', 18, "recalibrate.every", "did you mean 7 d?"),
+        ("every: 12 h", "every: 0", 18, "recalibrate.every", "greater than 0"),
+        ("cone: 30 deg", "cone: 30", 12, "motion.via_points.box.cone", "did you mean 30 deg?"),
+        ("cone: 30 deg", "cone: 2", 12, "motion.via_points.box.cone", "did you mean 2 deg?"),
+        ("cone: 30 deg", "cone: 3000", 12, "motion.via_points.box.cone", "write the unit"),
+        ("0 deg, 180 deg, 0 deg", "0, 180, 0", 12, "motion.via_points.box.orientation.1", "did you mean 180 deg?"),
+        ("[500 mm, 600 mm, 400 mm]", "[500, 1, 1]", 12, "motion.via_points.box.size.0", "did you mean 500 mm?"),
+        ("[500 mm, 600 mm, 400 mm]", "[0, 0 mm, 0]", 12, "motion.via_points.box.size", "a box of no size"),
+        ("[1.0 m, 0 m, 0.8 m]", "[1000, 0, 0.8]", 12, "motion.via_points.box.centre.0", "did you mean 1000 mm?"),
+        ("distance: 30 mm", "distance: 30", 8, "motion.fly.distance", "did you mean 30 mm?"),
+        ("speed: 500 mm/s", "speed: 500", 7, "motion.speed", "did you mean 500 mm/s?"),
+        ("mass: 2.1 kg", "mass: 2100", 2, "tool.mass", "did you mean 2100 g?"),
+        ("120 mm", "120", 2, "tool.frame.2", "did you mean 120 mm?"),
+        ("rate: 250 Hz", "rate: 0.25", 14, "record.rate", "did you mean 0.25 kHz?"),
+        ("[-90 deg, 2]", "[-90, 2]", 5, "cell.joint_ranges.joint_4", "did you mean -90 deg?"),
+        ("percent: 80 %", "percent: 80", 8, "motion.fly.percent", "did you mean 80 %?"),
         ("0 deg, 180 deg, 0 deg", "0 deg, 180 deg", 12, "motion.via_points.box.orientation", "3 values"),
         ("500 mm, 600 mm", "500 mm, -600 mm", 12, "motion.via_points.box.size.1", "greater than or equal to 0"),
         ("mass: 2.1 kg", "mass: -2.1 kg", 2, "tool.mass", "greater than or equal to 0"),
@@ -178,7 +199,7 @@ def test_a_clash_of_alternatives_is_named(recipe_file: Path, via_points: str, ke
         ("[-90 deg, 2]", "[-90 mm, 2]", 5, "cell.joint_ranges.joint_4", "'mm' is a unit of a length"),
         ("[-90 deg, 2]", "[-90 kg, 2]", 5, "cell.joint_ranges.joint_4.0", "'kg' is a unit of a mass"),
         ("[-90 deg, 2]", "[2, -90 deg]", 5, "cell.joint_ranges.joint_4", "must come first"),
-        ("[-90 deg, 2]", "[13, 14]", 5, "cell.joint_ranges.joint_4", "outside the joint's own range"),
+        ("[-90 deg, 2]", "[13 rad, 14 rad]", 5, "cell.joint_ranges.joint_4", "outside the joint's own range"),
         ("driver: tcp", "driver: rs232", 3, "controller.driver", "tcp"),
         ("population: 20", "population: 2.5", 13, "search.population", "integer"),
         ("population: 20", "population: true", 13, "search.population", "integer"),
@@ -191,7 +212,7 @@ def test_a_clash_of_alternatives_is_named(recipe_file: Path, via_points: str, ke
         ("speed: 0.2 m/s, ", "speed: 0.2 m/s, speed: 0.3 m/s, ", 16, "", "duplicate key"),
         ("robot: comau_ns16", "robot: comau_ns61", 1, "robot", "comau_ns16"),
         ("gate: {normalised_rmse: 0.05}", "gate: 0.05", 17, "gate", "normalised_rmse"),
-        ("normalised_rmse: 0.05", "normalised_rmse: 5", 17, "gate.normalised_rmse", "less than or equal to 1"),
+        ("normalised_rmse: 0.05", "normalised_rmse: 5", 17, "gate.normalised_rmse", "did you mean 5 %?"),
         ("address: 127.0.0.1:9100", "address: 127.0.0.1", 3, "controller.address", "host:port is expected"),
         ("[1.0 m, 0 m", "[1e300 m, 0 m", 12, "motion.via_points.box.centre.0", "less than or equal to 100"),
         ("[500 mm,", "[1e9 mm,", 12, "motion.via_points.box.size.0", "less than or equal to 100"),
@@ -207,6 +228,72 @@ def test_a_fault_names_file_line_key_and_what_is_allowed(
     assert len(faults) == 1
     assert faults[0].startswith(f"{recipe_file}:{line}: {key}")
     assert message in faults[0]
+
+
+CONTRACT = """\
+robot: comau_ns16
+tool: {frame: [0 mm, 0 mm, 120 mm, 0 deg, 0 deg, 0 deg], mass: 2.1 kg, centre_of_mass: [0 mm, 0 mm, 60 mm]}
+controller: {driver: tcp, address: 127.0.0.1:9100}
+cell: {keep_out: [{name: table, box: {min: [0.4 m, -1 m, 0 m], max: [1.6 m, 1 m, 0.3 m]}}]}
+motion:
+  speed: 1 m/s
+  fly: {type: FLY_CART, trajectory: FLY_TOL, distance: 20 mm}
+  via_points:
+    count: 6
+    box:
+      {centre: [1.0 m, 0 m, 0.8 m], size: [500 mm, 600 mm, 400 mm], orientation: [0 deg, 180 deg, 0 deg], cone: 30 deg}
+search: {population: 50, generations: 40, seed: 1, method: genetic, interpolator: fly}
+record: {rate: 500 Hz, cycles: 100}
+estimate: {filter: {order: 8, cutoff: 30 Hz}, method: weighted}
+validate: {motions: 30, speed: 0.1 m/s, seed: 2}
+gate: {normalised_rmse: 0.03}
+recalibrate: {every: 7 d, parameters: friction}
+"""
+
+
+def test_the_example_of_the_contract_loads(recipe_file: Path) -> None:
+    recipe = load_text(recipe_file, CONTRACT)
+    assert (recipe.gate.normalised_rmse, recipe.recalibrate.every) == (0.03, 604_800.0)
+    bare = load_text(recipe_file, re.sub(r" (mm/s|m/s|m|kg|Hz)\b(?=[,\]}\s])", "", CONTRACT.replace(" mm", "e-3")))
+    assert bare.motion == recipe.motion, "SI without units says the same"
+    assert bare.tool.mass == recipe.tool.mass
+
+
+#: Key, text before and after the number, its dimension, and the sizes that need no unit [SI].
+WRITTEN = [
+    ("cone: 30 deg", "cone: {}", Dimension.ANGLE, 0.0, math.pi / 2, lambda r: r.motion.via_points.cone),
+    ("0.05", "{}", Dimension.RATIO, 0.0, 0.1, lambda r: r.gate.normalised_rmse),
+    ("every: 12 h", "every: {}", Dimension.TIME, 3600.0, math.inf, lambda r: r.recalibrate.every),
+    ("distance: 30 mm", "distance: {}", Dimension.LENGTH, 0.0, 2.0, lambda r: r.motion.settings.fly_distance),
+    ("speed: 500 mm/s", "speed: {}", Dimension.SPEED, 0.0, 10.0, lambda r: r.motion.speed),
+    ("mass: 2.1 kg", "mass: {}", Dimension.MASS, 0.0, 500.0, lambda r: r.tool.mass),
+    ("rate: 250 Hz", "rate: {}", Dimension.FREQUENCY, 1.0, math.inf, lambda r: r.record.rate),
+]
+
+
+@given(st.sampled_from(WRITTEN), st.floats(1e-3, 1e6), st.booleans())
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_bare_number_is_si_or_asks_for_its_unit(recipe_file: Path, place: Any, number: float, quoted: bool) -> None:
+    old, new, dimension, least, most, value = place
+    text = f'"{number!r}"' if quoted else repr(number)
+    unit = next(iter(dimension.value.factors))
+    with_unit = f"{100 * number!r} %" if dimension is Dimension.RATIO else f"{number!r} {unit}"
+
+    def load(written: str) -> Any:
+        try:
+            return load_text(recipe_file, FULL.replace(old, new.format(written)))
+        except InputError as error:
+            return str(error)
+
+    bare, full = load(text), load(with_unit)
+    if least <= number <= most:
+        assert isinstance(bare, str) == isinstance(full, str)
+        assert isinstance(bare, str) or value(bare) == pytest.approx(value(full), rel=1e-12) == pytest.approx(number)
+    else:
+        assert "hardly meant here" in bare
+        assert "hardly meant" not in str(full), "with its unit it is taken, or has other faults"
+        if (guess := re.search(r"did you mean (.+)\?", bare)) is not None:
+            assert "hardly meant" not in str(load(guess[1]))
 
 
 def test_all_faults_are_told_at_once(recipe_file: Path) -> None:
