@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -23,7 +22,11 @@ from agent.cli_options import (
     Yes,
     console_for,
 )
+from agent.endings import Ended, hang_up, signals_raised
 from agent.errors import AgentError, InputError
+from agent.output import flush_results, open_standard_descriptors, patient_messages
+
+_INTERRUPTED = 130
 
 app = typer.Typer(
     name="agent",
@@ -34,10 +37,6 @@ app = typer.Typer(
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
 )
-
-
-class Terminated(BaseException):
-    """SIGTERM: unwinds like Ctrl-C, so the arm comes to a controlled stop."""
 
 
 @app.command()
@@ -294,18 +293,23 @@ app.registered_commands += cli_shop_floor.app.registered_commands
 def main() -> None:
     """Entry point: runs the command and turns every error into one message and its exit code."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    signal.signal(signal.SIGTERM, _terminate)
+    open_standard_descriptors()
+    with signals_raised(), patient_messages(hang_up):
+        _run()
+
+
+def _run() -> None:
     try:
         code = app(standalone_mode=False)
+        if code == _INTERRUPTED:  # typer's word for a KeyboardInterrupt
+            raise KeyboardInterrupt
+        flush_results()
     except (KeyboardInterrupt, typer.Abort):
-        _fail("interrupted", 130)
-    except Terminated:
-        _fail("terminated", 143)
+        _fail("interrupted", _INTERRUPTED)
+    except Ended as end:
+        _fail(str(end), end.exit_code)
     except AgentError as error:
         _fail(str(error), error.exit_code)
-    except BrokenPipeError:
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  the reader went away; nothing more can be said to it
-        sys.exit(0)
     except Exception as error:
         _unexpected(error)
     sys.exit(code if isinstance(code, int) else 0)
@@ -325,10 +329,6 @@ def _unexpected(error: Exception) -> None:
 
     traceback.print_exc()
     _fail("internal error: this is a fault of the agent; the lines above say where", 1)
-
-
-def _terminate(*_: Any) -> None:
-    raise Terminated
 
 
 def _fail(message: str, code: int) -> None:

@@ -8,9 +8,11 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from agent.output import PatientStream, patient
+
 
 class Console:
-    """Progress and messages.
+    """Progress and messages. Nobody who tells something waits for whoever reads it; `agent.output` says how.
 
     On a terminal a running step rewrites its line; elsewhere it prints a line at most every `interval` seconds, so
     a log file stays readable and a waiting person still sees that something moves.
@@ -25,7 +27,7 @@ class Console:
         self.verbosity = verbosity
         self._interval = interval
         self._clock = clock
-        self._rich = RichConsole(stderr=True, highlight=False, soft_wrap=True)
+        self._rich = RichConsole(file=_Messages(), highlight=False, soft_wrap=True)  # type: ignore[arg-type]
         self._begin = clock()
         self._last = -float("inf")
         self._open_line = False
@@ -42,8 +44,11 @@ class Console:
         now = self._clock()
         if self._rich.is_terminal:
             if now - self._last > 0.1:
-                self._rich.file.write(f"\r\033[K{self._stamp()}   {text}")
-                self._rich.file.flush()
+                stream, line = patient(sys.stderr), f"\r\033[K{self._stamp()}   {text}"
+                if isinstance(stream, PatientStream):
+                    stream.progress(line)
+                else:
+                    stream.write(line)
                 self._open_line = True
                 self._last = now
         elif now - self._last >= self._interval:
@@ -66,9 +71,10 @@ class Console:
 
     def confirm(self, question: str) -> bool:
         """Ask a person; without a terminal nobody can answer, which is no."""
-        if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        if not (sys.stdin.isatty() and patient(sys.stderr).isatty()):
             return False
         self._rich.print(f"{question} [y/N] ", end="")
+        patient(sys.stderr).drain()
         return sys.stdin.readline().strip().lower() in ("y", "yes")
 
     def _print(self, text: str, style: str | None = None) -> None:
@@ -79,6 +85,13 @@ class Console:
 
     def _stamp(self) -> str:
         return f"[{self._clock() - self._begin:6.1f} s]"
+
+
+class _Messages:
+    """Where messages go at the moment: whoever replaces `sys.stderr` gets them."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(patient(sys.stderr), name)
 
 
 def print_json(data: Any) -> None:

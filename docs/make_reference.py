@@ -60,7 +60,7 @@ def _exit_codes() -> Iterator[str]:
     found = [e for e in vars(agent.errors).values() if isinstance(e, type) and issubclass(e, agent.errors.AgentError)]
     for error in sorted(found, key=lambda e: e.exit_code):
         yield f"| {error.exit_code} | `{error.__name__}` | {(error.__doc__ or '').strip()} |"
-    yield "| 130, 143 | | interrupted, after a controlled stop |"
+    yield "| 129, 130, 131, 143 | | ended by a signal (hang-up, interrupt, quit, terminate), after a controlled stop |"
 
 
 def _keys() -> Iterator[str]:

@@ -117,7 +117,8 @@ def _answer(connection: Connection) -> Score:
 
 
 def _work(connection: Connection, build: Build, problem: Any) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of the terminal; ours ends us
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # they reach every process of the terminal; ours ends us
     try:
         score = build(problem)
         with one_blas_thread():

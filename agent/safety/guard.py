@@ -1,8 +1,8 @@
 """The only way from the pipeline to a moving arm: every condition before motion, and the watch while it moves.
 
-A program is sent once and started once. Whatever ends the motion before its end - an error, Ctrl-C, SIGTERM, a full
-disk, the consumer leaving - asks the controller for a stop on the path first; where that is not confirmed the link is
-closed, and the controller's own watchdog stops the arm.
+A program is sent once and started once. Whatever ends the motion before its end - an error, any signal (see
+`agent.endings`), a full disk, the consumer leaving - asks the controller for a stop on the path first; where that is
+not confirmed the link is closed, and the controller's own watchdog stops the arm.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from agent.endings import stop_to_come, undisturbed
 from agent.errors import AgentError, ControllerError, InputError, SafetyError
 from agent.robot import RobotDescription
 from agent.safety.checked import CheckedPrograms
@@ -87,6 +88,7 @@ class GuardedLink:
         self._identity: Identity | None = None
         self._emulator = False
         self._override_known = True
+        self._to_stop = False  # the arm may be in motion, and nobody has asked it to stop yet
         #: (controller time [s], (n,) [°C]) of the last motion, where the controller measures temperatures.
         self.temperatures: list[tuple[float, np.ndarray]] = []
 
@@ -182,19 +184,25 @@ class GuardedLink:
             yield from self._watched(program)
             over = True
 
-        try:
-            with self._advice("make sure that the arm rests, put that right, then run the command again"):
-                self._driver.start(program.name, program.checksum)
-                yield samples()
-        except RefusedError:
-            raise
-        except BaseException:
+        with stop_to_come():
+            self._to_stop = True
+            try:
+                with self._advice("make sure that the arm rests, put that right, then run the command again"):
+                    self._driver.start(program.name, program.checksum)
+                    yield samples()
+            except RefusedError:
+                self._to_stop = False
+                raise
+            except BaseException:
+                if not over:
+                    self._stop()
+                raise
+            finally:
+                if over:
+                    self._to_stop = False
             if not over:
                 self._stop()
-            raise
-        if not over:
-            self._stop()
-        elif not self._emulator:  # it was slow, or known before
+        if over and not self._emulator:  # it was slow, or known before
             self._checked.add(self.identity.serial, program.stands_for or program.checksum)
 
     @property
@@ -203,7 +211,9 @@ class GuardedLink:
         return self._driver.facts if isinstance(self._driver, TellsFacts) else {}
 
     def close(self) -> None:
-        """Close the link; never raises."""
+        """Close the link; the arm is stopped first, where something has kept that from happening. Never raises."""
+        if self._to_stop:
+            self._stop()
         self._driver.close()
 
     def _hand_over(self, program: PlannedProgram) -> str:
@@ -280,14 +290,16 @@ class GuardedLink:
 
     def _stop(self) -> None:
         """Ask for a stop; where it is not confirmed, let go of the link, so that the controller stops by itself."""
-        try:
-            self._driver.stop()
-        except DriverError as error:
-            self._driver.close()
-            self._warn(
-                f"{self.address}: the stop was not confirmed ({error}); the link was closed, which stops the arm. "
-                "Go and look at it"
-            )
+        with undisturbed():
+            try:
+                self._driver.stop()
+            except Exception as error:  # whatever it is: the other way to a stop is left
+                self._driver.close()
+                self._warn(
+                    f"{self.address}: the stop was not confirmed ({error}); the link was closed, which stops the arm. "
+                    "Go and look at it"
+                )
+            self._to_stop = False
 
     @contextmanager
     def _advice(self, what: str) -> Iterator[None]:

@@ -1,0 +1,144 @@
+"""How a program ends that may have an arm in motion: every signal that ends it is raised in the main thread, so that
+the way out leads through a controlled stop, and none cuts that stop short.
+
+Python alone turns only SIGINT into an exception; SIGHUP (a terminal that is closed, an ssh session that drops), SIGQUIT
+and SIGTERM would end the process on the spot.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from types import FrameType
+from typing import Any
+
+#: What ends a program, and how that is told.
+WORDS = {
+    signal.SIGINT: "interrupted",
+    signal.SIGTERM: "terminated",
+    signal.SIGHUP: "hung up: the terminal or the session is gone",
+    signal.SIGQUIT: "quit",
+}
+#: So long [s] after one that was raised, no other is raised on the way to the stop.
+_WAY_TO_STOP = 1.0
+#: So long [s] after one that was raised, these say no more than it did: a terminal that closes sends several, and the
+#: log is still to be closed.
+_ONE_END = 10.0
+_SEVERAL = (signal.SIGHUP, signal.SIGTERM)
+
+
+class Ended(BaseException):
+    """A signal other than SIGINT, which is a `KeyboardInterrupt` as everywhere."""
+
+    def __init__(self, number: int):
+        super().__init__(WORDS[signal.Signals(number)])
+        self.exit_code = 128 + number
+
+
+class _State:
+    """Of this process; changed in its main thread alone."""
+
+    catching = False
+    raised = -float("inf")  # when a signal was, the last time
+    moving = False  # whatever is raised now leads to a stop
+    shields = 0
+    failure: BaseException | None = None  # of another thread
+
+
+_state = _State()
+
+
+@contextlib.contextmanager
+def signals_raised() -> Iterator[None]:
+    """Within it, signals that end a program are raised in the main thread; what the caller of the program has told it
+    to ignore (`nohup`, a job in the background) stays ignored.
+
+    In another thread than the main one, or within itself, it changes nothing.
+    """
+    if _state.catching or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in WORDS}
+    kept = {number: handler for number, handler in before.items() if handler is not None}
+    # A job in the background that writes to its terminal would be suspended, where the terminal is set to that.
+    kept[signal.SIGTTOU] = signal.getsignal(signal.SIGTTOU)
+    _state.catching, _state.raised = True, -float("inf")
+    try:
+        for number in WORDS:
+            if before[number] is not signal.SIG_IGN or number == signal.SIGTERM:
+                signal.signal(number, _raise)
+        signal.signal(signal.SIGTTOU, signal.SIG_IGN)
+        yield
+    finally:
+        for number, handler in kept.items():
+            signal.signal(number, handler)
+        _state.catching = False
+
+
+@contextlib.contextmanager
+def stop_to_come() -> Iterator[None]:
+    """For the time in which an arm may move: the first signal is raised and those right after it are not, so that they
+    cannot keep it from the stop; an exception that ends another thread is raised here too; Ctrl-Z does nothing, for
+    nobody would watch.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    with signals_raised():
+        suspend, hook = signal.signal(signal.SIGTSTP, signal.SIG_IGN), threading.excepthook
+        threading.excepthook = _reporting(hook)
+        _state.moving, _state.failure = True, None
+        try:
+            yield
+        finally:
+            _state.moving, _state.failure = False, None
+            threading.excepthook = hook
+            signal.signal(signal.SIGTSTP, suspend)
+
+
+@contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """For the stop itself: no signal is raised. What it is a part of comes to its end anyway."""
+    main = threading.current_thread() is threading.main_thread()
+    with signals_raised():
+        _state.shields += main
+        try:
+            yield
+        finally:
+            _state.shields -= main
+
+
+def hang_up() -> None:
+    """What a closed terminal does, for one that was found to be closed; callable from any thread."""
+    if _state.catching:
+        _wake(signal.SIGHUP)
+
+
+def _raise(number: int, _: FrameType | None) -> None:
+    since = time.monotonic() - _state.raised
+    if _state.shields or (_state.moving and since < _WAY_TO_STOP) or (number in _SEVERAL and since < _ONE_END):
+        return
+    _state.raised = time.monotonic()
+    if _state.failure is not None:
+        failure, _state.failure = _state.failure, None
+        raise failure
+    raise KeyboardInterrupt if number == signal.SIGINT else Ended(number)
+
+
+def _reporting(hook: Callable[[threading.ExceptHookArgs], Any]) -> Callable[[threading.ExceptHookArgs], Any]:
+    def report(arguments: threading.ExceptHookArgs) -> None:
+        _state.failure = arguments.exc_value
+        _wake(signal.SIGTERM)
+        hook(arguments)
+
+    return report
+
+
+def _wake(number: int) -> None:
+    """A signal to the main thread, also where it waits."""
+    main = threading.main_thread().ident
+    if main is not None:
+        signal.pthread_kill(main, number)

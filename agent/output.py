@@ -1,0 +1,251 @@
+"""Messages that nobody waits for: a frozen terminal, a full pipe or a reader that is gone hold up only their own text.
+
+Whoever watches a moving arm also says how far it has come, and a library may print a warning in any thread. Python's
+`sys.stderr` would let them wait for as long as the far end does not read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import os
+import queue
+import select
+import sys
+import threading
+import weakref
+from collections.abc import Callable, Iterator
+from typing import Any, TextIO
+
+#: Texts that wait for a far end that does not read; beyond, they are left out and counted.
+LIMIT = 10_000
+#: How often a far end that is not written to is looked at [s].
+LOOK = 0.2
+#: At the end of the program, a far end that has taken nothing for so long [s] gets no more.
+PATIENCE = 2.0
+_PIECE = 1024  # bytes of a write: a slow line shows that it goes on
+_GONE = (errno.EPIPE, errno.EIO, errno.EBADF, errno.ENXIO)
+_LATEST = object()  # in the queue: here goes the newest progress
+
+
+class PatientStream(io.TextIOBase):
+    """Text to a file descriptor by way of a thread: no method but `drain` ever waits or fails.
+
+    Where the far end is gone (a reader that ended, a terminal that was closed), `on_gone` is called once, in the
+    thread, and what is written from then on goes nowhere. In a forked process text is written directly.
+
+    Args:
+        descriptor: open for writing; it is left open.
+        encoding: of the far end; what it does not know is escaped.
+    """
+
+    def __init__(self, descriptor: int, encoding: str = "utf-8", limit: int = LIMIT):
+        self.on_gone: Callable[[], None] | None = None
+        self._descriptor = descriptor
+        self._encoding = encoding
+        self._limit = limit
+        self._queue: queue.SimpleQueue[Any] = queue.SimpleQueue()  # may be used where a signal or the collector strikes
+        self._progress: str | None = None
+        self._left_out = 0
+        self._written = 0
+        self._gone = False
+        self._given_up = -1  # bytes that were through when the far end was given up
+        self._process = os.getpid()
+        self._starting = threading.Lock()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        """Of the far end."""
+        return self._encoding
+
+    @property
+    def errors(self) -> str:  # type: ignore[override]
+        """What becomes of characters that the far end does not know."""
+        return "backslashreplace"
+
+    def fileno(self) -> int:
+        """The descriptor."""
+        return self._descriptor
+
+    def isatty(self) -> bool:
+        """Whether a terminal is there."""
+        with contextlib.suppress(OSError):
+            return os.isatty(self._descriptor)
+        return False
+
+    def writable(self) -> bool:
+        """Yes."""
+        return True
+
+    def write(self, text: str) -> int:
+        """Hand over a message."""
+        if not isinstance(text, str):
+            raise TypeError(f"a text is expected, not {type(text).__name__}")
+        if os.getpid() != self._process:
+            self._put_out(text)
+        elif self._queue.qsize() >= self._limit:
+            self._left_out += 1
+        else:
+            self._hand_over(text)
+        return len(text)
+
+    def progress(self, text: str) -> None:
+        """Hand over a text that the next one replaces, where it has not been written by then."""
+        waiting, self._progress = self._progress is not None, text
+        if not waiting:
+            self._hand_over(_LATEST)
+
+    def drain(self, patience: float = PATIENCE) -> bool:
+        """Wait until all is written; False where the far end took nothing for `patience` seconds."""
+        if self._thread is None or os.getpid() != self._process:
+            return True
+        through = threading.Event()
+        self._queue.put(through)
+        while not self._gone:
+            before = self._written
+            if through.wait(0.0 if self._given_up == before else patience):
+                return not self._gone
+            if self._written == before:
+                self._given_up = before
+                return False
+        return False
+
+    def start(self) -> None:
+        """Begin to look whether the far end is still there, though nothing was written yet."""
+        if self._thread is None and self._starting.acquire(blocking=False):
+            try:
+                thread = threading.Thread(target=self._work, name="messages", daemon=True)
+                thread.start()
+                self._thread = thread
+            except (RuntimeError, MemoryError):  # no room for a thread; the next message tries again
+                self._starting.release()
+
+    def _hand_over(self, item: Any) -> None:
+        if self._gone:
+            return
+        self._queue.put(item)
+        self.start()
+
+    # From here on in the thread.
+
+    def _work(self) -> None:
+        while not self._gone:
+            try:
+                self._write_next()
+            except Exception:  # whatever it is, the next message may fare better
+                self._left_out += 1
+        with contextlib.suppress(queue.Empty):
+            while True:
+                item = self._queue.get_nowait()
+                if isinstance(item, threading.Event):
+                    item.set()
+
+    def _write_next(self) -> None:
+        try:
+            item = self._queue.get(timeout=LOOK)
+        except queue.Empty:
+            self._look()
+            return
+        if isinstance(item, threading.Event):
+            item.set()
+            return
+        if item is _LATEST:
+            item, self._progress = self._progress, None
+        if self._left_out and self._queue.qsize() < self._limit // 2:
+            item = f"\n[{self._left_out} messages were left out: nobody read them]\n{item}"
+            self._left_out = 0
+        self._put_out(item)
+
+    def _put_out(self, text: str) -> None:
+        """By the system's call: whoever waits in the stream of Python holds its lock, and the program cannot end."""
+        rest = memoryview(text.encode(self._encoding, "backslashreplace"))
+        while rest and not self._gone:
+            try:
+                done = os.write(self._descriptor, rest[:_PIECE])
+            except BlockingIOError:  # somebody else has told the system not to wait
+                select.select([], [self._descriptor], [], LOOK)
+                continue
+            except OSError as error:
+                if error.errno in _GONE:
+                    self._end()
+                return  # as on a full disk: this text is lost, the next may not be
+            rest = rest[done:]
+            self._written += done
+
+    def _look(self) -> None:
+        """Nothing was written for a while: is anybody still there?"""
+        poll = select.poll()
+        poll.register(self._descriptor, 0)
+        if any(event & (select.POLLERR | select.POLLHUP | select.POLLNVAL) for _, event in poll.poll(0)):
+            self._end()
+
+    def _end(self) -> None:
+        self._gone = True
+        if self.on_gone is not None:
+            self.on_gone()
+
+
+_made: weakref.WeakKeyDictionary[TextIO, PatientStream] = weakref.WeakKeyDictionary()
+
+
+def patient(stream: TextIO | None) -> Any:
+    """A stream that nobody waits for, in front of this one; one in memory is so already, and stays as it is."""
+    if stream is None:
+        return io.StringIO()
+    if isinstance(stream, PatientStream):
+        return stream
+    try:
+        descriptor = stream.fileno()
+    except (OSError, ValueError, AttributeError):
+        return stream
+    if stream not in _made:
+        import atexit
+
+        _made[stream] = PatientStream(descriptor, stream.encoding or "utf-8")
+        atexit.register(_made[stream].drain)
+    return _made[stream]
+
+
+@contextlib.contextmanager
+def patient_messages(on_gone: Callable[[], None]) -> Iterator[None]:
+    """Within it nobody waits for `sys.stderr`, whatever writes there: messages, warnings of libraries, their logging.
+    At its end what still waits is written, as far as somebody takes it."""
+    before = sys.stderr
+    with open(os.devnull, "w", encoding="utf-8") as nowhere:
+        stream = sys.stderr = patient(before) if before is not None else nowhere  # print(file=None) is standard output
+        if isinstance(stream, PatientStream):
+            stream.on_gone = on_gone
+            stream.start()
+        try:
+            yield
+        finally:
+            with contextlib.suppress(BaseException):  # a signal: what there was to say was said, or cannot be
+                if isinstance(stream, PatientStream):
+                    stream.drain()
+            sys.stderr = before
+
+
+def flush_results() -> None:
+    """Hand over what was printed on standard output, here and not as the program ends.
+
+    A reader that is gone wanted no more. Raises `OSError` for everything else.
+    """
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())  # or Python would try again as it ends
+        os.close(nowhere)
+        if error.errno not in _GONE:
+            raise OSError(error.errno, error.strerror, "standard output") from None
+
+
+def open_standard_descriptors() -> None:
+    """Those of 0 to 2 that the caller has closed would go to the next file or socket, and messages into it."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)

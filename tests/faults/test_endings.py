@@ -1,0 +1,297 @@
+"""Every way to end ends in a stop: signals, terminals frozen or closed, a reader that goes, a thread that fails."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import signal
+import subprocess
+import sys
+import termios
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from agent.recording import read_log
+from tests.conftest import end_with_tests
+
+ROOT = Path(__file__).resolve().parents[2]
+LONG = """PROGRAM long HOLD, PROG_ARM=1
+VAR
+  k : INTEGER
+BEGIN
+  FOR k := 1 TO 200 DO
+    MOVE JOINT TO {20, -30}
+    MOVE JOINT TO {-20, 30}
+  ENDFOR
+END long
+"""
+
+
+@dataclass
+class Terminal:
+    """A pseudo-terminal with an agent in its foreground; `master` is the far end."""
+
+    process: subprocess.Popen
+    master: int
+    slave: int
+
+    def read_until(self, text: str) -> str:
+        said = ""
+        while text not in said:
+            said += os.read(self.master, 4096).decode()
+        return said
+
+    def read_to_the_end(self) -> str:
+        said = b""
+        with contextlib.suppress(OSError):  # EIO: nobody has it open any more
+            while data := os.read(self.master, 4096):
+                said += data
+        return said.decode()
+
+    def hang_up(self) -> None:
+        os.close(self.master)
+        self.master = -1
+
+
+def _lead(slave: int) -> Callable[[], None]:
+    def lead() -> None:
+        end_with_tests()
+        os.setsid()
+        import fcntl
+
+        fcntl.ioctl(slave, termios.TIOCSCTTY, 0)
+
+    return lead
+
+
+def _environment() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+
+
+@pytest.fixture
+def on_terminal(tmp_path: Path) -> Iterator[Callable[..., Terminal]]:
+    """Starts `agent …` on a pseudo-terminal, as its session leader."""
+    made: list[Terminal] = []
+
+    def start(*arguments: object) -> Terminal:
+        master, slave = pty.openpty()
+        command = [sys.executable, "-m", "agent", *map(str, arguments)]
+        process = subprocess.Popen(
+            command, cwd=tmp_path, env=_environment(), stdin=slave, stdout=slave, stderr=slave, preexec_fn=_lead(slave)
+        )
+        made.append(Terminal(process, master, slave))
+        return made[-1]
+
+    yield start
+    for one in made:
+        one.process.kill()
+        one.process.wait()
+        for descriptor in (one.master, one.slave):
+            with contextlib.suppress(OSError):
+                os.close(descriptor)
+
+
+@pytest.fixture
+def moving(bench, on_terminal):
+    """A real-time controller and an agent on a terminal that moves it."""
+    controller = bench.serve(clock="real")
+    bench.program.write_text(LONG, encoding="utf-8")
+    terminal = on_terminal("record", bench.recipe, "--program", bench.program, "-o", bench.log, "--yes")
+    terminal.read_until("of motion")
+    return controller, terminal
+
+
+def _assert_nothing_lost(bench, controller, but: int = 0) -> None:
+    log = read_log(bench.log)
+    assert controller.recorded - but <= len(log.t) <= controller.recorded
+    assert log.metadata["lost_samples"] == "0"
+
+
+def test_a_frozen_terminal_delays_no_stop_and_loses_nothing(bench, moving, assert_at_rest):
+    controller, terminal = moving
+    termios.tcflow(terminal.slave, termios.TCOOFF)
+    frozen = controller.recorded
+    while controller.recorded < frozen + 1500:  # by now a line of progress waits for the terminal
+        os.sched_yield()
+    controller.state.override = 0.5
+    assert controller.wait(30.0), "nobody watched"
+    assert [end.name for end in controller.ends] == ["STOPPED"]
+    assert terminal.process.wait(60) == 5
+    assert_at_rest(controller, 1)
+    _assert_nothing_lost(bench, controller)
+
+
+@pytest.mark.verify
+def test_a_pipe_that_nobody_reads_delays_no_stop(bench, tmp_path, assert_at_rest):
+    controller = bench.serve(clock="real")
+    bench.program.write_text(LONG, encoding="utf-8")
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(write, b"x" * 1024)
+    os.set_blocking(write, True)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log, "-v"],
+        cwd=tmp_path,
+        env=_environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=write,
+        preexec_fn=end_with_tests,
+    )
+    try:
+        while controller.recorded < 500:
+            assert process.poll() is None
+            os.sched_yield()
+        controller.state.override = 0.5
+        assert process.wait(60) == 5
+    finally:
+        process.kill()
+        process.wait()
+        os.close(read)
+        os.close(write)
+    assert_at_rest(controller, 1)
+    _assert_nothing_lost(bench, controller)
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "said"),
+    [
+        (signal.SIGHUP, 129, "hung up"),
+        pytest.param(signal.SIGINT, 130, "interrupted", marks=pytest.mark.verify),
+        (signal.SIGQUIT, 131, "quit"),
+        pytest.param(signal.SIGTERM, 143, "terminated", marks=pytest.mark.verify),
+    ],
+)
+def test_every_signal_ends_in_a_stop_and_says_so(bench, moving, assert_at_rest, number, code, said):
+    controller, terminal = moving
+    terminal.process.send_signal(number)
+    os.close(terminal.slave)
+    assert f"agent: {said}" in terminal.read_to_the_end()
+    assert terminal.process.wait(30) == code
+    assert [end.name for end in controller.ends] == ["STOPPED"]
+    assert_at_rest(controller, 1)
+    _assert_nothing_lost(bench, controller, but=500)  # a second: what comes while the arm stops is nobody's
+
+
+def test_a_terminal_that_is_closed_ends_in_a_stop(bench, moving, assert_at_rest):
+    controller, terminal = moving
+    os.close(terminal.slave)
+    terminal.hang_up()
+    assert terminal.process.wait(30) == 129
+    assert [end.name for end in controller.ends] == ["STOPPED"]
+    assert_at_rest(controller, 1)
+    _assert_nothing_lost(bench, controller, but=500)
+
+
+def test_a_session_without_a_terminal_that_drops_ends_in_a_stop(bench, tmp_path, assert_at_rest):
+    """`ssh host agent record …` has pipes; nothing but their far end tells that it is gone, and `-q` writes nothing."""
+    controller = bench.serve(clock="real")
+    bench.program.write_text(LONG, encoding="utf-8")
+    read, write = os.pipe()
+    command = [sys.executable, "-m", "agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log, "-q"]
+    process = subprocess.Popen(
+        command,
+        cwd=tmp_path,
+        env=_environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=write,
+        stderr=write,
+        preexec_fn=end_with_tests,
+    )
+    os.close(write)
+    try:
+        while controller.recorded < 500:
+            assert process.poll() is None
+            os.sched_yield()
+        os.close(read)
+        assert process.wait(30) == 129
+    finally:
+        process.kill()
+        process.wait()
+    assert [end.name for end in controller.ends] == ["STOPPED"]
+    assert_at_rest(controller, 1)
+
+
+def test_a_second_signal_does_not_cut_the_stop_short(bench, moving, assert_at_rest):
+    controller, terminal = moving
+    for number in (signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+        terminal.process.send_signal(number)
+    assert terminal.process.wait(30) in (129, 130, 143)
+    assert [end.name for end in controller.ends] == ["STOPPED"]
+    assert_at_rest(controller, 1)
+
+
+def test_what_is_told_to_survive_a_hang_up_does(bench, tmp_path, assert_at_rest):
+    """`nohup agent …`"""
+    controller = bench.serve(clock="real")
+    bench.program.write_text(LONG.replace("200", "1"), encoding="utf-8")
+
+    def deaf() -> None:
+        end_with_tests()
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+    process = subprocess.Popen(
+        [sys.executable, "-m", "agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log],
+        cwd=tmp_path,
+        env=_environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        preexec_fn=deaf,
+    )
+    try:
+        while controller.recorded < 100:
+            assert process.poll() is None
+            os.sched_yield()
+        process.send_signal(signal.SIGHUP)
+        assert process.wait(60) == 0
+    finally:
+        process.kill()
+        process.wait()
+    assert [end.name for end in controller.ends] == ["DONE"]
+
+
+@pytest.mark.parametrize("error", [MemoryError, RuntimeError])
+def test_an_error_in_any_thread_ends_in_a_stop(bench, assert_at_rest, monkeypatch, error):
+    controller = bench.serve(clock="real")
+    bench.program.write_text(LONG, encoding="utf-8")
+    strike = controller.faults.strike
+
+    def fail() -> None:
+        raise error("no room")
+
+    def once(phase: str, motion_time: float = 0.0):
+        if phase == "streaming" and motion_time > 0.3 and not failing.ident:
+            failing.start()
+        return strike(phase, motion_time)
+
+    failing = threading.Thread(target=fail, name="failing")
+    monkeypatch.setattr(threading, "excepthook", lambda _: None)
+    monkeypatch.setattr(controller.faults, "strike", once)
+    ended = bench.record()
+    assert ended.code == 1
+    assert "no room" in ended.errors
+    assert [end.name for end in controller.ends] == ["STOPPED"]
+    assert_at_rest(controller, 1)
+
+
+def test_memory_that_runs_out_ends_in_a_stop(bench, assert_at_rest, monkeypatch):
+    from agent.recording import LogWriter
+
+    def write(self, block):
+        raise MemoryError
+
+    controller = bench.serve(clock="real")
+    bench.program.write_text(LONG, encoding="utf-8")
+    monkeypatch.setattr(LogWriter, "write", write)
+    ended = bench.record()
+    assert ended.code == 1
+    assert [end.name for end in controller.ends] == ["STOPPED"]
+    assert_at_rest(controller, 1)
