@@ -10,6 +10,7 @@ from typing import Any
 
 from agent import planning
 from agent.apply import origin, remember
+from agent.approved import approve, check_approved
 from agent.console import Console
 from agent.ending import current_run, ending_text
 from agent.recipe import Recipe
@@ -65,13 +66,13 @@ def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None,
         if resume is None:
             run = RunFolder.create(logs, recipe.robot.name, recipe.path)
             run.note(kind="calibrate", **origin(recipe))
+            approve(run, recipe)
         else:
-            run = RunFolder.open(resume, recipe.sha256)
+            run = RunFolder.open(resume, recipe.sha256, check=lambda opened: check_approved(opened, recipe))
         console.say(f"run {run.path}")
 
         with step(run, "plan"):
             plan = planning.plan_once(recipe, run, console)
-            run.note(program=sha256_file(run.file("program.pdl")))
         with step(run, "record"):
             recordings = record_plan(recipe, plan, run, console, logs, yes)
         with step(run, "estimate"):
@@ -89,6 +90,7 @@ def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
     from agent.identify import read_logs
 
     if run.finished("estimate"):
+        run.check_file("model.json", run.state.get("model_sha256"))
         return IdentifiedModel.load(run.file("model.json"))
     console.step("estimating")
     logs = read_logs([run.file(EXCITATION)], recipe.robot, console)
@@ -101,6 +103,7 @@ def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
         tool=recipe.tool,
     )
     model.save(run.file("model.json"))
+    run.note(model_sha256=sha256_file(run.file("model.json")))
     return model
 
 
@@ -142,7 +145,6 @@ def _report(
     write_analysis(run.file("analysis.mcap"), read_log(run.file(typical.log), recipe.robot), typical)
     further = further_sections(run.path, recipe, model, predictions)
     run.write_text("report.html", run_report(run_data(recipe, plan, result, model, predictions, further)))
-    run.note(model_sha256=sha256_file(run.file("model.json")))
     run.complete(result["accepted"])
     return Outcome(run.path, result, result["accepted"])
 

@@ -59,11 +59,12 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
         AgentError, DriverError: as in `agent calibrate`, before anything moves or after a controlled stop.
     """
     from agent import planning
+    from agent.approved import approve
     from agent.calibrate import step
     from agent.ending import ending_text
     from agent.recipe import load_recipe
     from agent.record_plan import record_plan
-    from agent.run import RunFolder, robot_lock, sha256_file, write_atomically
+    from agent.run import RunFolder, robot_lock, write_atomically
 
     _check(question, [])
     loaded = load_recipe(recipe)
@@ -72,12 +73,12 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
     with robot_lock(loaded.controller.driver, loaded.controller.address):
         run = RunFolder.create(runs, loaded.robot.name, loaded.path)
         run.note(kind="diagnose", question={"cutoff": question.cutoff, "without": question.without})
+        approve(run, loaded)
         if question.model is not None:
             run.write_text(_SIMULATOR, question.model.read_text(encoding="utf-8"))
         console.say(f"run {run.path}")
         with step(run, "plan"):
             plan = planning.plan_once(loaded, run, console)
-            run.note(program=sha256_file(run.file("program.pdl")))
         with step(run, "record"):
             recordings = record_plan(loaded, plan, run, console, runs, yes)
         with step(run, "diagnose"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import difflib
+import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,6 +17,8 @@ from agent.errors import InputError
 Model = TypeVar("Model", bound=BaseModel)
 #: Lists and mappings within each other; more is no document of ours, and costs a parser seconds.
 DEEPEST = 50
+#: Bytes of a JSON file; the largest that the agent writes, a model with its covariance, has a few million.
+LARGEST_JSON = 64 << 20
 
 
 def load_document(path: Path, model: type[Model]) -> Model:
@@ -70,6 +73,31 @@ def _too_deep(events: Iterable[Any]) -> int:
         if depth > DEEPEST:
             return event.start_mark.line + 1
     return 0
+
+
+def read_json(path: Path, largest: int = LARGEST_JSON) -> Any:
+    """Parse a JSON file that the agent, or somebody else, wrote.
+
+    Args:
+        largest: bytes; a longer file is not read.
+
+    Raises:
+        InputError: missing, unreadable, not UTF-8, not JSON, nested too deep, or too long.
+    """
+    try:
+        with open(path, "rb") as file:
+            data = file.read(largest + 1)
+        if len(data) > largest:
+            raise ValueError(f"it is longer than {largest >> 20} MiB")
+        return json.loads(data.decode("utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except RecursionError:
+        raise InputError(f"{path}: damaged: lists and objects are nested too deep") from None
+    except ValueError as error:  # text that is no UTF-8 or no JSON, a number of thousands of digits
+        raise InputError(f"{path}: damaged: {str(error)[:200]}") from None
 
 
 def validate_document(path: Path, data: Any, model: type[Model]) -> Model:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from agent.console import Console
+from agent.documents import read_json
 from agent.errors import InputError
 from agent.recipe import Recipe
-from agent.run import RunFolder
+from agent.run import RunFolder, sha256_file, sha256_text
 
 if TYPE_CHECKING:
     from agent.excitation import Loop, LoopProblem
@@ -53,11 +54,24 @@ def plan_once(recipe: Recipe, run: RunFolder, console: Console) -> Plan:
         InputError: the sub-region cannot be reached, or no loop in it keeps all limits.
     """
     if run.finished("plan"):
-        return replan(recipe, json.loads(run.file("plan.json").read_text(encoding="utf-8")))
+        for name, key in {"plan.json": "plan", "program.pdl": "program"}.items():
+            run.check_file(name, run.state.get(key))
+        plan = replan(recipe, run.file("plan.json"))
+        if sha256_text(program_text(recipe, plan.excitation)) != run.state["program"]:
+            raise InputError(
+                f"{run.path}: plan.json does not lead to the program that was planned; was the agent updated since? "
+                "Start a new run"
+            )
+        return plan
     plan = make_plan(recipe, console)
     genomes = [motion.loop.genome.tolist() for motion in plan.validation]
-    run.write_json("plan.json", {"schema": "plan/1", "search": plan.search, "validation": genomes})
-    run.write_text("program.pdl", program_text(recipe, plan.excitation))
+    planned = run.write_json("plan.json", {"schema": "plan/1", "search": plan.search, "validation": genomes})
+    program = run.write_text("program.pdl", program_text(recipe, plan.excitation))
+    run.note(
+        plan=sha256_file(planned),
+        program=sha256_file(program),
+        inputs_sha256={**run.state["inputs_sha256"], "program.pdl": sha256_file(program)},
+    )
     return plan
 
 
@@ -232,8 +246,22 @@ def _task_poses(recipe: Recipe) -> np.ndarray:
     return np.concatenate([chain.tcp[::25] for chain in job])
 
 
-def replan(recipe: Recipe, stored: dict[str, Any]) -> Plan:
-    """The plan that `plan.json` holds."""
+def replan(recipe: Recipe, path: Path) -> Plan:
+    """The plan that a run's `plan.json` holds.
+
+    Raises:
+        InputError: it is damaged, or no plan for this recipe.
+    """
+    stored = read_json(path)
+    try:
+        return _replanned(recipe, stored)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise InputError(
+            f"{path}: no plan for this recipe ({type(error).__name__}: {error}); start a new run"
+        ) from None
+
+
+def _replanned(recipe: Recipe, stored: dict[str, Any]) -> Plan:
     from agent.excitation import Candidates
 
     fast = Candidates(loop_problem(recipe, recipe.motion.speed))

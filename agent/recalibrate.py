@@ -10,16 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent import planning
-from agent.apply import apply_run, current_model, origin, remember
+from agent.apply import apply_run, origin, remember
+from agent.approved import approve
 from agent.calibrate import step
 from agent.console import Console
 from agent.ending import current_run, ending_text
-from agent.errors import ControllerError, InputError
+from agent.errors import ControllerError
 from agent.fresh_data import diagnose_if_worse, worse_joints
-from agent.history import PastRun, open_history
+from agent.history import PastRun
 from agent.recipe import Recipe
 from agent.record import Link, Recording, open_link, report_losses
 from agent.record_plan import EXCITATION
+from agent.reference import Reference, find_reference, last_accepted
 from agent.reports import watch_lines
 from agent.result import provenance
 from agent.run import RunFolder, robot_lock, sha256_file
@@ -73,16 +75,6 @@ class Outcome:
         return "\n".join(lines)
 
 
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """The last accepted run of the same loop, the model that is compared with and the run it is of, and the loop."""
-
-    past: PastRun
-    run: str
-    model: IdentifiedModel
-    loop: StoredLoop
-
-
 def recalibrate(
     recipe: Recipe,
     console: Console,
@@ -98,15 +90,18 @@ def recalibrate(
         AgentError, DriverError: as in `calibrate`, with their exit codes.
     """
     now = now or datetime.now(UTC)
-    past = _last_accepted(recipe, logs)
+    past = last_accepted(recipe, logs)
     early = _too_early(recipe, past, now)
     if early:
         return Outcome(skipped=early)
     with robot_lock(recipe.controller.driver, recipe.controller.address):
-        reference = _reference(recipe, logs, past)
+        reference = find_reference(recipe, logs, past)
+        if authorisation is not None:
+            authorisation.check_problem(reference.loop.key)
         run = RunFolder.create(logs, recipe.robot.name, recipe.path)
         facts = {"reference": reference.run, "program": reference.loop.checksum, "serial": past.serial}
         run.note(kind="recalibrate", **facts, **origin(recipe))
+        approve(run, recipe)
         console.say(f"run {run.path}")
         with step(run, "record"):
             recording = _record(recipe, reference, run, console, yes, logs, authorisation)
@@ -135,21 +130,6 @@ def recalibrate(
     return Outcome(run=run.path, result=result, ending=ending_text(run, recipe))
 
 
-def _last_accepted(recipe: Recipe, logs: Path) -> PastRun:
-    key = origin(recipe)
-    missing = (
-        f"{recipe.path}: no accepted calibration with this robot, tool, sub-region and motion settings in {logs}: run "
-        f"`agent calibrate {recipe.path}` first, with somebody watching"
-    )
-    if not logs.is_dir():
-        raise InputError(missing)
-    with open_history(logs) as history:
-        past = history.last_accepted(recipe.robot.name, key["loop"], key["controller"])
-    if past is None:
-        raise InputError(missing)
-    return past
-
-
 def _too_early(recipe: Recipe, past: PastRun, now: datetime) -> str:
     age = now - datetime.fromisoformat(past.started)
     every = timedelta(seconds=recipe.recalibrate.every)
@@ -159,30 +139,6 @@ def _too_early(recipe: Recipe, past: PastRun, now: datetime) -> str:
         f"the last accepted run, {past.run}, is {_time(age)} old; recalibrate.every is {_time(every)}, so the next is "
         f"due in {_time(every - age)}"
     )
-
-
-def _reference(recipe: Recipe, logs: Path, past: PastRun) -> Reference:
-    from agent.estimation import IdentifiedModel
-    from agent.excitation.store import find_loop, stored_loops
-
-    newest = find_loop(recipe)
-    same = [loop for loop in stored_loops() if newest and loop.key == newest.key and loop.checksum == past.program]
-    loop = same[0] if same else newest
-    if loop is None:
-        raise InputError(
-            f"{recipe.path}: no stored loop for this robot, tool, sub-region and motion settings in {Path.cwd()}/"
-            "trajectories; call from the folder where it was calibrated, or calibrate again"
-        )
-    current = current_model(logs, past.robot, past.serial)
-    applied = current is not None and current.run != past.run and _loop_of(logs, current.run) == past.loop
-    if current is not None and applied:
-        return Reference(past, current.run, IdentifiedModel.load(current.model), loop)
-    return Reference(past, past.run, IdentifiedModel.load(logs / past.run / "model.json"), loop)
-
-
-def _loop_of(logs: Path, run: str) -> str:
-    with open_history(logs) as history:
-        return next((past.loop for past in history.runs() if past.run == run), "")
 
 
 def _record(

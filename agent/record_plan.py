@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from agent.console import Console
+from agent.errors import InputError
 from agent.planning import Plan, programs
 from agent.recipe import Recipe
 from agent.record import Recording, open_link, report_losses
@@ -44,7 +45,15 @@ def validation_logs(run: RunFolder) -> list[Path]:
 
 def _recorded(run: RunFolder, name: str) -> Recording | None:
     entry = run.finished(name)
-    return Recording.from_dict(run.file(name), entry) if entry and run.file(name).exists() else None
+    if not entry or not run.file(name).exists():
+        return None
+    run.check_file(name, entry.get("sha256"))
+    try:
+        return Recording.from_dict(run.file(name), entry)
+    except (KeyError, TypeError) as error:
+        raise InputError(
+            f"{run.path}/state.json: what it says of {name} is damaged ({error}); start a new run"
+        ) from None
 
 
 def _set_aside(log: Path) -> None:

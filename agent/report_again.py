@@ -56,7 +56,7 @@ def _calibration(run: Path, recipe: Recipe, console: Console) -> str:
     if not logs:
         raise InputError(f"{run}: its validation logs are gone, so its page cannot be made again")
     predictions = [predict_log(model, read_log(path, recipe.robot)) for path in logs]
-    plan = replan(recipe, _json(run / "plan.json"))
+    plan = replan(recipe, run / "plan.json")
     further = further_sections(run, recipe, model, predictions)
     return run_report(run_data(recipe, plan, _result(run), model, predictions, further))
 

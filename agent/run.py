@@ -7,7 +7,7 @@ import json
 import os
 import platform
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.console import finite
+from agent.documents import read_json
 from agent.errors import AgentError, BusyError, InputError
 
 _STATE = "state.json"
@@ -62,31 +63,30 @@ class RunFolder:
         return run
 
     @classmethod
-    def open(cls, path: Path, recipe_sha256: str) -> RunFolder:
-        """Open a calibration to go on with it.
+    def open(cls, path: Path, recipe_sha256: str, check: Callable[[RunFolder], None] = lambda run: None) -> RunFolder:
+        """Open a calibration to go on with it; `check` may refuse it before anything is written.
 
         Raises:
             InputError: no such run or one of another kind, a damaged state, or the recipe changed since.
         """
-        try:
-            state = json.loads((path / _STATE).read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise InputError(f"{path}: not a run folder (it has no {_STATE})") from None
-        except (OSError, ValueError) as error:
-            raise InputError(f"{path / _STATE}: cannot be read: {error}") from None
-        schema = state.get("schema") if isinstance(state, dict) else None
-        if schema != "run/1" or not {"inputs_sha256", "status", "steps"} <= state.keys():
-            raise InputError(
-                f"{path / _STATE}: damaged, or of another version of the agent (schema {schema!r}); start a new run "
-                "without --resume"
-            )
-        if (kind := state.get("kind", "calibrate")) != "calibrate":
+        if not (path / _STATE).is_file():
+            raise InputError(f"{path}: not a run folder (it has no {_STATE})")
+        state = read_json(path / _STATE)
+        kind = state.get("kind") if isinstance(state, dict) else None
+        if kind in ("recalibrate", "diagnose"):
             raise InputError(f"{path}: only calibrations are gone on with; start this one again: `agent {kind}`")
+        schema = state.get("schema") if isinstance(state, dict) else None
+        if schema != "run/1" or not _whole(state):
+            raise InputError(
+                f"{path / _STATE}: damaged, or of another version of the agent (schema {str(schema)[:20]!r}); start a "
+                "new run without --resume"
+            )
         if state["inputs_sha256"].get("recipe.yaml") != recipe_sha256:
             raise InputError(f"{path}: this run was started with another recipe; start a new run without --resume")
         if state["status"] in ("finished", "rejected"):
             raise InputError(f"{path}: this run is complete ({state['status']}); there is nothing to resume")
         run = cls(path, state)
+        check(run)
         run.state.pop("stopped", None)
         run.state["status"] = "running"
         run._save()
@@ -121,6 +121,17 @@ class RunFolder:
     def file(self, name: str) -> Path:
         """Path of a file of this run."""
         return self.path / name
+
+    def check_file(self, name: str, sha256: str | None) -> None:
+        """A file of this run is what it was when it was finished.
+
+        Raises:
+            InputError: it is missing, it was changed, or nothing is known of it.
+        """
+        path = self.path / name
+        if not path.is_file() or sha256 is None or sha256_file(path) != sha256:
+            what = "it is gone" if not path.is_file() else "it was changed since, or by another version of the agent"
+            raise InputError(f"{path}: not the file that this run finished with ({what}); start a new run")
 
     def write_text(self, name: str, text: str) -> Path:
         """Write a file whole or not at all."""
@@ -200,6 +211,19 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[package] = "not installed"
     return found
+
+
+def _whole(state: dict[str, Any]) -> bool:
+    """Whether a state has what every run's has."""
+    steps, inputs = state.get("steps"), state.get("inputs_sha256")
+    return (
+        isinstance(steps, dict)
+        and all(isinstance(step, dict) for step in steps.values())
+        and isinstance(inputs, dict)
+        and isinstance(state.get("versions"), dict)
+        and all(isinstance(value, str) for value in (*inputs.values(), *state["versions"].values()))
+        and all(isinstance(state.get(key), str) for key in ("robot", "started", "status"))
+    )
 
 
 def _fresh_folder(root: Path, name: str) -> Path:

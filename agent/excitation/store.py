@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from enum import Enum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from agent.approved import digest, problem
+from agent.documents import read_json
 from agent.errors import AgentError, InputError
 from agent.recipe import Recipe
 from agent.run import sha256_text, write_atomically
@@ -75,13 +74,13 @@ def keep_loop(
     Raises:
         AgentError: the folder cannot be written.
     """
-    purpose = _purpose(recipe)
+    purpose = problem(recipe)
     loop = StoredLoop(
-        key=_digest(purpose),
+        key=digest(purpose),
         robot=recipe.robot.name,
         tool=purpose["tool"],
         sub_region=purpose["sub_region"],
-        search=_plain(recipe.search),
+        search=asdict(recipe.search),
         fitness=float(fitness),
         genome=_tuples(genome),
         poses=_tuples(poses),
@@ -111,72 +110,47 @@ def stored_loops(folder: Path = FOLDER) -> list[StoredLoop]:
     return sorted(loops, key=lambda loop: (loop.robot, loop.key))
 
 
-def find_loop(recipe: Recipe, folder: Path = FOLDER) -> StoredLoop | None:
+def find_loop(recipe: Recipe, folder: Path = FOLDER, program: str | None = None) -> StoredLoop | None:
     """The newest loop kept for a recipe's robot, tool, sub-region and motion settings, or None.
 
+    Args:
+        program: SHA-256 (hex) of the program's text, where it has to be a certain one.
+
     Raises:
-        InputError: as in `stored_loops`.
+        InputError: as in `stored_loops`, or what the file says of the tool and the sub-region is not the recipe's.
     """
-    key = loop_key(recipe)
-    return next((loop for loop in stored_loops(folder) if loop.key == key), None)
+    parts = problem(recipe)
+    key = digest(parts)
+    for loop in stored_loops(folder):
+        if loop.key == key and program in (None, loop.checksum):
+            for name in ("tool", "sub_region"):
+                if getattr(loop, name) != parts[name]:
+                    raise InputError(
+                        f"{folder}: the stored loop {loop.checksum[:12]} was changed: its {name} is not the one that "
+                        "its key stands for; move it away and calibrate again"
+                    )
+            return loop
+    return None
 
 
 def loop_key(recipe: Recipe) -> str:
     """SHA-256 (hex) of what a loop depends on: robot, tool, cell, sub-region, motion settings, period, interpolator."""
-    return _digest(_purpose(recipe))
+    return digest(problem(recipe))
 
 
 def _read(path: Path) -> StoredLoop:
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = read_json(path)
         if data.pop("schema") != _SCHEMA:
             raise ValueError("another schema")
         for key in ("genome", "poses", "start"):
             data[key] = _tuples(np.array(data[key], dtype=float))
         loop = StoredLoop(**data)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise InputError(f"{path}: not a stored loop ({error}); move it away") from None
     if sha256_text(loop.program) != loop.checksum:
         raise InputError(f"{path}: its program is not the one that was stored (checksum differs); move it away")
     return loop
-
-
-def _purpose(recipe: Recipe) -> dict[str, Any]:
-    via_points = recipe.motion.via_points
-    kind = type(via_points).__name__.removeprefix("Via").lower()
-    sub_region = {kind: _plain(via_points)}
-    like = getattr(via_points, "path", None)
-    if isinstance(like, Path):  # the content of the job counts, not where its file lies
-        sub_region[kind]["path"] = hashlib.sha256(like.read_bytes()).hexdigest()
-    return {
-        "robot": recipe.robot.to_dict(),
-        "tool": _plain(recipe.tool),
-        "cell": _plain(recipe.cell),
-        "sub_region": sub_region,
-        "settings": _plain(recipe.motion.settings),
-        "rate": recipe.record.rate,
-        "interpolator": recipe.search.interpolator,
-    }
-
-
-def _digest(data: Mapping[str, Any]) -> str:
-    return sha256_text(json.dumps(data, sort_keys=True))
-
-
-def _plain(value: Any) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        return {key: _plain(item) for key, item in asdict(value).items()}
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, Path):
-        return str(value)
-    return value
 
 
 def _tuples(array: np.ndarray) -> Any:

@@ -5,6 +5,7 @@ The file is read, never written, by the agent:
     robot: comau_ns16
     serial: NS16-0042
     program: 3f1c…            # SHA-256 of the program, as `agent trajectories` shows it
+    problem: 90ab…            # and of what it was planned with (robot, URDF, tool, cell, sub-region, motion)
     limits: {speed: 1 m/s, duration: 20 min}
     expires: 2027-03-31       # the last day, UTC
     written_by: M. Rossi
@@ -48,6 +49,7 @@ class AuthorisationDocument(_Section):
     robot: Name
     serial: Name
     program: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    problem: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     limits: Limits
     expires: date
     written_by: Name
@@ -61,6 +63,7 @@ class Authorisation:
     robot: str
     serial: str
     program: str
+    problem: str
     speed: float
     duration: float
     expires: date
@@ -98,6 +101,21 @@ class Authorisation:
                 "somebody who knows the cell has to write a new one"
             )
 
+    def check_problem(self, problem: str) -> None:
+        """The loop was planned with the robot, tool, cell and motion settings that were authorised.
+
+        Args:
+            problem: SHA-256 (hex) of all of them, as `agent.approved` makes it.
+
+        Raises:
+            InputError: it was not.
+        """
+        if problem != self.problem:
+            raise InputError(
+                f"{self.path}: this authorisation is for problem {self.problem[:12]}…, this recipe, its robot and cell "
+                f"make {problem}. Nothing was moved; somebody who knows the cell has to write a new one"
+            )
+
     def ends_soon(self, now: datetime | None = None) -> str | None:
         """What to say where it ends within two weeks."""
         left = self.expires - (now or datetime.now(UTC)).date()
@@ -121,6 +139,7 @@ def load_authorisation(path: Path, now: datetime | None = None) -> Authorisation
         robot=document.robot,
         serial=document.serial,
         program=document.program,
+        problem=document.problem,
         speed=document.limits.speed,
         duration=document.limits.duration,
         expires=document.expires,

@@ -15,10 +15,12 @@ from agent.safety.authorisation import Authorisation, load_authorisation
 
 NOW = datetime(2026, 6, 1, 12, tzinfo=UTC)
 PROGRAM = "ab" * 32
+PROBLEM = "cd" * 32
 SAID = {
     "robot": "comau_ns16",
     "serial": "NS16-42",
     "program": PROGRAM,
+    "problem": PROBLEM,
     "limits": {"speed": "1 m/s", "duration": "20 min"},
     "expires": "2026-12-31",
     "written_by": "M. Rossi",
@@ -50,6 +52,13 @@ def test_a_file_that_anybody_can_write_is_nobodys_word(tmp_path: Path):
             load_authorisation(_write(tmp_path, mode), NOW)
 
 
+def test_it_is_for_what_the_program_was_planned_with(tmp_path: Path):
+    allowed = load_authorisation(_write(tmp_path), NOW)
+    allowed.check_problem(PROBLEM)
+    with pytest.raises(InputError, match=f"problem cdcdcdcdcdcd.*make {'ef' * 32}"):
+        allowed.check_problem("ef" * 32)
+
+
 def test_more_than_a_year_is_refused(tmp_path: Path):
     with pytest.raises(InputError, match="more than a year"):
         load_authorisation(_write(tmp_path, expires="2027-06-15"), NOW)
@@ -68,7 +77,7 @@ def test_the_last_day_counts_and_the_next_does_not(tmp_path: Path):
 @given(speed=st.floats(0.01, 2.0), duration=st.floats(1.0, 4000.0))
 def test_it_covers_exactly_what_is_within_its_limits(speed: float, duration: float):
     assume(abs(speed - 1.0) > 1e-6 and abs(duration - 1200.0) > 1e-3)  # round-off is nobody's breach
-    allowed = Authorisation(Path("a"), "r", "s", PROGRAM, 1.0, 1200.0, date(2026, 12, 31), "me")
+    allowed = Authorisation(Path("a"), "r", "s", PROGRAM, PROBLEM, 1.0, 1200.0, date(2026, 12, 31), "me")
     if speed <= 1.0 and duration <= 1200.0:
         allowed.check("r", "s", PROGRAM, speed, duration, NOW)
     else:

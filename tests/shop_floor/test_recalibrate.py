@@ -174,6 +174,7 @@ def _authorisation(shop: Path, **changes: object) -> Path:
         "robot": "comau_ns16",
         "serial": "FAKE-0007",
         "program": loop.checksum,
+        "problem": loop.key,
         "limits": {"speed": "1.1 m/s", "duration": "5 min"},
         "expires": (datetime.now(UTC) + timedelta(days=30)).date().isoformat(),
         "written_by": "M. Rossi",
