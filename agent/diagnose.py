@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.console import Console
-from agent.identify import check_output, read_logs
+from agent.identify import check_output, read_logs, say_used
 from agent.robot import RobotDescription, load_robot
 
 if TYPE_CHECKING:
@@ -134,7 +134,9 @@ def _find(
     from agent.estimation import IdentifiedModel
 
     reference = None if question.model is None else IdentifiedModel.load(question.model)
-    found = diagnose(robot, read_logs(list(paths), robot, console), reference, question.cutoff, question.without)
+    logs = read_logs(list(paths), robot, console)
+    found = diagnose(robot, logs, reference, question.cutoff, question.without)
+    say_used(logs, found.dataset.cutoff, found.dataset.model.order, console)
     return found, simulate(found)
 
 

@@ -38,6 +38,15 @@ def read_logs(paths: list[Path], robot: Any, console: Console) -> list[Any]:
     return logs
 
 
+def say_used(logs: Sequence[Any], cutoff: float, order: int, console: Console) -> None:
+    """Say how many samples of each log a filter left to work with; a warning where stretches are too short for it."""
+    from agent.estimation.filtering import FilterSettings, used_text
+
+    for log in logs:
+        text = used_text(log, FilterSettings(cutoff, order))
+        (console.warn if "left out" in text else console.say)(text)
+
+
 def estimate_files(
     robot: str,
     paths: list[Path],
@@ -61,6 +70,7 @@ def estimate_files(
     if export is not None and method is None:
         method = "consistent"
     model = estimate(description, logs, EstimationSettings.create(cutoff=cutoff, method=method))
+    say_used(logs, model.cutoff, model.order, console)
     model.save(out)
     written = [out]
     if export is not None:
@@ -90,7 +100,10 @@ def validate_files(model_path: Path, paths: list[Path], cutoff: float | None, co
     from agent.validation import validate
 
     model = IdentifiedModel.load(model_path)
-    return validate(model, read_logs(paths, model.robot, console), cutoff)
+    logs = read_logs(paths, model.robot, console)
+    result = validate(model, logs, cutoff)
+    say_used(logs, result["cutoff_hz"], model.order, console)
+    return result
 
 
 def validation_text(result: dict[str, Any]) -> str:

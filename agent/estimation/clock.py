@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.recording.grid import line, sample_numbers, settled
 from agent.recording.log import Log
 from agent.recording.scratch import parts
 
@@ -35,14 +36,18 @@ class Clock:
     def of(cls, log: Log, start: int, stop: int) -> Clock:
         """The clock of one stretch without gaps."""
         stamps = log.t[start:stop]
-        number = _sample_numbers(stamps, log.sample_rate)
-        slope, intercept = _line(number, stamps)
+        number = sample_numbers(stamps, log.sample_rate)
+        slope, intercept = line(number, stamps)
         late = intercept + slope * number
         uneven = np.max(np.abs(stamps - late)) > 1e-3 * slope
         if not uneven and number[-1] + 1 == len(stamps):
             return cls(log, start, number, slope, intercept, None)
+        if uneven:
+            number = settled(number, (stamps - intercept) / slope, log.position[start:stop])
+            slope, intercept = line(number, stamps)
+            late = intercept + slope * number
         by_number, by_stamp = (cls(log, start, number, slope, intercept, knots) for knots in (late, stamps))
-        if np.all(np.diff(number) > 0) and (not uneven or by_number._roughness() <= by_stamp._roughness()):
+        if not uneven or by_number._roughness() <= by_stamp._roughness():
             return by_number
         return by_stamp
 
@@ -90,29 +95,3 @@ class Clock:
     def _roughness(self) -> float:
         position = (self._on(part, self.log.position) for part in parts(self.size))
         return float(sum(np.sum(np.diff(part, 4, axis=0) ** 2) for part in position))
-
-
-def _sample_numbers(stamps: np.ndarray, rate: float) -> np.ndarray:
-    """(S,) number of the sampling period in which each stamp lies, from 0.
-
-    Any stamp may be late, the first one too, and a rate that is off by 1e-4 is half a period off after 5000 samples. So
-    the first 200 stamps tell the phase (their circular mean), then a line through them the rate, well enough for twice
-    as many, and so on.
-    """
-    size = 200
-    turns = np.exp(2j * np.pi * rate * (stamps[:size] - stamps[0]))
-    slope, intercept = 1 / rate, stamps[0] + np.angle(turns.mean()) / (2 * np.pi * rate)
-    while True:
-        number = np.round((stamps[:size] - intercept) / slope)
-        if size >= len(stamps):
-            return number - number[0]
-        slope, intercept = _line(number, stamps[:size])
-        size *= 2
-
-
-def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Slope and intercept of the line through points (S,) in least squares."""
-    middle, height = x.mean(), y.mean()
-    away = x - middle
-    slope = float(away @ (y - height) / (away @ away))
-    return slope, float(height - slope * middle)

@@ -27,7 +27,7 @@ _TOP = 0.4  # of the sampling rate: no motion is beyond
 
 def quiet_cutoff(dynamics: Dynamics, log: Log, cutoff: float) -> tuple[float, int | None]:
     """A cut-off [Hz] up to `cutoff` at which noise of the positions hardly matters, and the joint that asks for it."""
-    start, stop = max(log.segments, key=lambda segment: segment[1] - segment[0])
+    start, stop = max(log.bridged(1 / cutoff), key=lambda segment: segment[1] - segment[0])
     clock = Clock.of(log, start, stop)
     position, torque, _ = clock.signals(slice(0, min(clock.size, _SAMPLES)))
     if torque is None or len(position) <= _PIECE:

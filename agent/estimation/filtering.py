@@ -26,6 +26,8 @@ from agent.estimation.clock import Clock
 from agent.recording.log import Log
 
 DEFAULT_CUTOFF = 30.0
+#: Gaps of at most so many periods of the cut-off are bridged: little of what passes the filter turns within one.
+_BRIDGED = 1.0
 _HALF_BAND = 4.0  # half of a transition band, in standard deviations of the Gaussian that makes it
 _PIECE = 30_000  # samples worked on at a time
 _TOGETHER = 16  # signals transformed at a time, so that they stay in the cache
@@ -111,10 +113,11 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
     cutoff = resolve_cutoff(log, settings)
     flat, stop = _bands(log, cutoff, settings)
     edge = _edge_time(cutoff, flat, stop)
-    needed = 2 * edge + 3 / cutoff
-    long_enough = [(a, b) for a, b in log.segments if (b - a) / log.sample_rate > needed]
+    needed = _needed(cutoff, edge)
+    stretches = log.bridged(_BRIDGED / cutoff)
+    long_enough = [(a, b) for a, b in stretches if log.t[b - 1] - log.t[a] > needed]
     if not long_enough:
-        longest = max((b - a for a, b in log.segments), default=0) / log.sample_rate
+        longest = max((log.t[b - 1] - log.t[a] for a, b in stretches), default=0.0)
         raise InputError(
             f"{log.path}: the longest stretch without a gap is {longest:.2f} s; a cut-off of {cutoff:g} Hz "
             f"needs {needed:.2f} s. Record longer, or raise the cut-off"
@@ -150,6 +153,37 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
                 step=step,
             )
             log.scratch.release()
+
+
+def used_text(log: Log, settings: FilterSettings) -> str:
+    """How many samples of a log a filter leaves to work with, and what is left out, for people."""
+    cutoff = resolve_cutoff(log, settings)
+    edge = _edge_time(cutoff, *_bands(log, cutoff, settings))
+    stretches = log.bridged(_BRIDGED / cutoff)
+    short = [(a, b) for a, b in stretches if not log.t[b - 1] - log.t[a] > _needed(cutoff, edge)]
+    used = sum(
+        int(
+            np.count_nonzero(np.abs(log.t[a:b] - (log.t[a] + log.t[b - 1]) / 2) <= (log.t[b - 1] - log.t[a]) / 2 - edge)
+        )
+        for a, b in stretches
+        if (a, b) not in short
+    )
+    text = f"{log.name}: {used} of {len(log.t)} samples used"
+    if len(short) or len(stretches) > 1:
+        text += f", of {len(stretches) - len(short)} of {len(stretches)} stretches between gaps"
+    if short:
+        longest = max(float(log.t[b - 1] - log.t[a]) for a, b in short)
+        first = float(log.t[short[0][0]])
+        text += (
+            f"; {sum(b - a for a, b in short)} samples are in stretches too short to be filtered at {cutoff:g} Hz "
+            f"(the first at {first:.3f} s, the longest of {longest:.2f} s) and left out"
+        )
+    return text
+
+
+def _needed(cutoff: float, edge: float) -> float:
+    """Shortest stretch [s] that is filtered."""
+    return 2 * edge + 3 / cutoff
 
 
 def _pieces(size: int, margin: int, step: int) -> Iterator[slice]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from agent.errors import InputError
+from agent.recording.limits import LIMITS, impossible
 from agent.recording.log import Log
 from agent.recording.log_file import nanoseconds, write_log
 from agent.recording.mapping import CURRENT, Columns, EffortColumns, Mapping, PositionColumns, load_mapping, units_of
@@ -73,9 +74,11 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
     }
     present = {name: array for name, array in values.items() if array is not None}
     time = source.time()
-    if np.nanmax(np.abs(time), initial=0.0) > _LATEST:
+    late = np.abs(time) > _LATEST
+    if np.count_nonzero(late) > 0.01 * len(time):
         key = "rate" if entries.time is None else "time"
         mapping.fault(key, f"times go up to {np.nanmax(np.abs(time)):.3g} s: is the unit right?")
+    time[late] = np.nan
     rows, notes = _common_rows(mapping, time, present)
     time = time[:rows]
     inside = np.ones(rows, bool)
@@ -84,15 +87,22 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
         if not (inside & np.isfinite(time)).any():
             span = f"{np.nanmin(time):g} s to {np.nanmax(time):g} s" if np.isfinite(time).any() else "nowhere"
             mapping.fault("window", f"no row is in it; the rows go from {span}")
-    whole = np.isfinite(time)
-    for array in present.values():
+    whole, torn = np.isfinite(time), np.zeros(rows, bool)
+    for name, array in present.items():
         whole &= np.all(np.isfinite(array[:rows]), axis=1)
-    keep = inside & whole
+        torn |= impossible(array[:rows], name if name in LIMITS else "position")
+    keep = inside & whole & ~torn
+    if np.count_nonzero(inside & whole) >= 2 > np.count_nonzero(keep):
+        mapping.fault("position", "nearly every row holds a number that no arm can have: are the units right?")
     if np.count_nonzero(keep) < 2:
         mapping.fault("position", "fewer than two rows hold a number in every column that the mapping names")
-    if np.count_nonzero(keep) < np.count_nonzero(inside):
+    if (inside & ~whole).any():
         broken = inside & ~whole
         kind = "rows without a number in every column, dropped; the first is row"
+        notes.append(f"{np.count_nonzero(broken)} {kind} {np.argmax(broken) + 1}")
+    if (torn & inside & whole).any():
+        broken = torn & inside & whole
+        kind = "rows with a number that no arm can have, dropped; the first is row"
         notes.append(f"{np.count_nonzero(broken)} {kind} {np.argmax(broken) + 1}")
     present = {name: array[:rows][keep] for name, array in present.items()}
     stamp = nanoseconds(time[keep])

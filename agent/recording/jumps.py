@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 _NANO = 1_000_000_000
 _TIMES, _LATE = 5.0, 0.010  # of the highest speed; s
 _TURN = 2 * np.pi
+#: No encoder wraps after more turns than this; in larger numbers every step is near some whole turn.
+_MOST_TURNS = 100
+#: So many samples in a row may be wrong and dropped; a longer stretch is where the joint was.
+_TORN = 5
 #: With other jumps in more than this part of the samples it is the description or a unit that is wrong.
 _MOST = 0.01
 
@@ -38,7 +42,7 @@ def mend_jumps(stamp: np.ndarray, position: np.ndarray, robot: RobotDescription,
     places, joints, steps, limits = _find(stamp, position, robot.max_velocity, scratch)
     turning = ~np.array([joint.prismatic for joint in robot.joints])[joints]
     turns = np.round(steps / _TURN)
-    wrapped = turning & (turns != 0) & (np.abs(steps - turns * _TURN) <= limits)
+    wrapped = turning & (turns != 0) & (np.abs(turns) <= _MOST_TURNS) & (np.abs(steps - turns * _TURN) <= limits)
     if np.count_nonzero(~wrapped) > _MOST * len(stamp):
         return Mended()
     time = (stamp - stamp[0]) / _NANO
@@ -48,22 +52,32 @@ def mend_jumps(stamp: np.ndarray, position: np.ndarray, robot: RobotDescription,
         _unwrap(position, int(joint), places[own], turns[own], scratch)
         name = f"positions of {robot.joint_names[joint]} that wrap around, made continuous"
         repairs.append(Repair(name, float(time[places[own][0] + 1]), int(own.sum())))
-    places, joints, steps, limits = (values[~wrapped] for values in (places, joints, steps, limits))
+    places, joints, steps = (values[~wrapped] for values in (places, joints, steps))
     dropped: set[int] = set()
     cuts: set[int] = set()
-    for place, joint, step, limit in zip(places.tolist(), joints.tolist(), steps, limits, strict=True):
-        back = steps[(places == place + 1) & (joints == joint)]
-        if place in dropped and np.any((places == place - 1) & (joints == joint)):
-            continue  # the way back
-        if len(back) and abs(step + back[0]) <= 2 * limit:
-            dropped.add(place + 1)
-        else:
+    known = 0
+    for place, joint, step in zip(places.tolist(), joints.tolist(), steps, strict=True):
+        if place < known:
+            continue  # within a torn stretch, or the way back
+        known = _back(stamp, position, robot.max_velocity, place)
+        if known > place + 1:
+            dropped.update(range(place + 1, known))
+        elif place + 1 not in cuts:
             cuts.add(place + 1)
             name = f"{robot.joint_names[joint]} jumps by {step:.3g}, further than it can move; cut there"
             repairs.append(Repair(name, float(time[place + 1]), 1))
     if dropped:
         repairs.append(Repair("samples with an impossible position, dropped", float(time[min(dropped)]), len(dropped)))
     return Mended(tuple(sorted(dropped)), tuple(sorted(cuts)), tuple(repairs))
+
+
+def _back(stamp: np.ndarray, position: np.ndarray, fastest: np.ndarray, place: int) -> int:
+    """The sample at which the arm is again where it can have come to since sample `place`; the next one if it stays."""
+    later = np.arange(place + 2, min(place + 2 + _TORN, len(stamp)))
+    away = np.abs(position[later] - position[place])
+    limit = fastest * ((stamp[later] - stamp[place])[:, None] / _NANO + 2 * _LATE)
+    there = later[np.all(away <= limit, axis=1)]
+    return int(there[0]) if len(there) else place + 1
 
 
 def _find(

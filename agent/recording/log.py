@@ -35,7 +35,7 @@ class Log:
     reference_position, planned_position (S, n) or None: set-points of the controller, and what was planned, on the
     same stamps (NaN where there is none). `sample_rate` [Hz] is that of intervals without a missing sample. `segments`
     are [start, stop) sample ranges without a gap in them: stretches of at most 10 ms or two samples may be missing, see
-    `agent.recording.resampled`. `stamp` is the first sample's controller time [s]. The arrays of a long log lie in
+    `agent.recording.resampled`; `breaks` [s] are those of their starts at which a position jumps. `stamp` is the first sample's controller time [s]. The arrays of a long log lie in
     `scratch`: who goes over all of them part by part releases it after each.
     """
 
@@ -53,6 +53,7 @@ class Log:
     cycle_starts: tuple[float, ...] = ()
     metadata: dict[str, str] = field(default_factory=dict)
     repairs: tuple[Repair, ...] = ()
+    breaks: tuple[float, ...] = ()
     scratch: Scratch = field(default_factory=Scratch, repr=False)
 
     @property
@@ -80,6 +81,16 @@ class Log:
             segments=tuple((int(a), int(b)) for a, b in clipped if a < b),
             cycle_starts=tuple(cycle for cycle in self.cycle_starts if start <= cycle < stop),
         )
+
+    def bridged(self, gap: float) -> tuple[tuple[int, int], ...]:
+        """The segments, joined over gaps of at most `gap` [s] across which positions go on."""
+        joined: list[tuple[int, int]] = []
+        for start, stop in self.segments:
+            if joined and self.t[start] - self.t[start - 1] <= gap and self.t[start] not in self.breaks:
+                joined[-1] = (joined[-1][0], stop)
+            else:
+                joined.append((start, stop))
+        return tuple(joined)
 
     def middle_cycle(self) -> tuple[float, float]:
         """Start and end [s] of the cycle nearest the middle of the log that has no gap; of all of it where none is."""

@@ -14,12 +14,13 @@ import numpy as np
 
 from agent.errors import InputError
 from agent.recording.jumps import Mended, mend_jumps
+from agent.recording.limits import impossible
 from agent.recording.log import Log, Repair
 from agent.recording.log_file import PLANNED, REFERENCES, RUN, STATES
 from agent.recording.scan import Messages, Scan, scan
 from agent.recording.scratch import Scratch, parts
 from agent.recording.spikes import find_spikes
-from agent.recording.stamps import BRIDGED, match, put_in_order, spacing_of
+from agent.recording.stamps import BRIDGED, far_off, match, put_in_order, spacing_of
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -80,12 +81,13 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
     duration = (int(stamp[-1]) - int(stamp[0])) / _NANO
     repairs = [*_file_repairs(found, topic, duration), *_run_repairs(run, spacing.repairs)]
     repairs += [*table.repairs, *order.repairs, *mended, *spacing.repairs]
+    t = (stamp - stamp[0]) / _NANO
     references = _set_points(found, REFERENCES, names, stamp, spacing.rate, repairs)
     planned = _set_points(found, PLANNED, names, stamp, spacing.rate, repairs)
     return Log(
         path=path,
         joint_names=names,
-        t=(stamp - stamp[0]) / _NANO,
+        t=t,
         position=position,
         velocity=velocity,
         effort=effort,
@@ -97,6 +99,7 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
         cycle_starts=_cycle_starts(run, (int(stamp[0]) - table.first) / _NANO, duration, repairs),
         metadata=run,
         repairs=tuple(repairs),
+        breaks=tuple(t[list(cuts)].tolist()),
         scratch=found.scratch,
     )
 
@@ -172,7 +175,8 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
     """Whole, finite samples of the named joints, and what was left out."""
     if not any(set(names) <= set(group.layout.names) for group in groups):
         return None
-    first = min(int(group.stamp.min()) for group in groups if set(names) <= set(group.layout.names))
+    stamps = np.concatenate([group.stamp for group in groups if set(names) <= set(group.layout.names)])
+    first = int(stamps[~far_off(stamps)].min())
     left_out: dict[str, list[np.ndarray]] = {}
     usable: list[Messages] = []
     for group in groups:
@@ -199,10 +203,11 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
                 repairs.append(_repair(kind, stamp[unknown], first))
             arrays.append(None)
             continue
-        dropped = unknown & keep
-        if dropped.any():
-            repairs.append(_repair(f"samples without a finite {field}, dropped", stamp[dropped], first))
-        keep &= ~unknown
+        torn = impossible(values, field, scratch) & ~unknown
+        for rows, kind in ((unknown, f"without a finite {field}"), (torn, f"with a {field} that no arm can have")):
+            if (rows & keep).any():
+                repairs.append(_repair(f"samples {kind}, dropped", stamp[rows & keep], first))
+            keep &= ~rows
         arrays.append(values)
     if not keep.any():
         return None

@@ -43,6 +43,7 @@ def resampled(log: Log, rate: float | None = None) -> Log:
         sample_rate=rate,
         stamp=log.stamp + t[0],
         segments=tuple(segments),
+        breaks=tuple(time - t[0] for time in log.breaks),
         cycle_starts=tuple(cycle - t[0] for cycle in log.cycle_starts if t[0] <= cycle <= t[-1]),
         repairs=(*log.repairs, Repair(f"interpolated to {rate:g} Hz, samples", 0.0, len(t))),
     )

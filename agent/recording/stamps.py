@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from agent.errors import InputError
+from agent.recording.grid import grid_rate, line, sample_numbers
 from agent.recording.log import Repair
 
 _NANO = 1_000_000_000
@@ -16,12 +17,16 @@ _NANO = 1_000_000_000
 BRIDGED = 0.010
 #: Intervals that are off by more than this part of the period are counted as jitter.
 _JITTER = 0.2
+#: With more than this part of the intervals so, the stamps jitter around a grid, or the sampling is irregular.
+_JITTERING = 0.05
 #: So many repairs of a kind stand alone; more are summed up.
 _LISTED = 10
 #: Samples, and seconds, by which two stretches in order must overlap to be two recordings in one file.
 _OVERLAP_SAMPLES, _OVERLAP_TIME = 50, 0.5
-#: A stamp that is further than this from the middle of the log [s] belongs to another clock.
-_FAR_OFF = 3600.0
+#: Rows by which jitter of the stamps can change the order.
+_SWAPPED = 20
+#: A stamp further from the middle of the log than this [s] and this many times its length belongs to another clock.
+_FAR_OFF, _LENGTHS = 10.0, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,12 +60,23 @@ def put_in_order(stamp: np.ndarray, values: Sequence[np.ndarray], name: str) -> 
     """
     if len(stamp) < 2:
         raise InputError(f"{name}: 1 sample at {stamp[0] / _NANO:.6f} s; a motion has more")
-    rows = np.flatnonzero(~_far_off(stamp))
+    far = far_off(stamp)
+    rows = np.flatnonzero(~far)
     first = int(stamp[rows].min())
     repairs = []
-    if len(rows) < len(stamp):
-        repairs.append(Repair("samples with stamps far off, dropped", 0.0, len(stamp) - len(rows)))
+    if far.any():
+        away = (int(stamp[far][0]) - first) / _NANO
+        repairs.append(Repair("samples with stamps far off, dropped", away, int(far.sum())))
     back = np.flatnonzero(np.diff(stamp[rows]) < 0)
+    if len(back) and len(values) and (kept := _in_file_order(stamp[rows], values[0][rows])) is not None:
+        where = (int(stamp[rows[back[0] + 1]]) - first) / _NANO
+        repairs.append(Repair("stamps out of order where positions are in order, only stamps sorted", where, len(back)))
+        if len(kept) < len(rows):
+            repairs.append(Repair("samples with stamps of another time, dropped", where, len(rows) - len(kept)))
+        rows = rows[kept]
+        stamp = stamp.copy()
+        stamp[rows] = np.sort(stamp[rows])
+        back = back[:0]
     if len(back):
         where = (int(stamp[rows[back[0] + 1]]) - first) / _NANO
         repairs.append(Repair("stamps out of order, sorted", where, len(back)))
@@ -98,10 +114,19 @@ def spacing_of(stamp: np.ndarray, nominal_rate: float | None = None) -> Spacing:
     for it has no rounding of stamps in it.
     """
     interval = np.diff(stamp) / _NANO
+    time = (stamp - stamp[0]) / _NANO
     # three quarters of the intervals hold no missing sample, or the sampling is irregular and the mean is all there is
     usual = float(np.quantile(interval, 0.75))
     hole = interval > 1.6 * usual
     period = float(np.mean(interval[~hole]))
+    missing = np.maximum(np.rint(interval / period) - 1, 1).astype(int)
+    jitter = ~hole & (np.abs(interval - period) > _JITTER * period)
+    if np.count_nonzero(jitter) > _JITTERING * len(interval):
+        number = sample_numbers(time, grid_rate(time, 1 / period))
+        period, _ = line(number, time)
+        missing = np.diff(number).astype(int) - 1
+        hole = missing > 0
+        jitter = ~hole & (np.abs(interval - period) > _JITTER * period)
     rate, repairs = 1.0 / period, []
     if nominal_rate is not None:
         if abs(rate / nominal_rate - 1.0) < 1e-3:
@@ -110,12 +135,10 @@ def spacing_of(stamp: np.ndarray, nominal_rate: float | None = None) -> Spacing:
             repairs.append(
                 Repair(f"stamps say {rate:.6g} Hz, the log says {nominal_rate:.6g} Hz; samples", 0.0, len(stamp))
             )
-    time = (stamp - stamp[0]) / _NANO
-    missing = np.maximum(np.rint(interval / period) - 1, 1).astype(int)
     gap = hole & (interval > max(BRIDGED * (1 + 1e-9), 3.5 * period, 2.5 * usual))
     repairs += _listed("gap, missing samples", time[:-1][gap], missing[gap])
     repairs += _listed("missing samples, short enough to interpolate", time[:-1][hole & ~gap], missing[hole & ~gap])
-    repairs += _summed("uneven intervals, kept", time[:-1], ~hole & (np.abs(interval - period) > _JITTER * period))
+    repairs += _summed("uneven intervals, kept", time[:-1], jitter)
     cuts = np.flatnonzero(gap) + 1
     edges = [0, *cuts.tolist(), len(stamp)]
     return Spacing(rate, tuple(pairwise(edges)), tuple(repairs))
@@ -132,12 +155,31 @@ def match(stamp: np.ndarray, others: np.ndarray, tolerance: float) -> tuple[np.n
     return nearest, np.abs(others[nearest] - stamp) <= tolerance * _NANO
 
 
-def _far_off(stamp: np.ndarray) -> np.ndarray:
-    """(S,) which of the stamps are hours away from nearly all others: a clock that was not set yet, a flipped bit."""
-    middle = np.median(stamp)
-    sampled = np.median(np.abs(np.diff(stamp))) * len(stamp)
-    far = np.abs(stamp - middle) > _FAR_OFF * _NANO + 10 * sampled
-    return far if np.count_nonzero(far) <= 0.01 * len(stamp) else np.zeros(len(stamp), bool)
+def far_off(stamp: np.ndarray) -> np.ndarray:
+    """(S,) which of the stamps (S,) [ns] are far from nearly all others: a clock that was not set yet, a torn row."""
+    early, late = np.quantile(stamp, [0.05, 0.95], method="nearest")
+    middle, length = early + (late - early) // 2, (late - early) / 0.9
+    far = np.abs(stamp - middle) > _FAR_OFF * _NANO + _LENGTHS * length
+    return far if np.count_nonzero(far) <= max(1.0, 0.01 * len(stamp)) else np.zeros(len(stamp), bool)
+
+
+def _in_file_order(stamp: np.ndarray, position: np.ndarray) -> np.ndarray | None:
+    """Which rows (S,) to take as they stand in the file, if positions (S, n) are in order there and in that of the
+    stamps are not: stamps that jitter by more than a period, and a few that are of another time."""
+    order = np.argsort(stamp, kind="stable")
+    away = np.empty(len(stamp), int)
+    away[order] = np.arange(len(stamp))
+    near = np.abs(away - np.arange(len(stamp))) <= _SWAPPED
+    moved = np.flatnonzero(order != np.arange(len(stamp)))
+    about = np.unique(np.clip(moved[:, None] + np.arange(-2, 3), 1, len(stamp) - 2))
+    if np.count_nonzero(~near) > 0.01 * len(stamp) or len(stamp) < 3:
+        return None
+    in_file, by_stamp = (
+        np.sum((rows[about + 1] - 2 * rows[about] + rows[about - 1]) ** 2, axis=0)
+        for rows in (position, position[order])
+    )
+    in_order = np.all(in_file <= 1.5 * by_stamp) and np.any(in_file < 0.5 * by_stamp)  # noise has no order
+    return np.flatnonzero(near) if in_order else None
 
 
 def _refuse_two_recordings(stamp: np.ndarray, rows: np.ndarray, name: str) -> None:

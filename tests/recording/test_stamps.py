@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.errors import InputError
+from agent.estimation.filtering import FilterSettings, motions, used_text
 from agent.recording import read_log
 
 
@@ -135,3 +136,59 @@ def test_segments_cover_the_log_and_hold_no_gap(rate, gaps):
         longest = np.max(np.diff(stamp[start:stop]), initial=0) / 1e9
         assert longest <= max(0.010, 3.5 / spacing.rate) * (1 + 1e-6)
     assert len(spacing.segments) == 1 + sum(factor / rate > max(0.010, 3.5 / spacing.rate) for _, factor in gaps)
+
+
+def jittering(kind, count, period, rng):
+    """(S,) stamps [s] of `count` samples that were taken evenly."""
+    true = np.arange(count) * period
+    if kind == "late":
+        return true + rng.exponential(0.3 * period, count)
+    if kind == "late, in order":
+        return np.maximum.accumulate(true + rng.exponential(0.2 * period, count) + 1e-8 * np.arange(count))
+    if kind == "swapped":
+        places = rng.choice(count - 2, count // 20)
+        for k in places:
+            true[[k, k + 1]] = true[[k + 1, k]]
+        return true
+    return true + rng.uniform(-1 / 3, 1 / 3, count) * period
+
+
+@pytest.mark.parametrize(
+    "kind, lost", [("late", 0.0), ("late", 0.1), ("late, in order", 0.1), ("swapped", 0.0), ("either way", 0.1)]
+)
+@pytest.mark.parametrize("rate", [100.0, 500.0])
+def test_a_grid_is_found_behind_stamps_that_jitter(log_at, rate, lost, kind):
+    rng = np.random.default_rng(5)
+    true = np.arange(3000) / rate
+    kept = np.flatnonzero(rng.random(3000) >= lost)
+    stamps, position = jittering(kind, 3000, 1 / rate, rng)[kept], 0.5 * np.sin(2.5 * true)
+    log = log_at(1 + stamps, position[kept])
+    assert log.sample_rate == pytest.approx(rate, rel=2e-3)
+    (motion,) = motions(log, FilterSettings(10.0), reduce=False)
+    middle = motion.kept
+    delay = np.mean(stamps - true[kept])
+    away = motion.qd[middle, 0] - 1.25 * np.cos(2.5 * (motion.time[middle] + stamps[0] - delay))
+    assert np.abs(away).max() < 0.02
+
+
+def test_gaps_that_are_short_for_the_filter_are_bridged(log_at):
+    rate = 100.0
+    lost = (np.arange(30, 3000, 60)[:, None] + np.arange(5)).ravel()
+    times = np.delete(np.arange(3000) / rate, lost)
+    log = log_at(times)
+    assert len(log.segments) == len(lost) / 5 + 1
+    (motion,) = motions(log, FilterSettings(10.0), reduce=False)
+    assert np.abs(motion.qd[motion.kept, 0] - np.cos(motion.time[motion.kept])).max() < 1e-3
+    assert used_text(log, FilterSettings(10.0)).startswith("log.mcap: 26")
+    with pytest.raises(InputError, match="longest stretch"):
+        next(motions(log, FilterSettings(25.0)))
+
+
+def test_a_row_that_is_torn_moves_nothing_else(log_at):
+    times, position = 5000 + np.arange(1000) / 500, np.sin(np.arange(1000) / 500)
+    times[400] -= 3000.0
+    position[400] = -1.4e200
+    log = log_at(times, position)
+    assert len(log.t) == 999
+    assert log.t[-1] == pytest.approx(999 / 500)
+    assert repair(log, "samples with a position that no arm can have").count == 1

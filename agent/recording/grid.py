@@ -1,0 +1,108 @@
+"""The even grid behind stamps that jitter: which sample is which, and at what rate.
+
+A node that stamps on arrival is late by its own amount each time, while the samples were taken evenly. Stamps in order
+then tell the number of each sample on the grid, however large the jitter: counted up by one or more from row to row,
+and as near to the stamps as such a count can be.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+_BEGIN = 200  # samples that tell the phase of the grid
+_LOOKED_AT = 20_000  # samples that tell its rate
+_SEARCHED = 0.15  # of the rate, to either side
+_FINE = 16  # parts of a period that stamps are counted in
+_NOISE = 4.0  # times what samples of any phase would have: by chance one rate in a million has as much
+#: Rows by which the place of a missing sample may be wrong, rows that tell, and rounds over all of them.
+_DOUBT, _AROUND, _ROUNDS = 4, 9, 2
+
+
+def grid_rate(stamps: np.ndarray, rate: float) -> float:
+    """Rate [Hz] of the grid that jittering stamps (S,) [s] were sampled on, near `rate`; that itself where none shows.
+
+    It is the one with which the stamps are most in phase: |mean exp(2πj f t)| has its peak there (Rayleigh's test).
+    """
+    stamps = stamps[:_LOOKED_AT] - stamps[0]
+    size = 4 * int(_FINE * rate * stamps[-1] + 1)
+    if size > 400 * _FINE * len(stamps):
+        return rate  # mostly gaps
+    counts = np.bincount((stamps * rate * _FINE).astype(int), minlength=size)
+    phase = np.abs(np.fft.rfft(counts)) / len(stamps)
+    first, stop = (int(factor * size / _FINE) for factor in (1 - _SEARCHED, 1 + _SEARCHED))
+    best = first + int(np.argmax(phase[first:stop]))
+    return best * _FINE * rate / size if phase[best] > _NOISE / np.sqrt(len(stamps)) else rate
+
+
+def sample_numbers(stamps: np.ndarray, rate: float) -> np.ndarray:
+    """(S,) numbers, from 0 and rising, of sorted stamps (S,) [s] on a grid of about `rate` [Hz].
+
+    Any stamp may be late, the first one too, and a rate that is off by 1e-4 is half a period off after 5000 samples. So
+    the first 200 stamps tell the phase (their circular mean), then a line through them the rate, well enough for twice
+    as many, and so on.
+    """
+    size = _BEGIN
+    turns = np.exp(2j * np.pi * rate * (stamps[:size] - stamps[0]))
+    slope, intercept = 1 / rate, stamps[0] + np.angle(turns.mean()) / (2 * np.pi * rate)
+    while True:
+        number = _rising((stamps[:size] - intercept) / slope)
+        if size >= len(stamps):
+            return number - number[0]
+        slope, intercept = line(number, stamps[:size])
+        size *= 2
+
+
+def _rising(place: np.ndarray) -> np.ndarray:
+    """(S,) whole numbers that rise by at least one, nearest to places (S,) in least squares.
+
+    Less the row's own number they must not fall, and of all that do not fall the nearest are those of the isotonic
+    regression, rounded.
+    """
+    number = np.round(place)
+    if np.all(np.diff(number) > 0):
+        return number
+    from scipy.optimize import isotonic_regression
+
+    rows = np.arange(len(place))
+    return rows + np.round(isotonic_regression(place - rows).x)
+
+
+def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """(S,) the numbers with each missing sample where positions (S, n) are smoothest and stamps least off.
+
+    `place` (S,) are the stamps in periods. Jitter leaves open by a few rows where a sample is missing; positions are
+    near a cubic of nine rows to either side, and by how far is told by the rows that lie in one piece.
+    """
+    number = number.copy()
+    near = number - number[0], place - place[0]
+    spread = max(float(np.std(near[0] - near[1])), 1e-3)
+    noise = np.median(np.abs(np.diff(position, 4, axis=0)), axis=0) / 5.6  # of white noise σ: √70 σ · 0.67
+    noise = np.maximum(noise, 1e-3 * np.std(np.diff(position, axis=0), axis=0))
+    moving = noise > 0
+    scaled = position[:, moving] / noise[moving]
+    for _ in range(_ROUNDS):
+        for hole in np.flatnonzero(np.diff(number) > 1):
+            first, stop = max(hole - _AROUND, 0), min(hole + _AROUND + 2, len(number))
+            here = hole - first
+            best, least = None, np.inf
+            for shift in range(-min(_DOUBT, here), min(_DOUBT, stop - hole - 2) + 1):
+                trial = number[first:stop].copy()
+                trial[here + 1 : here + 1 + max(shift, 0)] -= 1
+                trial[here + 1 + min(shift, 0) : here + 1] += 1
+                away = (trial - number[hole]) / _AROUND
+                basis = np.linalg.qr(np.vander(away, 4))[0]
+                rows = scaled[first:stop]
+                cost = np.sum(rows**2) - np.sum((basis.T @ rows) ** 2)
+                cost += np.var(trial - place[first:stop]) * len(trial) / spread**2
+                if cost < least:
+                    best, least = trial, cost
+            number[first:stop] = best
+    return number
+
+
+def line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Slope and intercept of the line through points (S,) in least squares."""
+    middle, height = x.mean(), y.mean()
+    away = x - middle
+    slope = float(away @ (y - height) / (away @ away))
+    return slope, float(height - slope * middle)
