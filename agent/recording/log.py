@@ -35,8 +35,9 @@ class Log:
     reference_position, planned_position (S, n) or None: set-points of the controller, and what was planned, on the
     same stamps (NaN where there is none). `sample_rate` [Hz] is that of intervals without a missing sample. `segments`
     are [start, stop) sample ranges without a gap in them: stretches of at most 10 ms or two samples may be missing, see
-    `agent.recording.resampled`; `breaks` [s] are those of their starts at which a position jumps. `stamp` is the first sample's controller time [s]. The arrays of a long log lie in
-    `scratch`: who goes over all of them part by part releases it after each.
+    `agent.recording.resampled`; `breaks` [s] are those of their starts at which a position jumps. `stamp` is the first
+    sample's controller time [s]. The arrays of a long log lie in `scratch`: who goes over all of them part by part
+    releases it after each.
     """
 
     path: Path
