@@ -72,6 +72,7 @@ class Reports:
         self._told: Feedback | None = None  # the record that was offered last
         self._told_at = 0.0  # s, monotonic
         self._lock = threading.Lock()
+        self._telling = threading.Lock()  # records go out in the order in which they were true
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._rest, name="reports", daemon=True)
         self._thread.start()
@@ -110,7 +111,8 @@ class Reports:
             self._publish(index, samples, spare=False)
             self._last = _last_of(samples)
         for k in range(_EVERY - 1, len(samples), _EVERY):
-            self._tell(time_ns[k], samples.position[k], samples.torque[k])
+            with self._telling:
+                self._tell(time_ns[k], samples.position[k], samples.torque[k])
             if self._waits and self.silence < self._watchdog:
                 self._feedback.wait(self._watchdog)
 
@@ -144,7 +146,9 @@ class Reports:
             with self._lock:
                 if not self.moving:
                     self._pass_time(_EVERY)
-            self._tell(self._controller.clock.now(), self._controller.position, self._last.torque[0])
+            with self._telling:
+                if not self.moving:
+                    self._tell(self._controller.clock.now(), self._controller.position, self._last.torque[0])
 
     def _pass_time(self, samples: int = _REST) -> None:
         """The arm stands still: until now, or where the clock does not run by itself for so many samples."""
@@ -183,9 +187,10 @@ class Reports:
 
     def _tell_again(self) -> None:
         """The feedback program does not wait for an arm whose next moves are still planned."""
-        if self._told is not None and time.monotonic() - self._told_at > _LATE * TICK:
-            record = replace(self._told, is_moving=int(self.flag), last_point_processed=self.last_point)
-            self._feedback.offer(record, spare=True)
+        with self._telling:
+            if self._told is not None and time.monotonic() - self._told_at > _LATE * TICK:
+                record = replace(self._told, is_moving=int(self.flag), last_point_processed=self.last_point)
+                self._feedback.offer(record, spare=True)
 
     def _state(self) -> Status:
         state = self._controller.state

@@ -166,8 +166,23 @@ class Samples:
         """Times and first two values of a topic's messages, once `time` has come."""
         while not self.messages[topic] or json.loads(self.messages[topic][-1][:-1])["time"] < time:
             threading.Event().wait(0.01)
-        rows = [json.loads(payload[:-1]) for payload in self.messages[topic]]
+        rows = self._rows(topic)
         return np.array([row["time"] for row in rows]), np.array([[row["J1"], row["J2"]] for row in rows])
+
+    def until_anew(self, topic):
+        """Times of a topic's messages, once they have begun anew: the broker may be behind the controller."""
+        while True:
+            times = self.times(topic)
+            if (np.diff(times) < 0).any():
+                return times
+            threading.Event().wait(0.02)
+
+    def times(self, topic):
+        """Of all messages of a topic."""
+        return np.array([row["time"] for row in self._rows(topic)])
+
+    def _rows(self, topic):
+        return [json.loads(payload[:-1]) for payload in self.messages[topic]]
 
 
 class Bench:
