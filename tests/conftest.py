@@ -18,10 +18,16 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 # The same examples every time, so that a test tells of the change and not of the draw; `make verify` draws fresh ones.
-settings.register_profile("same", derandomize="CALIBRATION_FIGURES" not in os.environ)
+# No deadline, and no complaint about slow examples: how long one takes is the machine's affair.
+settings.register_profile(
+    "same",
+    derandomize="CALIBRATION_FIGURES" not in os.environ,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
 settings.load_profile("same")
 
 ROOT = Path(__file__).resolve().parents[1]
