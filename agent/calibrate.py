@@ -13,6 +13,7 @@ from agent.apply import origin, remember
 from agent.approved import approve, check_approved
 from agent.console import Console
 from agent.ending import current_run, ending_text
+from agent.figures import error_text, not_judged_text, outcome_text
 from agent.recipe import Recipe
 from agent.record import Recording
 from agent.record_plan import EXCITATION, record_plan, validation_logs
@@ -35,20 +36,27 @@ class Outcome:
 
         result, validation = self.result, self.result["validation"]
         axes = "  ".join(
-            f"{name} {100 * value:.2f} %"
-            for name, value in zip(validation["joints"], validation["normalised_rmse"], strict=True)
+            f"{name} {error_text(share, torque, unit)}"
+            for name, share, torque, unit in zip(
+                validation["joints"],
+                validation["normalised_rmse"],
+                validation["rmse"],
+                validation["units"],
+                strict=True,
+            )
         )
+        not_judged = result["gate"]["not_judged"]
+        of = "RMSE" if len(not_judged) == len(validation["joints"]) else "of nominal torque"
         return "\n".join(
             [
                 "",
                 f"fitness             {result['search']['fitness']:.2f}  (log10 det(HᵀH/M), higher is better)",
                 f"condition number    {condition_text(result['estimation']['condition_number'])}  (below 100 is good)",
                 f"prediction error    {axes}",
-                f"                    of nominal torque, {validation['motions']} unseen motions at "
-                f"{validation['speed']:g} m/s",
+                f"                    {of}, {validation['motions']} unseen motions at {validation['speed']:g} m/s",
                 "result              "
-                + ("accepted" if self.accepted else f"REJECTED: {result['reason']}")
-                + f"  (gate {100 * result['gate']['normalised_rmse']:.1f} % on every axis)",
+                + outcome_text(self.accepted, result["reason"], not_judged, validation["joints"])
+                + f"  (gate {100 * result['gate']['normalised_rmse']:.1f} % of nominal torque on every axis)",
                 f"report              {self.run / 'report.html'}",
                 self.ending,
                 "",
@@ -70,6 +78,8 @@ def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None,
         else:
             run = RunFolder.open(resume, recipe.sha256, check=lambda opened: check_approved(opened, recipe))
         console.say(f"run {run.path}")
+        if not_judged := not_judged_text(recipe.robot, recipe.gate.normalised_rmse):
+            console.warn(not_judged)
 
         with step(run, "plan"):
             plan = planning.plan_once(recipe, run, console)

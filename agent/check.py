@@ -11,6 +11,7 @@ import numpy as np
 
 from agent.console import Console
 from agent.errors import AgentError
+from agent.figures import not_judged_text
 from agent.recipe import Recipe, examine_recipe
 
 #: Random loops that are run through the interpolator and the cell.
@@ -76,6 +77,8 @@ def check_recipe(path: Path, console: Console) -> Findings:
     if not faults:
         complete = f"{path} is complete; robot {recipe.robot.name}, {recipe.robot.dof} joints"
         findings.append(Finding("recipe", complete))
+    if not_judged := not_judged_text(recipe.robot, recipe.gate.normalised_rmse):
+        findings.append(Finding("gate", not_judged))
     for subject, look in looks:
         try:
             findings.append(Finding(subject, look(recipe)))

@@ -177,6 +177,7 @@ def _write_model(found: Diagnosis, out: Path, console: Console) -> None:
 def diagnosis_text(result: dict[str, Any]) -> str:
     """A diagnosis for people."""
     from agent.diagnosis.words import closes
+    from agent.figures import SHARE, figure_text
 
     lines = [_VERDICTS[result["verdict"]]]
     for cause in result["causes"]:
@@ -188,21 +189,25 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         for other in cause["equivalent_to"]:
             lines.append(f"    as good: {other['effect']} on {', '.join(other['joints']) or 'the whole arm'}")
     gap = result["gap"]
-    lines.append("torque error held out, over nominal torque (N·m where there is none); floor: what no cycle repeats")
-    lines.append(f"{'joint':12} {'before':>9} {'after':>9} {'floor':>9} {'share':>7}   mostly in")
+    lines.append("torque error held out, in % of nominal torque where there is one; floor: what no cycle repeats")
+    lines.append(f"{'joint':12} {'before':>11} {'after':>11} {'floor':>11} {'share':>7}   mostly in")
     shares = {entry["joint"]: entry for entry in result["where"]}
     for k, name in enumerate(gap["joints"]):
-        floor = "-" if gap["floor"] is None else f"{gap['floor'][k]:.4f}"
+        before, after, floor = (
+            "-" if gap[side] is None else figure_text(gap[side][k], gap["units"][k])
+            for side in ("before", "after", "floor")
+        )
         regimes = [r["name"] for r in shares[name]["regimes"] if r["share"] > 1.5 * r["of_samples"]][:2]
         lines.append(
-            f"{name:12} {gap['before'][k]:9.4f} {gap['after'][k]:9.4f} {floor:>9} {100 * shares[name]['share']:6.1f}%"
-            f"   {', '.join(regimes)}"
+            f"{name:12} {before:>11} {after:>11} {floor:>11} {100 * shares[name]['share']:6.1f}%   {', '.join(regimes)}"
         )
     if result["closure"] is not None:
         lines.append(f"closed: {100 * result['closure']:.1f} % of the gap in torque")
     if result.get("simulation"):
-        before, after = (100 * max(result["simulation"]["torque"][side]) for side in ("before", "after"))
-        lines.append(f"worst joint in forward simulation: {before:.2f} % of nominal torque, then {after:.2f} %")
+        torque, units = result["simulation"]["torque"], gap["units"]
+        worst = max(range(len(units)), key=lambda k: (units[k] == SHARE, torque["before"][k]))
+        before, after = (figure_text(torque[side][worst], units[worst]) for side in ("before", "after"))
+        lines.append(f"torque error of {gap['joints'][worst]} in forward simulation: {before}, then {after}")
     if result["next_experiment"] is not None:
         lines.append(f"run next: {result['next_experiment']['motion']}")
     if result["not_testable"]:

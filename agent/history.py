@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from agent.errors import AgentError, InputError
+from agent.figures import error_text
 
 FILE = "history.sqlite"
-_VERSION = 3
+_VERSION = 4
 #: Result codes of SQLite with which the system says no; what else goes wrong is damage.
 _REFUSALS = (
     sqlite3.SQLITE_PERM,
@@ -76,9 +77,21 @@ class PastRun:
         return self.status == "finished" and self.kind != "diagnose"
 
     @property
+    def worst_torque(self) -> float | None:
+        """Largest error of any axis [N·m]."""
+        return max((torque for torque in self.data["rmse"] if torque is not None), default=None)
+
+    @property
+    def worst_text(self) -> str:
+        """Largest error of any axis: of nominal torque, or in N·m where no axis has one; "-" where none is known."""
+        return error_text(self.worst, self.worst_torque)
+
+    @property
     def outcome(self) -> str:
         """What came of it, in a word or two: the gate's, or the diagnosis's."""
         finished = "accepted" if self.accepted else self.data["verdict"].replace("_", " ")
+        if self.accepted and self.data["joints"] and len(self.data["not_judged"]) == len(self.data["joints"]):
+            finished = "not judged"
         return finished if self.status == "finished" else self.status
 
     def outcome_with(self, current: Collection[str]) -> str:
@@ -242,7 +255,9 @@ def _read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
     data = {
         "joints": validation.get("joints", []),
         "normalised_rmse": figures,
+        "rmse": validation.get("rmse", []),
         "gate": result.get("gate", {}).get("normalised_rmse"),
+        "not_judged": result.get("gate", {}).get("not_judged", []),
         "conditions": result.get("conditions", {}),
         "verdict": result.get("verdict", ""),
         "watch": state.get("watch", []),
@@ -276,7 +291,7 @@ def history_table(runs: Sequence[PastRun], current: Collection[str] = ()) -> str
             run.serial or "-",
             run.kind,
             run.outcome_with(current),
-            "-" if run.worst is None else f"{100 * run.worst:.2f} %",
+            run.worst_text,
             str(run.data["conditions"].get("cycles", "-")),
         )
         for run in runs

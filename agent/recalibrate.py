@@ -16,6 +16,7 @@ from agent.calibrate import step
 from agent.console import Console
 from agent.ending import current_run, ending_text
 from agent.errors import ControllerError
+from agent.figures import error_text, not_judged_text, outcome_text, torque_units, without_nominal
 from agent.fresh_data import diagnose_if_worse, worse_joints
 from agent.history import PastRun
 from agent.recipe import Recipe
@@ -60,9 +61,11 @@ class Outcome:
             return f"skipped: {self.skipped}"
         validation = self.result["validation"]
         axes = [
-            f"{name} {_percent(value)} (was {_percent(before)})"
-            for name, value, before in zip(
-                validation["joints"], validation["normalised_rmse"], validation["normalised_rmse_before"], strict=True
+            f"{name} {error_text(share, torque, unit)} (was {error_text(share_before, torque_before, unit)})"
+            for name, share, torque, share_before, torque_before, unit in zip(
+                *(validation[k] for k in ("joints", "normalised_rmse", "rmse")),
+                *(validation[k] for k in ("normalised_rmse_before", "rmse_before", "units")),
+                strict=True,
             )
         ]
         rows = ["  ".join(axes[k : k + 3]) for k in range(0, len(axes), 3)]
@@ -70,7 +73,9 @@ class Outcome:
         if self.result["diagnosis"]:
             lines.append(f"diagnosis           {self.result['diagnosis']['summary']}")
         lines.append(f"compared with       {self.result['reference']}")
-        word = "accepted" if self.accepted else f"REJECTED: {self.result['reason']}"
+        word = outcome_text(
+            self.accepted, self.result["reason"], self.result["gate"]["not_judged"], validation["joints"]
+        )
         lines += [f"result              {word}", f"report              {self.run}/report.html", self.ending]
         return "\n".join(lines)
 
@@ -103,6 +108,8 @@ def recalibrate(
         run.note(kind="recalibrate", **facts, **origin(recipe))
         approve(run, recipe)
         console.say(f"run {run.path}")
+        if not_judged := not_judged_text(recipe.robot, recipe.gate.normalised_rmse):
+            console.warn(not_judged)
         with step(run, "record"):
             recording = _record(recipe, reference, run, console, yes, logs, authorisation)
         with step(run, "estimate"):
@@ -212,10 +219,15 @@ def _judge(
         "parameters": recipe.recalibrate.parameters,
         "accepted": not faults,
         "reason": "; ".join(faults),
-        "gate": {"normalised_rmse": recipe.gate.normalised_rmse},
+        "gate": {
+            "normalised_rmse": recipe.gate.normalised_rmse,
+            "not_judged": list(without_nominal(recipe.robot)),
+        },
         "validation": {
             "joints": list(recipe.robot.joint_names),
+            "units": list(torque_units(recipe.robot)),
             "rmse": found.held_out,
+            "rmse_before": found.before,
             "normalised_rmse": found.held_out / nominal,
             "normalised_rmse_before": found.before / nominal,
             "worse_before": worse_joints(reference.model, found.before),
@@ -256,7 +268,9 @@ def gate_faults(
     faults = []
     figures = found.held_out / robot.nominal_torque
     for k in np.flatnonzero(figures > gate):
-        faults.append(f"{robot.joint_names[k]}: prediction error {_percent(figures[k])}, the gate is {_percent(gate)}")
+        faults.append(
+            f"{robot.joint_names[k]}: prediction error {100 * figures[k]:.2f} %, the gate is {100 * gate:.2f} %"
+        )
     for name in worse_joints(last, found.held_out):
         k = robot.joint_names.index(name)
         faults.append(
@@ -298,10 +312,6 @@ def _report(
     page = recalibration_page(recipe, loop.program, result, comparison, log, prediction)
     run.write_text("report.html", page)
     run.complete(result["accepted"])
-
-
-def _percent(value: float | None) -> str:
-    return "-" if value is None or not np.isfinite(value) else f"{100 * value:.2f} %"
 
 
 def _time(span: timedelta) -> str:

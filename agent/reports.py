@@ -94,6 +94,7 @@ def recalibration_page(
         motion_data(recipe, cycle, via_points, len(log.cycle_starts)),
         model.rows(),
         _cycle_errors(log, prediction),
+        model.robot.nominal_torque,
         _shown_cycle(log, prediction),
         sections,
     )
@@ -136,7 +137,7 @@ def watch_lines(logs: Path, robot: str, serial: str) -> list[str]:
 
 
 def _cycle_errors(log: Log, prediction: Prediction) -> np.ndarray:
-    """(cycles, n) RMSE over nominal torque of a cycle, while the joint moves; of the whole log where none repeats."""
+    """(cycles, n) RMSE [N·m] of a cycle, while the joint moves; of the whole log where none repeats."""
     moving = joint_moves(prediction)
     ends = [*log.cycle_starts, float(log.t[-1])] if log.cycle_starts else [0.0, float(log.t[-1])]
     rows = []
@@ -144,8 +145,7 @@ def _cycle_errors(log: Log, prediction: Prediction) -> np.ndarray:
         inside = slice(*np.searchsorted(prediction.time, (start, stop)))
         energy = np.sum(prediction.error[inside] ** 2 * moving[inside], axis=0)
         if moving[inside].any():
-            rms = np.sqrt(energy / np.maximum(1, moving[inside].sum(axis=0)))
-            rows.append(rms / prediction.model.robot.nominal_torque)
+            rows.append(np.sqrt(energy / np.maximum(1, moving[inside].sum(axis=0))))
     return np.array(rows)
 
 

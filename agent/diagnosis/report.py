@@ -12,6 +12,7 @@ from agent.diagnosis.forward import Simulated, simulation_part
 from agent.diagnosis.report_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
 from agent.diagnosis.result import Diagnosis
 from agent.diagnosis.words import IN_WORDS, PATH, REGIMES, closes, how_sure, name, place
+from agent.figures import figure_text
 from agent.report.page import Page, Section, Table, render
 
 _HEADLINES = {
@@ -100,13 +101,18 @@ def _where_section(diagnosis: Diagnosis) -> Section:
     share = {entry["joint"]: entry for entry in result["where"]}
     floor = gap["floor"] or [float("nan")] * len(gap["joints"])
     rows = [
-        (joint, *(f"{100 * part[k]:.2f}" for part in (gap["before"], gap["after"], floor)), _share(share[joint]))
+        (
+            joint,
+            *(figure_text(part[k], gap["units"][k]) for part in (gap["before"], gap["after"], floor)),
+            _share(share[joint]),
+        )
         for k, joint in enumerate(gap["joints"])
     ]
-    unit = "of nominal joint torque, in N·m / 100 where a joint has none"
     text = [f"{sentence}." for sentence in _where_sentences(result)]
-    text.append(f"Errors of torque are root mean squares on motion held out, in % ({unit}).")
-    header = ("joint", "before [%]", "after [%]", "floor [%]", "share of the gap")
+    text.append(
+        "Errors of torque are root mean squares on motion held out, in % of nominal joint torque where there is one."
+    )
+    header = ("joint", "before", "after", "floor", "share of the gap")
     joint = diagnosis.dataset.robot.joint_names.index(result["where"][0]["joint"])
     parts = (Table("gap", header, rows), regime_map(diagnosis), band_map(diagnosis), timeline(diagnosis, joint))
     return Section("Where it is", text, parts)
@@ -162,18 +168,18 @@ def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Se
 
 
 def _simulation_table(diagnosis: Diagnosis, figures: Mapping[str, Any]) -> Table:
-    torque, position = figures["torque"], figures["position"]
+    torque, position, result = figures["torque"], figures["position"], diagnosis.result
     rows = [
         (
             joint,
-            f"{100 * torque['before'][k]:.2f}",
-            f"{100 * torque['after'][k]:.2f}",
+            figure_text(torque["before"][k], result["gap"]["units"][k]),
+            figure_text(torque["after"][k], result["gap"]["units"][k]),
             f"{1e3 * position['before'][k]:.3f}",
             f"{1e3 * position['after'][k]:.3f}",
         )
         for k, joint in enumerate(diagnosis.dataset.robot.joint_names)
     ]
-    header = ("joint", "torque, model [%]", "with effects [%]", "position, model [mrad, mm]", "with effects")
+    header = ("joint", "torque, model", "with effects", "position, model [mrad, mm]", "with effects")
     return Table("simulation", header, rows)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from agent.diagnosis.forward import Simulated
 from agent.diagnosis.regimes import BANDS, SHOWN, band_shares, masks, motor_phase_share
 from agent.diagnosis.result import Diagnosis
+from agent.figures import SHARE
 from agent.report.figures import SERIES, Figure, new_plot, to_figure
 
 _POINTS = 1500  # of a line, at most
@@ -80,8 +81,11 @@ def before_and_after(diagnosis: Diagnosis) -> Figure:
     """Bars of the held-out torque error of every joint, with the floor as a mark."""
     gap = diagnosis.result["gap"]
     count = np.arange(len(gap["joints"]))
-    before, after = (100 * np.array(gap[side]) for side in ("before", "after"))
-    floor = np.full(len(count), np.nan) if gap["floor"] is None else 100 * np.array(gap["floor"])
+    shares = np.array(gap["units"]) == SHARE
+    # a torque cannot be drawn on an axis of shares; the table has it
+    scale = np.where(shares, 100.0, np.nan) if shares.any() else np.ones(len(count))
+    before, after = (scale * np.array(gap[side]) for side in ("before", "after"))
+    floor = np.full(len(count), np.nan) if gap["floor"] is None else scale * np.array(gap["floor"])
     plot, axes = new_plot(height=0.42 * len(count) + 1.2)
     axis = axes[0, 0]
     axis.barh(count - 0.18, before, 0.34, label="model alone", color=SERIES[1])
@@ -90,11 +94,12 @@ def before_and_after(diagnosis: Diagnosis) -> Figure:
     axis.set_yticks(count, gap["joints"])
     axis.invert_yaxis()
     axis.grid(visible=False, axis="y")
-    axis.set_xlabel("torque error held out [% of nominal]")
+    unit = "% of nominal" if shares.any() else "N·m"
+    axis.set_xlabel(f"torque error held out [{unit}]")
     axis.legend(fontsize=7, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     caption = "Torque error before and after, and the floor: what does not even repeat from cycle to cycle."
     rows = np.column_stack([before, after, floor])
-    return to_figure("before-after", caption, plot, ("before_%", "after_%", "floor_%"), rows)
+    return to_figure("before-after", caption, plot, ("before", "after", "floor"), rows)
 
 
 def simulated_torque(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Figure:

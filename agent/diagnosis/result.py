@@ -16,6 +16,7 @@ from agent.diagnosis.gap import Gap
 from agent.diagnosis.motion_gap import MotionGap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.regimes import regimes
+from agent.figures import error_units
 
 SCHEMA = "diagnosis/1"
 # Set-points are numbers, not measurements: where they differ, only a log that misplaces them in time speaks against it.
@@ -80,6 +81,7 @@ def build(
         "verdict": verdict,
         "gap": {
             "joints": list(names),
+            "units": error_units(robot),
             "before": _plain(gap.before),
             "after": _plain(gap.after),
             "floor": _plain(gap.floor),

@@ -68,6 +68,16 @@ def provenance_section(result: dict[str, Any]) -> Section:
     return Section("Provenance", (), (Table("provenance", ("what", "value"), rows),))
 
 
+def joint_units(validation: dict[str, Any]) -> list[str]:
+    """Unit of each joint's torque; runs of earlier versions do not say it."""
+    return validation.get("units") or ["N·m"] * len(validation["joints"])
+
+
+def percent(share: float | None) -> str:
+    """Three decimals of a share, without the sign; "-" where there is none."""
+    return _number(share, 100.0, ".3f")
+
+
 def _number(value: float | None, scale: float = 1.0, form: str = ".1f") -> str:
     return "-" if value is None or not np.isfinite(value) else f"{scale * value:{form}}"
 

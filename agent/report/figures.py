@@ -122,25 +122,29 @@ def limit_margins(t: np.ndarray, use: dict[str, np.ndarray], names: tuple[str, .
     )
 
 
-def motion_box_plot(normalised_rmse: np.ndarray, names: tuple[str, ...], gate: float, caption: str) -> Figure:
-    """Normalised RMSE (motions, n) of several motions per axis (the paper's Fig. 5b)."""
+def motion_box_plot(rmse: np.ndarray, nominal: np.ndarray, names: tuple[str, ...], gate: float, caption: str) -> Figure:
+    """RMSE (motions, n) of several motions per axis, over the nominal torque (n,) where there is one (Fig. 5b)."""
     plot, axes = new_plot(height=3.0)
-    values = 100.0 * normalised_rmse
+    known = np.isfinite(nominal)
+    values = np.where(known, 100.0 * rmse / np.where(known, nominal, 1.0), rmse)
+    kinds = ["" if has or not known.any() else "\n[N·m]" for has in known]
     ink = {"color": _INK}
     axes[0, 0].boxplot(
         values,
-        tick_labels=list(names),
+        tick_labels=[name + kind for name, kind in zip(names, kinds, strict=True)],
         boxprops=ink,
         whiskerprops=ink,
         capprops=ink,
         flierprops={"markeredgecolor": SERIES[3], "markersize": 4},
         medianprops={"color": SERIES[0], "linewidth": 2},
     )
-    axes[0, 0].axhline(100.0 * gate, linestyle=":", color=SERIES[3], label="gate")
-    axes[0, 0].set_ylabel("RMSE / nominal torque [%]")
+    axes[0, 0].set_ylabel("RMSE / nominal torque [%]" if known.any() else "RMSE [N·m]")
     axes[0, 0].set_ylim(bottom=0)
-    axes[0, 0].legend()
-    return to_figure("validation-box", caption, plot, names, values)
+    if known.any():
+        axes[0, 0].axhline(100.0 * gate, linestyle=":", color=SERIES[3], label="gate")
+        axes[0, 0].legend()
+    header = tuple(f"{name} [{'%' if has else 'N·m'}]" for name, has in zip(names, known, strict=True))
+    return to_figure("validation-box", caption, plot, header, values)
 
 
 def torque_prediction(

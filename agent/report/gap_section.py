@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from agent.figures import SHARE, figure_text
 from agent.report.page import Section, Table
 
 _VERDICTS = {
@@ -41,13 +42,14 @@ def diagnosis_section(result: dict[str, Any]) -> Section:
         for cause in result["causes"]
     ]
     gap = result["gap"]
+    units = gap.get("units", [SHARE] * len(gap["joints"]))  # earlier versions do not say it
     shares = {entry["joint"]: entry["share"] for entry in result["where"]}
     where = [
-        (joint, f"{100 * before:.3f}", f"{100 * after:.3f}", _percent(shares.get(joint)))
-        for joint, before, after in zip(gap["joints"], gap["before"], gap["after"], strict=True)
+        (joint, figure_text(before, unit, 3), figure_text(after, unit, 3), _percent(shares.get(joint)))
+        for joint, before, after, unit in zip(gap["joints"], gap["before"], gap["after"], units, strict=True)
     ]
     causes_header = ("effect", "joints", "closes [%]", "probability", "parameters", "as good")
-    where_header = ("joint", "error without [%]", "error with these effects [%]", "share of the gap [%]")
+    where_header = ("joint", "error without", "error with these effects", "share of the gap [%]")
     parts = (Table("causes", causes_header, causes), Table("gap", where_header, where))
     return Section("Diagnosis against the last model", text, parts)
 

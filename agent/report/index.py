@@ -59,7 +59,7 @@ def _all_runs(data: IndexData) -> Section:
         (
             run.run,
             run.outcome_with(data.current),
-            "-" if run.worst is None else f"{100 * run.worst:.2f}",
+            run.worst_text,
             run.kind,
             run.serial or "-",
             str(run.data["conditions"].get("cycles", "-")),
@@ -70,7 +70,7 @@ def _all_runs(data: IndexData) -> Section:
     links = [f"{quote(run.run)}/report.html" if run.complete else "" for run in reversed(runs)]
     accepted = sum(run.accepted for run in runs)
     text = (f"{len(runs)} runs, {accepted} accepted; the newest first.",)
-    header = ("run", "result", "worst axis [%]", "kind", "serial", "cycles", "reason")
+    header = ("run", "result", "worst axis", "kind", "serial", "cycles", "reason")
     return Section("Runs", text, (Table("runs", header, rows, links),))
 
 
@@ -152,24 +152,29 @@ def _parameter_figure(parameters: Sequence[Trend], number: int) -> Figure:
 
 
 def _errors(runs: Sequence[PastRun]) -> Section:
-    known = [run for run in runs if run.worst is not None]
+    shares = any(run.worst is not None for run in runs)
+    known = [run for run in runs if (run.worst if shares else run.worst_torque) is not None]
     shown = known[:: max(1, len(known) // _MOST_POINTS)]
     plot, axes = new_plot(height=2.6)
     number = np.arange(len(shown))
-    worst = np.array([100 * run.worst for run in shown], dtype=float)
+    worst = np.array([100 * run.worst if shares else run.worst_torque for run in shown], dtype=float)
     accepted = np.array([run.accepted for run in shown], dtype=bool)
     axes[0, 0].plot(number[accepted], worst[accepted], ".", color=SERIES[2], label="accepted")
     axes[0, 0].plot(number[~accepted], worst[~accepted], "x", color=SERIES[3], label="rejected")
     gates = [run.data["gate"] for run in shown]
-    if gates and None not in gates:
+    if shares and gates and None not in gates:
         axes[0, 0].plot(number, 100 * np.array(gates), ":", color=SERIES[3], label="gate")
     axes[0, 0].set_ylim(bottom=0)
     axes[0, 0].set_xlabel("run")
-    axes[0, 0].set_ylabel("RMSE / nominal torque [%]")
+    axes[0, 0].set_ylabel("RMSE / nominal torque [%]" if shares else "RMSE [N·m]")
     axes[0, 0].legend(ncols=3)
     rows = np.column_stack([number, worst]) if len(shown) else np.empty((0, 2))
     caption = "Prediction error of the worst axis of every run."
-    return Section("Prediction error", (), (to_figure("errors", caption, plot, ("run", "worst_percent"), rows),))
+    return Section(
+        "Prediction error",
+        (),
+        (to_figure("errors", caption, plot, ("run", f"worst_{'percent' if shares else 'N·m'}"), rows),),
+    )
 
 
 def _colours(count: int) -> list[str]:

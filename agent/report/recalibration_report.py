@@ -12,7 +12,9 @@ from agent.report.common_sections import (
     conditions_section,
     current_sentence,
     diagnosis_part,
+    joint_units,
     parameters_section,
+    percent,
     provenance_section,
 )
 from agent.report.figures import motion_box_plot, torque_prediction
@@ -22,15 +24,16 @@ from agent.report.page import Page, Section, Table, render
 
 @dataclass(frozen=True, eq=False)
 class RecalibrationData:
-    """What it shows: the content of `result.json`, the loop, the model's table, normalised RMSE (cycles, n) of every
-    cycle, one stretch of the motion (time (S,), measured, predicted and half width of the bounds (S, n)), and sections
-    made elsewhere, in order.
+    """What it shows: the content of `result.json`, the loop, the model's table, RMSE (cycles, n) [N·m] of every
+    cycle and nominal torque (n,), one stretch of the motion (time (S,), measured, predicted and half width of the
+    bounds (S, n)), and sections made elsewhere, in order.
     """
 
     result: dict[str, Any]
     motion: MotionData
     parameter_rows: Sequence[Sequence[str]]
-    normalised_rmse: np.ndarray
+    cycle_rmse: np.ndarray
+    nominal: np.ndarray
     prediction: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
     sections: Sequence[Section]
 
@@ -60,11 +63,12 @@ def _validation(data: RecalibrationData) -> Section:
     validation = data.result["validation"]
     names = tuple(validation["joints"])
     rows = [
-        (name, f"{rmse:.3g}", _percent(after), _percent(before), "worse than it was" if name in worse else "")
+        (name, f"{rmse:.3g}", unit, percent(after), percent(before), "worse than it was" if name in worse else "")
         for worse in [validation["worse_before"]]
-        for name, rmse, after, before in zip(
+        for name, rmse, unit, after, before in zip(
             names,
             validation["rmse"],
+            joint_units(validation),
             validation["normalised_rmse"],
             validation["normalised_rmse_before"],
             strict=True,
@@ -77,11 +81,11 @@ def _validation(data: RecalibrationData) -> Section:
         f"the whole motion for the one before. Moving samples, over the axis's nominal joint torque; the gate is "
         f"{100 * gate:.1f} %.",
     )
-    header = ("axis", "new model, RMSE [N·m]", "new model [%]", "model before [%]", "")
-    cycles = f"Error of the new model on each of {len(data.normalised_rmse)} cycles, per axis; it was fitted to them."
+    header = ("axis", "new model, RMSE", "unit", "new model [%]", "model before [%]", "")
+    cycles = f"Error of the new model on each of {len(data.cycle_rmse)} cycles, per axis; it was fitted to them."
     parts = (
         Table("validation", header, rows),
-        motion_box_plot(data.normalised_rmse, names, gate, cycles),
+        motion_box_plot(data.cycle_rmse, data.nominal, names, gate, cycles),
         torque_prediction(*data.prediction, names, "Torque along one cycle of the loop."),
     )
     return Section("Prediction", text, parts)
@@ -94,7 +98,3 @@ def _search(loop: dict[str, Any]) -> Section:
 
 def _what(result: dict[str, Any]) -> str:
     return "friction alone was" if result["parameters"] == "friction" else "all parameters were"
-
-
-def _percent(value: float | None) -> str:
-    return "-" if value is None or not np.isfinite(value) else f"{100 * value:.3f}"

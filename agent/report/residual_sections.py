@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from agent.figures import torque_units
 from agent.report.figures import Figure, new_plot, to_figure
 from agent.report.page import Section
 
@@ -80,11 +81,13 @@ def _after_reversal(velocity: np.ndarray, still: np.ndarray, time: np.ndarray) -
 
 def _heat_map(values: np.ndarray, prediction: Prediction) -> Figure:
     names = prediction.model.robot.joint_names
-    shown = 100 * values
+    known = np.isfinite(prediction.model.robot.nominal_torque)
+    shown = np.where(known[:, None], 100 * values, values)
+    units = ["%" if has else unit for has, unit in zip(known, torque_units(prediction.model.robot), strict=True)]
     plot, axes = new_plot(height=0.45 * len(names) + 1.2)
     axis = axes[0, 0]
     axis.grid(False)
-    largest = np.nanmax(shown) if np.isfinite(shown).any() else 1.0
+    largest = {unit: float(np.nanmax(shown[np.array(units) == unit], initial=1e-300)) for unit in units}
     # the cells are marks with opacity, so that they read on light and on dark
     for row in range(shown.shape[0]):
         for column in range(shown.shape[1]):
@@ -92,16 +95,16 @@ def _heat_map(values: np.ndarray, prediction: Prediction) -> Figure:
             if not np.isfinite(value):
                 axis.text(column, row, "-", ha="center", va="center")
                 continue
-            shade = 0.1 + 0.8 * value / largest
+            shade = 0.1 + 0.8 * value / largest[units[row]]
             axis.add_patch(_cell(column, row, shade))
             axis.text(column, row, f"{value:.2g}", ha="center", va="center")
     axis.set_xlim(-0.5, len(REGIMES) - 0.5)
     axis.set_ylim(len(names) - 0.5, -0.5)
     axis.set_xticks(range(len(REGIMES)), REGIMES)
-    axis.set_yticks(range(len(names)), names)
-    caption = "RMSE by joint (rows) and regime (columns), in % of nominal joint torque."
+    axis.set_yticks(range(len(names)), [f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)])
+    caption = "RMSE by joint (rows) and regime (columns), in % of nominal joint torque where there is one."
     rows = np.column_stack([np.arange(1, len(names) + 1), shown])
-    return to_figure("residuals", caption, plot, ("axis", *(f"{regime} [%]" for regime in REGIMES)), rows)
+    return to_figure("residuals", caption, plot, ("axis", *REGIMES), rows)
 
 
 def _cell(column: int, row: int, shade: float):

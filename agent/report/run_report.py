@@ -12,7 +12,9 @@ from agent.report.common_sections import (
     conditions_section,
     current_sentence,
     diagnosis_part,
+    joint_units,
     parameters_section,
+    percent,
     provenance_section,
 )
 from agent.report.figures import motion_box_plot, torque_prediction
@@ -24,8 +26,9 @@ from agent.report.page import Page, Section, Table, render
 class RunData:
     """What the report of a run shows.
 
-    result: the content of `result.json`; parameter_rows: the table of the model, header first; normalised_rmse
-    (motions, n) on moving samples; one unseen motion's time, measured, predicted and half width of the bounds (S, n);
+    result: the content of `result.json`; parameter_rows: the table of the model, header first; motion_rmse
+    (motions, n) [N·m] on moving samples; nominal (n,) torque of the joints, NaN where there is none; one unseen
+    motion's time, measured, predicted and half width of the bounds (S, n);
     `further` sections made elsewhere, in order.
     """
 
@@ -33,7 +36,8 @@ class RunData:
     motion: MotionData
     search: SearchData
     parameter_rows: Sequence[Sequence[str]]
-    normalised_rmse: np.ndarray
+    motion_rmse: np.ndarray
+    nominal: np.ndarray
     prediction: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
     further: Sequence[Section] = ()
 
@@ -42,12 +46,7 @@ def run_report(data: RunData) -> str:
     """HTML text of the report."""
     result = data.result
     accepted, diagnosis = result["accepted"], result["diagnosis"]
-    worst, axis = max(zip(result["validation"]["normalised_rmse"], result["validation"]["joints"], strict=True))
-    headline = (
-        f"{'Accepted' if accepted else 'Rejected'}: the worst axis, {axis}, predicts unseen motions in the sub-region "
-        f"to {100 * worst:.2f} % of its nominal torque; the gate is {100 * result['gate']['normalised_rmse']:.1f} %. "
-        f"{current_sentence(result)}"
-    )
+    headline = f"{_headline(result)} {current_sentence(result)}".rstrip()
     if diagnosis is not None:
         headline = f"{headline} {diagnosis['summary']}"
     verdict = diagnosis_part(diagnosis, result["reference"])
@@ -66,26 +65,47 @@ def run_report(data: RunData) -> str:
     return render(Page(title, headline, "good" if accepted and diagnosis is None else "bad", sections))
 
 
+def _headline(result: dict[str, Any]) -> str:
+    validation, gate = result["validation"], result["gate"]
+    shares = zip(validation["normalised_rmse"], validation["joints"], strict=True)
+    known = [(share, joint) for share, joint in shares if joint not in gate.get("not_judged", [])]
+    if not known:
+        errors = zip(validation["joints"], validation["rmse"], joint_units(validation), strict=True)
+        return (
+            "Not judged, as the robot description has no nominal torques. Unseen motions in the sub-region are "
+            f"predicted to {', '.join(f'{error:.3g} {unit} on {joint}' for joint, error, unit in errors)}."
+        )
+    worst, axis = max(known)
+    left_out = ", ".join(gate.get("not_judged", []))
+    return (
+        f"{'Accepted' if result['accepted'] else 'Rejected'}: the worst axis, {axis}, predicts unseen motions in the "
+        f"sub-region to {100 * worst:.2f} % of its nominal torque; the gate is {100 * gate['normalised_rmse']:.1f} %."
+        f"{f' Not judged, without nominal torque: {left_out}.' if left_out else ''}"
+    )
+
+
 def _validation(data: RunData) -> Section:
     validation, gate = data.result["validation"], data.result["gate"]["normalised_rmse"]
-    names = tuple(validation["joints"])
+    names, not_judged = tuple(validation["joints"]), data.result["gate"].get("not_judged", [])
     rows = [
         (
             name,
             f"{rmse:.3g}",
-            f"{100 * moving:.3f}",
-            f"{100 * everything:.3f}",
-            "" if moving <= gate else "above the gate",
+            unit,
+            percent(moving),
+            percent(everything),
+            "not judged" if name in not_judged else "" if moving <= gate else "above the gate",
         )
-        for name, rmse, moving, everything in zip(
+        for name, rmse, unit, moving, everything in zip(
             names,
             validation["rmse"],
+            joint_units(validation),
             validation["normalised_rmse"],
             validation["normalised_rmse_all_samples"],
             strict=True,
         )
     ]
-    header = ("axis", "RMSE [N·m]", "of nominal, moving [%]", "of nominal, all samples [%]", "")
+    header = ("axis", "RMSE", "unit", "of nominal, moving [%]", "of nominal, all samples [%]", "")
     text = [
         f"{validation['motions']} random motions at {validation['speed']:g} m/s that took no part in the fit.",
         "Normalised: RMSE over the axis's nominal joint torque. Moving samples decide; standstill is shown beside.",
@@ -98,10 +118,11 @@ def _validation(data: RunData) -> Section:
     parts = (
         Table("validation", header, rows),
         motion_box_plot(
-            data.normalised_rmse,
+            data.motion_rmse,
+            data.nominal,
             names,
             gate,
-            f"Prediction error on {len(data.normalised_rmse)} unseen motions in the sub-region, per axis.",
+            f"Prediction error on {len(data.motion_rmse)} unseen motions in the sub-region, per axis.",
         ),
         torque_prediction(*data.prediction, names, "Torque on one unseen motion, the one in the middle of the field."),
     )

@@ -46,10 +46,10 @@ class Prediction:
         """(S, n) speed of the joints at the same samples."""
         return np.concatenate([motion.qd[motion.kept] for motion in self._motions])
 
-    def normalised_rmse(self, moving: bool = False) -> np.ndarray:
-        """(n,) RMSE over nominal joint torque, NaN where there is none; `moving`: of samples where the arm moves."""
+    def rmse(self, moving: bool = False) -> np.ndarray:
+        """(n,) [N·m]; `moving`: of samples where the arm moves."""
         error = self.error[self.moving] if moving else self.error
-        return np.sqrt(np.mean(error**2, axis=0)) / self.model.robot.nominal_torque
+        return np.sqrt(np.mean(error**2, axis=0))
 
     @cached_property
     def half_width(self) -> np.ndarray:

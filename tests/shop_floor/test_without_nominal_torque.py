@@ -1,0 +1,102 @@
+"""Arms whose description has no nominal torque: figures in N·m, and nobody says that a gate judged them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.calibrate import Outcome
+from agent.figures import error_text, figure_text, not_judged_text
+from agent.history import History, history_table, open_history
+from agent.report.figures import motion_box_plot
+from agent.report.run_report import _headline
+from agent.robot import RobotDescription, load_robot
+
+NAMES = ("j1", "j2")
+
+
+def result(*shares: float | None, gate: float = 0.03) -> dict:
+    missing = [name for name, share in zip(NAMES, shares, strict=True) if share is None]
+    return {
+        "schema": "calibration/1",
+        "accepted": True,
+        "reason": "",
+        "gate": {"normalised_rmse": gate, "not_judged": missing},
+        "search": {"fitness": 10.0},
+        "estimation": {"condition_number": 50.0},
+        "validation": {
+            "motions": 2,
+            "speed": 0.1,
+            "joints": list(NAMES),
+            "units": ["N·m", "N"],
+            "rmse": [0.25, 0.5],
+            "normalised_rmse": list(shares),
+        },
+    }
+
+
+def without(robot: RobotDescription, *names: str) -> RobotDescription:
+    joints = (replace(j, nominal_motor_torque=None) if j.name in names else j for j in robot.joints)
+    return replace(robot, joints=tuple(joints))
+
+
+@pytest.mark.parametrize(
+    ("shares", "said"),
+    [
+        ((None, None), ("j1 0.25 N·m  j2 0.5 N", "done, not judged")),
+        ((0.012, None), ("j1 1.20 %  j2 0.5 N", "accepted, without j2")),
+        ((0.012, 0.02), ("j1 1.20 %  j2 2.00 %", "accepted  (gate")),
+    ],
+)
+def test_summary_and_headline(shares, said):
+    text = Outcome(Path("run"), result(*shares), True).summary()
+    headline = _headline(result(*shares))
+    for words in said:
+        assert words in text
+    assert "nan" not in text + headline
+    assert ("0.25 N·m on j1" in headline) == (shares[0] is None)
+    assert ("Not judged" in headline) == (None in shares)
+
+
+@pytest.mark.parametrize(
+    ("shares", "row"), [((None, None), "not judged  0.5 N·m"), ((0.012, None), "accepted  1.20 %")]
+)
+def test_history(tmp_path: Path, shares, row):
+    run = tmp_path / "20260101T000000Z_arm"
+    run.mkdir()
+    state = {"robot": "arm", "started": "2026-01-01T00:00:00+00:00", "status": "finished"}
+    (run / "state.json").write_text(json.dumps(state), encoding="utf-8")
+    (run / "result.json").write_text(json.dumps(result(*shares)), encoding="utf-8")
+    with open_history(tmp_path) as history:
+        assert isinstance(history, History)
+        table = history_table(history.runs())
+    assert row in table
+    assert "nan" not in table
+
+
+def test_the_gate_says_before_anything_moves_whom_it_cannot_judge():
+    robot = load_robot("comau_ns16")
+    assert not_judged_text(robot, 0.03) == ""
+    assert "joint_2 not" in not_judged_text(without(robot, "joint_2"), 0.03)
+    assert "nominal_motor_torque" in not_judged_text(without(robot, *robot.joint_names), 0.03)
+
+
+@pytest.mark.parametrize("nominal", [(np.nan, np.nan), (10.0, np.nan), (10.0, 10.0)])
+def test_box_plot_keeps_the_torque_of_joints_without_one(nominal):
+    rmse = np.array([[0.1, 0.2], [0.3, 0.4]])
+    figure = motion_box_plot(rmse, np.array(nominal), NAMES, 0.03, "")
+    expected = np.where(np.isfinite(nominal), 100 * rmse / np.nan_to_num(nominal, nan=1.0), rmse)
+    np.testing.assert_allclose(figure.rows, expected)
+    assert ("gate" in figure.svg) == np.isfinite(nominal).any()
+
+
+def test_figures_in_words():
+    assert error_text(0.0123, 5.0) == "1.23 %"
+    assert error_text(None, 5.0) == error_text(float("nan"), 5.0) == "5 N·m"
+    assert error_text(None, None) == "-"
+    assert figure_text(0.5, "of nominal") == "50.00 %"
+    assert figure_text(0.5, "N") == "0.5 N"
