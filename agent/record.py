@@ -204,6 +204,8 @@ def open_link(
             yes,
             authorisation,
             watching=watching,
+            tool=recipe.tool,
+            margin=recipe.motion.settings.fly_distance,
         )
         try:
             guard.open()

@@ -277,6 +277,15 @@ class Controller:
                 state.override = fault.amount
                 if self._switch is not None:
                     self._switch.speed = fault.amount
+            case "off_path":
+                self._execution.astray.leave_path(fault.joint - 1, fault.amount)
+            case "servo_error":
+                self._execution.astray.lose_servo(fault.joint - 1, fault.amount)
+            case "other_motion":
+                self._execution.astray.change_way(fault.joint - 1, fault.amount)
+            case "off_speed":
+                if self._switch is not None:
+                    self._switch.speed = fault.amount
             case "restart":
                 self._restart()
             case "reset_counters":

@@ -14,6 +14,7 @@ from agent.motion.interpolator import Interpolator, MotionError
 from agent.motion.program import Delay, JointTarget, Move, Statement, Target, Termination
 from agent.motion.trajectory import Trajectory
 from drivers.wire.reasons import EndReason
+from fake_controller.astray import Astray
 from fake_controller.plant import Plant
 
 MAX_CHAIN = 2000  # moves without a stop in between
@@ -151,10 +152,12 @@ class Execution:
         self._max_acceleration = max_acceleration
         self._period = period
         self._slice_samples = slice_samples
+        self.astray = Astray(len(max_acceleration), period)
+        self._start = np.zeros(len(max_acceleration))
 
     def run(self, chains: Iterable[Chain], start: np.ndarray, switch: StopSwitch) -> Iterator[Slice]:
         """Samples from rest at set-point `start` (n,) until the arm rests again; `switch` makes that earlier."""
-        reference = start
+        self._start = reference = start
         for chain in chains:
             if switch.reason is not None:
                 return
@@ -183,7 +186,8 @@ class Execution:
             yield from self._settle(reference, chain.termination, chain.tolerance)
 
     def _follow(self, position: np.ndarray, velocity: np.ndarray) -> Slice:
-        chunks = list(self._plant.run(position, velocity))
+        position, velocity = self.astray.changed(position, velocity, self._start)
+        chunks = list(self._plant.run(*self.astray.followed(position, velocity)))
         measured = (np.concatenate([getattr(c, name) for c in chunks]) for name in ("position", "velocity", "torque"))
         return Slice(*measured, position, velocity)
 

@@ -43,6 +43,10 @@ MACHINE = {
     "restart": _EVERY,
     "reset_counters": frozenset({"streaming"}),
     "slow": frozenset({"streaming"}),  # everything takes `value` times as long
+    "off_path": frozenset({"streaming"}),  # the set-points of a joint go off by `value` rad
+    "off_speed": frozenset({"streaming"}),  # `value` times the planned speed, and it says nothing of that
+    "servo_error": frozenset({"streaming"}),  # a joint goes off its set-points by `value` rad
+    "other_motion": frozenset({"start"}),  # a joint makes `value` times its way, under the name of the program
     "wrong_program": frozenset({"upload", "start"}),  # the stored text is another
     "wrong_robot": frozenset({"connect"}),
     "full_memory": frozenset({"upload"}),
@@ -57,7 +61,15 @@ NOT_ON = {
     "reorder": dict.fromkeys(("modbus", "rtu", "cnr_comau"), _ONE_ANSWER),
     **dict.fromkeys(_LASTING, _WITHOUT_BROKER),
 }
-_DEFAULT_VALUE = {"delay": 0.1, "override": 0.5, "slow": 3.0}
+_DEFAULT_VALUE = {
+    "delay": 0.1,
+    "override": 0.5,
+    "slow": 3.0,
+    "off_path": 0.3,
+    "off_speed": 0.5,
+    "servo_error": 0.3,
+    "other_motion": 2.0,
+}
 _TOO_LONG = 60.0  # s; longer than anybody waits
 
 
@@ -65,7 +77,8 @@ _TOO_LONG = 60.0  # s; longer than anybody waits
 class Fault:
     """`name` out of `FAULTS`, striking in `phase`, while streaming `after` so many seconds of motion.
 
-    `value`: seconds of a delay, the override as a fraction, or how many times slower; 0 takes the usual one.
+    `value`: seconds of a delay, the override as a fraction, how many times slower, or what the fault says; 0 takes the
+    usual one. `joint`: which, counted from 1, where the fault is one joint's.
 
     Raises:
         ValueError: no such fault or phase, or a phase that makes no sense for it.
@@ -75,6 +88,7 @@ class Fault:
     phase: str
     after: float = 0.0
     value: float = 0.0
+    joint: int = 1
 
     def __post_init__(self) -> None:
         if self.name not in FAULTS:

@@ -49,6 +49,7 @@ class FaultSection(_Section):
     phase: str
     after: Time = 0.0
     value: Annotated[float, Field(ge=0)] = 0.0
+    joint: Annotated[int, Field(ge=1)] = 1
 
     @model_validator(mode="after")
     def _makes_sense(self) -> FaultSection:
@@ -57,7 +58,7 @@ class FaultSection(_Section):
 
     def build(self) -> Fault:
         """The fault itself."""
-        return Fault(self.fault, self.phase, self.after, self.value)
+        return Fault(self.fault, self.phase, self.after, self.value, self.joint)
 
 
 class ExpectSection(_Section):

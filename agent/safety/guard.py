@@ -17,10 +17,10 @@ import numpy as np
 from agent.endings import stop_to_come, undisturbed
 from agent.errors import AgentError, ControllerError, InputError, SafetyError
 from agent.robot import RobotDescription
+from agent.safety.adherence import Adherence
 from agent.safety.checked import CheckedPrograms
 from agent.safety.first_run import FIRST_SPEED
-from agent.safety.motion import PlannedProgram
-from agent.safety.pace import PaceCheck
+from agent.safety.motion import PlannedProgram, rest_at
 from agent.safety.preconditions import (
     check_identity,
     check_period,
@@ -35,6 +35,7 @@ from drivers.errors import DriverError, MotionStopped, RefusedError
 from drivers.protocol import Driver, Identity, SampleBlock, Status, TakesPoints, TellsFacts, TellsTemperatures
 
 if TYPE_CHECKING:
+    from agent.robot.dynamics import Tool
     from agent.safety.authorisation import Authorisation
 
 #: The controller's state is looked at so often while the arm moves [s], of its time and of ours.
@@ -58,6 +59,8 @@ class GuardedLink:
         authorisation: what a person wrote down for when nobody is there.
         clock: seconds, for the watch.
         watching: the samples are for looking at, so a link that delivers too little to identify from will do.
+        tool: that the plans are made for.
+        margin: how far from its plan the tool may be where the cell was checked [m].
     """
 
     def __init__(
@@ -73,6 +76,8 @@ class GuardedLink:
         authorisation: Authorisation | None = None,
         clock: Callable[[], float] = time.monotonic,
         watching: bool = False,
+        tool: Tool | None = None,
+        margin: float = 0.0,
     ) -> None:
         self.robot = robot
         self.address = address
@@ -85,9 +90,10 @@ class GuardedLink:
         self._authorisation = authorisation
         self._clock = clock
         self._watching = watching
+        self._tool = tool
+        self._margin = margin
         self._identity: Identity | None = None
         self._emulator = False
-        self._override_known = True
         self._to_stop = False  # the arm may be in motion, and nobody has asked it to stop yet
         #: (controller time [s], (n,) [°C]) of the last motion, where the controller measures temperatures.
         self.temperatures: list[tuple[float, np.ndarray]] = []
@@ -124,7 +130,7 @@ class GuardedLink:
         unasked = self._authorisation is None and not self._yes and needs_person(status, self.address)
         if unasked and not self._ask(question(identity, status, self.address)):
             raise not_confirmed(self.address)
-        self._identity, self._emulator, self._override_known = identity, status.emulator, status.override_known
+        self._identity, self._emulator = identity, status.emulator
 
     def position(self) -> np.ndarray:
         """(n,) where the arm stands now [rad]."""
@@ -176,12 +182,14 @@ class GuardedLink:
             ControllerError, InputError: as in `send`; nothing has moved.
             DriverError: refused, or the link failed; what was received has been handed out.
         """
-        self._check(program)
+        position = self._check(program)
+        plan = program.chains or (rest_at(position),)
+        adherence = Adherence(plan, self.robot, self._tool, self._margin, self.identity.period)
         over = False
 
         def samples() -> Iterator[SampleBlock]:
             nonlocal over
-            yield from self._watched(program)
+            yield from self._watched(adherence)
             over = True
 
         with stop_to_come():
@@ -223,7 +231,8 @@ class GuardedLink:
         self._driver.load(program.name, program.checksum, program.points)
         return program.checksum
 
-    def _check(self, program: PlannedProgram) -> None:
+    def _check(self, program: PlannedProgram) -> np.ndarray:
+        """Everything that must be so before a start; returns (n,) where the arm stands."""
         if self._authorisation is not None:
             self._authorisation.check(
                 self.robot.name, self.identity.serial, program.checksum, program.speed, program.duration
@@ -237,23 +246,22 @@ class GuardedLink:
             status = self._driver.status()
         check_ready(status, self.address, program.name, program.checksum)
         check_plan(program, self.robot, status.position, self.address)
+        return np.asarray(status.position, dtype=float)
 
-    def _watched(self, program: PlannedProgram) -> Iterator[SampleBlock]:
+    def _watched(self, adherence: Adherence) -> Iterator[SampleBlock]:
         """The samples, with a look at the controller's state now and then; what is left after a stop comes too."""
         fault: AgentError | None = None
-        pace = None if self._override_known else PaceCheck(program.chains)
         looked, looked_at = -np.inf, self._clock()
         now = np.nan
         self.temperatures = []
         try:
             for block in self._driver.samples():
+                reason = adherence.take(block) if fault is None else None
+                if reason is not None:
+                    fault = SafetyError(f"{self.address}: the arm was stopped: {reason}")
+                    self._stop()
                 yield block
                 now = float(block.time[-1])
-                if fault is None and pace is not None and block.reference_position is not None:
-                    reason = pace.take(block.time, block.reference_position)
-                    if reason is not None:
-                        fault = SafetyError(f"{self.address}: the arm was stopped: {reason}")
-                        self._stop()
                 if fault is None and (now - looked >= WATCH_INTERVAL or self._clock() - looked_at >= WATCH_INTERVAL):
                     fault = self._look(now)
                     looked, looked_at = now, self._clock()

@@ -14,6 +14,15 @@ if TYPE_CHECKING:
     from agent.motion.trajectory import Trajectory
 
 
+def rest_at(position: np.ndarray) -> Trajectory:
+    """The plan of an arm that stays at `position` (n,)."""
+    from agent.motion.trajectory import Trajectory
+
+    there = np.asarray(position, dtype=float)[None]
+    nothing, unknown = np.zeros_like(there), np.full((1, 4, 4), np.nan)
+    return Trajectory(np.zeros(1), there, nothing, nothing, unknown, np.zeros(1), np.zeros(1, dtype=int))
+
+
 @dataclass(frozen=True, eq=False)
 class PlannedProgram:
     """PDL2 text under a name, and what we planned of it from stop to stop.

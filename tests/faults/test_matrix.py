@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from drivers.wire.reasons import EndReason
@@ -23,12 +24,15 @@ POLLED = ("modbus", "rtu")
 STATES = ("emergency_stop", "drive_fault", "alarm", "protective_stop", "teach_mode")
 #: Of these the agent has to notice in time, so the arm moves in real time.
 SLOW_TO_SHOW = ("silent", "lost_client", "override")
+#: Motions that are not the planned ones; nothing but their samples tells of them.
+ASTRAY = ("off_path", "off_speed", "servo_error", "other_motion")
 #: One of each, in the phase where it is worst; and on the other wires what they meet in their own way.
 QUICK = {
     *(
         ("tcp", name, next((phase for phase in ("streaming", "upload", "connect") if phase in phases), ""))
         for name, phases in FAULTS.items()
     ),
+    ("tcp", "other_motion", "start"),
     ("modbus", "drop", "start"),
     ("serial", "drop", "streaming"),
     ("rtu", "corrupt", "streaming"),
@@ -58,6 +62,8 @@ def expected(wire: str, name: str, phase: str) -> tuple[int, int, bool]:
         return 0, 1, True
     if name == "emergency_stop":
         return 5, int(phase == "streaming"), phase == "streaming"
+    if name in ASTRAY:
+        return 5, 1, True
     if name in STATES:
         return (5, 1, True) if phase == "streaming" else (4, 0, False)
     if name == "override" and wire == "cnr_comau":
@@ -72,7 +78,7 @@ def expected(wire: str, name: str, phase: str) -> tuple[int, int, bool]:
 @pytest.mark.parametrize(("wire", "name", "phase"), MATRIX)
 def test_fault(bench, assert_at_rest, assert_readable, wire, name, phase):
     code, motions, logged = expected(wire, name, phase)
-    real = name in SLOW_TO_SHOW or phase == "stop" or wire != "tcp"
+    real = name in (*SLOW_TO_SHOW, *ASTRAY) or phase == "stop" or wire != "tcp"
     moment = 1.0 if real else 0.4  # of motion: in real time the agent has to have had some of it
     controller = bench.serve(
         [Fault(name, phase, moment if phase == "streaming" else 0.0, 1.1 if name == "slow" else 0.0)],
@@ -83,7 +89,7 @@ def test_fault(bench, assert_at_rest, assert_readable, wire, name, phase):
     ended = bench.record()
     assert ended.code == code, ended.errors
     assert "Traceback" not in ended.errors
-    assert_at_rest(controller, motions)
+    assert_at_rest(controller, motions, *((np.inf,) if name in ASTRAY else ()))
     if motions:
         assert (controller.ends == [EndReason.DONE]) is (code == 0)
     assert bench.log.exists() is logged

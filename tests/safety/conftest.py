@@ -49,6 +49,7 @@ class Controller:
     pushes: bool = False  # all blocks at once, not one a look
     spacing: int = 2_500_000  # of the samples [ns]
     celsius: tuple[float, ...] = ()  # of the motors
+    moves: Callable[[np.ndarray], np.ndarray] = lambda times: _at(_trajectory(), times)  # (K,) [s] to (K, n)
     starts: int = 0
     stops: int = 0
     asked: list[str] = field(default_factory=list)
@@ -116,9 +117,10 @@ class Peer(threading.Thread):
         def block() -> None:
             nonlocal sent, running
             first = 100 * sent
-            values = np.zeros((100, 6))
+            zeros = np.zeros((100, 6))
             stamps = (first + np.arange(100)) * told.spacing  # at first, a block is a quarter of a second
-            send(tcp.Samples(first, stamps.astype(np.int64), *(values for _ in range(5))))
+            given = told.moves(1e-9 * stamps)
+            send(tcp.Samples(first, stamps.astype(np.int64), given, zeros, zeros, given, zeros))
             sent += 1
             if sent == 3:
                 state.update(told.later)
@@ -250,6 +252,11 @@ def trajectory_through():
         return Trajectory(t, q, qd, qdd, np.full((len(t), 4, 4), np.nan), unknown, np.zeros(len(t), dtype=int))
 
     return build
+
+
+def _at(plan: Trajectory, times: np.ndarray) -> np.ndarray:
+    """(K, n) of a plan; it holds its last position."""
+    return np.column_stack([np.interp(times, plan.t, column) for column in plan.q.T])
 
 
 def _trajectory(speed: float = 0.1, start: np.ndarray = HOME, seconds: float = 1.0) -> Trajectory:

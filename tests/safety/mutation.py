@@ -28,7 +28,8 @@ MODULES: dict[str, tuple[str, ...]] = {
     "agent/safety/guard.py": (),
     "agent/safety/preconditions.py": (),
     "agent/safety/checked.py": (),
-    "agent/safety/pace.py": (),
+    "agent/safety/adherence.py": (),
+    "agent/safety/planned_path.py": (),
     "agent/safety/first_run.py": (),
     "agent/safety/authorisation.py": ("check",),
 }

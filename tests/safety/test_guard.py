@@ -116,7 +116,14 @@ def test_a_plan_that_breaks_a_limit_does_not_run(bench, column, value, said, pro
 
 def test_a_program_that_does_not_move_has_no_place_to_start_from(bench):
     bench.controller.status = {"position": tuple(HOME + 1.0)}
+    bench.controller.moves = lambda times: np.tile(HOME + 1.0, (len(times), 1))
     assert bench.run(PlannedProgram("swing", "PROGRAM swing", ())) == 1000
+
+
+def test_where_nothing_is_planned_nothing_may_move(bench):
+    with pytest.raises(SafetyError, match="what moves is not what was planned"):
+        bench.run(PlannedProgram("swing", "PROGRAM swing", ()))
+    assert bench.controller.stops >= 1
 
 
 def test_a_person_is_asked_and_no_is_no(bench):
