@@ -35,7 +35,7 @@ ESTIMATION_METHODS = (
 SEARCH_METHODS = ("genetic", "random")
 
 
-def _quantity(dimension: Dimension, bare: Bare) -> Any:
+def _quantity(dimension: Dimension, bare: Bare | None = None) -> Any:
     def parse(value: Any) -> float:
         try:
             return parse_quantity(value, dimension, bare)
@@ -61,6 +61,7 @@ Reach = _quantity(Dimension.LENGTH, BARE_REACH)
 Angle = _quantity(Dimension.ANGLE, BARE_ANGLE)
 Lean = _quantity(Dimension.ANGLE, BARE_LEAN)
 Mass = _quantity(Dimension.MASS, Bare("g", 500.0))
+Time = _quantity(Dimension.TIME)
 Interval = _quantity(Dimension.TIME, Bare("d", least=3600.0))
 Frequency = _quantity(Dimension.FREQUENCY, Bare("kHz", least=1.0))
 Speed = _quantity(Dimension.SPEED, Bare("mm/s", 10.0))
