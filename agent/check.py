@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from agent.console import Console
-from agent.errors import AgentError
+from agent.errors import AgentError, ControllerError
 from agent.figures import not_judged_text
 from agent.recipe import Recipe, examine_recipe
 
@@ -149,7 +149,10 @@ def _controller(recipe: Recipe) -> str:
         *(f"alarm {alarm}" for alarm in status.alarms),
         *([identity.watch_only] if identity.watch_only else []),
     ]
-    return (
+    found = (
         f"{identity.robot}, serial {identity.serial}, {identity.controller} {identity.version} at {address}, "
         f"{1 / identity.period:g} Hz: {', '.join(state)}"
     )
+    if identity.unguarded:
+        raise ControllerError(f"{found}; {identity.unguarded}")
+    return found

@@ -22,9 +22,9 @@ from agent.cli_options import (
     Yes,
     console_for,
 )
-from agent.endings import Ended, hang_up, signals_raised
 from agent.errors import AgentError, InputError
 from agent.output import flush_results, open_standard_descriptors, patient_messages
+from agent.signals import Ended, hang_up, signals_raised
 
 _INTERRUPTED = 130
 

@@ -144,6 +144,7 @@ class CnrDriver:
             FEEDBACK_PERIOD,
             f"this link has no broker of C5G Open: some {1 / FEEDBACK_PERIOD:.0f} samples a second at uneven times, "
             "without set-points, are too few for an identification; give mqtt=host:port in the address",
+            who.unguarded,
         )
 
     def status(self) -> Status:

@@ -18,6 +18,10 @@ from drivers.wire import cnr as wire
 
 #: How long either end waits for the other while the arm moves, where the identity file says nothing [s].
 WATCHDOG = 0.5
+_UNGUARDED = (
+    f"nothing says that this controller stops the arm where the agent is gone: the published programs run on. Add the "
+    f"watchdog of docs/real-robot.md to the feedback program, try it, and write its time into {wire.IDENTITY_FILE}"
+)
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,31}", re.ASCII)
 _NO_SUCH_FILE = "550"
 
@@ -174,4 +178,5 @@ def _machine(data: bytes, peer: str) -> Machine:
             f"{where}: period is 0.0001 to 1 s, watchdog 0.05 to 60 s, emulator true or false; it has {period}, "
             f"{watchdog}, {emulator}"
         )
-    return Machine(Identity(*texts, names, period), emulator, watchdog)
+    unguarded = "" if "watchdog" in entry else _UNGUARDED
+    return Machine(Identity(*texts, names, period, unguarded=unguarded), emulator, watchdog)

@@ -88,9 +88,10 @@ class PointDriver(CnrDriver):
                     self._command_start(sockets, "the start of the next trajectory", Point())
                 feeder.started()
                 motion.resume()
-        except DriverError as error:
+        except Exception as error:  # whatever it is, nobody else would send the rest
             if not (motion.motion.over or motion.motion.stopping):
-                self._end_with(sockets, motion, error)
+                known = isinstance(error, DriverError)
+                self._end_with(sockets, motion, error if known else DriverError(f"no points can be sent: {error!r}"))
 
 
 class _Feeder:

@@ -129,7 +129,8 @@ class ModbusLink:
         except Exception as error:  # whoever waits must hear of it, whatever it is
             failure = ProtocolError(f"what {self.peer} sent cannot be handled: {type(error).__name__}: {error}")
         self.failure = failure
-        self._client.close()
+        with contextlib.suppress(Exception):  # whoever waits must hear of it all the same
+            self._client.close()
         self._refuse_jobs()
         self._on_failure(failure)
 

@@ -17,6 +17,7 @@ class Identity:
     """Who is at the far end. `period` [s] is the controller's interpolation and sampling period.
 
     `watch_only` says why the link's samples do for watching a motion, not for identification; empty where they do.
+    `unguarded` says why the arm may go on where this end is gone; empty where the controller stops it then.
     """
 
     robot: str
@@ -26,6 +27,7 @@ class Identity:
     joint_names: tuple[str, ...]
     period: float
     watch_only: str = ""
+    unguarded: str = ""
 
 
 @dataclass(frozen=True)

@@ -52,14 +52,18 @@ _INDEX_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
 
 
 class RecordingError(AgentError):
-    """A log cannot be written: disk full, read-only or no rights; `reason` is the system's. What was written before
-    stays readable."""
+    """A log cannot be written: disk full, read-only, too slow or no rights; `reason` is the system's. What was written
+    before stays readable."""
 
-    def __init__(self, path: Path, reason: str, kept: int = 0):
+    def __init__(
+        self,
+        path: Path,
+        reason: str,
+        kept: int = 0,
+        advice: str = "free space, or choose a folder with write permission",
+    ):
         what = f"; {kept} bytes recorded before are in the file and readable" if kept else ""
-        super().__init__(
-            f"{path}: the log cannot be written: {reason}; free space, or choose a folder with write permission{what}"
-        )
+        super().__init__(f"{path}: the log cannot be written: {reason}; {advice}{what}")
         self.reason = reason
 
 

@@ -1,7 +1,7 @@
 """The only way from the pipeline to a moving arm: every condition before motion, and the watch while it moves.
 
 A program is sent once and started once. Whatever ends the motion before its end - an error, any signal (see
-`agent.endings`), a full disk, the consumer leaving - asks the controller for a stop on the path first; where that is
+`agent.signals`), a full disk, the consumer leaving - asks the controller for a stop on the path first; where that is
 not confirmed the link is closed, and the controller's own watchdog stops the arm.
 """
 
@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.endings import stop_to_come, undisturbed
 from agent.errors import AgentError, ControllerError, InputError, SafetyError
 from agent.robot import RobotDescription
 from agent.safety.adherence import Adherence
@@ -31,6 +30,7 @@ from agent.safety.preconditions import (
     question,
     unsafe_in_motion,
 )
+from agent.signals import stop_to_come, undisturbed
 from drivers.errors import DriverError, MotionStopped, RefusedError
 from drivers.protocol import Driver, Identity, SampleBlock, Status, TakesPoints, TellsFacts, TellsTemperatures
 
@@ -113,7 +113,8 @@ class GuardedLink:
         """Connect, see who is there, and have a person's word where one is needed.
 
         Raises:
-            ControllerError: another robot, another period than the recipe's rate, or samples that are too few.
+            ControllerError: another robot, another period than the recipe's rate, samples that are too few, or nobody
+                there where the arm would go on without this end.
             InputError: nobody confirmed that the cell is clear.
             DriverError: nobody there, silent, or another protocol.
         """
@@ -127,6 +128,10 @@ class GuardedLink:
             raise ControllerError(f"{self.address}: {identity.watch_only}; agent record can watch as it is")
         else:
             self._warn(f"{self.address}: {identity.watch_only}")
+        if identity.unguarded and self._authorisation is not None:
+            raise ControllerError(f"{self.address}: {identity.unguarded}; till then, somebody has to stand by")
+        if identity.unguarded:
+            self._warn(f"{self.address}: {identity.unguarded}; till then, stay at the emergency stop")
         unasked = self._authorisation is None and not self._yes and needs_person(status, self.address)
         if unasked and not self._ask(question(identity, status, self.address)):
             raise not_confirmed(self.address)

@@ -295,3 +295,33 @@ def test_memory_that_runs_out_ends_in_a_stop(bench, assert_at_rest, monkeypatch)
     assert ended.code == 1
     assert [end.name for end in controller.ends] == ["STOPPED"]
     assert_at_rest(controller, 1)
+
+
+def test_a_disk_that_takes_nothing_ends_in_a_stop(bench, assert_at_rest, monkeypatch):
+    from agent.recording import writer as module
+
+    awake = threading.Event()
+
+    class Stuck(module.LogFile):
+        def write(self, samples):
+            awake.wait(60.0)
+            super().write(samples)
+
+    controller = bench.serve(clock="real")
+    bench.program.write_text(LONG, encoding="utf-8")
+    monkeypatch.setattr(module, "LogFile", Stuck)
+    quick = {**module.LogWriter.__init__.__kwdefaults__, "stall_limit": 0.3}
+    monkeypatch.setattr(module.LogWriter.__init__, "__kwdefaults__", quick)
+    end = controller.stop
+
+    def stop(*arguments):
+        end(*arguments)
+        awake.set()
+
+    monkeypatch.setattr(controller, "stop", stop)
+    ended = bench.record()
+    assert ended.code == 1
+    assert "the disk is too slow" in ended.errors
+    assert [end.name for end in controller.ends] == ["STOPPED"]
+    assert_at_rest(controller, 1)
+    _assert_nothing_lost(bench, controller, but=500)

@@ -1,5 +1,6 @@
 """Driver and fake of a real controller's link together, with a broker between them that may end."""
 
+import json
 import os
 import subprocess
 import sys
@@ -10,16 +11,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.check import check_recipe
+from agent.console import Console
 from agent.robot import load_robot
 from agent.robot.drivetrain import torque_per_ampere
 from drivers.errors import DriverError
 from drivers.protocol import ViaPoint
 from drivers.registry import create
-from drivers.wire.cnr import MessageType
+from drivers.wire.cnr import IDENTITY_FILE, MessageType
 from drivers.wire.reasons import EndReason
 from fake_controller.build import build_controller
 from fake_controller.server_cnr import CnrServer
+from fake_controller.server_cnr_ftp import ProgramFolder
 from tests.conftest import end_with_tests
+from tests.faults.conftest import RECIPE
 
 ROOT = Path(__file__).resolve().parents[2]
 TEN_MINUTES = 600.0  # s
@@ -161,3 +166,29 @@ def test_ten_minutes_at_500_hz(tmp_path, broker, measured):
     assert (gaps, missing) == ((), {})
     assert count >= 0.99 * 500 * TEN_MINUTES
     assert share < CPU
+
+
+@pytest.mark.parametrize("mended", [False, True])
+def test_a_controller_whose_watchdog_nobody_vouches_for_is_told_of(arm, broker, tmp_path, mended, monkeypatch):
+    """By the driver, and by `agent check`."""
+    write = ProgramFolder.write_identity
+
+    def write_less(folder):
+        write(folder)
+        identity = folder.path / IDENTITY_FILE
+        entry = json.loads(identity.read_text(encoding="utf-8"))
+        del entry["watchdog"]
+        identity.write_text(json.dumps(entry), encoding="utf-8")
+
+    if not mended:
+        monkeypatch.setattr(ProgramFolder, "write_identity", write_less)
+    controller = build_controller(arm, seed=3, clock="fast")
+    with closing(CnrServer(controller, watchdog=2.0, broker=broker.address, waits=True)) as server:
+        with connected(server.address, arm) as driver:
+            assert bool(driver.identify().unguarded) != mended
+        recipe = tmp_path / "recipe.yaml"
+        recipe.write_text(RECIPE.format(robot=arm, driver="cnr_comau", address=server.address), encoding="utf-8")
+        found = check_recipe(recipe, Console(-1))
+        (said,) = (finding for finding in found.findings if finding.subject == "controller")
+        assert said.exit_code == (0 if mended else 4)
+        assert ("the published programs run on" in said.message) != mended

@@ -248,27 +248,48 @@ def test_a_folder_that_is_not_there(tools, tmp_path):
     assert caught.value.exit_code == 1
 
 
-def test_a_slow_disk_never_holds_the_link_up(tools, tmp_path, monkeypatch):
+@pytest.fixture
+def slow_disk(monkeypatch):
+    """A disk that takes nothing until this is set; `begun` is set once it was given something."""
     from agent.recording import writer as module
 
     awake = threading.Event()
+    awake.begun = threading.Event()
 
     class Slow(module.LogFile):
         def write(self, samples):
+            awake.begun.set()
             awake.wait()
             super().write(samples)
 
     monkeypatch.setattr(module, "LogFile", Slow)
+    yield awake
+    awake.set()
+
+
+def test_a_slow_disk_never_holds_the_link_up_and_one_that_is_too_slow_is_an_error(tools, tmp_path, slow_disk):
     path = tmp_path / "log.mcap"
     block = tools.motion(1000)
     blocks = [tools.cut(block, slice(k, k + 10)) for k in range(0, 1000, 10)]
     size = 10 * (5 * 3 * 8 + 8)
     with LogWriter(path, tools.JOINTS, robot="arm", motion="test", backlog_limit=40 * size) as writer:
-        for part in blocks:
+        for part in blocks[:40]:
             writer.write(part)  # returns although nothing is written
         assert writer.backlog == 40 * size
-        assert writer.dropped == 600
-        awake.set()
+        with pytest.raises(RecordingError, match=r"the disk is too slow: .* wait for it; choose a folder on a faster"):
+            writer.write(blocks[40])
+        slow_disk.set()
     assert writer.backlog == 0
-    log = read_log(path)
-    np.testing.assert_array_equal(log.position, block.position[:400])
+    np.testing.assert_array_equal(read_log(path).position, block.position[:410])
+
+
+def test_a_disk_that_takes_nothing_is_an_error_and_loses_nothing(tools, tmp_path, slow_disk):
+    path = tmp_path / "log.mcap"
+    block = tools.motion(100)
+    with LogWriter(path, tools.JOINTS, robot="arm", motion="test", stall_limit=0.0) as writer:
+        writer.write(tools.cut(block, slice(0, 50)))
+        slow_disk.begun.wait()
+        with pytest.raises(RecordingError, match="it has taken nothing for"):
+            writer.write(tools.cut(block, slice(50, 100)))
+        slow_disk.set()
+    np.testing.assert_array_equal(read_log(path).position, block.position)

@@ -275,6 +275,6 @@ def _program(speed: float = 0.1, **changes: object) -> PlannedProgram:
 
 def _authorisation(chosen: PlannedProgram, **changes: object) -> Authorisation:
     granted = Authorisation(
-        Path("word.yaml"), "comau_ns16", "NS16-7", chosen.checksum, 1.0, 60.0, date(2999, 1, 1), "M. Rossi"
+        Path("word.yaml"), "comau_ns16", "NS16-7", chosen.checksum, "0" * 64, 1.0, 60.0, date(2999, 1, 1), "M. Rossi"
     )
     return replace(granted, **changes)

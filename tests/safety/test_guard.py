@@ -15,6 +15,7 @@ import pytest
 
 from agent.errors import ControllerError, InputError, SafetyError
 from agent.safety.motion import PlannedProgram
+from drivers.tcp import TcpDriver
 
 HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
 
@@ -186,3 +187,20 @@ def test_an_authorisation_ends_at_the_end_of_its_day(program, authorisation):
     word.check(*facts, now=datetime(2027, 3, 31, 23, 59, tzinfo=UTC))
     with pytest.raises(InputError, match="it ended"):
         word.check(*facts, now=datetime(2027, 4, 1, 0, 1, tzinfo=UTC))
+
+
+class Unguarded(TcpDriver):
+    """The real driver, on a wire whose far end goes on without this one."""
+
+    def identify(self):
+        return replace(super().identify(), unguarded="the published programs run on")
+
+
+def test_an_arm_that_nothing_stops_without_the_agent_moves_only_while_somebody_is_there(bench, program, authorisation):
+    bench.driver = Unguarded
+    with pytest.raises(ControllerError, match=r"the published programs run on; till then, somebody has to stand by"):
+        bench.open(authorisation=authorisation(program()))
+    assert bench.controller.starts == 0
+    bench.close()
+    bench.run(program())
+    assert any("stay at the emergency stop" in text for text in bench.warned)
