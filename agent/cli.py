@@ -332,5 +332,7 @@ def _unexpected(error: Exception) -> None:
 
 
 def _fail(message: str, code: int) -> None:
-    print(f"agent: {message}", file=sys.stderr)
+    from agent.console import fit_to_show
+
+    print(f"agent: {fit_to_show(message)}", file=sys.stderr)
     sys.exit(code)

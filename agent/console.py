@@ -9,6 +9,10 @@ from collections.abc import Callable
 from typing import Any
 
 from agent.output import PatientStream, patient
+from drivers.texts import hide, hide_all, printable
+
+#: Characters of one message; a recipe with many faults has some thousands.
+LONGEST = 20_000
 
 
 class Console:
@@ -44,7 +48,7 @@ class Console:
         now = self._clock()
         if self._rich.is_terminal:
             if now - self._last > 0.1:
-                stream, line = patient(sys.stderr), f"\r\033[K{self._stamp()}   {text}"
+                stream, line = patient(sys.stderr), f"\r\033[K{self._stamp()}   {fit_to_show(text)}"
                 if isinstance(stream, PatientStream):
                     stream.progress(line)
                 else:
@@ -73,7 +77,7 @@ class Console:
         """Ask a person; without a terminal nobody can answer, which is no."""
         if not (sys.stdin.isatty() and patient(sys.stderr).isatty()):
             return False
-        self._rich.print(f"{question} [y/N] ", end="")
+        self._rich.print(f"{fit_to_show(question)} [y/N] ", end="", markup=False)
         patient(sys.stderr).drain()
         return sys.stdin.readline().strip().lower() in ("y", "yes")
 
@@ -81,7 +85,7 @@ class Console:
         if self._open_line:
             self._rich.file.write("\r\033[K")
             self._open_line = False
-        self._rich.print(f"{self._stamp()} {text}", style=style, markup=False)
+        self._rich.print(f"{self._stamp()} {fit_to_show(text)}", style=style, markup=False)
 
     def _stamp(self) -> str:
         return f"[{self._clock() - self._begin:6.1f} s]"
@@ -96,7 +100,12 @@ class _Messages:
 
 def print_json(data: Any) -> None:
     """One JSON object on stdout; a number that is not finite becomes null."""
-    sys.stdout.write(json.dumps(finite(data), indent=2) + "\n")
+    sys.stdout.write(hide(json.dumps(finite(data), indent=2)) + "\n")
+
+
+def fit_to_show(text: str) -> str:
+    """A message for a terminal: no passwords, no control characters, and not without end."""
+    return printable(hide_all(text), LONGEST, lines=True)
 
 
 def finite(data: Any) -> Any:

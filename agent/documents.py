@@ -13,12 +13,17 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from agent.errors import InputError
+from drivers.texts import hide_all, printable
 
 Model = TypeVar("Model", bound=BaseModel)
 #: Lists and mappings within each other; more is no document of ours, and costs a parser seconds.
 DEEPEST = 50
+#: Bytes of a YAML file, characters of one value in it, and values once every alias is written out.
+LARGEST_YAML, LONGEST_VALUE, MOST_VALUES = 256 << 10, 10_000, 100_000
 #: Bytes of a JSON file; the largest that the agent writes, a model with its covariance, has a few million.
 LARGEST_JSON = 64 << 20
+#: Characters of a key or of a fault that are shown.
+_SHOWN = 600
 
 
 def load_document(path: Path, model: type[Model]) -> Model:
@@ -40,39 +45,85 @@ def read_yaml(path: Path) -> Any:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
+    text = read_text(Path(path), LARGEST_YAML)
     try:
-        text = Path(path).read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text: {error}") from None
-    try:
-        line = _too_deep(YAML(typ="rt").parse(text))
-        data = None if line else YAML(typ="rt").load(text)
+        _bounded(path, YAML(typ="rt").parse(text))
+        data = YAML(typ="rt").load(text)
+    except InputError:
+        raise
     except MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 1
         raise InputError(f"{path}:{line}: not valid YAML: {error.problem}") from None
     except YAMLError as error:
         raise InputError(f"{path}: not valid YAML: {error}") from None
     except Exception as error:  # ruamel raises plain Python errors for dates, tags and depths that it cannot build
-        raise InputError(f"{path}: not valid YAML: {type(error).__name__}: {error}") from None
-    if line:
-        raise InputError(f"{path}:{line}: lists and mappings are nested more than {DEEPEST} deep; a bracket missing?")
+        what = "a number of too many digits" if "integer string conversion" in str(error) else str(error)[:_SHOWN]
+        raise InputError(f"{path}: not valid YAML: {type(error).__name__}: {what}") from None
     if data is None:
         raise InputError(f"{path}: the file is empty")
     return data
 
 
-def _too_deep(events: Iterable[Any]) -> int:
-    """Line at which a YAML document gets too deep, 0 where it does not."""
-    from ruamel.yaml.events import CollectionEndEvent, CollectionStartEvent
+def read_text(path: Path, largest: int) -> str:
+    """A text file that a person wrote.
 
-    depth = 0
+    Args:
+        largest: bytes; a longer file is not read.
+
+    Raises:
+        InputError: missing, unreadable, not UTF-8 or too long.
+    """
+    try:
+        with open(path, "rb") as file:
+            data = file.read(largest + 1)
+        if len(data) > largest:
+            raise InputError(f"{path}: longer than {largest >> 10} KiB; is it the right file?")
+        return data.decode("utf-8")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, ValueError) as error:  # not UTF-8, or a name with a null byte
+        raise InputError(f"{path}: cannot be read as text: {error}") from None
+
+
+def _bounded(path: Path, events: Iterable[Any]) -> None:
+    """A YAML document stays small when it is built.
+
+    Raises:
+        InputError: nested too deep, a value that is too long, or aliases that grow into too many values.
+    """
+    from ruamel.yaml import events as kinds
+
+    sizes: dict[str, int] = {}
+    open_ones: list[tuple[str | None, int]] = []  # anchor, and values before it
+    total = 0
     for event in events:
-        depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
-        if depth > DEEPEST:
-            return event.start_mark.line + 1
-    return 0
+        line = event.start_mark.line + 1
+        anchor = getattr(event, "anchor", None)
+        if isinstance(event, kinds.AliasEvent):
+            if any(anchor == name for name, _ in open_ones):
+                raise InputError(f"{path}:{line}: *{anchor[:40]} stands within what it names")
+            total += sizes.get(anchor, 0)
+        elif isinstance(event, kinds.ScalarEvent):
+            if len(event.value) > LONGEST_VALUE:
+                raise InputError(
+                    f"{path}:{line}: a value of {len(event.value)} characters; {LONGEST_VALUE} are allowed"
+                )
+            total += 1
+            if anchor:
+                sizes[anchor] = 1
+        elif isinstance(event, kinds.CollectionStartEvent):
+            open_ones.append((anchor, total))
+            total += 1
+            if len(open_ones) > DEEPEST:
+                raise InputError(
+                    f"{path}:{line}: lists and mappings are nested more than {DEEPEST} deep; a bracket missing?"
+                )
+        elif isinstance(event, kinds.CollectionEndEvent):
+            name, before = open_ones.pop()
+            if name:
+                sizes[name] = total - before
+        if total > MOST_VALUES:
+            raise InputError(f"{path}:{line}: more than {MOST_VALUES} values, aliases written out; leave aliases out")
 
 
 def read_json(path: Path, largest: int = LARGEST_JSON) -> Any:
@@ -178,11 +229,18 @@ def _describe(path: Path, data: Any, model: type[BaseModel], fault: Any) -> str:
     elif fault["type"] in ("model_type", "model_attributes_type"):
         message = f"a mapping is expected; its keys are {', '.join(_keys_at(model, location))}"
     else:
-        value = fault.get("input")
-        if isinstance(value, (str, int, float, bool)) and repr(value) not in message:
-            message += f" (got {value!r})"
-    key = ".".join(str(part) for part in location) or "document"
-    return f"{path}:{line_of(data, location)}: {key}: {message}"
+        got = _shown(fault.get("input"))
+        if got and got not in message:
+            message += f" (got {got})"
+    key = printable(".".join(str(part) for part in location) or "document", _SHOWN)
+    return f"{path}:{line_of(data, location)}: {key}: {printable(hide_all(message), _SHOWN)}"
+
+
+def _shown(value: Any) -> str:
+    """A plain value as it was written; nothing for others."""
+    if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() > 256:
+        return "a number of very many digits"
+    return repr(value) if isinstance(value, (str, int, float, bool)) else ""
 
 
 def _location(fault: Any) -> tuple[Any, ...]:

@@ -18,6 +18,8 @@ import weakref
 from collections.abc import Callable, Iterator
 from typing import Any, TextIO
 
+from drivers.texts import hide
+
 #: Texts that wait for a far end that does not read; beyond, they are left out and counted.
 LIMIT = 10_000
 #: How often a far end that is not written to is looked at [s].
@@ -83,6 +85,7 @@ class PatientStream(io.TextIOBase):
         """Hand over a message."""
         if not isinstance(text, str):
             raise TypeError(f"a text is expected, not {type(text).__name__}")
+        text = hide(text)
         if os.getpid() != self._process:
             self._put_out(text)
         elif self._queue.qsize() >= self._limit:
@@ -93,7 +96,7 @@ class PatientStream(io.TextIOBase):
 
     def progress(self, text: str) -> None:
         """Hand over a text that the next one replaces, where it has not been written by then."""
-        waiting, self._progress = self._progress is not None, text
+        waiting, self._progress = self._progress is not None, hide(text)
         if not waiting:
             self._hand_over(_LATEST)
 

@@ -14,9 +14,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from agent.console import finite
+from agent.console import finite, fit_to_show
 from agent.documents import read_json
 from agent.errors import AgentError, BusyError, InputError
+from drivers.texts import hide
 
 _STATE = "state.json"
 
@@ -110,6 +111,7 @@ class RunFolder:
     def stopped(self, step: str, reason: str) -> None:
         """Note where and why the run ended before its end."""
         self.state["status"] = "stopped"
+        reason = fit_to_show(reason)
         self.state["stopped"] = {"step": step, "reason": reason, "at": datetime.now(UTC).isoformat(timespec="seconds")}
         self._save()
 
@@ -146,7 +148,7 @@ class RunFolder:
 
 
 def write_atomically(path: Path, text: str) -> Path:
-    """Write beside, flush to the disk and rename.
+    """Write beside, flush to the disk and rename. A password that this process has read is left out.
 
     Raises:
         AgentError: disk full, read-only or no rights; the old file is untouched.
@@ -154,7 +156,7 @@ def write_atomically(path: Path, text: str) -> Path:
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with open(beside, "w", encoding="utf-8") as file:
-            file.write(text)
+            file.write(hide(text))
             file.flush()
             os.fsync(file.fileno())
         os.replace(beside, path)

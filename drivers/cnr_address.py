@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivers.errors import ConfigurationError
+from drivers.secrets import check_source, refuse_in_address
 from drivers.tcp import parse_address as parse_host_and_port
 from drivers.wire import cnr as wire
 
@@ -17,6 +18,7 @@ FTP_PORT, BROKER_PORT = 21, 1883
 class CnrAddress:
     """Where everything is. `broker` is None where no C5G Open node publishes.
 
+    Passwords are named by their place; `drivers.secrets` reads them when the link is opened.
     `points`: via-points go through the socket instead of a program; `by_hand`: a person starts the program.
     """
 
@@ -26,23 +28,27 @@ class CnrAddress:
     status: int = wire.STATUS_PORT
     ftp: int = FTP_PORT
     user: str = "anonymous"
-    password: str = ""
+    password_from: str = ""
     folder: str = ""
     broker: tuple[str, int] | None = None
     topic: str = wire.TOPIC
     points: bool = False
     by_hand: bool = False
+    broker_user: str = ""
+    broker_password_from: str = ""
 
 
 def parse_address(text: str) -> CnrAddress:
-    """`host`, then options: `host,trajectory=1212,feedback=1213,status=1214,ftp=21,user=…,password=…,folder=…,
-    mqtt=host:port (or none),topic=robot/arm1,mode=program (or points),start=socket (or hand)`, in any order.
+    """`host`, then options: `host,trajectory=1212,feedback=1213,status=1214,ftp=21,user=…,password_from=…,folder=…,
+    mqtt=host:port (or none),mqtt_user=…,mqtt_password_from=…,topic=robot/arm1,mode=program (or points),
+    start=socket (or hand)`, in any order.
 
     Without `mqtt` the broker is expected at the controller's own address.
 
     Raises:
         ConfigurationError: anything else; names what is allowed.
     """
+    refuse_in_address(str(text))
     host, *options = (part.strip() for part in str(text).split(","))
     if not host or "=" in host:
         raise ConfigurationError(f"address {text!r}: the controller's address comes first, like 192.168.0.10")
@@ -97,9 +103,11 @@ _OPTIONS: dict[str, tuple[str, Callable[[str], Any]]] = {
     "status": ("status", _port),
     "ftp": ("ftp", _port),
     "user": ("user", _text),
-    "password": ("password", _text),
+    "password_from": ("password_from", check_source),
     "folder": ("folder", _text),
     "mqtt": ("broker", _broker),
+    "mqtt_user": ("broker_user", _text),
+    "mqtt_password_from": ("broker_password_from", check_source),
     "topic": ("topic", lambda value: _text(value).rstrip("/")),
     "mode": ("points", _one_of("program", "points")),
     "start": ("by_hand", _one_of("socket", "hand")),

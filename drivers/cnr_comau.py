@@ -123,7 +123,15 @@ class CnrDriver:
             self._sockets.watchdog = self._machine.watchdog
             if address.broker is not None:
                 period = self._machine.identity.period
-                self._broker = BrokerLink(address.broker, address.topic, period, self._timeout, self._on_loss)
+                self._broker = BrokerLink(
+                    address.broker,
+                    address.topic,
+                    period,
+                    self._timeout,
+                    self._on_loss,
+                    address.broker_user,
+                    address.broker_password_from,
+                )
         except BaseException:
             self.close()
             raise

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from drivers.cnr_address import CnrAddress
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.protocol import Identity
+from drivers.secrets import read_secret
 from drivers.wire import cnr as wire
 
 #: How long either end waits for the other while the arm moves, where the identity file says nothing [s].
@@ -24,6 +25,9 @@ _UNGUARDED = (
 )
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,31}", re.ASCII)
 _NO_SUCH_FILE = "550"
+#: Bytes of a file in the folder that are read: a controller's memory for programs is smaller.
+_LONGEST = 4 << 20
+_MOST_LINES = 100  # of an answer
 
 
 @dataclass(frozen=True)
@@ -99,7 +103,7 @@ class ProgramFolder:
 
     @contextmanager
     def _session(self) -> Iterator[ftplib.FTP]:
-        ftp = ftplib.FTP(timeout=self._timeout)
+        ftp = _Client(timeout=self._timeout)
         try:
             ftp.connect(self._address.host, self._address.ftp)
             self._enter(ftp)
@@ -121,10 +125,11 @@ class ProgramFolder:
     def _enter(self, ftp: ftplib.FTP) -> None:
         address = self._address
         try:
-            ftp.login(address.user, address.password)
+            ftp.login(address.user, read_secret(address.password_from) if address.password_from else "")
         except ftplib.error_perm as error:
             raise DriverError(
-                f"FTP at {self._peer} does not let {address.user} in: {error}; give user= and password= in the address"
+                f"FTP at {self._peer} does not let {address.user} in: {error}; give user= and password_from= in the "
+                "address"
             ) from None
         if address.folder:
             try:
@@ -133,11 +138,38 @@ class ProgramFolder:
                 raise DriverError(f"FTP at {self._peer} has no folder {address.folder}: {error}") from None
 
 
+class _Client(ftplib.FTP):
+    """An answer of lines without end is none."""
+
+    def getmultiline(self) -> str:
+        self._lines = 0
+        return super().getmultiline()
+
+    def getline(self) -> str:
+        self._lines += 1
+        if self._lines > _MOST_LINES:
+            raise ftplib.error_proto(f"an answer of more than {_MOST_LINES} lines")
+        return super().getline()
+
+
 def _read(ftp: ftplib.FTP, name: str) -> bytes | None:
-    """A file, or None where there is none."""
+    """A file, or None where there is none.
+
+    Raises:
+        ProtocolError: it is longer than any that belongs there.
+    """
     parts: list[bytes] = []
+    size = 0
+
+    def take(part: bytes) -> None:
+        nonlocal size
+        size += len(part)
+        if size > _LONGEST:
+            raise ProtocolError(f"{name} is longer than {_LONGEST >> 20} MiB; what is it, who put it there?")
+        parts.append(part)
+
     try:
-        ftp.retrbinary(f"RETR {name}", parts.append)
+        ftp.retrbinary(f"RETR {name}", take)
     except ftplib.error_perm as error:
         if str(error).startswith(_NO_SUCH_FILE):
             return None
@@ -169,7 +201,7 @@ def _machine(data: bytes, peer: str) -> Machine:
         watchdog, emulator = float(entry.get("watchdog", WATCHDOG)), entry.get("emulator", False)
     except KeyError as error:
         raise DriverError(f"{where} lacks {error}; docs/real-robot.md shows what it needs") from None
-    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise DriverError(f"{where} cannot be read: {error}; docs/real-robot.md shows what it needs") from None
     if not all(isinstance(text, str) and text for text in (*texts, *names)) or not 1 <= len(names) <= wire.AXES:
         raise DriverError(f"{where}: robot, serial, controller, version and 1 to {wire.AXES} joint_names are texts")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import DriverError, ProtocolError
+from drivers.secrets import read_secret
 from drivers.wire import cnr as wire
 
 _PATIENCE = 125  # periods that a sample waits for what is missing of it
@@ -162,6 +163,7 @@ class BrokerLink:
         period: of the samples [s].
         timeout: for the connection and for the first messages [s].
         on_loss: called once, in a thread of its own, where the broker is lost.
+        user: of the broker, where it wants one; password_from: where that user's password is.
 
     Raises:
         DriverError: no broker, or it says nothing on one of the topics.
@@ -175,6 +177,8 @@ class BrokerLink:
         period: float,
         timeout: float,
         on_loss: Callable[[DriverError], None],
+        user: str = "",
+        password_from: str = "",
     ) -> None:
         from paho.mqtt.client import Client
         from paho.mqtt.enums import CallbackAPIVersion
@@ -189,6 +193,8 @@ class BrokerLink:
         self._ready = threading.Event()
         self._fault: DriverError | None = None
         self._client = Client(CallbackAPIVersion.VERSION2, reconnect_on_failure=False)
+        if user or password_from:
+            self._client.username_pw_set(user or None, read_secret(password_from) if password_from else None)
         self._client.on_connect = self._connected
         self._client.on_disconnect = self._disconnected
         self._client.on_message = self._message

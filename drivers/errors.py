@@ -1,10 +1,18 @@
 """What can go wrong on a link. The command line turns each into its exit code."""
 
+from drivers.texts import hide_all, printable
+
 
 class DriverError(Exception):
-    """The link failed: nobody there, silent, dropped, or another protocol."""
+    """The link failed: nobody there, silent, dropped, or another protocol.
+
+    The message may quote the far end: it is cut, and has neither control characters nor passwords.
+    """
 
     exit_code = 4
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(printable(hide_all(str(message)), lines=True))
 
 
 class ProtocolError(DriverError):

@@ -11,6 +11,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from drivers.errors import ProtocolError
+from drivers.texts import ALARM, MANY, NAME, printable
+
 
 @dataclass(frozen=True)
 class Identity:
@@ -18,6 +21,10 @@ class Identity:
 
     `watch_only` says why the link's samples do for watching a motion, not for identification; empty where they do.
     `unguarded` says why the arm may go on where this end is gone; empty where the controller stops it then.
+    Texts are cut, and control characters taken out of them, whatever the controller sent.
+
+    Raises:
+        ProtocolError: no joints or more than any arm has, or a period that is none.
     """
 
     robot: str
@@ -29,6 +36,16 @@ class Identity:
     watch_only: str = ""
     unguarded: str = ""
 
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.joint_names) <= MANY or not 0.0 < self.period < float("inf"):
+            raise ProtocolError(
+                f"the controller names {len(self.joint_names)} joints and a period of {self.period!r} s; 1 to {MANY} "
+                "and a positive number are expected"
+            )
+        for name in ("robot", "serial", "controller", "version"):
+            object.__setattr__(self, name, printable(getattr(self, name), NAME))
+        object.__setattr__(self, "joint_names", tuple(printable(name, NAME) for name in self.joint_names))
+
 
 @dataclass(frozen=True)
 class Status:
@@ -37,6 +54,7 @@ class Status:
     `mode` is `auto` or `teach`; `override` a fraction of one; `program` and `checksum` (SHA-256, hex, of the stored
     text) are empty where nothing is stored; `position` (n,) joint side; `emulator` says that no machine moves.
     Where the wire does not tell the override, `override_known` is False and `override` is one.
+    Texts are cut, and control characters taken out of them, whatever the controller sent.
     """
 
     drives_on: bool
@@ -51,6 +69,13 @@ class Status:
     position: np.ndarray
     emulator: bool = False
     override_known: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("mode", "program", "checksum"):
+            object.__setattr__(self, name, printable(getattr(self, name), NAME))
+        alarms = tuple(printable(alarm, ALARM) for alarm in self.alarms[:MANY])
+        more = len(self.alarms) - MANY
+        object.__setattr__(self, "alarms", (*alarms, f"and {more} more") if more > 0 else alarms)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ from importlib.metadata import EntryPoint, entry_points
 
 from drivers.errors import ConfigurationError
 from drivers.protocol import Driver
+from drivers.secrets import refuse_in_address
 
 GROUP = "calibration_agent.drivers"
 
@@ -36,8 +37,9 @@ def create(name: str, address: str, **options: object) -> Driver:
 
     Raises:
         ConfigurationError: no such driver, or one that cannot be loaded (the message lists the others), or an
-            address that this driver cannot use.
+            address that this driver cannot use, or that holds a password.
     """
+    refuse_in_address(str(address))
     factory = _load(name)
     if factory is None:
         others = ", ".join(other for other in available() if other != name)

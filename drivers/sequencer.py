@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from drivers.errors import ProtocolError
 from drivers.protocol import Gap, SampleBlock
 
+_LATEST = 2.0**31  # s: what a log's stamps can say
 _JITTER = 25  # steps between two neighbours are none: 50 ms at 500 Hz
 
 
@@ -21,6 +24,7 @@ class Sequencer:
         self._gaps: list[Gap] = []
         self._held: dict[int, SampleBlock] = {}
         self._latest = float("-inf")
+        self._joints: int | None = None  # of the first block
         self._released = 0  # the sequence number after the last sample that was given
         self._step: float | None = None  # [s] between samples, by the first of them
 
@@ -39,9 +43,16 @@ class Sequencer:
 
         Raises:
             ProtocolError: old sequence numbers with new times, or neighbours far apart in time: the controller counts
-                from the start again.
+                from the start again. Times that no clock shows, or another number of joints than before.
         """
         first = int(block.sequence[0])
+        joints = block.position.shape[1]
+        self._joints = joints if self._joints is None else self._joints
+        if joints != self._joints:
+            raise ProtocolError(f"the controller sent samples of {self._joints} joints, and now of {joints}")
+        if not bool(np.all(np.abs(block.time) < _LATEST)):
+            wrong = block.time[~(np.abs(block.time) < _LATEST)][0]
+            raise ProtocolError(f"the controller's sample {first} is of {wrong:.4g} s by its clock: that is no time")
         if first < self.expected and block.time[0] > self._latest:
             raise ProtocolError(
                 f"the controller's sample counter went back from {self.expected} to {first}: it was reset in mid-motion"

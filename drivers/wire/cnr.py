@@ -250,6 +250,8 @@ TARGET_POSITIONS, TARGET_VELOCITIES = "target_joints_positions", "target_joints_
 CURRENTS = "motor_currents"
 CHANNELS = (POSITIONS, VELOCITIES, TARGET_POSITIONS, TARGET_VELOCITIES, CURRENTS)
 
+_LONGEST_JOINTS = 4096  # bytes
+_LATEST_US = 2**53  # µs, 285 years: a float still has every one of them
 _KEYS = tuple(f"J{axis}" for axis in range(1, AXES + 1))
 _values = itemgetter(*_KEYS)
 
@@ -266,12 +268,16 @@ def decode_joints(payload: bytes) -> tuple[int, tuple[float, ...]]:
     Raises:
         ProtocolError: not such a message.
     """
+    if len(payload) > _LONGEST_JOINTS:
+        raise ProtocolError(f"a message of {len(payload)} bytes; the C5G Open node's have some hundreds")
     try:
         data = json.loads(payload.rstrip(b"\0").decode())
         time_us, values = int(data["time"]), _values(data)
         finite = all(map(math.isfinite, values))
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise ProtocolError(f"not a message of the C5G Open node: {type(error).__name__}: {error}") from None
+    if abs(time_us) > _LATEST_US:
+        raise ProtocolError("a message of the C5G Open node has a time that no clock shows")
     if not finite:
         raise ProtocolError("a message of the C5G Open node has values that are no numbers")
     return time_us, values

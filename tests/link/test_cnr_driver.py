@@ -30,11 +30,11 @@ def test_a_real_controller_is_its_address():
 
 def test_every_option_has_its_place():
     text = (
-        "c5g, trajectory=1, feedback=2, status=3, ftp=4, user=u, password=p, folder=UD:/usr/agent, mqtt=lpc:5, "
-        "topic=robot/arm3/, start=hand, mode=program"
+        "c5g, trajectory=1, feedback=2, status=3, ftp=4, user=u, password_from=env:FTP, folder=UD:/usr/agent, "
+        "mqtt=lpc:5, mqtt_user=m, mqtt_password_from=file:/a/b, topic=robot/arm3/, start=hand, mode=program"
     )
     assert parse_address(text) == CnrAddress(
-        "c5g", 1, 2, 3, 4, "u", "p", "UD:/usr/agent", ("lpc", 5), "robot/arm3", points=False, by_hand=True
+        "c5g", 1, 2, 3, 4, "u", "env:FTP", "UD:/usr/agent", ("lpc", 5), "robot/arm3", False, True, "m", "file:/a/b"
     )
     assert parse_address("c5g,mqtt=none,mode=points").broker is None
     assert parse_address("c5g,mqtt=lpc").broker == ("lpc", 1883)

@@ -1,0 +1,113 @@
+"""Passwords: where they come from, and the one place that takes them out of every text that is shown or kept.
+
+An address names the place of a password, never the password: `env:NAME`, `file:PATH` or `keyring:SERVICE/USER`.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+import re
+import stat
+from urllib.parse import quote
+
+from drivers.errors import ConfigurationError, DriverError
+from drivers.texts import hidden_forms
+
+#: Bytes of a file with a password.
+_LONGEST = 4096
+#: A shorter password could not be told from ordinary text, so none is taken.
+_SHORTEST = 4
+_OPTION = re.compile(r"(?i)(?<![a-z])(pass(?:word|wd|phrase)?|pwd|pw|secret|token|api_?key)\s*=")
+_USER = re.compile(r":[^@]*@")
+_PLACE = re.compile(r"(?i)(?<![^,\s])\w*password_from\s*=[^,]*")
+ADVICE = (
+    "a password does not belong in an address, which is printed and kept; name its place instead, like "
+    "password_from=env:NAME, password_from=file:PATH (readable by you alone) or password_from=keyring:SERVICE/USER"
+)
+
+
+def refuse_in_address(address: str) -> None:
+    """No address of a driver, whoever wrote it, holds a password.
+
+    Raises:
+        ConfigurationError: it does; says where it should go, and does not repeat it.
+    """
+    rest = _PLACE.sub("", address)
+    if _OPTION.search(rest) or _USER.search(rest):
+        raise ConfigurationError(f"the address holds a password; {ADVICE}")
+
+
+def check_source(source: str) -> str:
+    """The place of a password as it is written in an address.
+
+    Raises:
+        ValueError: none of the three kinds; what was written is not repeated, it may be a password.
+    """
+    kind, colon, name = source.partition(":")
+    if kind not in _KINDS or not colon or not name:
+        raise ValueError("env:NAME, file:PATH or keyring:SERVICE/USER is expected")
+    return source
+
+
+def read_secret(source: str) -> str:
+    """The password that a place holds; from now on `drivers.texts.hide` takes it out of every text.
+
+    Raises:
+        ConfigurationError: there is none, others can read it, or it is too short to be kept out of texts.
+    """
+    kind, _, name = check_source(source).partition(":")
+    secret = _KINDS[kind](name)
+    if len(secret) < _SHORTEST:
+        raise ConfigurationError(f"the password in {source} has fewer than {_SHORTEST} characters; choose a longer one")
+    if not secret.isprintable():
+        raise ConfigurationError(f"the password in {source} has characters that cannot be typed; one line is expected")
+    hidden_forms.update({secret, json.dumps(secret)[1:-1], html.escape(secret), repr(secret)[1:-1], quote(secret)})
+    return secret
+
+
+def _from_environment(name: str) -> str:
+    secret = os.environ.get(name)
+    if secret is None:
+        raise ConfigurationError(f"the environment has no variable {name}, where the password is expected; export it")
+    return secret
+
+
+def _from_file(name: str) -> str:
+    try:
+        with open(os.open(name, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
+            about = os.fstat(file.fileno())
+            if not stat.S_ISREG(about.st_mode):
+                raise ConfigurationError(f"{name}: not a file, so no password is read from it")
+            if about.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+                raise ConfigurationError(f"{name}: others than its owner can read this password; chmod 600 {name}")
+            if about.st_uid not in (os.geteuid(), 0):
+                raise ConfigurationError(f"{name}: this password belongs to another user; chown it")
+            data = file.read(_LONGEST + 1)
+    except OSError as error:
+        raise ConfigurationError(f"{name}: the password cannot be read: {error.strerror}") from None
+    if len(data) > _LONGEST:
+        raise ConfigurationError(f"{name}: longer than {_LONGEST} bytes, which is no password")
+    try:
+        return data.decode("utf-8").strip("\r\n")
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"{name}: the password is not UTF-8") from None
+
+
+def _from_keyring(name: str) -> str:
+    service, _, user = name.partition("/")
+    try:
+        import keyring
+    except ImportError:
+        raise ConfigurationError("keyring: the package keyring is not installed; pip install keyring") from None
+    try:
+        secret = keyring.get_password(service, user)
+    except Exception as error:  # each of its back ends has errors of its own
+        raise DriverError(f"keyring: {service} cannot be read: {type(error).__name__}") from None
+    if secret is None:
+        raise ConfigurationError(f"keyring: there is no password for {user!r} of {service!r}; keyring set stores one")
+    return secret
+
+
+_KINDS = {"env": _from_environment, "file": _from_file, "keyring": _from_keyring}

@@ -1,0 +1,257 @@
+"""Passwords: refused in addresses, read from where nobody else reads, and found in no text and no file of a run."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.run import write_atomically
+from drivers.cnr_address import parse_address
+from drivers.cnr_files import ProgramFolder
+from drivers.errors import ConfigurationError, DriverError
+from drivers.registry import available, create
+from drivers.secrets import read_secret
+from drivers.texts import hidden_forms, hide, hide_all
+from fake_controller.build import build_controller
+from fake_controller.server_cnr import CnrServer
+
+ROOT = Path(__file__).resolve().parents[2]
+PLANTED = "hunter<2>&'zwölf"
+RECIPE = """
+robot: comau_ns16
+controller: {{driver: {driver}, address: "{address}"}}
+motion:
+  speed: 1 m/s
+  via_points:
+    count: 6
+    box:
+      centre: [1.0 m, 0 m, 0.8 m]
+      size: [500 mm, 600 mm, 400 mm]
+      orientation: [0 deg, 180 deg, 0 deg]
+      cone: 30 deg
+search: {{population: 4, generations: 1, seed: 1}}
+record: {{cycles: 1}}
+validate: {{motions: 1, speed: 0.5 m/s, seed: 2}}
+"""
+
+
+@pytest.fixture(autouse=True)
+def nothing_known():
+    """What one test has read is no secret of the next."""
+    before = set(hidden_forms)
+    yield
+    hidden_forms.clear()
+    hidden_forms.update(before)
+
+
+def agent(folder: Path, *arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "agent", *map(str, arguments)],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def leaks(folder: Path, secret: str) -> list[str]:
+    """Files below a folder that hold a secret, in any form in which a text may hold it."""
+    import html
+    import json
+
+    forms = {secret, json.dumps(secret)[1:-1], html.escape(secret), repr(secret)[1:-1]}
+    found = [path for path in folder.rglob("*") if path.is_file()]
+    assert found
+    return [str(path) for path in found if any(form.encode() in path.read_bytes() for form in forms)]
+
+
+@pytest.mark.parametrize("driver", available())
+@pytest.mark.parametrize(
+    "address",
+    [
+        "joe:{}@127.0.0.1:9100",
+        "tcp://joe:{}@127.0.0.1:9100",
+        "127.0.0.1:9100?password={}",
+        "127.0.0.1,user=joe,password={}",
+        "127.0.0.1,user=joe,PASSWD = {}",
+        "127.0.0.1,mqtt=joe:{}@lpc:1883",
+        "127.0.0.1,password_from=env:X,token={}",
+    ],
+)
+def test_an_address_with_a_password_is_refused_and_not_repeated(driver: str, address: str):
+    with pytest.raises(ConfigurationError, match="password_from=env:NAME") as refusal:
+        create(driver, address.format(PLANTED))
+    assert PLANTED not in str(refusal.value)
+
+
+@pytest.mark.parametrize("command", [["check", "--json"], ["calibrate"]])
+def test_a_recipe_with_a_password_leaves_no_trace_of_it(tmp_path: Path, command: list[str]):
+    text = RECIPE.format(driver="tcp", address=f"joe:{PLANTED}@127.0.0.1:9100")
+    (tmp_path / "recipe.yaml").write_text(text, encoding="utf-8")
+    run = agent(tmp_path, command[0], "recipe.yaml", *command[1:])
+    assert run.returncode == 2
+    said = run.stdout + run.stderr
+    assert "password_from" in said
+    assert not any(form in said for form in (PLANTED, "hunter"))
+    assert leaks(tmp_path, PLANTED) == [str(tmp_path / "recipe.yaml")]
+
+
+def test_a_password_in_the_wrong_place_of_a_recipe_is_not_repeated(tmp_path: Path):
+    text = RECIPE.format(driver="tcp", address="127.0.0.1:9100").replace(
+        "robot:", 'controler: "joe:hunter22@host"\nrobot:'
+    )
+    (tmp_path / "recipe.yaml").write_text(text.replace("count: 6", 'count: "password=hunter22"'), encoding="utf-8")
+    run = agent(tmp_path, "check", "recipe.yaml")
+    assert run.returncode == 2
+    assert "hunter22" not in run.stdout + run.stderr
+
+
+def test_init_writes_no_password(tmp_path: Path):
+    run = agent(tmp_path, "init", "recipe.yaml", "--controller", f"joe:{PLANTED}@127.0.0.1:9100")
+    assert run.returncode == 2
+    assert PLANTED not in run.stdout + run.stderr
+    assert not (tmp_path / "recipe.yaml").exists()
+
+
+def test_passwords_come_from_the_environment_a_file_and_the_keyring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("CELL_FTP", "from the environment")
+    assert read_secret("env:CELL_FTP") == "from the environment"
+    path = tmp_path / "ftp.secret"
+    path.write_text("from a file\n", encoding="utf-8")
+    path.chmod(0o600)
+    assert read_secret(f"file:{path}") == "from a file"
+
+    class Keyring:
+        @staticmethod
+        def get_password(service: str, user: str) -> str | None:
+            return "from the keyring" if (service, user) == ("cell", "joe") else None
+
+    monkeypatch.setitem(sys.modules, "keyring", Keyring)
+    assert read_secret("keyring:cell/joe") == "from the keyring"
+    assert hide("a from the keyring b") == "a *** b"
+    with pytest.raises(ConfigurationError, match="keyring set"):
+        read_secret("keyring:cell/jim")
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o644, 0o660, 0o610])
+def test_a_file_that_others_can_read_is_not_used(tmp_path: Path, mode: int):
+    path = tmp_path / "ftp.secret"
+    path.write_text("hunter22", encoding="utf-8")
+    path.chmod(mode)
+    with pytest.raises(ConfigurationError, match="chmod 600"):
+        read_secret(f"file:{path}")
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"abc", "fewer than 4"),
+        (b"x" * 5000, "longer than 4096"),
+        (b"\xff\xff\xff\xff", "not UTF-8"),
+        (b"two\nlines", "typed"),
+    ],
+)
+def test_what_is_no_password_is_said(tmp_path: Path, content: bytes, said: str):
+    path = tmp_path / "ftp.secret"
+    path.write_bytes(content)
+    path.chmod(0o600)
+    with pytest.raises(ConfigurationError, match=said) as refusal:
+        read_secret(f"file:{path}")
+    assert "two" not in str(refusal.value)
+
+
+def test_a_folder_a_fifo_and_nothing_are_no_files(tmp_path: Path):
+    os.mkfifo(tmp_path / "fifo", 0o600)
+    for name, said in {"": "a directory", "fifo": "not a file", "none": "cannot be read"}.items():
+        with pytest.raises(ConfigurationError, match=said):
+            read_secret(f"file:{tmp_path / name}")
+    with pytest.raises(ConfigurationError, match="no variable NOBODY_SET_THIS"):
+        read_secret("env:NOBODY_SET_THIS")
+
+
+@given(
+    secret=st.text(st.characters(categories=("L", "N", "P", "S"), exclude_characters="*"), min_size=4, max_size=30),
+    around=st.text(max_size=20),
+)
+def test_a_secret_that_was_read_is_in_no_text_and_no_file(tmp_path_factory, secret: str, around: str):
+    from html import escape
+    from json import dumps
+
+    os.environ["PLANTED_HERE"] = secret
+    try:
+        read_secret("env:PLANTED_HERE")
+        text = f"{around}{secret}{around} {dumps(secret)} {escape(secret)} {secret!r}"
+        for shown in (hide(text), hide_all(text), str(DriverError(text))):
+            assert secret not in shown.replace("***", "\0")
+        path = write_atomically(tmp_path_factory.getbasetemp() / "text.txt", text)
+        assert secret not in path.read_text(encoding="utf-8").replace("***", "\0")
+    finally:
+        del os.environ["PLANTED_HERE"]
+        hidden_forms.clear()
+
+
+@contextmanager
+def echoing_ftp_server() -> Iterator[int]:
+    """A hostile one: its refusal repeats the password, between commands to the terminal, without end."""
+    with closing(socket.create_server(("127.0.0.1", 0))) as listening:
+
+        def serve() -> None:
+            connection, _ = listening.accept()
+            with connection:
+                connection.sendall(b"220 welcome\r\n")
+                user = connection.recv(4096)
+                connection.sendall(b"331 go on\r\n")
+                password = connection.recv(4096).split(b" ", 1)[1].strip()
+                connection.sendall(b"530 \x1b]0;owned\x07 no " + user.strip() + b" " + password + b"\r\n")
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        yield listening.getsockname()[1]
+        thread.join(5.0)
+
+
+def test_a_server_that_repeats_the_password_does_not_bring_it_into_a_message(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("CELL_FTP", "hunter22")
+    with echoing_ftp_server() as port:
+        folder = ProgramFolder(parse_address(f"127.0.0.1,ftp={port},user=joe,password_from=env:CELL_FTP"), 5.0)
+        with pytest.raises(DriverError, match="does not let joe in") as refusal:
+            folder.stored()
+    assert "hunter22" not in str(refusal.value)
+    assert "\x1b" not in str(refusal.value)
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("umask", [0o022, 0o027, 0o077])
+def test_no_file_of_a_run_holds_the_passwords_of_its_link(broker, tmp_path: Path, umask: int):
+    """FTP and MQTT with passwords; all that the agent writes and says is searched, its files are as the umask says."""
+    path = tmp_path / "mqtt.secret"
+    path.write_text(f"mq-{PLANTED}", encoding="utf-8")
+    path.chmod(0o600)
+    work = tmp_path / "work"
+    work.mkdir()
+    controller = build_controller("comau_ns16", seed=7, clock="fast")
+    with closing(CnrServer(controller, watchdog=20.0, broker=broker.address, waits=True)) as server:
+        address = f"{server.address},password_from=env:CELL_FTP,mqtt_user=joe,mqtt_password_from=file:../mqtt.secret"
+        (work / "recipe.yaml").write_text(RECIPE.format(driver="cnr_comau", address=address), encoding="utf-8")
+        before = os.umask(umask)
+        try:
+            run = agent(work, "calibrate", "recipe.yaml", "-v", CELL_FTP=f"ftp-{PLANTED}")
+        finally:
+            os.umask(before)
+    assert list((work / "logs").glob("*/excitation.mcap")), run.stderr
+    assert PLANTED not in run.stdout + run.stderr
+    assert leaks(work, PLANTED) == []
+    modes = {file.stat().st_mode & 0o777 & ~(0o666 & ~umask) for file in (work / "logs").rglob("*") if file.is_file()}
+    assert modes == {0}, "no file is more open than the umask says"
