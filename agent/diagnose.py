@@ -176,7 +176,7 @@ def _write_model(found: Diagnosis, out: Path, console: Console) -> None:
 
 def diagnosis_text(result: dict[str, Any]) -> str:
     """A diagnosis for people."""
-    from agent.diagnosis.words import closes
+    from agent.diagnosis.words import closes, torque_gap
     from agent.figures import SHARE, figure_text
 
     lines = [_VERDICTS[result["verdict"]]]
@@ -192,16 +192,16 @@ def diagnosis_text(result: dict[str, Any]) -> str:
     lines.append("torque error held out, in % of nominal torque where there is one; floor: what no cycle repeats")
     lines.append(f"{'joint':12} {'before':>11} {'after':>11} {'floor':>11} {'share':>7}   mostly in")
     shares = {entry["joint"]: entry for entry in result["where"]}
+    somewhere = torque_gap(result)
     for k, name in enumerate(gap["joints"]):
         before, after, floor = (
             "-" if gap[side] is None else figure_text(gap[side][k], gap["units"][k])
             for side in ("before", "after", "floor")
         )
-        regimes = [r["name"] for r in shares[name]["regimes"] if r["share"] > 1.5 * r["of_samples"]][:2]
-        lines.append(
-            f"{name:12} {before:>11} {after:>11} {floor:>11} {100 * shares[name]['share']:6.1f}%   {', '.join(regimes)}"
-        )
-    if result["closure"] is not None:
+        regimes = [r["name"] for r in shares[name]["regimes"] if somewhere and r["share"] > 1.5 * r["of_samples"]][:2]
+        share = f"{100 * shares[name]['share']:6.1f}%" if somewhere else f"{'-':>7}"
+        lines.append(f"{name:12} {before:>11} {after:>11} {floor:>11} {share}   {', '.join(regimes)}".rstrip())
+    if result["closure"] is not None and somewhere:
         lines.append(f"closed: {100 * result['closure']:.1f} % of the gap in torque")
     if result.get("simulation"):
         torque, units = result["simulation"]["torque"], gap["units"]

@@ -8,10 +8,9 @@ import numpy as np
 
 from agent.diagnosis.dataset import assemble
 from agent.diagnosis.effects import CATALOGUE
-from agent.diagnosis.gap import SMALL, held_out_gap
-from agent.diagnosis.motion_gap import motion_gap
+from agent.diagnosis.motion_gap import MotionGap, motion_gap
 from agent.diagnosis.procedure import Search
-from agent.diagnosis.result import Diagnosis, build
+from agent.diagnosis.result import Diagnosis, build, judge
 from agent.errors import InputError
 from agent.estimation.model import IdentifiedModel
 from agent.recording.log import Log
@@ -38,13 +37,10 @@ def diagnose(
     logs, twice = _distinct(logs)
     dataset = assemble(robot, model, logs, cutoff)
     search = Search(dataset.fit, without, dataset.given)
-    finding = search.run()
-    gap = held_out_gap(dataset, finding.fit)
-    if finding.causes and gap.hardly_closed:
-        finding = finding.without_causes("no_gap" if gap.largest < SMALL else "unknown", search.fit)
-        gap = held_out_gap(dataset, finding.fit)
-    warnings = (*twice, *_warnings(robot, logs, model is not None))
-    return build(dataset, finding, gap, search, motion_gap(logs), warnings)
+    finding, gap = judge(dataset, search, search.run())
+    motion = motion_gap(logs)
+    warnings = (*twice, *_warnings(robot, logs, model is not None), *_path_warnings(motion))
+    return build(dataset, finding, gap, search, motion, warnings)
 
 
 def check_effects(names: Sequence[str]) -> None:
@@ -54,6 +50,15 @@ def check_effects(names: Sequence[str]) -> None:
     for name in names:
         if name not in CATALOGUE:
             raise InputError(f"--without {name}: no such effect; known are {', '.join(CATALOGUE)}")
+
+
+def _path_warnings(motion: MotionGap | None) -> Iterator[str]:
+    if motion is not None and motion.notable and not motion.described:
+        yield (
+            f"the executed path is not the planned one, by up to {1e3 * motion.before.max():.2g} mrad or mm root mean "
+            "square, and no change of rate, shift in time or rounding that all motions share describes it: compare the "
+            "controller's FLY and ramp settings with the recipe's; torque is judged on the executed motion"
+        )
 
 
 def _distinct(logs: Sequence[Log]) -> tuple[list[Log], list[str]]:

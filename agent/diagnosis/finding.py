@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +31,8 @@ class Finding:
     `rivals[k]` are places that the data cannot tell from cause k, `chance[k]` is how often anything gains as much as it
     where there is nothing (see `evidence`), `lead[k]` how many margins the best place outside its class falls behind.
     `least` is the gain that a cause has to have, and `by_chance` the one that the whole search exceeds in one of a
-    hundred cases where there is nothing.
+    hundred cases where there is nothing. `runners` are the next best places beside the first cause: they equal it where
+    it turns out to close too little.
     """
 
     verdict: str
@@ -43,6 +45,18 @@ class Finding:
     steps: tuple[Step, ...]
     least: float
     by_chance: float
+    runners: tuple[tuple[str, tuple[int, ...]], ...] = ()
+
+    def doubted(self) -> Finding:
+        """The same causes, where the first closes so little that the runners-up do as well."""
+        return replace(self, verdict="ambiguous", rivals=(self.rivals[0] or self.runners, *self.rivals[1:]))
+
+    def only(self, kept: Sequence[int], fit: Fit) -> Finding:
+        """The same with some of its causes, by number; `fit` is the one without effects."""
+        causes, rivals, chance, lead = (
+            tuple(part[k] for k in kept) for part in (self.causes, self.rivals, self.chance, self.lead)
+        )
+        return replace(self, fit=fit.with_chosen(causes), causes=causes, rivals=rivals, chance=chance, lead=lead)
 
     def without_causes(self, verdict: str, fit: Fit) -> Finding:
         """The same search with nothing named, and the fit that has no effects."""

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from agent.diagnosis.verdict import CLOSES
 from agent.recording.log import Log
 
 NOTABLE = 1e-4  # rad, root mean square on the worst joint
@@ -28,6 +29,11 @@ class MotionGap:
     def notable(self) -> bool:
         """Whether there is anything to explain."""
         return bool(self.before.max() > NOTABLE)
+
+    @property
+    def described(self) -> bool:
+        """Whether there is something to explain, and rate, shift and blend that all motions share explain it."""
+        return self.notable and (self.closure or 0.0) >= CLOSES
 
     @property
     def closure(self) -> float | None:

@@ -13,11 +13,11 @@ from agent.diagnosis.finding import Finding, Step
 from agent.diagnosis.fit import Candidate, Fit, Score
 from agent.diagnosis.likeness import best_by_place, complexity, imitates, plausible, twins
 from agent.diagnosis.standstill import at_rest
+from agent.diagnosis.verdict import CLOSES
 
 #: All in units of the background energy of all rows, Σ e² / σ² of a model that is right.
 LEAST_GAIN = 0.02  # an effect must gain as much to be named
 LEAST_SHARE = 0.35  # of what is still unexplained, for every further effect
-CLOSES = 0.75  # of the excess over the background, or the cause is unknown
 FITS = (0.975, 0.98, 0.98)  # of it by one, two, three effects, or the forms are not beyond doubt
 EXCESS = 0.6  # over the background on one joint before something counts as unexplained
 NEAR = 0.04  # of what is explained: of forms this close the simplest is taken, unless the best one fits far better
@@ -323,4 +323,5 @@ class Search:
             closed,
             tuple(steps),
             *self._bounds,
+            runners=ranked[0][5],
         )

@@ -11,7 +11,7 @@ from agent.diagnosis.finding import Step
 from agent.diagnosis.forward import Simulated, simulation_part
 from agent.diagnosis.report_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
 from agent.diagnosis.result import Diagnosis
-from agent.diagnosis.words import IN_WORDS, PATH, REGIMES, closes, how_sure, name, place
+from agent.diagnosis.words import IN_WORDS, REGIMES, closes, how_sure, name, place, torque_gap
 from agent.figures import figure_text
 from agent.report.page import Page, Section, Table, render
 
@@ -47,7 +47,7 @@ def headline(result: Mapping[str, Any]) -> str:
     sure = how_sure(result["verdict"], cause["probability"])
     effect = cause["effect"]
     text = f"{place(cause)}: {sure} {name(effect)}: {IN_WORDS[effect]} (probability {cause['probability']:.2f})."
-    if [entry["effect"] for entry in result["causes"]] == [PATH]:
+    if not torque_gap(result):
         text += " In torque, model and robot agree."
     return _sentence(text)
 
@@ -100,11 +100,12 @@ def _where_section(diagnosis: Diagnosis) -> Section:
     gap = result["gap"]
     share = {entry["joint"]: entry for entry in result["where"]}
     floor = gap["floor"] or [float("nan")] * len(gap["joints"])
+    shown = _share if torque_gap(result) else lambda _: "-"
     rows = [
         (
             joint,
             *(figure_text(part[k], gap["units"][k]) for part in (gap["before"], gap["after"], floor)),
-            _share(share[joint]),
+            shown(share[joint]),
         )
         for k, joint in enumerate(gap["joints"])
     ]
@@ -126,7 +127,7 @@ def _share(entry: Mapping[str, Any]) -> str:
 
 def _where_sentences(result: Mapping[str, Any]) -> Iterator[str]:
     """The joints that carry the gap, each with the regimes in which more of it lies than time is spent there."""
-    if result["verdict"] == "no_gap":
+    if not torque_gap(result):
         return
     for entry in result["where"]:
         if entry["share"] < 0.15:
@@ -140,7 +141,7 @@ def _where_sentences(result: Mapping[str, Any]) -> Iterator[str]:
 def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Section:
     result, robot = diagnosis.result, diagnosis.dataset.robot
     text = []
-    if result["closure"] is not None:
+    if result["closure"] is not None and torque_gap(result):
         text.append(f"{100 * result['closure']:.0f} % of the torque gap is closed, counted down to the floor.")
     text += [f"Held out: {fold['held_out']}, fitted on {', '.join(fold['fitted_on'])}." for fold in result["folds"]]
     parts: list[Any] = [before_and_after(diagnosis)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,12 @@ from agent.diagnosis.dataset import Dataset
 from agent.diagnosis.effects import CATALOGUE, Effect
 from agent.diagnosis.evidence import share_intervals
 from agent.diagnosis.finding import Finding
-from agent.diagnosis.gap import Gap
+from agent.diagnosis.gap import SMALL, Gap, held_out_gap
 from agent.diagnosis.motion_gap import MotionGap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.regimes import regimes
+from agent.diagnosis.verdict import CLOSES, settle
+from agent.diagnosis.words import PATH
 from agent.figures import error_units
 
 SCHEMA = "diagnosis/1"
@@ -39,8 +41,71 @@ def build(
     dataset: Dataset, finding: Finding, gap: Gap, search: Search, motion: MotionGap | None, warnings: Sequence[str]
 ) -> Diagnosis:
     """Figures held out, shares, regimes and what is not testable."""
-    robot, fit = dataset.robot, finding.fit
-    names = robot.joint_names
+    robot, names = dataset.robot, dataset.robot.joint_names
+    causes, verdict, closure = _causes(dataset, finding, gap), finding.verdict, gap.closure
+    if motion is not None and motion.described:
+        if PATH in search.allowed and verdict == "no_gap":  # the gap that there is, is that of the path
+            verdict, closure = "explained", motion.closure
+        elif verdict == "no_gap":
+            verdict = "unknown"
+        if PATH in search.allowed:
+            causes.append(_path_cause(motion))
+    verdict, causes = settle(verdict, causes, closure)
+    result = {
+        "schema": SCHEMA,
+        "verdict": verdict,
+        "gap": {
+            "joints": list(names),
+            "units": error_units(robot),
+            "before": _plain(gap.before),
+            "after": _plain(gap.after),
+            "floor": _plain(gap.floor),
+        },
+        "motion_gap": _motion_part(motion, robot.dof),
+        "closure": closure,
+        "where": _where(dataset, gap),
+        "causes": causes,
+        "not_testable": not_testable(dataset, search),
+        "next_experiment": next_experiment(causes, verdict),
+        "folds": _fold_names(dataset),
+        "warnings": list(warnings),
+    }
+    return Diagnosis(result, finding, dataset, motion, tuple(warnings), gap)
+
+
+def judge(dataset: Dataset, search: Search, finding: Finding) -> tuple[Finding, Gap]:
+    """A finding as far as its figures on motion held out bear it out, and these figures."""
+    while True:
+        gap = held_out_gap(dataset, finding.fit)
+        if not finding.causes:
+            return finding, gap
+        if finding.verdict == "explained" and gap.closure is not None and gap.closure < CLOSES:
+            finding = finding.doubted()
+        causes = _causes(dataset, finding, gap)
+        verdict, kept = settle(finding.verdict, causes, gap.closure)
+        if not kept or gap.hardly_closed:
+            nothing = verdict == "no_gap" or gap.largest < SMALL
+            finding = finding.without_causes("no_gap" if nothing else "unknown", search.fit)
+        elif len(kept) < len(causes):
+            finding = finding.only([k for k, cause in enumerate(causes) if cause in kept], search.fit)
+        else:
+            return replace(finding, verdict=verdict), gap
+
+
+def _path_cause(motion: MotionGap) -> dict[str, Any]:
+    return {
+        "effect": PATH,
+        "joints": [],
+        "closure": motion.closure,
+        "probability": _SET_POINTS_AS_RECORDED,
+        "parameters": {"rate": motion.rate, "shift": motion.shift, "blend": motion.blend},
+        "equivalent_to": [],
+    }
+
+
+def _causes(dataset: Dataset, finding: Finding, gap: Gap) -> list[dict[str, Any]]:
+    """The causes of a finding as the result has them."""
+    fit, names = finding.fit, dataset.robot.joint_names
     single = any(c.effect.once for c in fit.chosen)
     causes = []
     for number, (candidate, values, rivals, probability) in enumerate(
@@ -59,43 +124,7 @@ def build(
                 "equivalent_to": [{"effect": name, "joints": [names[j] for j in joints]} for name, joints in rivals],
             }
         )
-    verdict = finding.verdict
-    if motion is not None and motion.notable and "interpolator_mismatch" in search.allowed:
-        causes.append(
-            {
-                "effect": "interpolator_mismatch",
-                "joints": [],
-                "closure": motion.closure,
-                "probability": _SET_POINTS_AS_RECORDED,
-                "parameters": {"rate": motion.rate, "shift": motion.shift, "blend": motion.blend},
-                "equivalent_to": [],
-            }
-        )
-        verdict = "explained" if verdict == "no_gap" else verdict
-        if finding.verdict == "unknown":
-            causes = []
-    elif motion is not None and motion.notable and verdict == "no_gap":
-        verdict = "unknown"
-    result = {
-        "schema": SCHEMA,
-        "verdict": verdict,
-        "gap": {
-            "joints": list(names),
-            "units": error_units(robot),
-            "before": _plain(gap.before),
-            "after": _plain(gap.after),
-            "floor": _plain(gap.floor),
-        },
-        "motion_gap": _motion_part(motion, robot.dof),
-        "closure": gap.closure,
-        "where": _where(dataset, gap),
-        "causes": causes,
-        "not_testable": not_testable(dataset, search),
-        "next_experiment": next_experiment(causes, verdict),
-        "folds": _fold_names(dataset),
-        "warnings": list(warnings),
-    }
-    return Diagnosis(result, finding, dataset, motion, tuple(warnings), gap)
+    return causes
 
 
 def _plain(values: np.ndarray | None) -> list[float] | None:
@@ -136,7 +165,7 @@ def not_testable(dataset: Dataset, search: Search) -> list[dict[str, Any]]:
     for candidate in search.tried:
         tried.setdefault(candidate.place, []).append(candidate)
     result = []
-    for name in sorted(search.allowed - {"interpolator_mismatch"}, key=list(CATALOGUE).index):
+    for name in sorted(search.allowed - {PATH}, key=list(CATALOGUE).index):
         effect = CATALOGUE[name]
         for joints in effect.places(robot):
             candidates = tried.get((name, joints), [])
@@ -153,9 +182,7 @@ def not_testable(dataset: Dataset, search: Search) -> list[dict[str, Any]]:
             if size > 1:
                 result.append({"effect": name, "joint": where, "why": _why_small(effect, size, dataset.given)})
     if all(log.planned_position is None or log.reference_position is None for log in dataset.logs):
-        result.append(
-            {"effect": "interpolator_mismatch", "joint": None, "why": "the logs lack planned or executed set-points"}
-        )
+        result.append({"effect": PATH, "joint": None, "why": "the logs lack planned or executed set-points"})
     return result
 
 

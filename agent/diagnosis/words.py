@@ -45,7 +45,11 @@ REGIMES = {
 
 #: The effect that shows in the path and not in torque.
 PATH = "interpolator_mismatch"
-_DESCRIBES = 0.1  # of the gap between planned and executed path, or its form has nothing to say
+
+
+def torque_gap(result: Mapping[str, Any]) -> bool:
+    """Whether a result has a gap in torque, so that it makes sense to say where it is and what of it is closed."""
+    return result["verdict"] != "no_gap" and [cause["effect"] for cause in result["causes"]] != [PATH]
 
 
 def place(entry: Mapping[str, Any]) -> str:
@@ -72,6 +76,4 @@ def closes(cause: Mapping[str, Any]) -> str:
         return ""
     if cause["effect"] != PATH:
         return f"closes {100 * closure:.0f} % of the gap"
-    if closure < _DESCRIBES:
-        return "no change of rate, shift in time or rounding that all motions share describes it"
     return f"closes {100 * closure:.0f} % of the gap between planned and executed path"

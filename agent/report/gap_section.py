@@ -7,6 +7,7 @@ from typing import Any
 from agent.figures import SHARE, figure_text
 from agent.report.page import Section, Table
 
+_PATH = "interpolator_mismatch"
 _VERDICTS = {
     "no_gap": "Nothing of practical size beyond what the model's own prediction error allows.",
     "explained": "Explained",
@@ -18,7 +19,7 @@ _VERDICTS = {
 def diagnosis_summary(result: dict[str, Any]) -> str:
     """One sentence from a result of schema diagnosis/1."""
     # the controller's path is a matter of its own: it is in the table, not in the sentence about torque
-    named = [cause for cause in result["causes"] if cause["effect"] != "interpolator_mismatch"] or result["causes"]
+    named = [cause for cause in result["causes"] if cause["effect"] != _PATH] or result["causes"]
     if not named:
         return _VERDICTS[result["verdict"]]
     causes = " and ".join(_cause(cause) for cause in named)
@@ -43,7 +44,9 @@ def diagnosis_section(result: dict[str, Any]) -> Section:
     ]
     gap = result["gap"]
     units = gap.get("units", [SHARE] * len(gap["joints"]))  # earlier versions do not say it
-    shares = {entry["joint"]: entry["share"] for entry in result["where"]}
+    # where there is no gap in torque, no joint has a share of it
+    somewhere = result["verdict"] != "no_gap" and [cause["effect"] for cause in result["causes"]] != [_PATH]
+    shares = {entry["joint"]: entry["share"] for entry in result["where"] if somewhere}
     where = [
         (joint, figure_text(before, unit, 3), figure_text(after, unit, 3), _percent(shares.get(joint)))
         for joint, before, after, unit in zip(gap["joints"], gap["before"], gap["after"], units, strict=True)
@@ -56,7 +59,8 @@ def diagnosis_section(result: dict[str, Any]) -> Section:
 
 def _cause(cause: dict[str, Any]) -> str:
     joints = ", ".join(cause["joints"]) or "the whole arm"
-    closure = "" if cause["closure"] is None else f", closing {100 * cause['closure']:.0f} % of the gap"
+    gap = "the gap between planned and executed path" if cause["effect"] == _PATH else "the gap"
+    closure = "" if cause["closure"] is None else f", closing {100 * cause['closure']:.0f} % of {gap}"
     return f"{cause['effect'].replace('_', ' ')} on {joints}{closure}"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,16 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.diagnose import diagnosis_text
 from agent.diagnosis import CATALOGUE, Diagnosis, diagnose, extended_model, simulate, simulation_part
 from agent.diagnosis.dataset import Dataset, assemble
-from agent.diagnosis.report import diagnosis_report
+from agent.diagnosis.report import diagnosis_report, headline
 from agent.estimation import IdentifiedModel, estimate
 from agent.estimation.model import ModelEffect
 from agent.recording.log import Log
+from agent.report.gap_section import diagnosis_section, diagnosis_summary
 from agent.robot import Joint, RobotDescription
 from agent.validation import predict_log
 from fake_controller.plant import Plant
 
+#: What says how much of a gap in torque there is, or is closed.
+SIZED_GAP = re.compile(r"has [0-9]+ %.{0,20} of the gap|[0-9] % of the (torque )?gap(?! between)|closed:")
 PERIOD = 0.002
 CYCLE = 5.0
 #: One of each kind runs with every change: friction, body, position, channel.
@@ -193,6 +198,46 @@ def test_the_extended_model_runs_like_the_machine(diagnosed, arm):
         for other in (again, before)
     ]
     assert off[0].max() < 0.25 * off[1].max()
+
+
+@pytest.fixture(scope="module")
+def healthy(arm) -> list[Log]:
+    """Logs of the arm as the model has it, with set-points."""
+    plant = Plant(arm, seed=3)
+    return [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))]
+
+
+def test_a_healthy_arm_on_another_path_has_no_gap(healthy, model, arm):
+    logs = []
+    for number, log in enumerate(healthy):  # corners rounded otherwise on every motion: no law that all share
+        planned = np.array(log.reference_position)
+        wave = np.sin(2 * np.pi * (3 + 2 * number) * log.t[:, None] / log.t[-1] + np.arange(planned.shape[1]))
+        logs.append(replace(log, planned_position=planned, reference_position=planned + 5e-3 * wave))
+    found = diagnose(arm, logs, model)
+    result = found.result
+    assert (result["verdict"], result["causes"]) == ("no_gap", [])
+    assert max(result["motion_gap"]["before"]) > 1e-3
+    assert any("executed path is not the planned one" in warning for warning in result["warnings"])
+    text, page = diagnosis_text(result), diagnosis_report(found)
+    assert "interpolator" not in text
+    assert "No gap: model and robot agree" in page
+    for said in (text, page, "\n".join(diagnosis_section(result).text)):
+        assert not SIZED_GAP.search(said), said
+
+
+def test_a_path_that_is_explained_is_no_gap_in_torque(healthy, model, arm):
+    logs = []
+    for log in healthy:
+        planned = np.array(log.reference_position)
+        late = np.concatenate([np.tile(planned[:1], (10, 1)), planned[:-10]])
+        logs.append(replace(log, planned_position=planned, reference_position=late))
+    result = diagnose(arm, logs, model).result
+    assert [cause["effect"] for cause in result["causes"]] == ["interpolator_mismatch"]
+    assert result["verdict"] == "explained"
+    assert result["closure"] == result["causes"][0]["closure"] >= 0.75
+    assert "In torque, model and robot agree" in headline(result)
+    assert not SIZED_GAP.search(diagnosis_text(result))
+    assert "of the gap between planned and executed path" in diagnosis_summary(result)
 
 
 COUPLED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -0.5, 1.0))
