@@ -310,6 +310,9 @@ def _targets(recipe: Recipe, loop: Loop) -> list[Target]:
     from agent.motion.program import CartesianTarget, JointTarget
     from agent.robot.kinematics import kinematics_for
 
+    if isinstance(loop.moves[0].target, JointTarget):
+        *flown, closing = (move.target for move in loop.moves)
+        return [closing, *flown]
     kinematics = kinematics_for(recipe.robot, recipe.tool)
     trajectory = loop.trajectory
     passed = [loop.start]

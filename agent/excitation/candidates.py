@@ -17,6 +17,7 @@ from agent.robot import RobotDescription
 from agent.robot.drivetrain import rotor_regressor
 from agent.robot.dynamics import Dynamics, Tool
 from agent.robot.kinematics import Kinematics, KinematicsError, kinematics_for
+from agent.robot.numerical_kinematics import NumericalKinematics
 from agent.safety.cell import Cell, CellReport
 
 if TYPE_CHECKING:
@@ -28,6 +29,8 @@ EVERY = 10
 _CLOSED = 1e-3
 #: A clearance that lacks so many metres ranks like a limit that is exceeded by its own size.
 CELL_SCALE = 0.1
+#: Genes of a point in the middle of its region whose orientation is at one end of its range.
+_TURNED = [np.where(np.arange(6) == axis, end, 0.5) for axis in (3, 4, 5) for end in (0.0, 1.0)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +101,19 @@ class Candidates:
             MotionError, KinematicsError: it breaks a limit; names the point, the limit and by how much.
         """
         poses = self.problem.regions.poses(genome)
-        start = self.kinematics.solve(poses[0], self.posture)
-        moves = loop_moves(poses, self.problem.settings)
+        joints = self._joints(poses)
+        start = self.kinematics.solve(poses[0], self.posture) if joints is None else joints[0]
+        moves = loop_moves(poses, self.problem.settings, joints)
         return Loop(genome, poses, start, moves, self._interpolator.plan(moves, start))
+
+    def _joints(self, poses: np.ndarray) -> np.ndarray | None:
+        """(K, n) of a redundant arm at the via-points, nearest to its posture, so that a loop ends where it began."""
+        if not isinstance(self.kinematics, NumericalKinematics) or self.kinematics.dof <= 6:
+            return None
+        joints, found = self.kinematics.nearest(poses, np.tile(self.posture, (len(poses), 1)))
+        for k in np.flatnonzero(~found):
+            joints[k] = self.kinematics.solve(poses[k], self.posture)
+        return joints
 
     def score(self, genome: np.ndarray) -> Score:
         """What the search takes: limits and cell at every sample, the regressor at every tenth."""
@@ -150,7 +163,8 @@ def posture(kinematics: Kinematics, regions: ViaRegions) -> np.ndarray:
     """(n,) joint positions at the middle of the sub-region, from which loops choose their branch.
 
     Of all solutions there, the one from which most of the sub-region's edges are near at hand; among equals, the
-    one nearest to the middle of the joint ranges.
+    one nearest to the middle of the joint ranges. A redundant arm has no end of them: the one that leaves most room to
+    the joint limits.
 
     Raises:
         KinematicsError: the middle cannot be reached; says by how much.
@@ -158,6 +172,10 @@ def posture(kinematics: Kinematics, regions: ViaRegions) -> np.ndarray:
     edges = np.vstack([regions.poses(genome) for genome in _edges(regions.count)])
     middle = regions.poses(np.full(6 * regions.count, 0.5))[0]
     found = kinematics.inverse(middle[None])
+    if isinstance(kinematics, NumericalKinematics) and kinematics.dof > 6:
+        turned = [regions.poses(np.tile(genes, regions.count))[0] for genes in _TURNED]
+        if (roomiest := kinematics.roomiest(np.array([middle, *edges[:: regions.count], *turned]))) is not None:
+            return roomiest
     if not found.within_limits[0].any():
         return kinematics.solve(middle, kinematics.middle)  # with its message if there is none
     options = found.q[0, found.within_limits[0]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -111,7 +112,15 @@ class SegmentMaker:
         careful = move.settings.configuration_care or move.settings.turn_care
         flags = move.target.configuration if careful and isinstance(move.target, CartesianTarget) else ""
         segment = CartesianSegment(index, label, move.settings, kinematics, curve, turn, flags)
+        if self.robot.dof > 6:
+            segment = replace(segment, ends=self._ends(segment, move.target, _end_joints(pending, rest)))
         return None if segment.length < _NOTHING and segment.angle < _NOTHING else segment
+
+    def _ends(self, segment: CartesianSegment, target: Target, start: np.ndarray) -> np.ndarray:
+        """(2, n) joints at start and target; where the target is a pose, those that the least motion leads to."""
+        if isinstance(target, JointTarget):
+            return np.array([start, self._joint_target(segment.label, target)])
+        return np.array([start, _end_of_sweep(segment, start)])
 
     def _arc(
         self, index: int, label: str, move: Move, kinematics: Kinematics, start: np.ndarray, end: np.ndarray
@@ -221,13 +230,17 @@ def _end_joints(pending: Sequence[Segment], rest: np.ndarray) -> np.ndarray:
     first = len(pending) - len(trailing)
     q = rest if first == 0 else pending[first - 1].end  # type: ignore[union-attr]
     for segment in trailing:
-        try:
-            q = _swept(segment, q, _SWEEP)
-        except MotionError as error:
-            if error.limit != "branch":
-                raise
-            q = _swept(segment, q, 0.1 * _SWEEP)  # joints may turn fast near a singularity without crossing it
+        q = _end_of_sweep(segment, q) if segment.ends is None else segment.ends[1]
     return q
+
+
+def _end_of_sweep(segment: CartesianSegment, q: np.ndarray) -> np.ndarray:
+    try:
+        return _swept(segment, q, _SWEEP)
+    except MotionError as error:
+        if error.limit != "branch":
+            raise
+        return _swept(segment, q, 0.1 * _SWEEP)  # joints may turn fast near a singularity without crossing it
 
 
 def _swept(segment: CartesianSegment, q: np.ndarray, step: float) -> np.ndarray:

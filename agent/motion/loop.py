@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.motion.program import CartesianTarget, MotionSettings, Move, MoveType, Target, Termination
+from agent.motion.program import CartesianTarget, JointTarget, MotionSettings, Move, MoveType, Target, Termination
 
 
-def loop_moves(poses: np.ndarray, settings: MotionSettings) -> tuple[Move, ...]:
+def loop_moves(poses: np.ndarray, settings: MotionSettings, joints: np.ndarray | None = None) -> tuple[Move, ...]:
     """One cycle over via-points (K, 4, 4): it starts at rest at the first, flies to the others and ends where it began.
 
-    Every cycle ends with FINE, so that cycles repeat exactly. `settings` hold for all moves.
+    Every cycle ends with FINE, so that cycles repeat exactly. `settings` hold for all moves. A redundant arm needs the
+    `joints` (K, n) at the via-points too: a pose would let it come back to its first point with other joints.
     """
+    targets: list[Target] = (
+        [CartesianTarget(pose) for pose in poses] if joints is None else [JointTarget(q) for q in joints]
+    )
     flying = [
-        Move(MoveType.LINEAR, CartesianTarget(pose), settings, fly=True, name=f"p{k}")
-        for k, pose in enumerate(poses[1:], start=2)
+        Move(MoveType.LINEAR, target, settings, fly=True, name=f"p{k}") for k, target in enumerate(targets[1:], start=2)
     ]
     closing = settings.changed(termination=Termination.FINE)
-    return (*flying, Move(MoveType.LINEAR, CartesianTarget(poses[0]), closing, name="p1"))
+    return (*flying, Move(MoveType.LINEAR, targets[0], closing, name="p1"))
 
 
 def approach_moves(target: Target, speed: float = 0.1, settings: MotionSettings | None = None) -> tuple[Move, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.motion import path_rotation as rotation
 from agent.motion.fly_parameters import FlyParameters
-from agent.motion.path_blend import Corner, blended_length, blended_orientation, blended_position, bump
+from agent.motion.path_blend import Corner, blended_length, blended_near, blended_orientation, blended_position, bump
 from agent.motion.path_rules import corner_rules, segment_rules
 from agent.motion.path_segments import Arc, CartesianSegment, JointSegment, Segment, WristSegment
 from agent.motion.path_solve import solve_cartesian, solve_wrist
@@ -50,6 +50,7 @@ class _Stretch:
     position: np.ndarray | None = None
     orientation: np.ndarray | None = None
     q: np.ndarray | None = None
+    near: np.ndarray | None = None
 
 
 def build_path(
@@ -131,6 +132,7 @@ def _on_segment(segment: Segment, sigma: np.ndarray, steps: np.ndarray) -> _Stre
         stretch.position = segment.curve.position(sigma)
         if isinstance(segment, CartesianSegment):
             stretch.orientation = segment.turn.orientation(sigma)
+            stretch.near = segment.near(sigma)
         else:
             stretch.q = solve_wrist(segment, sigma, stretch.position)
     return stretch
@@ -148,6 +150,7 @@ def _on_corner(corner: Corner, before: Segment, after: Segment, parameters: FlyP
         along[1:] if corner.overlap else np.ones(corner.cells),
         blended_position(corner, before, after, tau[1:]),
         blended_orientation(corner, before, after, tau[1:]),
+        near=blended_near(corner, before, after, tau[1:]),
     )
 
 
@@ -162,7 +165,8 @@ def _solve(
         position, orientation = (
             np.concatenate([getattr(way, name) for way in ways]) for name in ("position", "orientation")
         )
-        q = solve_cartesian(unit, np.concatenate([way.move for way in ways]), position, orientation, start)
+        near = None if ways[0].near is None else np.concatenate([way.near for way in ways])
+        q = solve_cartesian(unit, np.concatenate([way.move for way in ways]), position, orientation, start, near)
         cuts = np.cumsum([len(way.move) for way in ways])[:-1]
         for way, part in zip(ways, np.split(q, cuts), strict=True):
             way.q = part

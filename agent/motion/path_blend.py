@@ -192,6 +192,15 @@ def blended_position(corner: Corner, before: CartesianSegment, after: CartesianS
     return positions
 
 
+def blended_near(
+    corner: Corner, before: CartesianSegment, after: CartesianSegment, tau: np.ndarray
+) -> np.ndarray | None:
+    """(S, n) the straight ways in joint space in the blend; None where the pose alone says what the joints are."""
+    one, two = corner.sigma(tau)
+    leaving, arriving = before.near(one), after.near(two)
+    return None if leaving is None or arriving is None else leaving + arriving - after.ends[0]
+
+
 def _pull(corner: Corner, before: CartesianSegment, after: CartesianSegment) -> np.ndarray:
     one, two = corner.sigma(np.array([0.5]))
     point = after.curve.position(np.zeros(1))

@@ -143,7 +143,9 @@ def euler_angles(start: np.ndarray, end: np.ndarray, world: np.ndarray) -> Euler
 class CartesianSegment:
     """A LINEAR or CIRCULAR move with a prescribed orientation. `move` indexes its statement, `label` names it.
 
-    `configuration` is what $CNFG_CARE and $TURN_CARE ask for at the target, empty where they ask for nothing.
+    `configuration` is what $CNFG_CARE and $TURN_CARE ask for at the target, empty where they ask for nothing. `ends`
+    (2, n) are the joints at start and target of an arm that has more than the pose needs (else None): of the joints
+    that give a pose it takes those nearest to the straight way between them in joint space, so it arrives at both.
     """
 
     move: int
@@ -153,6 +155,11 @@ class CartesianSegment:
     curve: Line | Arc
     turn: SingleAxis | EulerAngles
     configuration: str = ""
+    ends: np.ndarray | None = None
+
+    def near(self, sigma: np.ndarray) -> np.ndarray | None:
+        """(S, n) the straight way in joint space, None where the pose alone says what the joints are."""
+        return None if self.ends is None else self.ends[0] + sigma[:, None] * (self.ends[1] - self.ends[0])
 
     @cached_property
     def length(self) -> float:

@@ -36,18 +36,23 @@ def matrices(position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
 
 
 def solve_cartesian(
-    segments: Sequence[Segment], move: np.ndarray, position: np.ndarray, orientation: np.ndarray, start: np.ndarray
+    segments: Sequence[Segment],
+    move: np.ndarray,
+    position: np.ndarray,
+    orientation: np.ndarray,
+    start: np.ndarray,
+    near: np.ndarray | None = None,
 ) -> np.ndarray:
     """(S, n) joints along TCP positions (S, 3) and orientations (S, 4) from `start` (n,) on.
 
-    `move` (S,) says whose statement a sample is.
+    `move` (S,) says whose statement a sample is; `near` (S, n): of an arm with joints to spare the nearest to these.
 
     Raises:
         MotionError: out of reach, singular, or leaving the branch of `start`.
     """
     kinematics: Kinematics = segments[0].kinematics
     try:
-        return kinematics.follow(matrices(position, orientation), start)
+        return kinematics.follow(matrices(position, orientation), start, near)
     except KinematicsError as error:
         culprit = int(move[min(error.index, len(move) - 1)])
         label = next((segment.label for segment in segments if segment.move == culprit), segments[0].label)

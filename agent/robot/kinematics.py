@@ -160,8 +160,11 @@ class Kinematics(ABC):
         """All solutions for poses (S, 4, 4); each revolute joint turned to within half a turn of its range's middle."""
 
     @abstractmethod
-    def follow(self, poses: np.ndarray, start: np.ndarray) -> np.ndarray:
+    def follow(self, poses: np.ndarray, start: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
         """(S, n) continuous joint path through poses (S, 4, 4), on the branch and the turns of `start` (n,).
+
+        Of an arm with more joints than a pose needs: the least motion from pose to pose, which does not lead back to
+        the same joints where the poses come back; or with `near` (S, n) the joints nearest to those, which does.
 
         The samples must be dense enough that no joint turns by more than `LARGEST_STEP` between two of them. Joint
         limits are the caller's to check.

@@ -8,6 +8,7 @@ nearest to its guess.
 
 from __future__ import annotations
 
+import contextlib
 from typing import NoReturn
 
 import numpy as np
@@ -33,6 +34,9 @@ BRANCHES = 8
 _SEEDS = 48
 _ITERATIONS = 80
 _NEARLY = 1e-3  # of the arm's length: an error at which a stalled iteration is near a solution, not out of reach
+_SETTLED = 1e-11  # rad or m: steps so small change nothing
+_TINY = 1e-13
+_LONGEST = 0.2  # rad or m: a step towards the nearest solution
 _DISTINCT = 1e-4  # rad or m: solutions nearer than this are one
 _POSES_AT_ONCE = 100
 _STRETCH = 64
@@ -59,9 +63,11 @@ class NumericalKinematics(Kinematics):
         fields = ("q", "valid", "within_limits", "singular", "unreachable")
         return InverseSolutions(*(np.concatenate([getattr(part, name) for part in parts]) for name in fields))
 
-    def follow(self, poses: np.ndarray, start: np.ndarray) -> np.ndarray:
+    def follow(self, poses: np.ndarray, start: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
         """As in `Kinematics`. A redundant arm is followed pose by pose, so that its path is as smooth as the poses."""
         poses = np.asarray(poses, dtype=float)
+        if near is not None and self.dof > 6:
+            return self._follow_near(poses, np.asarray(near, dtype=float))
         q = np.empty((len(poses), self.dof))
         if len(poses) == 0:
             return q
@@ -77,11 +83,86 @@ class NumericalKinematics(Kinematics):
                 done, stretch = done + stretch, min(2 * stretch, longest)
             else:
                 stretch //= 2
+        self._check_singularity(poses, q)
+        return q
+
+    def nearest(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(S, n) joints of a redundant arm at poses (S, 4, 4) nearest to `near` (S, n), and where they were found (S,).
+
+        Where the pose is reached, ½|q - near|² has a minimum: J⁺J (q - near) = q - near. From `near` on, Newton's steps
+        towards the pose and the full step towards `near` within the null space; full turns are not taken off. What is
+        found is a function of pose and `near` alone, as smooth as they are.
+        """
+        q, error = self._converge(poses, near)
+        found = error < ACCURACY * self.length
+        weights = np.repeat([1.0, self.length], 3)
+        active = np.flatnonzero(found)
+        for _ in range(_ITERATIONS):
+            if len(active) == 0:
+                break
+            jacobian = self.jacobian(q[active]) * weights[:, None]
+            transposed = jacobian.transpose(0, 2, 1)
+            residual = pose_error(poses[active], self.forward(q[active])) * weights
+            away = near[active] - q[active]
+            # J⁺ e + (1 - J⁺ J) away, J⁺ = Jᵀ (J Jᵀ)⁻¹; what is added keeps a singular pose finite until it is refused
+            asked = residual[:, :, None] - jacobian @ away[:, :, None]
+            square = jacobian @ transposed + _TINY * self.length**2 * np.eye(6)
+            step = np.clip(away + (transposed @ np.linalg.solve(square, asked))[:, :, 0], -_LONGEST, _LONGEST)
+            q[active] += step
+            active = active[np.abs(step).max(axis=1) > _SETTLED]
+        found[active] = False
+        return q, found
+
+    def roomiest(self, poses: np.ndarray) -> np.ndarray | None:
+        """(n,) joints of a redundant arm at the first of poses (S, 4, 4) that leave most room to the limits at all.
+
+        Room is the distance to the nearest limit of any joint over all poses, each reached by the joints nearest to
+        those at the first; poses that are not reached within the limits count most. None where the first is not.
+        """
+        options, found = self.nearest(np.repeat(poses[:1], len(self._seeds), axis=0), self._seeds)
+        options = options[found & self.within_limits(options)]
+        if len(options) == 0:
+            return None
+        q, reached = self.nearest(np.tile(poses, (len(options), 1, 1)), np.repeat(options, len(poses), axis=0))
+        inside = np.minimum(np.minimum(q - self.lower, self.upper - q).min(axis=1), np.pi)  # no limit: half a turn
+        inside = np.where(reached, inside, -np.inf).reshape(len(options), len(poses))
+        kept = (inside >= 0).sum(axis=1)
+        return options[np.lexsort((-np.where(inside >= 0, inside, np.inf).min(axis=1), -kept))[0]]
+
+    def _follow_near(self, poses: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """(S, n) as `nearest`, on one branch.
+
+        Raises:
+            KinematicsError: as in `follow`.
+        """
+        q, found = self.nearest(poses, near)
+        if not found.all():
+            index = int(np.flatnonzero(~found)[0])
+            closest, error = self._converge(poses[index : index + 1], near[index : index + 1])
+            if error[0] < ACCURACY * self.length:
+                self._raise_branch(index, poses[index], float(np.abs(closest - near[index]).max()))
+            self._raise(index, poses[index], closest, error)
+        turned = np.abs(np.diff(q, axis=0))[:, self._revolute].max(axis=1)
+        if turned.max(initial=0.0) > LARGEST_STEP:
+            index = int(turned.argmax()) + 1
+            self._raise_branch(index, poses[index], float(turned.max()))
+        self._check_singularity(poses, q)
+        return q
+
+    def _check_singularity(self, poses: np.ndarray, q: np.ndarray) -> None:
         distances = self.singularity(q).smallest
-        if distances.min() < SINGULAR_DISTANCE:
+        if distances.min(initial=np.inf) < SINGULAR_DISTANCE:
             index = int(np.flatnonzero(distances < SINGULAR_DISTANCE)[0])
             self._raise_singular(index, poses[index], float(distances.min()))
-        return q
+
+    def solve(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """As in `Kinematics`; a redundant arm's nearest solution is looked for from `near` itself first."""
+        if self.dof > 6:
+            with contextlib.suppress(KinematicsError):
+                q = self._follow_near(np.asarray(pose, dtype=float)[None], np.asarray(near, dtype=float)[None])[0]
+                if self.within_limits(q):
+                    return q
+        return super().solve(pose, near)
 
     def singularity(self, q: np.ndarray) -> SingularityDistance:
         """One kind, "arm": smallest over largest singular value of the Jacobian (rotations weighed by the length)."""

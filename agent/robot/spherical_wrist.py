@@ -147,7 +147,7 @@ class SphericalWristKinematics(Kinematics):
             unreachable=~reached.any(axis=1),
         )
 
-    def follow(self, poses: np.ndarray, start: np.ndarray) -> np.ndarray:
+    def follow(self, poses: np.ndarray, start: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
         poses = np.asarray(poses, dtype=float)
         start = np.asarray(start, dtype=float)
         if len(poses) == 0:
