@@ -108,7 +108,7 @@ class ProgramFolder:
             ftp.connect(self._address.host, self._address.ftp)
             self._enter(ftp)
             yield ftp
-        except ftplib.error_proto as error:
+        except (ftplib.error_proto, UnicodeError) as error:
             raise ProtocolError(f"what answers at {self._peer} is no FTP server: {error}") from None
         except (ftplib.Error, EOFError) as error:
             raise DriverError(f"FTP at {self._peer} failed: {error or 'the connection was closed'}") from None
@@ -118,7 +118,7 @@ class ProgramFolder:
                 "controller, is the port right?"
             ) from None
         finally:
-            with suppress(OSError, EOFError, ftplib.Error):
+            with suppress(OSError, EOFError, UnicodeError, ftplib.Error):
                 ftp.quit()
             ftp.close()
 

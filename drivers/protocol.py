@@ -24,7 +24,7 @@ class Identity:
     Texts are cut, and control characters taken out of them, whatever the controller sent.
 
     Raises:
-        ProtocolError: no joints or more than any arm has, or a period that is none.
+        ProtocolError: no joints, or more than any arm has.
     """
 
     robot: str
@@ -37,11 +37,8 @@ class Identity:
     unguarded: str = ""
 
     def __post_init__(self) -> None:
-        if not 1 <= len(self.joint_names) <= MANY or not 0.0 < self.period < float("inf"):
-            raise ProtocolError(
-                f"the controller names {len(self.joint_names)} joints and a period of {self.period!r} s; 1 to {MANY} "
-                "and a positive number are expected"
-            )
+        if not 1 <= len(self.joint_names) <= MANY:
+            raise ProtocolError(f"the controller names {len(self.joint_names)} joints; 1 to {MANY} are expected")
         for name in ("robot", "serial", "controller", "version"):
             object.__setattr__(self, name, printable(getattr(self, name), NAME))
         object.__setattr__(self, "joint_names", tuple(printable(name, NAME) for name in self.joint_names))

@@ -295,7 +295,7 @@ def _run_repairs(run: dict[str, str], seen: Sequence[Repair]) -> list[Repair]:
         ("repeated_samples", "repeated on the link, left out by the writer", 0),
     ):
         text = run.get(key, "0")
-        if text.isdecimal() and int(text) > known:
+        if text.isdecimal() and len(text) < 19 and int(text) > known:
             repairs.append(Repair(kind, 0.0, int(text)))
     return repairs
 
@@ -306,7 +306,7 @@ def _cycle_starts(run: dict[str, str], before: float, duration: float, repairs: 
         return ()
     try:
         starts = [float(start) - before for start in json.loads(run["cycle_starts_s"])]
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError, RecursionError):
         starts = [np.nan]
     # a cycle may have begun with a sample that was left out
     usable = sorted({max(start, 0.0) for start in starts if -BRIDGED <= start <= duration})

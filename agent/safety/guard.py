@@ -28,6 +28,7 @@ from agent.safety.preconditions import (
     needs_person,
     not_confirmed,
     question,
+    standing,
     unsafe_in_motion,
 )
 from agent.signals import stop_to_come, undisturbed
@@ -140,7 +141,8 @@ class GuardedLink:
     def position(self) -> np.ndarray:
         """(n,) where the arm stands now [rad]."""
         with self._advice("check the link, then run the command again"):
-            return np.asarray(self._driver.status().position, dtype=float)
+            status = self._driver.status()
+        return standing(status, self.robot, self.address)
 
     def needs_slow_run(self, program: PlannedProgram) -> bool:
         """Whether the program has to run slowly first: a machine, and a program that is new to it.
@@ -250,7 +252,7 @@ class GuardedLink:
         with self._advice("check the link, then run the command again"):
             status = self._driver.status()
         check_ready(status, self.address, program.name, program.checksum)
-        check_plan(program, self.robot, status.position, self.address)
+        check_plan(program, self.robot, standing(status, self.robot, self.address), self.address)
         return np.asarray(status.position, dtype=float)
 
     def _watched(self, adherence: Adherence) -> Iterator[SampleBlock]:

@@ -73,6 +73,21 @@ def check_ready(status: Status, address: str, program: str, checksum: str) -> No
         raise ControllerError(f"{address}: not ready to move: {'; '.join(faults)}; then run the command again")
 
 
+def standing(status: Status, robot: RobotDescription, address: str) -> np.ndarray:
+    """(n,) where the arm stands.
+
+    Raises:
+        ControllerError: the controller tells positions of another number of joints.
+    """
+    position = np.asarray(status.position, dtype=float)
+    if position.shape != (robot.dof,):
+        raise ControllerError(
+            f"{address}: the controller does not say where its {robot.dof} joints stand (it tells {position.size} "
+            "numbers); check the link, then run the command again"
+        )
+    return position
+
+
 def check_plan(program: PlannedProgram, robot: RobotDescription, position: np.ndarray, address: str) -> None:
     """What we planned keeps the robot's limits and begins where the arm stands.
 

@@ -75,6 +75,17 @@ def test_no_state_that_forbids_motion_lets_it_start(bench, state, error, said, p
     assert bench.controller.starts == 0
 
 
+@pytest.mark.parametrize("joints", [0, 5, 7])
+def test_positions_of_another_number_of_joints_start_nothing(bench, program, joints: int):
+    bench.controller.status = {"position": (0.1,) * joints}
+    guard = bench.open()
+    with pytest.raises(ControllerError, match=f"where its 6 joints stand .it tells {joints} numbers"):
+        guard.position()
+    with pytest.raises(ControllerError, match="where its 6 joints stand"):
+        guard.send(program())
+    assert bench.controller.starts == 0
+
+
 def test_a_little_sag_is_no_jog(bench, program):
     bench.controller.status = {"position": tuple(HOME + 0.015)}
     assert bench.run(program()) == 1000
