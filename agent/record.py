@@ -16,7 +16,7 @@ from agent.recipe import Recipe
 from agent.run import robot_lock
 from agent.safety.checked import FILE, CheckedPrograms
 from agent.safety.guard import GuardedLink
-from agent.safety.motion import PlannedProgram
+from agent.safety.motion import PlannedProgram, pauses
 from drivers.protocol import Identity
 
 if TYPE_CHECKING:
@@ -119,7 +119,10 @@ class Link:
         return self._planned(name, program.text, chains)
 
     def _planned(self, name: str, text: str, chains: Sequence[Trajectory]) -> PlannedProgram:
-        program = PlannedProgram(name, text, tuple(chains))
+        from agent.motion.pdl2 import parse_program
+
+        rests = pauses(parse_program(text, name, self._recipe.robot).run())
+        program = PlannedProgram(name, text, tuple(chains), pauses=rests)
         return self._with_points(program) if self._guard.takes_points else program
 
     def _with_points(self, program: PlannedProgram) -> PlannedProgram:

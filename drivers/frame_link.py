@@ -20,6 +20,8 @@ from drivers.wire.reasons import refusal_error
 from drivers.wire.tcp import Decoder, Frame, Heartbeat, Refused, encode
 
 Reply = TypeVar("Reply")
+#: An answer that comes so long [s] after what it answers for has begun is taken for lost.
+_ACTING = 0.25
 _RECEIVE = 256 * 1024
 
 
@@ -101,15 +103,22 @@ class Link:
             answer = self._ask(message, timeout / attempts)
             if answer is not None:
                 break
-        else:
-            raise self._silent(what, timeout)
-        if isinstance(answer, DriverError):
-            raise self._ended()
-        if isinstance(answer, Refused):
-            raise refusal_error(self.peer, what, answer.code, answer.line, answer.column, answer.message)
-        if not isinstance(answer, reply):
-            raise ProtocolError(f"the controller at {self.peer} answered {what} with {type(answer).__name__}")
-        return answer
+        return self._checked(answer, reply, timeout, what)
+
+    def command(
+        self, message: Any, reply: type[Reply], timeout: float, what: str, acts: Callable[[], bool]
+    ) -> Reply | None:
+        """Send a command once and wait for its answer, but no longer than until it is seen that it `acts`.
+
+        None where that was seen and no answer came.
+
+        Raises:
+            RefusedError, DriverError: as in `request`.
+        """
+        answer = self._ask(message, timeout, acts)
+        if answer is None and acts():
+            return None
+        return self._checked(answer, reply, timeout, what)
 
     def close(self) -> None:
         """End the link and its thread; never raises."""
@@ -119,15 +128,31 @@ class Link:
             self._thread.join(5.0)
         self._channel.close()
 
-    def _ask(self, message: Any, timeout: float) -> Any:
-        """The answer, or None."""
+    def _checked(self, answer: Any, reply: type[Reply], timeout: float, what: str) -> Reply:
+        if answer is None:
+            raise self._silent(what, timeout)
+        if isinstance(answer, DriverError):
+            raise self._ended()
+        if isinstance(answer, Refused):
+            raise refusal_error(self.peer, what, answer.code, answer.line, answer.column, answer.message)
+        if not isinstance(answer, reply):
+            raise ProtocolError(f"the controller at {self.peer} answered {what} with {type(answer).__name__}")
+        return answer
+
+    def _ask(self, message: Any, timeout: float, acts: Callable[[], bool] = lambda: False) -> Any:
+        """The answer, or None: none in time, or it `acts` already and none came for a while."""
         request = next(self._ids)
         answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._waiting[request] = answers
         try:
             self._send(message, request)
-            return answers.get(timeout=timeout)
-        except queue.Empty:
+            until = time.monotonic() + timeout
+            while (left := until - time.monotonic()) > 0:
+                seen = acts()
+                with contextlib.suppress(queue.Empty):
+                    return answers.get(timeout=min(left, _ACTING))
+                if seen:
+                    break
             return None
         finally:
             self._waiting.pop(request, None)

@@ -163,8 +163,10 @@ class FrameDriver:
         self._motion = motion
         link.guarded = True
         try:
-            started = link.request(Start(name, checksum, motion_id), Started, self._start_timeout, f"start of {name}")
-            if started.motion_id != motion_id:
+            started = link.command(
+                Start(name, checksum, motion_id), Started, self._start_timeout, f"start of {name}", motion.has_begun
+            )  # samples say as well that the arm moves: then it is time to watch it, whatever became of the answer
+            if started is not None and started.motion_id != motion_id:
                 raise ProtocolError(f"the controller at {self.address} started another motion than it was asked to")
         except RefusedError:
             link.guarded = False

@@ -45,6 +45,10 @@ class Motion:
         """The consumer is too far behind."""
         return self.size > self._limit
 
+    def has_begun(self) -> bool:
+        """Whether samples have come, or the end."""
+        return self.over or self.size > 0
+
     def blocks(self) -> Iterator[SampleBlock]:
         """Consumer's side."""
         while True:

@@ -23,30 +23,40 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
+def _of_a_size(value: float) -> float:
+    """Nothing of an arm is so small or so large; what divides by it or squares it would be no number."""
+    if not 1e-9 <= value <= 1e9:
+        raise ValueError("no arm has that: give a number from 1e-9 to 1e9")
+    return value
+
+
+Positive = Annotated[PositiveFloat, AfterValidator(_of_a_size)]
+
+
 class _JointEntry(_Strict):
     name: str
     gear_ratio: float = 1.0
-    nominal_motor_torque: PositiveFloat | None = None
-    max_velocity: PositiveFloat
-    max_acceleration: PositiveFloat
-    max_jerk: PositiveFloat | None = None
+    nominal_motor_torque: Positive | None = None
+    max_velocity: Positive
+    max_acceleration: Positive
+    max_jerk: Positive | None = None
     rotor_inertia: Annotated[float, Field(ge=0)] | None = None
-    max_torque: PositiveFloat | None = None
-    torque_constant: PositiveFloat | None = None
+    max_torque: Positive | None = None
+    torque_constant: Positive | None = None
 
 
 class _CartesianEntry(_Strict):
-    linear_speed: PositiveFloat
-    linear_acceleration: PositiveFloat
-    rotational_speed: PositiveFloat
-    rotational_acceleration: PositiveFloat
+    linear_speed: Positive
+    linear_acceleration: Positive
+    rotational_speed: Positive
+    rotational_acceleration: Positive
 
 
 class _CapsuleEntry(_Strict):
     model_config = ConfigDict(extra="forbid", populate_by_name=True)
     start: Vector3 = Field(alias="from")
     end: Vector3 = Field(alias="to")
-    radius: PositiveFloat
+    radius: Positive
 
 
 def _file_name(name: str) -> str:
@@ -277,7 +287,7 @@ def _joint(path: Path, entry: _JointEntry, elements: dict[str | None, ElementTre
     bounded = kind != "continuous" and limit is not None and limit.get("lower") is not None
     lower = float(limit.get("lower", "-inf")) if bounded and limit is not None else -np.inf
     upper = float(limit.get("upper", "inf")) if bounded and limit is not None else np.inf
-    if lower >= upper:
+    if not lower < upper:
         raise InputError(f"{path}: joints: {entry.name}: the URDF's limits are {lower} to {upper}: an empty range")
     return Joint(**entry.__dict__, prismatic=kind == "prismatic", lower=lower, upper=upper)
 

@@ -89,11 +89,11 @@ class Authorisation:
             faults.append(f"it is for serial {self.serial}, this machine is {serial}")
         if program != self.program:
             faults.append(f"it is for program {self.program[:12]}…, what would run is {program}")
-        if speed > self.speed * (1 + 1e-9):
+        if not speed <= self.speed * (1 + 1e-9):
             faults.append(f"the motion reaches {speed:.3f} m/s, {self.speed:g} m/s are allowed")
-        if duration > self.duration:
+        if not duration <= self.duration:
             faults.append(f"the motion takes {duration:.0f} s, {self.duration:.0f} s are allowed")
-        if now.date() > self.expires:
+        if not now.date() <= self.expires:
             faults.append(f"it ended on {self.expires}")
         if faults:
             raise InputError(
@@ -132,7 +132,7 @@ def load_authorisation(path: Path, now: datetime | None = None) -> Authorisation
     if os.name == "posix" and stat.S_IMODE(path.stat().st_mode) & (stat.S_IWGRP | stat.S_IWOTH):
         raise InputError(f"{path}: others than its owner can write this authorisation; chmod go-w {path}")
     latest = ((now or datetime.now(UTC)) + LONGEST).date()
-    if document.expires > latest:
+    if not document.expires <= latest:
         raise InputError(f"{path}: expires: {document.expires} is more than a year from now; {latest} is the latest")
     return Authorisation(
         path=path,

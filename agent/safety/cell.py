@@ -159,7 +159,7 @@ class Cell:
         from agent.robot.collision import KEEP_OUT
 
         for pair, widest in zip(self._model.pairs, self._widest, strict=True):
-            if pair.second.startswith(KEEP_OUT) and widest < margin:
+            if pair.second.startswith(KEEP_OUT) and not widest >= margin:
                 raise InputError(
                     f"{pair.first} is in {pair.second}, or nearer to it than {1000 * margin:.0f} mm, in each of "
                     f"{_POSTURES} postures all over the joint ranges: no motion can keep clear of it. Make the box "
@@ -167,8 +167,10 @@ class Cell:
                 )
 
     def _report(self, q: np.ndarray, stop: np.ndarray | None, times: np.ndarray | None, margin: float) -> CellReport:
-        if not np.isfinite(q).all():
-            raise ValueError("joint positions must be finite")
+        if not (np.isfinite(q).all() and (stop is None or np.isfinite(stop).all())):
+            raise ValueError("joint positions and ways to a stop must be finite")
+        if not 0.0 <= margin < np.inf:
+            raise ValueError("the margin must be a number, zero or more")
         found = [*self._range_violations(q, stop, times)]
         pairs: tuple[PairClearance, ...] = ()
         depth = 0.0
@@ -193,8 +195,9 @@ class Cell:
             if positions is None:
                 continue
             beyond = np.maximum(self.lower - positions, positions - self.upper)
-            for joint in np.flatnonzero(beyond.max(axis=0) > RANGE_SLACK):
-                index = int(np.argmax(beyond[:, joint] > RANGE_SLACK))
+            outside = ~(beyond <= RANGE_SLACK)
+            for joint in np.flatnonzero(outside.any(axis=0)):
+                index = int(np.argmax(outside[:, joint]))
                 time = None if times is None else float(times[index])
                 depth = float(beyond[:, joint].max())
                 found.append(Violation(self.robot.joint_names[joint], "", index, time, depth, 0.0, stopping))
@@ -254,6 +257,8 @@ class _Search:
             along, aside = self._radius(stretches)
             middle = (stretches[:, [0, 2]] + stretches[:, [1, 3]]) / 2
             distances = self.model.distances(self._postures(middle), is_open.any(axis=0))
+            if np.isnan(distances).any():
+                raise InputError("the distance of two bodies is no number; look at the robot's bodies and at the boxes")
             self._note(middle, distances)
             bounds = distances - along - aside
             was_open, is_open = is_open, is_open & self._undecided(stretches, bounds)
@@ -312,7 +317,7 @@ class _Search:
         self.smallest = np.where(better, found, self.smallest)
         self.smallest_at = np.where(better, middle[nearest, 0], self.smallest_at)
         short = distances - self.margin
-        violating = np.flatnonzero(short.min(axis=1) < 0)
+        violating = np.flatnonzero(~(short.min(axis=1) >= 0))
         if len(violating):
             row = violating[np.argmin(middle[violating, 0])]
             if self.first is None or middle[row, 0] < self.first[0]:
@@ -367,8 +372,8 @@ def position_ranges(
         if name not in robot.joint_names:
             raise InputError(f"joint range of {name}: {robot.name} has {', '.join(robot.joint_names)}")
         joint = robot.joint_names.index(name)
-        lower[joint], upper[joint] = max(lower[joint], low), min(upper[joint], high)
-        if lower[joint] >= upper[joint]:
+        lower[joint], upper[joint] = np.maximum(lower[joint], low), np.minimum(upper[joint], high)
+        if not lower[joint] < upper[joint]:
             raise InputError(f"joint range of {name}: nothing is left of it ({low:g} to {high:g})")
     return lower, upper
 

@@ -80,6 +80,8 @@ def _slowed(
         peak = float(np.max(trajectory.path_speed))
         if peak <= FIRST_SPEED:
             return moves, trajectory
+        if not np.isfinite(peak):
+            break
         moves = [_with_speed(move, 0.98 * FIRST_SPEED / peak) for move in moves]
     raise InputError(
         f"program {name}: its first run cannot be planned at {FIRST_SPEED:g} m/s (it still reaches {peak:.2f} m/s); "

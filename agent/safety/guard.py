@@ -20,6 +20,7 @@ from agent.safety.adherence import Adherence
 from agent.safety.checked import CheckedPrograms
 from agent.safety.first_run import FIRST_SPEED
 from agent.safety.motion import PlannedProgram, rest_at
+from agent.safety.patience import Patience
 from agent.safety.preconditions import (
     check_identity,
     check_period,
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
 
 #: The controller's state is looked at so often while the arm moves [s], of its time and of ours.
 WATCH_INTERVAL = 0.2
+#: No sample for so long [s] while the arm may move: nobody watches it then.
+SILENCE = 10.0
 #: Motors warm up slowly: their temperatures are asked for so often [s].
 TEMPERATURE_INTERVAL = 5.0
 
@@ -158,7 +161,7 @@ class GuardedLink:
                 f"somebody watching ({self._checked.path} does not list it); run it once with --yes and no "
                 "authorisation"
             )
-        return program.speed > FIRST_SPEED
+        return not program.speed <= FIRST_SPEED
 
     def send(self, program: PlannedProgram) -> None:
         """Store the program at the controller, and see that everything allows it to run.
@@ -193,17 +196,27 @@ class GuardedLink:
         plan = program.chains or (rest_at(position),)
         adherence = Adherence(plan, self.robot, self._tool, self._margin, self.identity.period)
         over = False
+        lost: DriverError | None = None
 
         def samples() -> Iterator[SampleBlock]:
             nonlocal over
-            yield from self._watched(adherence)
+            with suppress(*(DriverError,) if lost else ()):  # it only repeats what was lost
+                yield from self._watched(adherence, program.longest)
+            if lost is not None:
+                raise lost
             over = True
 
         with stop_to_come():
             self._to_stop = True
             try:
                 with self._advice("make sure that the arm rests, put that right, then run the command again"):
-                    self._driver.start(program.name, program.checksum)
+                    try:
+                        self._driver.start(program.name, program.checksum)
+                    except RefusedError:
+                        raise
+                    except DriverError as error:  # the arm may be moving: what came of that is kept, and judged
+                        lost = error
+                        self._stop()
                     yield samples()
             except RefusedError:
                 self._to_stop = False
@@ -255,38 +268,61 @@ class GuardedLink:
         check_plan(program, self.robot, standing(status, self.robot, self.address), self.address)
         return np.asarray(status.position, dtype=float)
 
-    def _watched(self, adherence: Adherence) -> Iterator[SampleBlock]:
-        """The samples, with a look at the controller's state now and then; what is left after a stop comes too."""
+    def _watched(self, adherence: Adherence, longest: float) -> Iterator[SampleBlock]:
+        """The samples, with a look at the controller's state now and then; what is left after a stop comes too.
+
+        A motion may last `longest` [s] of controller time, and its samples may stay away for `SILENCE`.
+        """
         fault: AgentError | None = None
+        began: float | None = None
+        patience = Patience(SILENCE, self._clock, self._stop)
         looked, looked_at = -np.inf, self._clock()
         now = np.nan
         self.temperatures = []
         try:
-            for block in self._driver.samples():
-                reason = adherence.take(block) if fault is None else None
+            for block in patience.each(self._driver.samples()):
+                began = float(block.time[0]) if began is None else began
+                reason = adherence.take(block) or self._overdue(block, began, longest) if fault is None else None
                 if reason is not None:
                     fault = SafetyError(f"{self.address}: the arm was stopped: {reason}")
                     self._stop()
                 yield block
                 now = float(block.time[-1])
-                if fault is None and (now - looked >= WATCH_INTERVAL or self._clock() - looked_at >= WATCH_INTERVAL):
+                recently = now - looked < WATCH_INTERVAL and self._clock() - looked_at < WATCH_INTERVAL
+                if fault is None and not recently:
                     fault = self._look(now)
                     looked, looked_at = now, self._clock()
                     if fault is not None:
                         self._stop()
         except DriverError as error:
-            if not isinstance(fault, SafetyError) or isinstance(error, MotionStopped):
+            silent = patience.lost and fault is None
+            if not silent and (not isinstance(fault, SafetyError) or isinstance(error, MotionStopped)):
                 raise
+        if patience.lost and fault is None:
+            fault = SafetyError(
+                f"{self.address}: the arm was stopped: no sample came for {SILENCE:g} s while it may have moved; check "
+                "the link, then run the command again"
+            )
         if fault is not None:
             raise fault
         with suppress(DriverError):  # the motion is over and recorded
             self._feel(now, 0.0)
 
+    def _overdue(self, block: SampleBlock, began: float, longest: float) -> str | None:
+        """Why to stop, where the motion has lasted too long: by the stamps of its samples, or by their number."""
+        lasted = max(float(block.time[-1]) - began, float(block.sequence[-1]) * self.identity.period)
+        if lasted <= longest:
+            return None
+        return (
+            f"the motion has lasted {lasted:.0f} s, its plan takes {longest:.0f} s at most, stops and all: look at the "
+            "program that runs there, then run the command again"
+        )
+
     def _feel(self, now: float, interval: float = TEMPERATURE_INTERVAL) -> None:
         """Ask for temperatures where that was not done within the interval [s] of controller time `now`."""
         if not isinstance(self._driver, TellsTemperatures):
             return
-        if not self.temperatures or now - self.temperatures[-1][0] > interval:
+        if not self.temperatures or not now - self.temperatures[-1][0] <= interval:
             values = self._driver.temperatures()
             if values is not None:
                 self.temperatures.append((now, values))

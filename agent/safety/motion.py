@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,11 @@ import numpy as np
 from drivers.protocol import ViaPoint
 
 if TYPE_CHECKING:
+    from agent.motion.program import Statement
     from agent.motion.trajectory import Trajectory
+
+#: A motion may take so many times as long as planned, so long at each stop, and as long before and after it all [s].
+SLOWER, SETTLING, WAITING = 1.25, 3.0, 10.0
 
 
 def rest_at(position: np.ndarray) -> Trajectory:
@@ -23,12 +28,19 @@ def rest_at(position: np.ndarray) -> Trajectory:
     return Trajectory(np.zeros(1), there, nothing, nothing, unknown, np.zeros(1), np.zeros(1, dtype=int))
 
 
+def pauses(statements: Iterable[Statement]) -> float:
+    """Seconds that a program rests because it says so."""
+    from agent.motion.program import Delay
+
+    return sum(statement.seconds for statement in statements if isinstance(statement, Delay))
+
+
 @dataclass(frozen=True, eq=False)
 class PlannedProgram:
     """PDL2 text under a name, and what we planned of it from stop to stop.
 
     `stands_for`: checksum of the program that this one is the slow version of; empty for any other. `points`: the same
-    motion for a controller that takes via-points.
+    motion for a controller that takes via-points. `pauses` [s]: rests that the program asks for (DELAY).
     """
 
     name: str
@@ -36,6 +48,7 @@ class PlannedProgram:
     chains: tuple[Trajectory, ...]
     stands_for: str = ""
     points: tuple[ViaPoint, ...] = ()
+    pauses: float = 0.0
 
     @property
     def checksum(self) -> str:
@@ -48,6 +61,11 @@ class PlannedProgram:
         return float(sum(chain.duration for chain in self.chains))
 
     @property
+    def longest(self) -> float:
+        """Seconds after which the motion must be over, all stops included."""
+        return SLOWER * self.duration + self.pauses + SETTLING * len(self.chains) + WAITING
+
+    @property
     def speed(self) -> float:
         """Highest speed of the tool centre point [m/s]."""
-        return max((float(np.max(chain.path_speed)) for chain in self.chains), default=0.0)
+        return float(np.max([np.max(chain.path_speed) for chain in self.chains], initial=0.0))

@@ -30,6 +30,11 @@ def check_identity(identity: Identity, robot: RobotDescription, address: str) ->
         raise ControllerError(
             f"{address}: the controller has {len(identity.joint_names)} joints, {robot.name} has {robot.dof}"
         )
+    if tuple(identity.joint_names) != tuple(robot.joint_names):
+        raise ControllerError(
+            f"{address}: the controller calls its joints {', '.join(identity.joint_names)}, {robot.name} has "
+            f"{', '.join(robot.joint_names)}, in that order: correct the robot description, or what the link reports"
+        )
 
 
 def check_period(identity: Identity, rate: float, address: str) -> None:
@@ -63,7 +68,7 @@ def check_ready(status: Status, address: str, program: str, checksum: str) -> No
         faults.append("the drives are off; switch them on")
     if not status.cell_closed:
         faults.append("the cell is open; close the gate")
-    if abs(status.override - 1.0) > 1e-6:
+    if not abs(status.override - 1.0) <= 1e-6:
         faults.append(f"the override is {100 * status.override:.0f} %; set it to 100 %, the motion is planned for that")
     if status.moving:
         faults.append("the arm is moving already; wait for it, or stop it")
@@ -104,8 +109,8 @@ def check_plan(program: PlannedProgram, robot: RobotDescription, position: np.nd
     for chain in program.chains:
         if not (np.isfinite(chain.q).all() and np.isfinite(chain.qd).all()):
             raise InputError(f"program {program.name}: its plan has values that are no numbers; nothing was moved")
-        outside = np.any((chain.q < lower - 1e-9) | (chain.q > upper + 1e-9), axis=0)
-        fast = np.any(np.abs(chain.qd) > robot.max_velocity * (1 + 1e-6), axis=0)
+        outside = ~np.all((chain.q >= lower - 1e-9) & (chain.q <= upper + 1e-9), axis=0)
+        fast = ~np.all(np.abs(chain.qd) <= robot.max_velocity * (1 + 1e-6), axis=0)
         for broken, what in ((outside, "position limits"), (fast, "speed limit")):
             if broken.any():
                 names = ", ".join(np.array(robot.joint_names)[broken])
@@ -113,6 +118,11 @@ def check_plan(program: PlannedProgram, robot: RobotDescription, position: np.nd
     away = np.abs(program.chains[0].q[0] - position)
     if not np.all(away <= START_TOLERANCE):
         joint = robot.joint_names[int(np.argmax(away))]
+        if np.all(np.abs(np.radians(position) - program.chains[0].q[0]) <= START_TOLERANCE):
+            raise ControllerError(
+                f"{address}: the position of the arm fits its plan in degrees, where radians are expected: check the "
+                "unit of the link"
+            )
         raise ControllerError(
             f"{address}: the arm does not stand where its plan begins: {joint} is off by {away.max():.3f} rad. It was "
             "moved since; run the command again, it is planned anew from where the arm stands"
@@ -131,7 +141,7 @@ def unsafe_in_motion(status: Status) -> str | None:
         return "the cell was opened; close the gate, then run the command again"
     if status.mode != "auto":
         return f"the mode was changed to {status.mode!r}; turn the selector to auto, then run the command again"
-    if abs(status.override - 1.0) > 1e-6:
+    if not abs(status.override - 1.0) <= 1e-6:
         return f"the override was changed to {100 * status.override:.0f} %; set it to 100 %, then run the command again"
     return None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -67,3 +68,24 @@ def test_a_name_that_is_no_file_name_is_refused(described, name):
 def test_a_urdf_that_is_no_serial_arm_is_refused(described, old, new, message):
     with pytest.raises(InputError, match=rf"pair\.urdf: .*{message}"):
         described(old, new)
+
+
+@pytest.mark.parametrize("value", [".nan", ".inf", "5e-324", "1e-300", "1e308", "0", "-1"])
+@pytest.mark.parametrize("key", ["max_velocity", "max_acceleration"])
+def test_a_limit_that_is_no_number_or_no_size_is_refused(arm, tmp_path, key, value):
+    folder = Path(arm).parent
+    (tmp_path / "arm.urdf").write_text((folder / "arm.urdf").read_text(encoding="utf-8"), encoding="utf-8")
+    text = re.sub(rf"{key}: \d+", f"{key}: {value}", (folder / "robot.yaml").read_text(encoding="utf-8"))
+    (tmp_path / "robot.yaml").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=key):
+        load_robot(str(tmp_path / "robot.yaml"))
+
+
+@pytest.mark.parametrize("end", ["lower", "upper"])
+def test_a_range_whose_end_is_no_number_is_empty(arm, tmp_path, end):
+    folder = Path(arm).parent
+    text = re.sub(rf'{end}="[-\d]+"', f'{end}="nan"', (folder / "arm.urdf").read_text(encoding="utf-8"))
+    (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
+    (tmp_path / "robot.yaml").write_text((folder / "robot.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    with pytest.raises(InputError):
+        load_robot(str(tmp_path / "robot.yaml"))

@@ -39,6 +39,7 @@ class Controller:
     stores: str = ""  # checksum it claims for every program
     refuses: Refusal | None = None
     lose_answer: bool = False
+    keep_answer: bool = False  # to a start, which it carries out
     confirms_stop: bool = True
     blocks: int = 10
     end: EndReason = EndReason.DONE
@@ -143,7 +144,8 @@ class Peer(threading.Thread):
                     if told.refuses is not None:
                         send(tcp.Refused(told.refuses, 0, 0, "as told"), frame.request)
                         continue
-                    send(tcp.Started(message.motion_id), frame.request)
+                    if not told.keep_answer:
+                        send(tcp.Started(message.motion_id), frame.request)
                     running = True
                     for _ in range(told.blocks if told.pushes else 1):
                         block()

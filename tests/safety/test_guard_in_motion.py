@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from agent.errors import AgentError, ControllerError, SafetyError
+from agent.motion.program import Delay
 from agent.safety.guard import GuardedLink
-from agent.safety.motion import PlannedProgram
+from agent.safety.motion import SETTLING, PlannedProgram, pauses
+from agent.safety.patience import Patience
 from drivers.errors import DriverError, MotionStopped, RefusedError
+from drivers.tcp import TcpDriver
 from drivers.wire.reasons import EndReason, Refusal
 
 HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
@@ -91,6 +96,84 @@ def test_a_start_whose_answer_is_lost_is_not_repeated(bench, program):
     with pytest.raises(DriverError, match="make sure that the arm rests"):
         bench.run(program())
     assert bench.controller.starts == 1
+
+
+def test_a_start_whose_answer_is_lost_is_watched_from_its_first_sample(bench, program):
+    bench.controller = replace(bench.controller, keep_answer=True, pushes=True)
+    assert bench.run(program()) == 1000
+    bench.guard.close()
+    bench.controller.moves = lambda times: np.tile(HOME - 1.0, (len(times), 1))
+    with pytest.raises(SafetyError, match="what moves is not what was planned"):
+        bench.run(program())
+
+
+def test_what_came_of_a_start_that_failed_is_handed_out(bench, program):
+    class Failing(TcpDriver):
+        def start(self, name, checksum):
+            super().start(name, checksum)
+            raise DriverError("the answer was garbage")
+
+    bench.driver, taken = Failing, []
+    guard = bench.open()
+    guard.send(program())
+    with pytest.raises(DriverError, match=r"garbage.*make sure that the arm rests"), guard.motion(program()) as samples:
+        taken.extend(samples)
+    assert taken
+    assert bench.controller.stops >= 1
+
+
+def test_a_motion_that_does_not_end_is_stopped(bench, program):
+    chosen = program()
+    (chain,) = chosen.chains
+    bench.controller = replace(
+        bench.controller, blocks=10**6, moves=lambda times: np.tile(chain.q[-1], (len(times), 1))
+    )
+    with pytest.raises(SafetyError, match=r"has lasted 1\d s, its plan takes 14 s at most"):
+        bench.run(chosen)
+    assert bench.controller.stops >= 1
+
+
+def test_a_motion_whose_clock_stands_still_is_stopped_too(bench, program):
+    chosen = program()
+    bench.controller = replace(bench.controller, blocks=10**6, spacing=0)
+    ticks = iter(range(10**6))
+    with pytest.raises(SafetyError, match="has lasted"):
+        bench.run(chosen, bench.open(clock=lambda: 0.3 * next(ticks)))
+
+
+def test_pauses_and_stops_belong_to_the_time_that_a_motion_may_take(program):
+    chosen = program()
+    statements = [Delay(2.0), Delay(3.5)]
+    assert pauses(statements) == 5.5
+    assert replace(chosen, pauses=5.5).longest == pytest.approx(chosen.longest + 5.5)
+    assert replace(chosen, chains=chosen.chains * 2).longest > chosen.longest + SETTLING + chosen.duration
+
+
+def test_a_controller_that_lives_and_sends_no_samples_is_stopped(bench, program):
+    class Mute(TcpDriver):
+        def samples(self):
+            motion = super().samples()
+            yield next(motion)
+            for _ in motion:
+                pass  # whatever comes gets lost; the last of it is that the arm rests
+
+    bench.driver = Mute
+    bench.controller.blocks = 10**6
+    ticks = iter(range(10**6))
+    with pytest.raises(SafetyError, match="no sample came for 10 s"):
+        bench.run(program(), bench.open(clock=lambda: 5.0 * next(ticks)))
+    assert bench.controller.stops >= 1
+
+
+def test_a_taker_who_is_slow_is_no_silence():
+    gone = []
+    clock = iter(range(0, 10**6, 100))
+    patience = Patience(10.0, lambda: next(clock), lambda: gone.append(1))
+    taken = []
+    for item in patience.each(iter([1, 2])):
+        taken.append(item)
+    assert taken == [1, 2]
+    assert not patience.lost
 
 
 def test_a_refused_start_is_not_repeated_and_not_stopped(bench, program):

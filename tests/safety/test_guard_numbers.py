@@ -1,0 +1,206 @@
+"""Not a number is not fine: no state, plan, sample, limit or authorisation that is none lets an arm move."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.errors import AgentError, InputError
+from agent.motion.trajectory import Trajectory
+from agent.robot import load_robot
+from agent.safety.authorisation import LONGEST
+from agent.safety.cell import Cell, position_ranges
+from agent.safety.preconditions import check_identity, check_period, check_plan, check_ready, unsafe_in_motion
+from drivers.protocol import Identity, Status
+
+ROOT = Path(__file__).resolve().parents[2]
+ROBOT = load_robot("comau_ns16")
+HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
+NO_NUMBERS = [np.nan, np.inf, -np.inf, 5e-324, -5e-324, 1e308]
+
+#: Comparisons that may stand as they are: true lets nothing move, or a number that is none cannot get there. All others
+#: in the safety package say what is allowed and stand under a `not` or `~`, so that they fail for what is no number.
+AS_THEY_ARE = {
+    "adherence.py": {
+        "len(chains) > 1": "a count",
+        "np.ptp(chains[0].q, axis=0).max() < THERE": "of a plan that was checked; true leaves less to compare with",
+        "passed > GAP": "of times that are numbers; allows more where it is true",
+        "joints <= allowed.joint": "true is near, anything else stops",
+        "tool <= self._margin + allowed.tool": "true is near, anything else stops",
+        "speed <= (1 + allowed.faster) * planned + allowed.floor * limit": "true is slow, anything else stops",
+        "speed > allowed.resting * limit": "of positions that are numbers; only counts time",
+        "np.abs(np.radians(position) - q) <= allowed.joint": "chooses the words",
+        "abs(took - planned) <= ALLOWANCE + SHARE * min(took, planned)": "true goes on, anything else stops",
+        "planned > WAY": "only starts to count anew",
+    },
+    "authorisation.py": {"left <= _SOON": "of dates, and only tells"},
+    "cell.py": {
+        "self.margin > 0": "chooses the words",
+        "widest < 0": "of distances that were found to be numbers",
+        "np.where(is_open, along, 0.0).max(axis=1) >= np.where(is_open, aside, 0.0).max(axis=1)": "where to halve",
+        "found < self.smallest": "distances that are no numbers were refused before",
+        "middle[row, 0] < self.first[0]": "which of two violations is told",
+        "middle[row, 1] > 0": "chooses the words",
+        "stretches[:, :1] < (np.inf if self.first is None else self.first[0] - 1.0)": "indices",
+        "bounds < target": "distances that are no numbers were refused before",
+        "bounds < self.margin - self.tolerance": "the same, and so was such a margin",
+    },
+    "first_run.py": {"peak <= FIRST_SPEED": "true is slow enough, anything else is planned again or refused"},
+    "guard.py": {
+        "now - looked < WATCH_INTERVAL": "true waits, anything else looks",
+        "self._clock() - looked_at < WATCH_INTERVAL": "true waits, anything else looks",
+        "lasted <= longest": "true goes on, anything else stops",
+    },
+    "planned_path.py": {
+        "places < first[:, None]": "indices",
+        "places >= last[:, None]": "indices",
+        "period > 0": "of a plan that was checked",
+    },
+    "preconditions.py": {
+        "np.abs(np.radians(position) - program.chains[0].q[0]) <= START_TOLERANCE": "chooses the words",
+    },
+}
+
+
+def ordering(module: Path) -> set[str]:
+    """Comparisons by size in a module that stand under no negation."""
+    tree = ast.parse(module.read_text(encoding="utf-8"))
+    denied = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.Not, ast.Invert))
+        for inner in ast.walk(node.operand)
+    }
+    sizes = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
+    return {
+        ast.unparse(node)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Compare) and isinstance(node.ops[0], sizes) and id(node) not in denied
+    }
+
+
+@pytest.mark.parametrize("module", sorted((ROOT / "agent" / "safety").glob("*.py")), ids=lambda path: path.name)
+def test_every_comparison_says_what_is_allowed(module):
+    found, listed = ordering(module), set(AS_THEY_ARE.get(module.name, {}))
+    assert found - listed == set(), "say what is allowed, under a `not`"
+    assert listed - found == set(), "these are not there any more"
+
+
+def status(**changes):
+    fine = Status(True, "auto", False, (), 1.0, True, False, "swing", "abc", HOME)
+    return replace(fine, **changes)
+
+
+@pytest.mark.parametrize("value", NO_NUMBERS)
+def test_an_override_that_is_none_forbids_motion_and_ends_it(value):
+    with pytest.raises(AgentError, match="override"):
+        check_ready(status(override=value), "here", "swing", "abc")
+    assert "override" in unsafe_in_motion(status(override=value))
+    assert unsafe_in_motion(status()) is None
+
+
+@pytest.mark.parametrize("value", NO_NUMBERS)
+def test_a_period_or_a_rate_that_is_none_is_refused(value):
+    who = Identity("comau_ns16", "1", "c", "v", ROBOT.joint_names, value)
+    with pytest.raises(AgentError, match=r"record\.rate"):
+        check_period(who, 500.0, "here")
+    with pytest.raises(AgentError, match=r"record\.rate"):
+        check_period(replace(who, period=0.002), value, "here")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308])
+def test_a_plan_or_a_place_that_is_none_does_not_run(program, value):
+    chosen = program()
+    (chain,) = chosen.chains
+    for column in ("q", "qd"):
+        values = getattr(chain, column).copy()
+        values[7, 3] = value
+        with pytest.raises(InputError):
+            check_plan(replace(chosen, chains=(replace(chain, **{column: values}),)), ROBOT, HOME, "here")
+    elsewhere = HOME.copy()
+    elsewhere[3] = value
+    with pytest.raises(AgentError, match="does not stand where its plan begins"):
+        check_plan(chosen, ROBOT, elsewhere, "here")
+
+
+class Unlimited:
+    """A robot whose limits are no numbers."""
+
+    def __init__(self, **changes):
+        self.joint_names = ROBOT.joint_names
+        self.position_limits = changes.get("position_limits", ROBOT.position_limits)
+        self.max_velocity = changes.get("max_velocity", ROBOT.max_velocity)
+
+
+def test_limits_that_are_no_numbers_limit_everything(program):
+    nothing = np.full(6, np.nan)
+    for limits in ((nothing, ROBOT.position_limits[1]), (ROBOT.position_limits[0], nothing)):
+        with pytest.raises(InputError, match="position limits"):
+            check_plan(program(), Unlimited(position_limits=limits), HOME, "here")
+    with pytest.raises(InputError, match="speed limit"):
+        check_plan(program(), Unlimited(max_velocity=nothing), HOME, "here")
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_speed_of_the_tool_that_is_none_is_not_slow(bench, program, place):
+    speeds = np.full(500, 0.1)
+    speeds[17] = np.nan
+    slow, none = program().chains[0], replace(program().chains[0], path_speed=speeds)
+    chosen = replace(program(), chains=(none, slow) if place == 0 else (slow, none))
+    assert np.isnan(chosen.speed)
+    assert bench.open().needs_slow_run(chosen)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_no_authorisation_covers_what_is_no_number(authorisation, program, value):
+    granted = authorisation(program())
+    for speed, duration in ((value, 1.0), (0.1, value)):
+        with pytest.raises(InputError, match="does not cover"):
+            granted.check(granted.robot, granted.serial, granted.program, speed, duration)
+    for limits in ({"speed": np.nan}, {"duration": np.nan}):
+        worthless = replace(granted, **limits)
+        with pytest.raises(InputError, match="does not cover"):
+            worthless.check(granted.robot, granted.serial, granted.program, 0.1, 1.0)
+    assert LONGEST.days == 366
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
+def test_a_cell_is_checked_with_a_margin_that_is_a_number(value):
+    cell = Cell(ROBOT)
+    with pytest.raises(ValueError, match="margin"):
+        cell.check(HOME[None], margin=value)
+    with pytest.raises(ValueError, match="finite"):
+        cell.check(HOME[None] * np.nan)
+
+
+def test_a_way_to_a_stop_that_is_no_number_is_not_clear():
+    n = np.full(3, np.nan)
+    q = np.tile(HOME, (3, 1))
+    motion = Trajectory(np.arange(3.0), q, np.full((3, 6), np.nan), q, np.zeros((3, 4, 4)), n, np.zeros(3, int))
+    with pytest.raises(ValueError, match="finite"):
+        Cell(ROBOT).check_with_stopping(motion)
+
+
+@pytest.mark.parametrize("ends", [(np.nan, 1.0), (0.0, np.nan), (1.0, 1.0)])
+def test_a_joint_range_that_is_none_is_empty(ends):
+    with pytest.raises(InputError, match="nothing is left"):
+        position_ranges(ROBOT, {"joint_1": ends})
+
+
+def test_a_joint_by_another_name_or_in_another_order_is_another_robot():
+    who = Identity("comau_ns16", "1", "c", "v", ROBOT.joint_names, 0.002)
+    check_identity(who, ROBOT, "here")
+    names = list(ROBOT.joint_names)
+    names[1], names[2] = names[2], names[1]
+    for wrong in (tuple(names), ("axis_1", *ROBOT.joint_names[1:])):
+        with pytest.raises(AgentError, match="calls its joints"):
+            check_identity(replace(who, joint_names=wrong), ROBOT, "here")
+
+
+def test_a_place_in_degrees_is_told_as_such(program):
+    with pytest.raises(AgentError, match="fits its plan in degrees"):
+        check_plan(program(), ROBOT, np.degrees(HOME), "here")
