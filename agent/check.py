@@ -129,7 +129,11 @@ def _feasible(recipe: Recipe, speed: float, seed: int) -> str:
 
 def _controller(recipe: Recipe) -> str:
     from agent.controller import create_driver
+    from agent.motion.frames import tool_frame
+    from agent.safety.frames import check_frames, frames_text
+    from agent.safety.motion import PlannedProgram
     from agent.safety.preconditions import check_identity
+    from drivers.protocol import TakesPoints, TellsFrames
 
     address = recipe.controller.address
     driver = create_driver(recipe, lambda _: None)
@@ -138,6 +142,10 @@ def _controller(recipe: Recipe) -> str:
         identity = driver.identify()
         check_identity(identity, recipe.robot, address)
         status = driver.status()
+        frames = driver.frames() if isinstance(driver, TellsFrames) else {}
+        if isinstance(driver, TakesPoints):
+            points = PlannedProgram("of via-points", "", (), frames={"$TOOL": tool_frame(recipe.tool)})
+            check_frames(points, driver, address)
     finally:
         driver.close()
     state = [
@@ -148,6 +156,7 @@ def _controller(recipe: Recipe) -> str:
         *(["emergency stop pressed"] if status.emergency_stop else []),
         *(f"alarm {alarm}" for alarm in status.alarms),
         *([identity.watch_only] if identity.watch_only else []),
+        *([frames_text(frames)] if frames else []),
     ]
     found = (
         f"{identity.robot}, serial {identity.serial}, {identity.controller} {identity.version} at {address}, "

@@ -136,13 +136,16 @@ def loop_problem(recipe: Recipe, speed: float) -> LoopProblem:
 
 
 def program_text(recipe: Recipe, motion: PlannedMotion) -> str:
-    """PDL2 text of a planned motion."""
+    """PDL2 text of a planned motion; it sets every frame itself, so it means the same whatever ran before."""
+    from agent.motion.frames import with_frames
     from agent.motion.pdl2 import write_loop_program
+    from agent.motion.program import JointTarget
 
-    settings = recipe.motion.settings_at(motion.speed)
+    settings = with_frames(recipe.motion.settings_at(motion.speed), recipe.tool)
     approach = settings.changed(speed_override=APPROACH_SPEED)
     points = _targets(recipe, motion.loop)
-    return write_loop_program(motion.name, points, settings, motion.cycles, approach, recipe.robot)
+    start = JointTarget(np.asarray(motion.loop.start, dtype=float))
+    return write_loop_program(motion.name, points, settings, motion.cycles, approach, recipe.robot, start)
 
 
 def plan_statements(recipe: Recipe, text: str, path: str, start: np.ndarray) -> tuple[str, list[Trajectory]]:
@@ -243,7 +246,7 @@ def _task_poses(recipe: Recipe) -> np.ndarray:
         raise InputError(f"{path}: cannot be read: {error}") from None
     _, chains = plan_statements(recipe, text, str(path), kinematics.middle)
     job = chains[1:] or chains  # the first leads from an arbitrary start to the job
-    return np.concatenate([chain.tcp[::25] for chain in job])
+    return np.concatenate([kinematics.forward(chain.q[::25]) for chain in job])
 
 
 def replan(recipe: Recipe, path: Path) -> Plan:

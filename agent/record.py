@@ -119,16 +119,21 @@ class Link:
         return self._planned(name, program.text, chains)
 
     def _planned(self, name: str, text: str, chains: Sequence[Trajectory]) -> PlannedProgram:
+        from agent.motion.frames import left_open
         from agent.motion.pdl2 import parse_program
 
-        rests = pauses(parse_program(text, name, self._recipe.robot).run())
-        program = PlannedProgram(name, text, tuple(chains), pauses=rests)
+        statements = list(parse_program(text, name, self._recipe.robot).run())
+        frames = left_open(statements, self._recipe.tool)
+        program = PlannedProgram(name, text, tuple(chains), pauses=pauses(statements), frames=frames)
         return self._with_points(program) if self._guard.takes_points else program
 
     def _with_points(self, program: PlannedProgram) -> PlannedProgram:
+        from agent.motion.frames import tool_frame
         from agent.via_points import via_points
 
-        return replace(program, points=via_points(program, self._recipe.robot, self._recipe.tool))
+        robot, tool = self._recipe.robot, self._recipe.tool
+        # The points are joint positions, and the straight lines between them the tool's.
+        return replace(program, points=via_points(program, robot, tool), frames={"$TOOL": tool_frame(tool)})
 
     def _record(self, program: PlannedProgram, log: Path, motion: str, total: float) -> Recording:
         from agent.recording import LogWriter

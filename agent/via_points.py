@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.errors import InputError
+from agent.motion.frames import pose_in_robot_base, tool_frame
 from agent.motion.program import CartesianTarget, FlyTrajectory, FlyType, Move, MoveType, SpeedOption
 from agent.safety.motion import PlannedProgram
 from drivers.protocol import ViaPoint
@@ -36,11 +37,11 @@ def via_points(program: PlannedProgram, robot: RobotDescription, tool: Tool | No
 
     chains = [*program.chains]
     points: list[ViaPoint] = []
+    own = tool_frame(tool)
     for moves in stop_to_stop(parse_program(program.text, program.name, robot).run()):
-        if any(frame is not None for move in moves for frame in _frames(move)):
-            raise InputError(
-                _cannot(program.name, moves[0], "poses in the base frame, without $BASE, $TOOL and $UFRAME")
-            )
+        for move in moves:
+            if move.settings.tool is not None and np.abs(np.array(move.settings.tool) - own).max() > _SAME:
+                raise InputError(_cannot(program.name, move, "one tool, the recipe's"))
         if chains and _is_plan_of(chains[0], moves):
             points += _points(moves, chains.pop(0), program.name, robot, tool)
     if chains:
@@ -69,7 +70,7 @@ def _point(
         raise InputError(_cannot(name, move, "FLY_CART with FLY_TOL"))
     if isinstance(move.target, CartesianTarget):
         near = chain.q[np.flatnonzero(chain.move == index)[-1]]
-        position = kinematics_for(robot, tool).solve(move.target.pose, near)
+        position = kinematics_for(robot, tool).solve(pose_in_robot_base(move), near)
     else:
         position = np.asarray(move.target.position, dtype=float)
     speed = settings.linear_speed * settings.speed_override * settings.arm_override
@@ -91,17 +92,13 @@ def _along(chain: Trajectory) -> list[ViaPoint]:
     return points
 
 
-def _frames(move: Move) -> tuple[object, ...]:
-    return move.settings.base, move.settings.tool, move.settings.uframe
-
-
 def _is_plan_of(chain: Trajectory, moves: list[Move]) -> bool:
     """Whether a plan is that of these moves; a group that moves nothing has none."""
     if int(chain.move.max()) + 1 != len(moves):
         return False
     target = moves[-1].target
     if isinstance(target, CartesianTarget):
-        return bool(np.abs(chain.tcp[-1] - target.pose).max() < _SAME)
+        return bool(np.abs(chain.tcp[-1] - pose_in_robot_base(moves[-1])).max() < _SAME)
     return bool(np.abs(chain.q[-1] - target.position).max() < _SAME)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from drivers.cnr_address import CnrAddress, parse_address
 from drivers.cnr_files import Machine, ProgramFolder
+from drivers.cnr_frames import pose_of_frame
 from drivers.cnr_motion import HAND_REST, Arm, CnrMotion, stop_reason
 from drivers.cnr_samples import BrokerLink, Counts
 from drivers.cnr_sockets import Answer, Sockets
@@ -180,6 +181,12 @@ class CnrDriver:
             emulator=self._machine.emulator,
             override_known=False,
         )
+
+    def frames(self) -> dict[str, np.ndarray]:
+        """`TellsFrames`: as the last feedback has them."""
+        feedback = self._connected().feedback()
+        told = {"$BASE": feedback.base, "$TOOL": feedback.tool, "$UFRAME": feedback.user}
+        return {name: pose_of_frame(fields) for name, fields in told.items()}
 
     def upload(self, name: str, text: str) -> str:
         """Store a program by FTP; returns the SHA-256 (hex) of what was read back.

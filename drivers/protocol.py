@@ -5,7 +5,7 @@ Units are SI on the joint side: rad, rad/s, N·m (m, m/s, N on a prismatic joint
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
@@ -197,6 +197,14 @@ class TellsTemperatures(Protocol):
 
     def temperatures(self) -> np.ndarray | None:
         """(n,) [°C], or None where this controller measures none. Allowed at any time, as `status` is."""
+
+
+@runtime_checkable
+class TellsFrames(Protocol):
+    """A driver whose wire has the frames that are in force at the controller."""
+
+    def frames(self) -> Mapping[str, np.ndarray]:
+        """(4, 4) [m] of `$BASE`, `$TOOL` and `$UFRAME`, by these names. Allowed at any time, as `status` is."""
 
 
 @runtime_checkable

@@ -12,6 +12,7 @@ from agent.robot.kinematics import kinematics_for
 from fake_controller.clock import CLOCKS
 from fake_controller.controller import PERIOD, Controller
 from fake_controller.faults import Fault, Faults
+from fake_controller.interpreter import left_over
 from fake_controller.plant import Plant
 
 # Ramps and blends of the controller's own: a few percent off those of our interpolator, as a real one's are.
@@ -30,7 +31,7 @@ def build_controller(
 
     Args:
         robot_name: built-in robot, or path of a robot.yaml.
-        seed: of the machine and its noise.
+        seed: of the machine, its noise, and the frames that somebody's last program has left.
         clock: `fast` or `real`.
         effects: built into the machine, as `fake_controller.actuation.load_effect` takes them.
         faults: what goes wrong, and when.
@@ -53,4 +54,5 @@ def build_controller(
         CLOCKS[clock](),
         serial=f"FAKE-{seed:04d}",
         faults=Faults(faults),
+        system=left_over(seed),
     )

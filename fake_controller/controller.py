@@ -6,7 +6,7 @@ import threading
 import time
 import traceback
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,11 +14,15 @@ import numpy as np
 
 from agent.motion.interpolator import Interpolator
 from agent.motion.pdl2 import Pdl2Error
+from agent.motion.pdl2.evaluation import Value
+from agent.motion.pdl2.tree import Pos
 from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.clock import Clock
 from fake_controller.execution import CannotMove, Chain, Execution, Planner, Slice, StopSwitch
 from fake_controller.faults import Fault, Faults
+from fake_controller.frames import tool_point
+from fake_controller.interpreter import FACTORY, Interpreter
 from fake_controller.plant import Plant
 from fake_controller.programs import ProgramMemory, RefusedRequest, check_program
 from fake_controller.ring import Recorded, Ring, part_of
@@ -65,6 +69,7 @@ class Controller:
         clock: controller time.
         serial: of the arm.
         faults: what goes wrong, and when.
+        system: system variables by name, as an earlier program has left them; as the controller comes if not given.
     """
 
     def __init__(
@@ -76,8 +81,10 @@ class Controller:
         clock: Clock,
         serial: str,
         faults: Faults | None = None,
+        system: Mapping[str, Value] = FACTORY,
     ) -> None:
         self.robot = robot
+        self._system = dict(system)
         self.name = robot.name
         self.serial = serial
         self.state = State()
@@ -130,6 +137,17 @@ class Controller:
     def reference(self) -> np.ndarray:
         """(n,) the set-point that was given last [rad]."""
         return self._reference
+
+    @property
+    def frames(self) -> tuple[tuple[float, ...], ...]:
+        """$BASE, $UFRAME and $TOOL as they are now: x, y, z [mm], a, e, r [deg] each."""
+        values = [self._system[name] for name in ("$BASE", "$UFRAME", "$TOOL")]
+        return tuple(value.fields for value in values if isinstance(value, Pos))
+
+    def tool_point(self, position: np.ndarray) -> tuple[float, ...]:
+        """Where the tool is at joint positions (n,), in the frames of now: x, y, z [mm], a, e, r [deg] in $UFRAME."""
+        base, uframe, tool = self.frames
+        return tool_point(self.forward(position[None])[0], base, tool, uframe).pos
 
     @property
     def recorded(self) -> int:
@@ -205,7 +223,8 @@ class Controller:
                 raise RefusedRequest(Refusal.UNKNOWN_PROGRAM, f"no program {name!r} is stored")
             if stored.checksum != checksum.lower():
                 raise RefusedRequest(Refusal.CHECKSUM, f"the stored {name} is another text than the checksum's")
-            chains = self._planner.chains(stored.program.run(), self._reference)
+            statements = Interpreter(stored.program, self.robot, self._system).run()
+            chains = self._planner.chains(statements, self._reference)
             try:
                 first = next(chains, None)
             except (CannotMove, Pdl2Error) as error:

@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.motion.pdl2.frames import pose_to_pos
 from drivers.wire.cnr import AXES, Feedback, Mode, Status
 from drivers.wire.reasons import EndReason
 from fake_controller.controller import PERIOD, Controller
@@ -24,7 +23,6 @@ _PERIOD_NS = round(PERIOD * 1e9)
 _EVERY = round(TICK / PERIOD)  # samples from one feedback record to the next
 _REST = 250  # samples at rest before and after a motion where the clock does not wait; most that are made up for
 _LATE = 3  # ticks without a record of a moving arm after which the last one is told again
-_NO_FRAME = (0.0,) * 6
 
 
 class Reports:
@@ -169,15 +167,15 @@ class Reports:
         self._index = index + len(samples) - 1
 
     def _tell(self, time_ns: int, position: np.ndarray, torque: np.ndarray) -> None:
-        place = pose_to_pos(self._controller.forward(position[None])[0])
+        base, user, tool = self._controller.frames
         record = Feedback(
             arm=1,
-            base=_NO_FRAME,
-            user=_NO_FRAME,
-            tool=_NO_FRAME,
+            base=base,
+            user=user,
+            tool=tool,
             joints=_ten(np.degrees(position)),
             currents=_ten(self._publisher.currents(torque)),
-            cartesian=tuple(place.tolist()),
+            cartesian=self._controller.tool_point(position),
             last_point_processed=self.last_point,
             time=(int(time_ns) - self._counted_from) // 1_000_000,
             is_moving=int(self.flag),

@@ -10,6 +10,7 @@ import numpy as np
 
 from agent.errors import InputError
 from agent.motion import path_rotation as rotation
+from agent.motion.frames import tool_frame
 from agent.motion.interpolator import MotionError
 from agent.motion.path_segments import (
     Arc,
@@ -53,10 +54,12 @@ class SegmentMaker:
     def __init__(self, robot: RobotDescription, tool: Tool | None):
         self.robot = robot
         self._speeds = robot.max_velocity
+        lower, upper = robot.position_limits
+        prismatic = np.array([joint.prismatic for joint in robot.joints])
+        self._turning = ~prismatic & (upper - lower > 2 * np.pi)
         self.kinematics = kinematics_for(robot, tool)
-        self._of_tool: dict[Any, Kinematics] = {None: self.kinematics}
-        if tool is not None:
-            self._of_tool[_key(tool.frame)] = self.kinematics
+        own = tool_frame(tool)
+        self._of_tool: dict[Any, Kinematics] = {None: self.kinematics, _key(own): self.kinematics}
 
     def checked_start(self, start: np.ndarray) -> np.ndarray:
         """The start (n,) as floats.
@@ -87,6 +90,8 @@ class SegmentMaker:
         if move.type is MoveType.JOINT:
             start = _end_joints(pending, rest)
             end = self._joints(index, label, move, kinematics, start)
+            if not move.settings.multi_turn:
+                end = np.where(self._turning, start + (end - start + np.pi) % (2 * np.pi) - np.pi, end)
             if np.max(np.abs(end - start)) < _NOTHING:
                 return None
             duration = float(np.max(np.abs(end - start) / self._speeds))
@@ -270,7 +275,8 @@ def _check(settings: MotionSettings, label: str) -> None:
 
 
 def _key(frame: np.ndarray) -> tuple[float, ...]:
-    return tuple(np.asarray(frame, dtype=float).ravel())
+    """A frame but for the digits that are lost between millimetres and metres."""
+    return tuple((np.asarray(frame, dtype=float).round(10) + 0.0).ravel())
 
 
 def _matrix(frame: tuple[tuple[float, ...], ...] | None) -> np.ndarray:

@@ -63,13 +63,20 @@ class Termination(Enum):
     NOSETTLE = "NOSETTLE"
 
 
+Frame = tuple[tuple[float, ...], ...]
+#: A frame that moves nothing. Where a program says so, that is more than saying nothing (None).
+NO_FRAME: Frame = tuple(tuple(float(row == column) for column in range(4)) for row in range(4))
+
+
 @dataclass(frozen=True)
 class MotionSettings:
     """The system variables in force for one move.
 
     `fly_distance` [m], `fly_percent` and `stress_percent` 1..100, speeds [m/s, rad/s], tolerances [m],
-    overrides as fractions of one, `tool` and `uframe` and `base` (4, 4) as nested tuples or None for identity.
-    The care flags ask for a refusal where the configuration, the turns or a singularity would be passed over.
+    overrides as fractions of one. `base`, `tool` and `uframe` are (4, 4) as nested tuples; None is a program that does
+    not say, so that the controller's own are in force: whoever plans then takes its tool, and no base and user frame.
+    The care flags ask for a refusal where the configuration, the turns or a singularity would be passed over;
+    `multi_turn` lets a joint move turn an axis by more than half a turn, as its JOINTPOS says.
     """
 
     fly_type: FlyType = FlyType.FLY_NORM
@@ -88,12 +95,13 @@ class MotionSettings:
     acceleration_override: float = 1.0
     deceleration_override: float = 1.0
     arm_override: float = 1.0
-    base: tuple[tuple[float, ...], ...] | None = None
-    tool: tuple[tuple[float, ...], ...] | None = None
-    uframe: tuple[tuple[float, ...], ...] | None = None
+    base: Frame | None = None
+    tool: Frame | None = None
+    uframe: Frame | None = None
     configuration_care: bool = False
     turn_care: bool = False
     singularity_care: bool = False
+    multi_turn: bool = True
 
     def changed(self, **values: object) -> MotionSettings:
         """A copy with some variables changed."""

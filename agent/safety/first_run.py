@@ -55,7 +55,7 @@ def slow_version(
             chains.append(trajectory)
     name = f"{program.name[:26]}_slow"
     text = write_program(name, statements, robot)
-    return PlannedProgram(name, text, tuple(chains), stands_for=program.checksum)
+    return PlannedProgram(name, text, tuple(chains), stands_for=program.checksum, frames=program.frames)
 
 
 def stop_to_stop(statements: Iterable[Statement]) -> Iterator[list[Move]]:

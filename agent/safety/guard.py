@@ -19,6 +19,7 @@ from agent.robot import RobotDescription
 from agent.safety.adherence import Adherence
 from agent.safety.checked import CheckedPrograms
 from agent.safety.first_run import FIRST_SPEED
+from agent.safety.frames import check_frames
 from agent.safety.motion import PlannedProgram, rest_at
 from agent.safety.patience import Patience
 from agent.safety.preconditions import (
@@ -266,6 +267,8 @@ class GuardedLink:
             status = self._driver.status()
         check_ready(status, self.address, program.name, program.checksum)
         check_plan(program, self.robot, standing(status, self.robot, self.address), self.address)
+        with self._advice("check the link, then run the command again"):
+            check_frames(program, self._driver, self.address)
         return np.asarray(status.position, dtype=float)
 
     def _watched(self, adherence: Adherence, longest: float) -> Iterator[SampleBlock]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,7 +40,9 @@ class PlannedProgram:
     """PDL2 text under a name, and what we planned of it from stop to stop.
 
     `stands_for`: checksum of the program that this one is the slow version of; empty for any other. `points`: the same
-    motion for a controller that takes via-points. `pauses` [s]: rests that the program asks for (DELAY).
+    motion for a controller that takes via-points. `pauses` [s]: rests that the program asks for (DELAY). `frames`:
+    those of the controller that the plan takes for granted, (4, 4) [m] by the name of their system variable; none
+    where the program sets all that it needs.
     """
 
     name: str
@@ -49,6 +51,7 @@ class PlannedProgram:
     stands_for: str = ""
     points: tuple[ViaPoint, ...] = ()
     pauses: float = 0.0
+    frames: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def checksum(self) -> str:

@@ -272,17 +272,17 @@ class _Checker:
         return SYSTEM_VARIABLES[node.name].kind
 
     def _pos(self, node: tree.PosLiteral) -> str:
-        if len(node.fields) != 7:
+        if len(node.fields) not in (6, 7):
             raise Pdl2Error(
-                f"POS has 7 fields (x, y, z, a, e, r and the configuration string, '' for none), "
-                f"not {len(node.fields)}",
+                f"POS has 6 fields (x, y, z, a, e, r) or 7 (and the configuration string), not {len(node.fields)}",
                 node.place,
             )
         for field in node.fields[:6]:
             self._operand(field, "a coordinate of POS", _NUMBERS)
-        self._operand(node.fields[6], "the configuration of POS", ("STRING",))
-        if isinstance(node.fields[6], tree.Literal):
-            check_configuration(str(node.fields[6].value), node.fields[6].place)
+        for flags in node.fields[6:]:
+            self._operand(flags, "the configuration of POS", ("STRING",))
+            if isinstance(flags, tree.Literal):
+                check_configuration(str(flags.value), flags.place)
         return "POS"
 
     def _operation(self, node: tree.Unary | tree.Binary) -> str:

@@ -55,8 +55,10 @@ def evaluate(node: tree.Expression, memory: Memory) -> Value:
     if isinstance(node, tree.System):
         return read(node.name, memory.system)  # type: ignore[arg-type]
     if isinstance(node, tree.PosLiteral):
-        configuration = str(evaluate(node.fields[6], memory))
-        check_configuration(configuration, node.fields[6].place)
+        configuration = ""
+        if len(node.fields) == 7:
+            configuration = str(evaluate(node.fields[6], memory))
+            check_configuration(configuration, node.fields[6].place)
         return tree.Pos(_coordinates(node.fields[:6], memory), configuration)
     if isinstance(node, tree.JointLiteral):
         return tree.Joints(_coordinates(node.fields, memory))

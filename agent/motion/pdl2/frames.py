@@ -26,7 +26,7 @@ def pos_to_pose(pos: np.ndarray) -> np.ndarray:
     pose[..., 2, 2] = ce
     pose[..., :3, 3] = pos[..., :3] / 1000.0
     pose[..., 3, 3] = 1.0
-    return pose
+    return pose + 0.0  # no negative zeros
 
 
 def pose_to_pos(pose: np.ndarray) -> np.ndarray:

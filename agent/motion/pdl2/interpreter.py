@@ -27,13 +27,16 @@ MAX_DELAY = 3_600_000
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A program that was read and checked. `cycle` says that it has BEGIN CYCLE and so never ends by itself."""
+    """A program that was read and checked. `cycle` says that it has BEGIN CYCLE and so never ends by itself.
+
+    `syntax` and `scope` are what was read, for whoever gives it a meaning of their own.
+    """
 
     name: str
     path: str
     cycle: bool
-    _tree: tree.ProgramTree
-    _scope: Scope
+    syntax: tree.ProgramTree
+    scope: Scope
     _robot: RobotDescription | None
 
     def run(self, cycles: int | None = None, limit: int = MAX_STEPS) -> Iterator[Statement]:
@@ -50,11 +53,11 @@ class Program:
         turns = 0
         try:
             while True:
-                yield from run.block(self._tree.block)
+                yield from run.block(self.syntax.block)
                 turns += 1
                 if not self.cycle or (cycles is not None and turns >= cycles):
                     return
-                run.step(self._tree.place)
+                run.step(self.syntax.place)
         except Pdl2Error as error:
             raise error.within(self.path) from None
 
@@ -71,7 +74,7 @@ class _Run:
     """The state of one run: what was assigned so far, and how many steps are left."""
 
     def __init__(self, program: Program, limit: int):
-        scope = program._scope
+        scope = program.scope
         self.robot = program._robot
         self.types = scope.variables
         self.variables: dict[str | tuple[str, int], Value] = dict(scope.initial)

@@ -26,6 +26,8 @@ OUTSIDE_SUBSET = re.compile(
     re.VERBOSE | re.IGNORECASE,
 )
 
+_OUTSIDE = "is a word of PDL2, but not of the motion subset read here"
+
 #: What may stand before a statement or a declaration on its line.
 _OPENING = {"BEGIN", "CYCLE", "DO", "THEN", "ELSE", "CONST", "TYPE", "VAR"}
 _LINE_END = re.compile(r"\r\n?")
@@ -94,7 +96,7 @@ def _lark() -> Lark:
 
 def _check_name(token: Token) -> Token:
     if OUTSIDE_SUBSET.fullmatch(token):
-        raise Pdl2Error("is a word of PDL2, but not of the motion subset read here", place_of(token))
+        raise Pdl2Error(_OUTSIDE, place_of(token))
     if len(token) > MAX_NAME:
         raise Pdl2Error(f"the name is longer than {MAX_NAME} characters", place_of(token))
     return token
@@ -108,6 +110,8 @@ def _unexpected_token(error: UnexpectedToken) -> Pdl2Error:
     if token.type == "$END":
         last = Place(max(token.line or 1, 1), max(token.column or 1, 1), "")
         return Pdl2Error(f"the program ends too early; {_expected(error)}", last)
+    if OUTSIDE_SUBSET.fullmatch(token):
+        return Pdl2Error(_OUTSIDE, place_of(token))
     return Pdl2Error(f"does not belong here; {_expected(error)}", place_of(token))
 
 
@@ -139,6 +143,11 @@ def _number(token: Token) -> int:
     if len(token) > 10 or int(token) > tree.MAX_INTEGER:
         raise Pdl2Error(f"the integer is larger than {tree.MAX_INTEGER}", place_of(token))
     return int(token)
+
+
+def _system_name(token: Token) -> str:
+    """In capitals; a field of the arm's data by the short name that a program of this arm has for it."""
+    return token.upper().replace("$ARM_DATA[1].", "$")
 
 
 @v_args(inline=True)
@@ -182,11 +191,16 @@ class _TreeBuilder(Transformer):
     def initial(self, value=None):
         return value
 
-    def named_type(self, name):
+    def named_type(self, name, _arm):
         return tree.NamedType(place_of(name), name.lower())
 
-    def array_type(self, _array, size, name):
+    def array_type(self, _array, size, name, _arm):
         return tree.NamedType(place_of(name), name.lower(), size)
+
+    def for_arm(self, *words):
+        if words and int(words[-1]) != 1:
+            raise Pdl2Error("is another arm; programs of arm 1 are read here", place_of(words[-1]))
+        return bool(words)
 
     def body(self, _begin, *rest):
         *cycle, block, _end, name = rest
@@ -250,7 +264,7 @@ class _TreeBuilder(Transformer):
         return clauses
 
     def setting(self, name, value):
-        return tree.Setting(place_of(name), name.upper(), value)
+        return tree.Setting(place_of(name), _system_name(name), value)
 
     def binary(self, left, operator, right):
         return tree.Binary(place_of(operator), operator.upper(), left, right)
@@ -282,7 +296,7 @@ class _TreeBuilder(Transformer):
         return tree.Element(place_of(name), name.lower(), index)
 
     def system(self, token):
-        return tree.System(place_of(token), token.upper())
+        return tree.System(place_of(token), _system_name(token))
 
     def pos(self, keyword, *fields):
         return tree.PosLiteral(place_of(keyword), fields)

@@ -33,7 +33,7 @@ class SystemVariable:
 
     name: str
     field: str | None
-    kind: str  # REAL, BOOLEAN, POS or predefined
+    kind: str  # REAL, INTEGER, BOOLEAN, POS or predefined
     scale: float = 1.0
     unit: str = ""
     low: float = 0.0
@@ -46,8 +46,10 @@ class SystemVariable:
         if self.choices is not None:
             names = [choice.name for choice in self.choices]
             return "" if isinstance(value, Constant) and value.name in names else f"is one of {', '.join(names)}"
-        if self.kind != "REAL" or not isinstance(value, int | float):
+        if self.kind not in ("REAL", "INTEGER") or not isinstance(value, int | float):
             return ""
+        if self.kind == "INTEGER" and value % 1 != 0:
+            return f"is {value:g} and is an INTEGER: a whole number"
         if not self.low <= value <= self.high or (self.above and value == self.low):
             return f"is {value:g} and must be {self._range()}"
         return ""
@@ -68,20 +70,23 @@ class SystemVariable:
             return Pos(tuple(float(x) for x in pose_to_pos(pose)), "")
         if isinstance(value, Enum):
             return Constant(value.name)
-        return value if isinstance(value, bool) else value * self.scale
+        if isinstance(value, bool):
+            return value
+        number = value * self.scale
+        whole = self.kind == "INTEGER" and abs((number + 0.5) % 1 - 0.5) < 1e-9
+        return round(number) if whole else number
 
     def convert(self, value: Value) -> Any:
         """The value of the field of MotionSettings."""
         if isinstance(value, Constant):
             return self.choices[value.name] if self.choices else value.name
         if isinstance(value, Pos):
-            pose = pos_to_pose(np.array(value.fields))
-            return None if np.array_equal(pose, np.eye(4)) else tuple(tuple(float(x) for x in row) for row in pose)
+            return tuple(tuple(float(x) for x in row) for row in pos_to_pose(np.array(value.fields)))
         return value if isinstance(value, bool) else float(value) / self.scale  # type: ignore[arg-type]
 
 
-def _percent(name: str, field: str) -> SystemVariable:
-    return SystemVariable(name, field, "REAL", scale=100.0, unit="%", low=1, high=100)
+def _percent(name: str, field: str, scale: float = 100.0) -> SystemVariable:
+    return SystemVariable(name, field, "INTEGER", scale=scale, unit="%", low=1, high=100)
 
 
 def _choice(name: str, field: str | None, choices: type[Enum]) -> SystemVariable:
@@ -93,8 +98,8 @@ _TABLE = (
     _choice("$FLY_TYPE", "fly_type", FlyType),
     _choice("$FLY_TRAJ", "fly_trajectory", FlyTrajectory),
     SystemVariable("$FLY_DIST", "fly_distance", "REAL", scale=1000.0, unit="mm"),
-    SystemVariable("$FLY_PER", "fly_percent", "REAL", unit="%", low=1, high=100),
-    SystemVariable("$STRESS_PER", "stress_percent", "REAL", unit="%", low=1, high=100),
+    _percent("$FLY_PER", "fly_percent", scale=1.0),
+    _percent("$STRESS_PER", "stress_percent", scale=1.0),
     _choice("$SPD_OPT", "speed_option", SpeedOption),
     SystemVariable("$LIN_SPD", "linear_speed", "REAL", unit="m/s", above=True),
     SystemVariable("$ROT_SPD", "rotational_speed", "REAL", unit="rad/s", above=True),
@@ -105,6 +110,7 @@ _TABLE = (
     SystemVariable("$CNFG_CARE", "configuration_care", "BOOLEAN"),
     SystemVariable("$TURN_CARE", "turn_care", "BOOLEAN"),
     SystemVariable("$SING_CARE", "singularity_care", "BOOLEAN"),
+    SystemVariable("$JNT_MTURN", "multi_turn", "BOOLEAN"),
     _percent("$PROG_SPD_OVR", "speed_override"),
     _percent("$PROG_ACC_OVR", "acceleration_override"),
     _percent("$PROG_DEC_OVR", "deceleration_override"),
@@ -139,7 +145,7 @@ def read(name: str, values: Mapping[str, Value]) -> Value:
     if name in values:
         return values[name]
     if name.startswith("$ARM_") and name != "$ARM_OVR":
-        return 100.0
+        return 100
     return SYSTEM_VARIABLES[name].read(MotionSettings())
 
 

@@ -57,12 +57,16 @@ _ALWAYS_SET = (
     "$CNFG_CARE",
     "$TURN_CARE",
     "$SING_CARE",
+    "$JNT_MTURN",
     "$PROG_SPD_OVR",
     "$PROG_ACC_OVR",
     "$PROG_DEC_OVR",
 )
-#: The cell's own, left alone unless a statement asks for another value than MotionSettings' default.
-_SET_IF_USED = ("$ARM_OVR", "$BASE", "$TOOL", "$UFRAME")
+#: As published programs spell the arm's own overrides. Those but the first are multiplied with the program's.
+_ARM_DATA = "$ARM_DATA[1]."
+_MULTIPLIED = ("ARM_SPD_OVR", "ARM_ACC_OVR", "ARM_DEC_OVR")
+#: Of these a move need not say anything; then neither does the text.
+_FRAMES = ("$BASE", "$TOOL", "$UFRAME")
 _PROGRAM_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}", re.ASCII)
 _WIDTH = 110
 
@@ -89,12 +93,14 @@ def write_loop_program(
     cycles: int,
     approach: MotionSettings | None = None,
     robot: RobotDescription | None = None,
+    start: JointTarget | None = None,
 ) -> str:
     """A HOLD program of the loop: approach, then `cycles` times round the points.
 
-    The approach is MOVE JOINT to the first point with `approach` (default: 10 % speed override) and FINE. Each cycle
-    flies LINEAR through points 2 to K and closes with MOVE LINEAR to the first point and FINE, so every cycle starts
-    and ends at rest.
+    The approach is MOVE JOINT with `approach` (default: 10 % speed override) and FINE to `start`, which are joint
+    positions of the first point, or to the first point itself: joint positions leave no turn or posture open. Each
+    cycle flies LINEAR through points 2 to K and closes with MOVE LINEAR to the first point and FINE, so every cycle
+    starts and ends at rest.
 
     Raises:
         InputError: fewer than two points, no cycle, or what `write_program` refuses.
@@ -105,10 +111,12 @@ def write_loop_program(
         raise InputError(f"program {name}: the number of cycles is 1 to 1000000, not {cycles}")
     if approach is None:
         approach = settings.changed(speed_override=min(0.1, settings.speed_override))
-    first = Move(MoveType.JOINT, points[0], approach.changed(termination=Termination.FINE))
+    first = Move(MoveType.JOINT, start or points[0], approach.changed(termination=Termination.FINE))
     loop = [Move(MoveType.LINEAR, point, settings, fly=True) for point in points[1:]]
     loop.append(Move(MoveType.LINEAR, points[0], settings.changed(termination=Termination.FINE)))
     writer = _Writer([*loop, first], robot, globals_of=settings)
+    for point in points:
+        writer.point(point)
     lines = [*writer.statement(first, indent=2), f"  FOR cycle_number := 1 TO {cycles} DO"]
     for move in loop:
         lines += writer.statement(move, indent=4)
@@ -131,12 +139,11 @@ class _Writer:
         moves = [statement for statement in statements if isinstance(statement, Move)]
         self.globals = globals_of or (moves[0].settings if moves else MotionSettings())
         used = [move.settings for move in moves]
-        default = MotionSettings()
-        self.variables = [SYSTEM_VARIABLES[name] for name in _ALWAYS_SET]
-        for name in _SET_IF_USED:
+        self.variables = [SYSTEM_VARIABLES[name] for name in (*_FRAMES, *_ALWAYS_SET, "$ARM_OVR")]
+        for name in _FRAMES:
             field = str(SYSTEM_VARIABLES[name].field)
-            if any(getattr(settings, field) != getattr(default, field) for settings in used):
-                self.variables.append(SYSTEM_VARIABLES[name])
+            if any(getattr(settings, field) is None for settings in used):  # the others say it themselves
+                self.globals = self.globals.changed(**{field: None})
 
     def point(self, target: Target) -> str:
         if isinstance(target, CartesianTarget):
@@ -162,7 +169,7 @@ class _Writer:
         settings = self._settings(statement)
         if not settings:
             return [head]
-        return [f"{head},", *_wrapped(settings, f"{blank}  WITH ", f"{blank}       "), f"{blank}ENDMOVE"]
+        return [f"{head},", *_wrapped(settings, f"{blank}  WITH "), f"{blank}ENDMOVE"]
 
     def _settings(self, move: Move) -> list[str]:
         """What the move says itself: the FLY statement in full, then whatever differs from the start."""
@@ -185,10 +192,13 @@ class _Writer:
         for kind, target_type in kinds.items():
             names = [self.point(target) for target in self.points if isinstance(target, target_type)]
             if names:
-                declarations.append(",\n    ".join(_chunks(names)) + f" : {kind}")
+                declarations += [f"{chunk} : {kind} FOR ARM[1]" for chunk in _chunks(names)]
         declared = ["VAR", *(f"  {declaration}" for declaration in declarations)] if declarations else []
         start = [f"  {self.point(target)} := {_target(target, self.robot)}" for target in self.points]
-        start += [f"  {variable.name} := {_value(variable, self.globals)}" for variable in self.variables]
+        said = [variable for variable in self.variables if getattr(self.globals, str(variable.field)) is not None]
+        start += [f"  {variable.name} := {_value(variable, self.globals)}" for variable in said]
+        start[-1] = start[-1].replace("$", _ARM_DATA)
+        start += [f"  {_ARM_DATA}{override} := 100" for override in _MULTIPLIED]
         text = "\n".join([f"PROGRAM {name} HOLD, PROG_ARM=1", *declared, "BEGIN", *start, *lines, f"END {name}", ""])
         parse_program(text, "the program to be written", self.robot)
         return text
@@ -235,13 +245,13 @@ def _number(value: float) -> str:
     return f"{value:.12g}"
 
 
-def _wrapped(items: list[str], first: str, following: str) -> list[str]:
-    """Comma-separated items, each line ending in a comma."""
-    lines, line = [], first
+def _wrapped(items: list[str], head: str) -> list[str]:
+    """Comma-separated items, each line beginning with `head` and ending in a comma."""
+    lines, line = [], head
     for item in items:
-        if len(line) + len(item) + 1 > _WIDTH:
+        if len(line) + len(item) + 1 > _WIDTH and line != head:
             lines.append(line.rstrip())
-            line = following
+            line = head
         line += f"{item}, "
     return [*lines, line.rstrip()]
 

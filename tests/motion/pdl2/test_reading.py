@@ -8,6 +8,7 @@ import pytest
 
 from agent.motion.pdl2 import Pdl2Error, parse_program
 from agent.motion.program import (
+    NO_FRAME,
     CartesianTarget,
     Delay,
     FlyTrajectory,
@@ -176,8 +177,10 @@ def test_units_of_every_variable():
         speed_option=SpeedOption.SPD_ROT,
         fly_trajectory=FlyTrajectory.FLY_FROM,
         turn_care=True,
+        base=NO_FRAME,  # said, which is more than not said
         tool=tool,
     )
+    assert move.settings.uframe is None
     assert move.type is MoveType.LINEAR
 
 
@@ -225,3 +228,28 @@ def test_prismatic_joints_are_millimetres():
 
 def test_old_line_ends_do_not_hide_what_follows_a_comment():
     assert len(moves(body("-- a comment\rMOVE TO {0}\r"))) == 1
+
+
+def test_pos_has_six_or_seven_fields():
+    result = moves(body("MOVE TO POS(1, 2, 3, 0, 90, 0)\nMOVE TO POS(1, 2, 3, 0, 90, 0, '')"))
+    np.testing.assert_array_equal(result[0].target.pose, result[1].target.pose)
+    assert result[0].target.configuration == ""
+
+
+def test_the_arm_may_be_named_where_published_programs_name_it():
+    text = """PROGRAM p
+VAR
+  a, b : JOINTPOS FOR ARM[1]
+  c : ARRAY[2] OF POSITION FOR ARM[1]
+BEGIN
+  a := {10}
+  $ARM_DATA[1].ARM_OVR := 45
+  MOVE TO a
+END p
+"""
+    (move,) = parse_program(text).run()
+    assert move.settings.arm_override == 0.45
+    with pytest.raises(Pdl2Error, match="another arm"):
+        parse_program(text.replace("JOINTPOS FOR ARM[1]", "JOINTPOS FOR ARM[2]"))
+    with pytest.raises(Pdl2Error, match="not a system variable"):
+        parse_program(text.replace("$ARM_DATA[1].ARM_OVR", "$ARM_DATA[1].ARM_NOTHING"))

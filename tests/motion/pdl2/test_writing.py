@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from agent.errors import InputError
 from agent.motion.pdl2 import parse_program, pos_to_pose, write_loop_program, write_program
 from agent.motion.program import (
+    NO_FRAME,
     CartesianTarget,
     Delay,
     FlyTrajectory,
@@ -40,10 +41,9 @@ JOINTS = st.builds(
     lambda q: JointTarget(np.array(q)), st.lists(approximately(-7, 7), min_size=6, max_size=6).filter(len)
 )
 TARGETS = CARTESIAN | JOINTS
-FRAMES = st.none() | st.builds(
-    lambda target: tuple(tuple(float(x) for x in row) for row in target.pose), CARTESIAN
-).filter(lambda frame: not np.allclose(frame, np.eye(4), atol=1e-9))
-PERCENT, OVERRIDE = approximately(1, 100), approximately(0.01, 1)
+FRAMES = st.none() | st.builds(lambda target: tuple(tuple(float(x) for x in row) for row in target.pose), CARTESIAN)
+PERCENT = st.integers(1, 100)
+OVERRIDE = PERCENT.map(lambda percent: percent / 100)
 SETTINGS = st.builds(
     MotionSettings,
     fly_type=st.sampled_from(FlyType),
@@ -68,6 +68,7 @@ SETTINGS = st.builds(
     configuration_care=st.booleans(),
     turn_care=st.booleans(),
     singularity_care=st.booleans(),
+    multi_turn=st.booleans(),
 )
 
 
@@ -156,13 +157,49 @@ def test_the_text_of_a_loop_is_what_is_used_in_the_field():
     flying = (
         "    MOVEFLY LINEAR TO p2 ADVANCE,\n"
         "      WITH $FLY_TYPE = FLY_CART, $MOVE_TYPE = LINEAR, $SPD_OPT = SPD_LIN, $FLY_TRAJ = FLY_TOL,\n"
-        "           $STRESS_PER = 50, $FLY_DIST = 20, $LIN_SPD = 1, $TERM_TYPE = COARSE, $TOL_COARSE = 1,\n"
+        "      WITH $STRESS_PER = 50, $FLY_DIST = 20, $LIN_SPD = 1, $TERM_TYPE = COARSE, $TOL_COARSE = 1,\n"
         "    ENDMOVE\n"
         "    MOVE LINEAR TO p1,\n      WITH $TERM_TYPE = FINE,\n    ENDMOVE\n  ENDFOR\nEND ns16_loop\n"
     )
     assert text.endswith("  FOR cycle_number := 1 TO 100 DO\n" + flying)
     assert all(len(line) <= 120 for line in text.split("\n"))
-    assert "$TOOL" not in text  # the cell's own frames are left alone
+    assert "$TOOL" not in text  # no move says anything of it
+    assert "p1, p2 : POSITION FOR ARM[1]" in text
+
+
+def test_a_loop_leaves_no_frame_turn_or_override_to_what_ran_before():
+    tool = tuple(map(tuple, pos_to_pose(np.array([0, 0, 120, 0, 90, 0])).tolist()))
+    framed = FIELD.changed(base=NO_FRAME, tool=tool, uframe=NO_FRAME)
+    points = [point(1000, -200, 800, 0, 180, 0), point(1000, 200, 800, 0, 150, 30)]
+    start = JointTarget(np.radians([10, 0, -90, 0, 30, 400]))
+    text = write_loop_program("ns16_loop", points, framed, 3, start=start)
+    before_motion = text[: text.index("MOVE")]
+    for line in (
+        "$BASE := POS(0, 0, 0, 0, 0, 0, '')",
+        "$TOOL := POS(0, 0, 120, 0, 90, 0, '')",
+        "$UFRAME := POS(0, 0, 0, 0, 0, 0, '')",
+        "$JNT_MTURN := TRUE",
+        "$ORNT_TYPE := RS_WORLD",
+        "$TERM_TYPE := COARSE",
+        "$LIN_SPD := 1",
+        "$PROG_SPD_OVR := 100",
+        "$ARM_DATA[1].ARM_OVR := 100",
+        "$ARM_DATA[1].ARM_SPD_OVR := 100",
+        "p3 := {10, 0, -90, 0, 30, 400}",
+    ):
+        assert f"  {line}\n" in before_motion
+    assert "  MOVE JOINT TO p3,\n" in text
+    first, *others = parse_program(text).run()
+    np.testing.assert_allclose(first.target.position, start.position, atol=1e-9)
+    assert {type(move.target) for move in others} == {CartesianTarget}
+
+
+def test_a_frame_that_only_some_moves_name_goes_with_them():
+    framed = FIELD.changed(uframe=NO_FRAME)
+    moves = [Move(MoveType.LINEAR, point(1, 2, 3, 0, 0, 0), settings) for settings in (FIELD, framed, FIELD)]
+    text = write_program("t", moves)
+    assert "$UFRAME :=" not in text
+    assert [move.settings.uframe for move in parse_program(text).run()] == [None, NO_FRAME, None]
 
 
 def test_values_a_person_chose_come_back_to_the_bit():
@@ -198,6 +235,7 @@ def test_prismatic_joints_are_written_in_millimetres():
         (lambda p: write_program("while", [Move(MoveType.LINEAR, p)]), "'while'"),
         (lambda p: write_program("move", [Move(MoveType.LINEAR, p)]), "'move'"),
         (lambda p: write_program("t", [Move(MoveType.LINEAR, p, FIELD.changed(fly_percent=0))]), r"\$FLY_PER is 0"),
+        (lambda p: write_program("t", [Move(MoveType.LINEAR, p, FIELD.changed(speed_override=0.125))]), "INTEGER"),
         (lambda p: write_program("t", [Delay(7200)]), "DELAY"),
         (lambda p: write_program("t", [Move(MoveType.CIRCULAR, p)]), "VIA"),
         (lambda p: write_program("t", [Move(MoveType.LINEAR, point(0, 0, np.nan, 0, 0, 0))]), "finite"),

@@ -1,0 +1,61 @@
+"""The frames that a program's positions are given in: which it sets, which it leaves to the controller, and poses in
+the robot's base."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.motion.program import NO_FRAME, CartesianTarget, Frame, MotionSettings, Move, MoveType, Statement
+
+if TYPE_CHECKING:
+    from agent.robot.dynamics import Tool
+
+#: System variables and the fields of MotionSettings that they stand in.
+FRAMES = {"$BASE": "base", "$TOOL": "tool", "$UFRAME": "uframe"}
+
+
+def tool_frame(tool: Tool | None) -> np.ndarray:
+    """(4, 4) of the tool centre point in the flange's frame [m]."""
+    return np.eye(4) if tool is None else np.asarray(tool.frame, dtype=float)
+
+
+def with_frames(settings: MotionSettings, tool: Tool | None) -> MotionSettings:
+    """The settings for poses of this tool's centre point in the robot's base."""
+    frame = tuple(tuple(float(x) for x in row) for row in tool_frame(tool))
+    return settings.changed(base=NO_FRAME, tool=frame, uframe=NO_FRAME)
+
+
+def pose_in_robot_base(move: Move) -> np.ndarray:
+    """(4, 4) where a Cartesian target is [m]: base⁻¹ · uframe · pose.
+
+    `$BASE` is where the robot stands in the world, `$UFRAME` where the work is in it; a pose is given in `$UFRAME`.
+    """
+    assert isinstance(move.target, CartesianTarget)
+    base, uframe = _matrix(move.settings.base), _matrix(move.settings.uframe)
+    return np.linalg.solve(base, uframe @ np.asarray(move.target.pose, dtype=float))
+
+
+def left_open(statements: Iterable[Statement], tool: Tool | None) -> Mapping[str, np.ndarray]:
+    """The frames (4, 4) [m] that a plan of these statements takes for granted, as the program does not set them.
+
+    A move to a pose needs all three, a straight line or an arc between joint positions the tool, a joint move to
+    joint positions none.
+    """
+    needed: set[str] = set()
+    for move in statements:
+        if not isinstance(move, Move):
+            continue
+        if any(isinstance(target, CartesianTarget) for target in (move.target, move.via)):
+            names = {*FRAMES}
+        else:
+            names = set() if move.type is MoveType.JOINT else {"$TOOL"}
+        needed |= {name for name in names if getattr(move.settings, FRAMES[name]) is None}
+    taken = {"$BASE": np.eye(4), "$TOOL": tool_frame(tool), "$UFRAME": np.eye(4)}
+    return {name: taken[name] for name in FRAMES if name in needed}
+
+
+def _matrix(frame: Frame | None) -> np.ndarray:
+    return np.eye(4) if frame is None else np.array(frame, dtype=float)
