@@ -27,7 +27,7 @@ def check_frames(program: PlannedProgram, driver: Driver, address: str) -> None:
         missing = " and ".join(program.frames)
         lines = "; ".join(f"{name} := {pos_text(frame)}" for name, frame in program.frames.items())
         raise InputError(
-            f"{address}: program {program.name} does not set {missing}, so where it goes depends on what ran before it, "
+            f"{address}: program {program.name} does not set {missing}, so its way depends on what ran before it, "
             f"and this link cannot read that. Set it before the first move; the plan was made for {lines}"
         )
     found = driver.frames()

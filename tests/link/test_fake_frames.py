@@ -44,7 +44,9 @@ def flange(q: np.ndarray) -> pinocchio.SE3:
 
 def se3(fields) -> pinocchio.SE3:
     """x, y, z [mm], a, e, r [deg] by elementary rotations."""
-    a, e, r = (np.array(axis) * np.radians(x) for axis, x in zip(([0, 0, 1], [0, 1, 0], [0, 0, 1]), fields[3:], strict=True))
+    a, e, r = (
+        np.array(axis) * np.radians(x) for axis, x in zip(([0, 0, 1], [0, 1, 0], [0, 0, 1]), fields[3:], strict=True)
+    )
     turn = pinocchio.exp3(a) @ pinocchio.exp3(e) @ pinocchio.exp3(r)
     return pinocchio.SE3(turn, np.array(fields[:3]) / 1000.0)
 
