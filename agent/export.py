@@ -102,7 +102,7 @@ def mujoco_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray)
     SubElement(root, "compiler", angle="radian", autolimits="true")
     SubElement(root, "option", gravity=_text(*robot.gravity))
     body = SubElement(root, "worldbody")
-    joints = {joint.get("name"): joint for joint in ElementTree.fromstring(robot.urdf).iter("joint")}
+    joints = {joint.get("name"): joint for joint in ElementTree.fromstring(robot.urdf).findall("joint")}
     before, zero = np.eye(4), np.zeros((1, robot.dof))
     armature = robot.gear_ratios**2 * standard[10 * robot.dof :]
     tendons = []

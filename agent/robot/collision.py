@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from agent.robot.description import Capsule, RobotDescription
-from agent.robot.dynamics import pinocchio_model
+from agent.robot.dynamics import frame_id, pinocchio_model
 from agent.robot.kinematic_chain import joint_axes
 
 #: Name of a box in a pair: this and the box's own name.
@@ -72,7 +72,7 @@ class CollisionModel:
         self._strokes = np.where(self._prismatic, np.where(np.isfinite(strokes), strokes, ENDLESS_STROKE), 0.0)
         self._shapes: dict[str, list[int]] = {}
         for body in bodies:
-            frame = self._model.frames[self._model.getFrameId(body.frame)]
+            frame = self._model.frames[frame_id(self._model, body.frame)]
             self._shapes[body.name] = [self._add_capsule(body.name, frame, capsule) for capsule in body.capsules]
         joints = {name: self._joint(shapes) for name, shapes in self._shapes.items()}
         pairs = [(a, b) for a, b in combinations(joints, 2) if abs(joints[a] - joints[b]) > 1]
@@ -186,7 +186,7 @@ def skeleton(robot: RobotDescription, radius: float) -> tuple[Body, ...]:
     """A capsule for each link from its own joint to the next one, for an arm whose description has no bodies."""
     model = pinocchio_model(robot)
     ends = [placement.translation for placement in list(model.jointPlacements)[2:]]
-    ends.append(model.frames[model.getFrameId(robot.tip_frame)].placement.translation)
+    ends.append(model.frames[frame_id(model, robot.tip_frame)].placement.translation)
     return tuple(
         Body(f"link of {name}", name, (Capsule((0.0, 0.0, 0.0), (float(x), float(y), float(z)), radius),))
         for name, (x, y, z) in zip(robot.joint_names, ends, strict=True)

@@ -40,7 +40,7 @@ class Dynamics:
         self.tool = tool
         self._model = pinocchio_model(robot, tool)
         self._data = self._model.createData()
-        self._tip = self._model.getFrameId(robot.tip_frame)
+        self._tip = frame_id(self._model, robot.tip_frame)
 
     @property
     def dof(self) -> int:
@@ -169,7 +169,7 @@ class Dynamics:
 
     def link_poses(self, q: np.ndarray, link: str) -> np.ndarray:
         """(S, 4, 4) pose of a URDF link's frame in the base frame."""
-        frame = self._model.getFrameId(link)
+        frame = frame_id(self._model, link)
         poses = np.empty((len(q), 4, 4))
         for k in range(len(poses)):
             pin.framesForwardKinematics(self._model, self._data, q[k])
@@ -200,7 +200,7 @@ def pinocchio_model(robot: RobotDescription, tool: Tool | None = None) -> pin.Mo
     model.gravity.linear = np.array(robot.gravity)
     model.armature = np.zeros(model.nv)
     if tool is not None and tool.mass > 0:
-        frame = model.frames[model.getFrameId(robot.tip_frame)]
+        frame = model.frames[frame_id(model, robot.tip_frame)]
         lever = np.zeros(3) if tool.centre_of_mass is None else np.asarray(tool.centre_of_mass, dtype=float)
         centre = tool.frame[:3, :3] @ lever + tool.frame[:3, 3]
         inertia = pin.Inertia(tool.mass, centre, np.zeros((3, 3)))
@@ -208,14 +208,20 @@ def pinocchio_model(robot: RobotDescription, tool: Tool | None = None) -> pin.Mo
     return model
 
 
+def frame_id(model: pin.Model, name: str) -> int:
+    """Index of the frame of a link or, if no link has this name, of a joint: one of each may be called the same."""
+    kinds = (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+    return next(model.getFrameId(name, kind) for kind in kinds if model.existFrame(name, kind))
+
+
 def _without_meshes(urdf: str) -> str:
     """Drop visual and collision geometry, and give continuous joints one coordinate."""
     tree = ElementTree.fromstring(urdf)
-    for link in tree.iter("link"):
+    for link in tree.findall("link"):
         for kind in ("visual", "collision"):
             for geometry in link.findall(kind):
                 link.remove(geometry)
-    for joint in tree.iter("joint"):
+    for joint in tree.findall("joint"):
         if joint.get("type") == "continuous":
             joint.set("type", "revolute")
         if joint.get("type") in ("revolute", "prismatic"):

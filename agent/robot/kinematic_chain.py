@@ -110,7 +110,8 @@ def chain_of(robot: RobotDescription, tool_frame: np.ndarray | None = None) -> K
     tree = ElementTree.fromstring(robot.urdf)
     by_child = {_link(joint, "child"): joint for joint in tree.findall("joint")}
     names = {joint.get("name"): _link(joint, "child") for joint in by_child.values()}
-    link = names.get(robot.tip_frame, robot.tip_frame)
+    links = {element.get("name") for element in tree.findall("link")}
+    link = robot.tip_frame if robot.tip_frame in links else names.get(robot.tip_frame, robot.tip_frame)
     path: list[ElementTree.Element] = []
     while link in by_child:
         if by_child[link] in path:

@@ -47,7 +47,7 @@ def check_urdf(path: Path, root: Element, joints: Sequence[str]) -> None:
 
 def _check_numbers(path: Path, root: Element) -> None:
     # The URDF library only prints what it cannot read and goes on without that inertia.
-    for owner in (*root.iter("link"), *root.iter("joint")):
+    for owner in (*root.findall("link"), *root.findall("joint")):
         for element in owner.iter():
             for key in _NUMBERS.get(element.tag, ()):
                 text = element.get(key, "0")

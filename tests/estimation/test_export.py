@@ -225,3 +225,87 @@ def test_mujoco_reads_the_urdf_too(ns16: RobotDescription, tmp_path: Path) -> No
         mujoco.mj_inverse(read, data)
         expected = model.rigid.torque(q[k : k + 1], np.zeros((1, 6)), qdd[k : k + 1], model.base_values)[0]
         np.testing.assert_allclose(data.qfrc_inverse - data.qfrc_constraint, expected, rtol=0, atol=1e-9)
+
+
+BODY = (
+    '<inertial><origin xyz="0.1 0.02 0.05" rpy="0.1 0.2 0.3"/><mass value="1"/>'
+    '<inertia ixx="0.02" iyy="0.03" izz="0.025" ixy="0.001" ixz="0" iyz="0"/></inertial>'
+)
+
+
+def joint(
+    name: str, kind: str, parent: str, child: str, axis: str = "0 0 1", rpy: str = "0 0 0", rest: str = ""
+) -> str:
+    limit = "" if kind in ("fixed", "continuous") else '<limit lower="-2" upper="2" velocity="2" effort="50"/>'
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="0.1 0 0.2" rpy="{rpy}"/><axis xyz="{axis}"/>{limit}{rest}</joint>'
+        f'<link name="{child}">{BODY}</link>'
+    )
+
+
+ARM = (
+    joint("j1", "revolute", "base", "a")
+    + joint("j2", "revolute", "a", "b", "0 1 0", "0.4 0.1 0")
+    + joint("j3", "continuous", "b", "c", "0.6 0 0.8")
+)
+#: What URDFs of public arms have: elements of the root, joints of the description, tip frame.
+DESCRIPTIONS = {
+    "joints named again by transmissions": (
+        ARM + '<transmission name="t"><joint name="j1"><x/></joint></transmission><gazebo reference="a"/>',
+        ("j1", "j2", "j3"),
+        "c",
+    ),
+    "links called like joints": (
+        joint("a", "revolute", "base", "b", "0 1 0") + joint("b", "prismatic", "b", "a", "1 0 0"),
+        ("a", "b"),
+        "a",
+    ),
+    "frames fixed to base and flange": (
+        joint("bolts", "fixed", "base", "plinth", rpy="0.3 0.2 0.1")
+        + joint("j1", "revolute", "plinth", "a", "0 1 0")
+        + joint("plate", "fixed", "a", "plate", rpy="1 0 0")
+        + joint("j2", "revolute", "plate", "b", "1 0 0")
+        + joint("flange", "fixed", "b", "tool")
+        + joint("view", "fixed", "base", "camera"),
+        ("j1", "j2"),
+        "tool",
+    ),
+    "a subset of the joints": (ARM, ("j1", "j3"), "c"),
+    "a tip frame in mid-chain": (ARM, ("j1", "j2"), "b"),
+    "a joint as tip frame": (ARM, ("j1", "j2", "j3"), "j3"),
+    "another branch, with a mimic joint": (
+        ARM
+        + joint("f1", "prismatic", "c", "finger", "1 0 0")
+        + joint("f2", "prismatic", "c", "thumb", "1 0 0", rest='<mimic joint="f1" multiplier="-1"/>'),
+        ("j1", "j2", "j3"),
+        "c",
+    ),
+    "axes not of unit length": (joint("j1", "revolute", "base", "a", "0 2 0"), ("j1",), "a"),
+}
+
+
+def described(folder: Path, elements: str, joints: tuple[str, ...], tip: str) -> RobotDescription:
+    (folder / "r.urdf").write_text(f'<robot name="r"><link name="base"/>{elements}</robot>')
+    rows = "".join(f"  - {{name: {j}, gear_ratio: 50, max_velocity: 2, max_acceleration: 5}}\n" for j in joints)
+    (folder / "robot.yaml").write_text(f"name: r\nurdf: r.urdf\ntip_frame: {tip}\njoints:\n{rows}")
+    return load_robot(folder)
+
+
+@pytest.mark.parametrize("kind", DESCRIPTIONS)
+def test_every_description_is_exported_and_read_back(tmp_path: Path, kind: str) -> None:
+    robot = described(tmp_path, *DESCRIPTIONS[kind])
+    model = model_of(robot, bodies(robot, spread=0.1), known=True)
+    urdf, _, friction = export_model(model, tmp_path / "out")
+    read = pin.buildModelFromUrdf(str(urdf))
+    assert tuple(read.names)[1:] == robot.joint_names
+    data, drive = read.createData(), json.loads(friction.read_text())
+    read.armature = np.array([axle["armature"] for axle in drive["axles"]])
+    read.gravity.linear = np.array(drive["gravity"])
+    q, qd, qdd = states(robot)
+    torque = np.empty(q.shape)
+    for k, (here, speed, acceleration) in enumerate(zip(q, qd, qdd, strict=True)):
+        # a continuous joint has two coordinates in Pinocchio
+        parts = [[np.cos(x), np.sin(x)] if width == 2 else [x] for x, width in zip(here, read.nqs[1:], strict=False)]
+        torque[k] = pin.rnea(read, data, np.concatenate(parts), speed, acceleration)
+    np.testing.assert_allclose(torque, model.rigid.torque(q, qd, qdd, model.base_values), rtol=0, atol=1e-9)
