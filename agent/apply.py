@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.console import Console
+from agent.documents import read_json
 from agent.errors import AgentError, InputError
 from agent.history import open_history, read_run
 from agent.run import RunFolder, sha256_file, write_atomically
@@ -71,7 +72,7 @@ def apply_run(logs: Path, run: Path) -> Applied:
     if not model.is_file():
         raise InputError(f"{model}: no such file; the run has lost its model")
     sha256 = sha256_file(model)
-    accepted = json.loads((run / "state.json").read_text(encoding="utf-8")).get("model_sha256", sha256)
+    accepted = read_json(run / "state.json").get("model_sha256", sha256)
     if accepted != sha256:
         raise InputError(f"{model}: this is not the model that was accepted (SHA-256 differs); it was changed since")
     place = _place(logs, past.robot, past.serial)
@@ -118,14 +119,17 @@ def apply_previous(logs: Path, robot: str | None = None, serial: str | None = No
     Raises:
         InputError: nothing was applied before, or it is not clear on which robot.
     """
-    places = [
-        (place, about)
-        for place in sorted((logs / _FOLDER).glob("*"))
-        if (place / "current").is_symlink()
-        and (about := _about(place / "current"))
-        and robot in (None, about.robot)
-        and serial in (None, about.serial)
-    ]
+    places, damaged = [], []
+    for place in sorted((logs / _FOLDER).glob("*")):
+        try:
+            about = _about(place / "current") if (place / "current").is_symlink() else None
+        except InputError as error:
+            damaged.append(str(error))
+            continue
+        if about is not None and robot in (None, about.robot) and serial in (None, about.serial):
+            places.append((place, about))
+    if not places and damaged:
+        raise InputError("; ".join(damaged))
     if not places:
         raise InputError(f"{logs / _FOLDER}: no model was applied yet, so there is none to go back from")
     if len(places) > 1:
@@ -166,10 +170,13 @@ def remember(run: RunFolder, console: Console) -> None:
 
 def _about(version: Path) -> Applied:
     try:
-        data = json.loads((version / "about.json").read_text(encoding="utf-8"))
+        data = read_json(version / "about.json")
         data.pop("schema")
         applied = Applied(model=version / "model.json", **data)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        for field in (applied.run, applied.robot, applied.serial, applied.sha256, applied.previous or ""):
+            if not isinstance(field, str):
+                raise ValueError("texts are expected in it")
+    except (InputError, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{version / 'about.json'}: cannot be read ({error}); apply a run again") from None
     if not applied.model.is_file() or sha256_file(applied.model) != applied.sha256:
         raise InputError(f"{applied.model}: missing or changed since it was applied; apply a run again")

@@ -253,13 +253,16 @@ def trajectories(as_json: AsJson = False) -> None:
     from agent.console import print_json
     from agent.excitation import stored_loops
 
-    loops = stored_loops()
+    damaged: list[str] = []
+    loops = stored_loops(damaged=damaged)
+    for said in damaged:
+        print(f"agent: {said}", file=sys.stderr)
     if as_json:
         print_json({"schema": "trajectories/1", "trajectories": [loop.to_dict() for loop in loops]})
         return
     for loop in loops:
         print(loop.line())
-    if not loops:
+    if not loops and not damaged:
         print("no stored loops yet: `agent plan` and `agent calibrate` keep what they find", file=sys.stderr)
 
 

@@ -93,8 +93,9 @@ def history(
     with open_history(logs) as past:
         runs = past.runs(robot, serial)
         current, lost = current_runs(logs)
-        for damaged in (*past.damaged, *lost):
-            print(f"agent: {damaged}", file=sys.stderr)
+        future = [f"{run.run}: dated in the future; the trends leave it out" for run in runs if run.in_future()]
+        for doubtful in (*past.damaged, *lost, *future):
+            print(f"agent: {doubtful}", file=sys.stderr)
         if as_json:
             import json
 

@@ -136,6 +136,8 @@ def read_json(path: Path, largest: int = LARGEST_JSON) -> Any:
         InputError: missing, unreadable, not UTF-8, not JSON, nested too deep, or too long.
     """
     try:
+        if path.exists() and not path.is_file():  # whoever opens a pipe waits for ever
+            raise ValueError("it is no file")
         with open(path, "rb") as file:
             data = file.read(largest + 1)
         if len(data) > largest:

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import sqlite3
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,9 @@ from agent.errors import AgentError, InputError
 from agent.figures import error_text
 
 FILE = "history.sqlite"
-_VERSION = 4
+_VERSION = 5
+#: Clocks differ by so much without being wrong.
+AHEAD = timedelta(minutes=5)
 #: Result codes of SQLite with which the system says no; what else goes wrong is damage.
 _REFUSALS = (
     sqlite3.SQLITE_PERM,
@@ -65,6 +69,15 @@ class PastRun:
     reason: str
     worst: float | None
     data: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def time(self) -> datetime:
+        """When it was started."""
+        return datetime.fromisoformat(self.started)
+
+    def in_future(self, now: datetime | None = None) -> bool:
+        """Whether it was started later than now, by clocks of which one was wrong."""
+        return self.time > (now or datetime.now(UTC)) + AHEAD
 
     @property
     def complete(self) -> bool:
@@ -139,11 +152,13 @@ class History:
                 found.setdefault(run, []).append(PastParameter(*values))
         return found
 
-    def last_accepted(self, robot: str, loop: str, controller: str) -> PastRun | None:
-        """The newest accepted run of a loop: of the robot at this controller if there is one, else of any."""
+    def last_accepted(self, robot: str, loop: str, controller: str, now: datetime | None = None) -> PastRun | None:
+        """The newest accepted run of a loop: of the robot at this controller if there is one, else of any.
+
+        One that is dated in the future counts only where there is no other: nobody knows when it was."""
         accepted = [run for run in self.runs(robot) if run.accepted and run.loop == loop]
-        here = [run for run in accepted if run.controller == controller]
-        return (here or accepted or [None])[-1]
+        here = [run for run in accepted if run.controller == controller] or accepted
+        return ([run for run in here if not run.in_future(now)] or here or [None])[-1]
 
     def update(self) -> None:
         """Take in run folders that are new or have changed, and forget those that are gone."""
@@ -213,8 +228,11 @@ def find_run(logs: Path, name: str) -> Path:
         InputError: there is no such run.
     """
     for path in (Path(name), logs / name):
-        if (path / "state.json").is_file():
-            return path
+        try:
+            if (path / "state.json").is_file():
+                return path
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     raise InputError(f"{name}: no such run here or in {logs}; `agent history` lists them")
 
 
@@ -237,49 +255,83 @@ def readable(run: Path) -> Iterator[None]:
     """
     try:
         yield
-    except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
         what = f"{error} is missing in them" if isinstance(error, KeyError) else str(error)
         page = run / "report.html"
-        advice = f"the page of its own time is {page}" if page.is_file() else "it has no page of its own time"
+        advice = f"the page of its own time is {page}" if os.path.isfile(page) else "it has no page of its own time"
         raise InputError(
             f"{run}: files of this run are damaged, or another version of the agent wrote them ({what}); {advice}"
         ) from error
 
 
 def _read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
-    state = _read_json(path / "state.json")
-    result = _read_json(path / "result.json") if (path / "result.json").exists() else {}
-    validation = result.get("validation", {})
-    figures = validation.get("normalised_rmse", [])
+    state = read_object(path / "state.json")
+    result = read_object(path / "result.json") if os.path.lexists(path / "result.json") else {}
+    validation, gate = result.get("validation", {}), result.get("gate", {})
+    figures = _numbers(validation.get("normalised_rmse", []), "normalised_rmse")
     known = [value for value in figures if value is not None]
+    limit = gate.get("normalised_rmse")
     data = {
-        "joints": validation.get("joints", []),
+        "joints": _texts(validation.get("joints", []), "joints"),
         "normalised_rmse": figures,
-        "rmse": validation.get("rmse", []),
-        "gate": result.get("gate", {}).get("normalised_rmse"),
-        "not_judged": result.get("gate", {}).get("not_judged", []),
-        "conditions": result.get("conditions", {}),
-        "verdict": result.get("verdict", ""),
-        "watch": state.get("watch", []),
+        "rmse": _numbers(validation.get("rmse", []), "rmse"),
+        "gate": None if limit is None else _number(limit, "gate"),
+        "not_judged": _texts(gate.get("not_judged", []), "not_judged"),
+        "conditions": _conditions(result.get("conditions", {}), validation.get("joints", [])),
+        "verdict": _text(result, "verdict"),
+        "watch": _texts(state.get("watch", []), "watch"),
     }
     run = PastRun(
-        run=path.name,
-        robot=state["robot"],
-        serial=state.get("serial", ""),
-        kind=state.get("kind", "calibrate"),
-        started=state["started"],
-        status=state["status"],
-        controller=state.get("controller", ""),
-        loop=state.get("loop", ""),
-        program=state.get("program", ""),
-        reference=state.get("reference", ""),
-        reason=result.get("reason", "") or state.get("stopped", {}).get("reason", ""),
+        run=_checked(path.name, "the name"),
+        robot=_checked(state["robot"], "robot"),
+        serial=_text(state, "serial"),
+        kind=_text(state, "kind", "calibrate"),
+        started=_in_utc(state["started"]),
+        status=_checked(state["status"], "status"),
+        controller=_text(state, "controller"),
+        loop=_text(state, "loop"),
+        program=_text(state, "program"),
+        reference=_text(state, "reference"),
+        reason=_one_line(result.get("reason", "") or state.get("stopped", {}).get("reason", "")),
         worst=max(known, default=None),
         data=data,
     )
-    model = _read_json(path / "model.json") if (path / "model.json").exists() else {}
+    model = read_object(path / "model.json") if os.path.lexists(path / "model.json") else {}
     rows = [*model.get("base_parameters", []), *model.get("friction", [])]
-    return run, [PastParameter(p["name"], p["unit"], p["value"], p["standard_deviation"]) for p in rows]
+    return run, [
+        PastParameter(
+            _checked(p["name"], "a parameter's name"),
+            _checked(p["unit"], "a parameter's unit"),
+            _number(p["value"], p["name"]),
+            _number(p["standard_deviation"], p["name"]),
+        )
+        for p in rows
+    ]
+
+
+def _conditions(found: dict[str, Any], joints: list[str]) -> dict[str, Any]:
+    """Those that the trends use are what they expect."""
+    for level in found.get("friction", []):
+        if level["joint"] not in joints:
+            raise ValueError(f"friction of {level['joint']!r}, which is none of the joints")
+        for key in ("speed", "value", "standard_deviation", "from_run_to_run"):
+            _number(level[key], key)
+    if found.get("friction") and len(_numbers(found["nominal_torque"], "nominal_torque")) != len(joints):
+        raise ValueError("nominal_torque is not one a joint")
+    for key in ("rate_per_s", "standard_deviation"):
+        _numbers(found.get("warm_up", {}).get(key, []), key)
+    return found
+
+
+def _one_line(text: str) -> str:
+    """A reason may be the words of a controller, or of several lines."""
+    return _checked(" ".join("".join(c if c.isprintable() else " " for c in text).split()), "reason")
+
+
+def _in_utc(stamp: str) -> str:
+    """The same time, in the one zone by which runs are put in order; without a zone it is that already."""
+    time = datetime.fromisoformat(stamp)
+    return (time if time.tzinfo else time.replace(tzinfo=UTC)).astimezone(UTC).isoformat(timespec="seconds")
 
 
 def history_table(runs: Sequence[PastRun], current: Collection[str] = ()) -> str:
@@ -361,17 +413,60 @@ def _open(folder: Path) -> History:
 
 
 def _folders(folder: Path) -> Iterator[tuple[str, int]]:
-    """Names of run folders, and when each last finished a step [ns]."""
+    """Names of run folders, and when each last finished a step [ns]; 0 where that cannot be told."""
     for entry in os.scandir(folder):
-        with contextlib.suppress(OSError):
+        if not entry.name.isprintable():  # none of ours, and no text for the database
+            continue
+        try:
             yield entry.name, os.stat(f"{entry.path}/state.json").st_mtime_ns
+        except (FileNotFoundError, NotADirectoryError):
+            continue
+        except OSError:  # no rights, a link to itself: `read_run` says which
+            yield entry.name, 0
 
 
-def _read_json(path: Path) -> dict[str, Any]:
+def read_object(path: Path) -> dict[str, Any]:
+    """A JSON file of a run, for use within `readable`.
+
+    Raises:
+        ValueError: it cannot be read, or holds no object.
+    """
+    from agent.documents import read_json
+
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path.name}: {error}") from None
+        data = read_json(path)
+    except InputError as error:
+        raise ValueError(str(error)) from None
     if not isinstance(data, dict):
         raise ValueError(f"{path.name} holds no object")
     return data
+
+
+def _text(data: dict[str, Any], key: str, otherwise: str = "") -> str:
+    return _checked(data.get(key, otherwise), key)
+
+
+def _checked(value: Any, what: str) -> str:
+    """A text that the database, a terminal and a page can take."""
+    if not isinstance(value, str) or not value.isprintable():
+        raise ValueError(f"{what} is no text")
+    value.encode()  # half a character is none
+    return value
+
+
+def _numbers(values: Any, what: str) -> list[float | None]:
+    if not isinstance(values, list):
+        raise ValueError(f"{what} is no list")
+    return [None if value is None else _number(value, what) for value in values]
+
+
+def _number(value: Any, what: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ValueError(f"{what} is no number")
+    return float(value)
+
+
+def _texts(values: Any, what: str) -> list[str]:
+    if not isinstance(values, list):
+        raise ValueError(f"{what} is no list")
+    return [_checked(value, what) for value in values]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,11 +14,11 @@ from agent.apply import apply_run, origin, remember
 from agent.approved import approve
 from agent.calibrate import step
 from agent.console import Console
+from agent.due import too_early, wrong_clock
 from agent.ending import current_run, ending_text
 from agent.errors import ControllerError
 from agent.figures import error_text, not_judged_text, outcome_text, torque_units, without_nominal
 from agent.fresh_data import diagnose_if_worse, worse_joints
-from agent.history import PastRun
 from agent.recipe import Recipe
 from agent.record import Link, Recording, open_link, report_losses
 from agent.record_plan import EXCITATION
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from agent.recording.log import Log
     from agent.validation import Prediction
 
-#: A run that is due within this part of its interval is due: a clock is never to the second.
-_EARLY = 0.01
 _SURE = 3.0
 
 
@@ -95,10 +93,11 @@ def recalibrate(
         AgentError, DriverError: as in `calibrate`, with their exit codes.
     """
     now = now or datetime.now(UTC)
-    past = last_accepted(recipe, logs)
-    early = _too_early(recipe, past, now)
-    if early:
+    past = last_accepted(recipe, logs, now)
+    if early := too_early(past, recipe.recalibrate.every, now):
         return Outcome(skipped=early)
+    if doubt := wrong_clock(past, now):
+        console.warn(doubt)
     with robot_lock(recipe.controller.driver, recipe.controller.address):
         reference = find_reference(recipe, logs, past)
         if authorisation is not None:
@@ -135,17 +134,6 @@ def recalibrate(
     for line in watched:
         console.warn(line)
     return Outcome(run=run.path, result=result, ending=ending_text(run, recipe))
-
-
-def _too_early(recipe: Recipe, past: PastRun, now: datetime) -> str:
-    age = now - datetime.fromisoformat(past.started)
-    every = timedelta(seconds=recipe.recalibrate.every)
-    if age >= (1 - _EARLY) * every:
-        return ""
-    return (
-        f"the last accepted run, {past.run}, is {_time(age)} old; recalibrate.every is {_time(every)}, so the next is "
-        f"due in {_time(every - age)}"
-    )
 
 
 def _record(
@@ -312,11 +300,3 @@ def _report(
     page = recalibration_page(recipe, loop.program, result, comparison, log, prediction)
     run.write_text("report.html", page)
     run.complete(result["accepted"])
-
-
-def _time(span: timedelta) -> str:
-    seconds = span.total_seconds()
-    for size, name in ((86_400, "d"), (3_600, "h"), (60, "min")):
-        if seconds >= size:
-            return f"{seconds / size:.1f} {name}"
-    return f"{seconds:.0f} s"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import datetime
 from itertools import chain, islice, repeat
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,8 +37,8 @@ class Reference:
     loop: StoredLoop
 
 
-def last_accepted(recipe: Recipe, logs: Path) -> PastRun:
-    """The newest accepted run with the recipe's robot, tool, cell, sub-region and motion settings.
+def last_accepted(recipe: Recipe, logs: Path, now: datetime) -> PastRun:
+    """The newest accepted run with the recipe's robot, tool, cell, sub-region and motion settings, up to now.
 
     Raises:
         InputError: there is none; what differs from the newest of this robot is named.
@@ -46,7 +47,7 @@ def last_accepted(recipe: Recipe, logs: Path) -> PastRun:
     others: list[PastRun] = []
     if logs.is_dir():
         with open_history(logs) as history:
-            past = history.last_accepted(recipe.robot.name, key["loop"], key["controller"])
+            past = history.last_accepted(recipe.robot.name, key["loop"], key["controller"], now)
             others = [run for run in history.runs(recipe.robot.name) if run.accepted]
         if past is not None:
             return past

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.console import Console
 from agent.errors import InputError
-from agent.history import PastRun, read_run, readable
+from agent.history import PastRun, read_object, read_run, readable
 from agent.recipe import Recipe, load_recipe
 from agent.reports import further_sections, recalibration_page
 from agent.run import sha256_file, write_atomically
@@ -67,7 +66,7 @@ def _recalibration(run: Path, recipe: Recipe, console: Console) -> str:
     from agent.validation import predict_log
 
     (log,) = read_logs([run / "excitation.mcap"], recipe.robot, console)
-    comparison = Comparison.from_dict(_json(run / "comparison.json"))
+    comparison = Comparison.from_dict(read_object(run / "comparison.json"))
     program = (run / "program.pdl").read_text(encoding="utf-8")
     prediction = predict_log(_model(run), log)
     return recalibration_page(recipe, program, _result(run), comparison, log, prediction)
@@ -89,17 +88,13 @@ def _result(run: Path) -> dict[str, Any]:
     """The run's result, with the model that is current now."""
     from agent.ending import current_run
 
-    result = _json(run / "result.json")
+    result = read_object(run / "result.json")
     return {**result, "current_model": current_run(run.parent, result["robot"], result["serial"])}
-
-
-def _json(path: Path) -> dict[str, Any]:
-    return json.loads(path.read_text(encoding="utf-8"))
 
 
 def _recipe(run: Path) -> Recipe:
     """The run's own recipe; where it names files beside it, the original must still be what it was."""
-    state = _json(run / "state.json")
+    state = read_object(run / "state.json")
     original, copy = Path(state["recipe"]), run / "recipe.yaml"
     unchanged = original.is_file() and sha256_file(original) == state["inputs_sha256"]["recipe.yaml"]
     return load_recipe(original if unchanged else copy)

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -135,10 +134,11 @@ class Watch:
 
 
 def watch(runs: Sequence[PastRun]) -> list[Watch]:
-    """Look at the latest runs of every machine and program; those with too few runs are left out."""
+    """Look at the latest runs of every machine and program; those with too few runs are left out, and so are runs
+    dated in the future, whose place in time nobody knows."""
     groups: dict[tuple[str, str, str], list[PastRun]] = {}
     for run in runs:
-        if run.complete and run.data["conditions"].get("friction"):
+        if run.complete and run.data["conditions"].get("friction") and not run.in_future():
             groups.setdefault((run.robot, run.serial, run.program), []).append(run)
     return [_watch(key, group[-WINDOW:]) for key, group in groups.items() if len(group) >= FEWEST]
 
@@ -355,7 +355,7 @@ def _common_rate(rates: np.ndarray, doubts: np.ndarray) -> np.ndarray:
 
 def _times(runs: Sequence[PastRun]) -> np.ndarray:
     """(R,) days since the first; run numbers where all carry one time."""
-    stamps = np.array([datetime.fromisoformat(run.started).timestamp() for run in runs]) / _DAY
+    stamps = np.array([run.time.timestamp() for run in runs]) / _DAY
     return stamps - stamps[0] if np.ptp(stamps) > 0 else np.arange(len(runs), dtype=float)
 
 

@@ -99,13 +99,23 @@ def keep_loop(
     return loop
 
 
-def stored_loops(folder: Path = FOLDER) -> list[StoredLoop]:
+def stored_loops(folder: Path = FOLDER, damaged: list[str] | None = None) -> list[StoredLoop]:
     """All loops in a folder, by robot, sub-region and age, newest first; none where there is no folder.
+
+    Args:
+        damaged: takes what is to be said of files that cannot be read; without it, they are an error.
 
     Raises:
         InputError: a file that is damaged, or whose program is not the one of its checksum.
     """
-    loops = [_read(path) for path in sorted(folder.glob("*.json"))] if folder.is_dir() else []
+    loops = []
+    for path in sorted(folder.glob("*.json")) if folder.is_dir() else []:
+        try:
+            loops.append(_read(path))
+        except InputError as error:
+            if damaged is None:
+                raise
+            damaged.append(str(error))
     loops.sort(key=lambda loop: loop.created, reverse=True)
     return sorted(loops, key=lambda loop: (loop.robot, loop.key))
 
@@ -117,11 +127,13 @@ def find_loop(recipe: Recipe, folder: Path = FOLDER, program: str | None = None)
         program: SHA-256 (hex) of the program's text, where it has to be a certain one.
 
     Raises:
-        InputError: as in `stored_loops`, or what the file says of the tool and the sub-region is not the recipe's.
+        InputError: there is none among those that can be read, and some cannot; or what the file says of the tool and
+            the sub-region is not the recipe's.
     """
     parts = problem(recipe)
     key = digest(parts)
-    for loop in stored_loops(folder):
+    damaged: list[str] = []
+    for loop in stored_loops(folder, damaged):
         if loop.key == key and program in (None, loop.checksum):
             for name in ("tool", "sub_region"):
                 if getattr(loop, name) != parts[name]:
@@ -130,6 +142,8 @@ def find_loop(recipe: Recipe, folder: Path = FOLDER, program: str | None = None)
                         "its key stands for; move it away and calibrate again"
                     )
             return loop
+    if damaged:
+        raise InputError("; ".join(damaged))
     return None
 
 
@@ -146,6 +160,9 @@ def _read(path: Path) -> StoredLoop:
         for key in ("genome", "poses", "start"):
             data[key] = _tuples(np.array(data[key], dtype=float))
         loop = StoredLoop(**data)
+        for key in ("key", "robot", "created", "program", "program_name", "checksum"):
+            if not isinstance(data[key], str):
+                raise ValueError(f"{key} is no text")
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise InputError(f"{path}: not a stored loop ({error}); move it away") from None
     if sha256_text(loop.program) != loop.checksum:

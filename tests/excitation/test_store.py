@@ -114,6 +114,13 @@ def test_a_damaged_file_is_named(write_recipe: Any, tmp_path: Path, damage: Any)
     path.write_text(damage(path.read_text(encoding="utf-8")), encoding="utf-8")
     with pytest.raises(InputError, match=path.name):
         stored_loops(tmp_path / "loops")
+    with pytest.raises(InputError, match=path.name):
+        find_loop(write_recipe(), tmp_path / "loops")
+    other = keep(write_recipe(), tmp_path / "loops", program="PROGRAM another\n")
+    damaged: list[str] = []
+    assert stored_loops(tmp_path / "loops", damaged) == [other]
+    assert [path.name in said for said in damaged] == [True]
+    assert find_loop(write_recipe(), tmp_path / "loops") == other
 
 
 def test_a_folder_that_cannot_be_written_is_an_error_of_ours(write_recipe: Any, tmp_path: Path) -> None:

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import random
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from agent.apply import apply_run
+from agent.apply import apply_previous, apply_run
 from agent.compare import compare_runs
 from agent.console import Console
 from agent.errors import AgentError, InputError
-from agent.history import FILE, history_table, open_history
+from agent.history import FILE, find_run, history_json, history_table, open_history
 from agent.report_again import report_again
 from agent.reports import write_index
 from agent.run import RunFolder
+from agent.trends import watch
+from tests.shop_floor.conftest import friction_runs, write_run
 
 QUIET = Console(verbosity=-1)
 
@@ -156,3 +164,139 @@ def test_no_runs_at_all(shop: Path, run_agent):
     assert page.returncode == 2
     assert "no runs yet" in page.stderr
     assert [path.name for path in (shop / "empty").iterdir()] == [FILE]
+
+
+#: What may stand where a value is expected.
+WRONG = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-(10**40), 10**40),
+    st.floats(),
+    st.text(max_size=5),
+    st.sampled_from(["\ud800", "\x1b[2J", "1e999"]),
+    st.lists(st.integers(), max_size=3),
+    st.dictionaries(st.text(max_size=3), st.none(), max_size=2),
+)
+
+
+def _places(data: Any, way: tuple = ()) -> Iterator[tuple]:
+    """Ways to every value of a JSON document."""
+    yield way
+    items = data.items() if isinstance(data, dict) else enumerate(data[:2]) if isinstance(data, list) else ()
+    for key, value in items:
+        yield from _places(value, (*way, key))
+
+
+@pytest.fixture(scope="module")
+def three_runs(tmp_path_factory):
+    """Three whole runs, made anew from memory for every example."""
+    logs = tmp_path_factory.mktemp("runs") / "logs"
+    for number, (result, parameters) in enumerate(friction_runs(3, 5)):
+        write_run(logs, number, result, parameters)
+    return logs, {path: path.read_bytes() for path in logs.glob("*/*.json")}
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.data())
+def test_one_bad_folder_is_one_bad_folder(three_runs, data):
+    """Whatever stands in one place of one file: the others are listed, and what wants this one says so."""
+    logs, files = three_runs
+    for path, content in files.items():
+        path.write_bytes(content)
+    first, bad, last = sorted(logs.glob("2*"))
+    file = bad / data.draw(st.sampled_from(["state.json", "result.json", "model.json"]))
+    document = json.loads(file.read_text(encoding="utf-8"))
+    way = data.draw(st.sampled_from(list(_places(document))))
+    wrong = data.draw(WRONG)
+    if way:
+        holder = document
+        for key in way[:-1]:
+            holder = holder[key]
+        holder[way[-1]] = wrong
+    else:
+        document = wrong
+    file.write_text(json.dumps(document), encoding="utf-8")
+    (logs / FILE).unlink(missing_ok=True)
+    with open_history(logs) as history:
+        runs = history.runs()
+        assert {first.name, last.name} <= {run.run for run in runs}
+        history_table(runs)
+        json.dumps(history_json(history, runs))
+        watch(runs)
+        for run in runs:
+            run.in_future()
+    write_index(logs)
+    for act in (
+        lambda: report_again(bad, QUIET),
+        lambda: apply_run(logs, bad),
+        lambda: compare_runs(first, bad, QUIET),
+        lambda: RunFolder.open(bad, "s"),
+    ):
+        with contextlib.suppress(AgentError):
+            act()
+
+
+def _loop(file: Path) -> None:
+    file.unlink()
+    file.symlink_to(file.name)
+
+
+def _folder(file: Path) -> None:
+    file.unlink()
+    file.mkdir()
+
+
+def _pipe(file: Path) -> None:
+    file.unlink()
+    os.mkfifo(file)
+
+
+def _deep(file: Path) -> None:
+    file.write_text("[" * 100_000, encoding="utf-8")
+
+
+@pytest.mark.parametrize("damage", [_loop, _folder, _pipe, _deep])
+@pytest.mark.parametrize("file", ["state.json", "result.json", "model.json"])
+def test_what_is_no_file_stops_nothing_but_its_run(write_runs, damage, file):
+    logs = write_runs(3)
+    first, bad, last = _runs(logs)
+    (logs / "a file where a folder is expected").write_text("x", encoding="utf-8")
+    (logs / "loop").symlink_to("loop")
+    damage(bad / file)
+    with open_history(logs) as history:
+        assert [run.run for run in history.runs()] == [first.name, last.name]
+        assert sorted(bad.name in said for said in history.damaged) == [False, True]  # the other is the loop
+    assert write_index(logs).is_file()
+    with pytest.raises(InputError, match=bad.name):
+        apply_run(logs, bad)
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
+def test_a_folder_of_another_user_is_named_and_stops_nothing_else(write_runs):
+    logs = write_runs(3)
+    bad = _runs(logs)[1]
+    bad.chmod(0o700)
+    for folder in (logs, *list(logs.parents)[:3]):
+        folder.chmod(0o777)
+    os.seteuid(65534)
+    try:
+        with open_history(logs) as history:
+            assert len(history.runs()) == 2
+            (said,) = history.damaged
+        with pytest.raises(InputError, match=f"{bad.name}: cannot be read: Permission denied"):
+            find_run(logs, bad.name)
+    finally:
+        os.seteuid(0)
+    assert bad.name in said
+    assert "Permission denied" in said
+
+
+def test_a_damaged_current_model_of_one_robot_is_no_other_robots(write_runs):
+    logs = write_runs(2)
+    first, second = _runs(logs)
+    apply_run(logs, first)
+    apply_run(logs, second)
+    other = logs / "models" / "other_1"
+    other.mkdir()
+    (other / "current").symlink_to("nowhere")
+    assert apply_previous(logs).run == first.name

@@ -1,0 +1,115 @@
+"""Clocks that were wrong, or are: runs dated in the future, zones, daylight saving, a clock set back in a run."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.due import too_early, wrong_clock
+from agent.history import PastRun, open_history
+from agent.trends import watch
+
+NOW = datetime(2026, 6, 1, 2, 0, tzinfo=UTC)
+DAY = 86_400.0
+
+
+def _past(started: datetime) -> PastRun:
+    stamp = started.astimezone(UTC).isoformat(timespec="seconds")
+    return PastRun("r", "arm", "1", "calibrate", stamp, "finished", "c", "l", "p", "", "", None)
+
+
+def _redate(run: Path, stamp: str) -> None:
+    state = json.loads((run / "state.json").read_text(encoding="utf-8"))
+    (run / "state.json").write_text(json.dumps(state | {"started": stamp}), encoding="utf-8")
+
+
+def _runs(logs: Path) -> list[Path]:
+    return sorted(path for path in logs.iterdir() if path.is_dir())
+
+
+@given(st.floats(3600.0, 400 * DAY), st.timedeltas(timedelta(minutes=6), timedelta(days=20_000)))
+def test_a_run_of_the_future_is_said_and_switches_nothing_off(every, ahead):
+    past = _past(NOW + ahead)
+    assert too_early(past, every, NOW) == ""
+    assert "the clock was wrong then, or is now" in wrong_clock(past, NOW)
+
+
+@given(st.floats(3600.0, 400 * DAY), st.timedeltas(timedelta(minutes=-4), timedelta(days=1000)))
+def test_a_run_is_due_after_its_interval_and_not_before(every, age):
+    past, part = _past(NOW - age), age.total_seconds() / every
+    assert wrong_clock(past, NOW) == ""
+    if part >= 1.001:
+        assert too_early(past, every, NOW) == ""
+    if part < 0.9:
+        assert "so the next is due in" in too_early(past, every, NOW)
+
+
+@given(st.integers(-14 * 60, 14 * 60), st.integers(-14 * 60, 14 * 60), st.floats(0.0, 20 * DAY))
+def test_the_zone_of_a_clock_changes_nothing(then, here, age):
+    started = NOW - timedelta(seconds=round(age))
+    moved = NOW.astimezone(timezone(timedelta(minutes=here)))
+    past = _past(started.astimezone(timezone(timedelta(minutes=then))))
+    assert too_early(past, 7 * DAY, moved) == too_early(_past(started), 7 * DAY, NOW)
+
+
+@pytest.mark.parametrize("days", [1, 7])
+def test_the_day_of_23_hours_is_a_day(days):
+    """A timer at 02:00 local time comes an hour early once a year."""
+    assert too_early(_past(NOW - timedelta(days=days, hours=-1)), days * DAY, NOW) == ""
+    assert too_early(_past(NOW - timedelta(days=days, hours=-3)), days * DAY, NOW) != ""
+
+
+def test_runs_are_in_order_of_time_whatever_zone_they_were_written_in(write_runs):
+    logs = write_runs(3)
+    first, second, third = _runs(logs)
+    _redate(first, "2026-03-01T02:00:00+14:00")  # the last day of February
+    _redate(second, "2026-03-01T00:30:00")
+    _redate(third, "2026-02-28T22:00:00-12:00")
+    with open_history(logs) as history:
+        assert [run.run for run in history.runs()] == [first.name, second.name, third.name]
+        assert [run.started for run in history.runs()][2] == "2026-03-01T10:00:00+00:00"
+
+
+def test_a_run_of_the_future_is_the_reference_only_where_there_is_no_other(write_runs):
+    logs = write_runs(3)
+    first, _, third = _runs(logs)
+    _redate(third, "2041-01-01T00:00:00+00:00")
+    with open_history(logs) as history:
+        assert history.last_accepted("comau_ns16", "l", "tcp x", NOW).run != third.name
+        assert history.last_accepted("comau_ns16", "l", "tcp x", datetime(1970, 1, 2, tzinfo=UTC)).run == third.name
+    _redate(first, "yesterday")
+    with open_history(logs) as history:
+        assert [first.name in said for said in history.damaged] == [True]
+
+
+def test_trends_leave_out_what_nobody_can_put_in_time(write_runs):
+    logs = write_runs(12, wear=2)
+    with open_history(logs) as history:
+        (before,) = watch(history.runs()[:-1])
+    _redate(_runs(logs)[-1], "2999-01-01T00:00:00+00:00")
+    with open_history(logs) as history:
+        (after,) = watch(history.runs())
+    assert after.to_dict() == before.to_dict()
+
+
+def test_a_clock_that_was_ahead_once_switches_no_recalibration_off(shop, run_agent):
+    (run,) = _runs_of(shop)
+    recipe = shop / "recipe.yaml"
+    recipe.write_text(recipe.read_text(encoding="utf-8").replace("every: 1 s", "every: 7 d"), encoding="utf-8")
+    _redate(run, "2041-01-01T00:00:00+00:00")
+    done = run_agent("recalibrate", "recipe.yaml")
+    assert done.returncode == 0, done.stderr
+    assert "dated 2041-01-01" in done.stderr
+    assert len(_runs_of(shop)) == 2
+    again = run_agent("recalibrate", "recipe.yaml")
+    assert again.stdout.startswith("skipped: the last accepted run"), "the new one counts"
+    assert "dated in the future" in run_agent("history").stderr
+
+
+def _runs_of(shop: Path) -> list[Path]:
+    return sorted(path.parent for path in (shop / "logs").glob("*/state.json"))
