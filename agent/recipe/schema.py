@@ -186,6 +186,13 @@ class FlySection(Section):
     percent: Annotated[Ratio, Field(ge=0.01, le=1)] = 1.0
     stress: Annotated[Ratio, Field(ge=0.01, le=1)] = 0.5
 
+    @field_validator("percent", "stress")
+    @classmethod
+    def _whole(cls, ratio: float) -> float:
+        if abs(100.0 * ratio - round(100.0 * ratio)) > 1e-9:
+            raise ValueError(f"{100.0 * ratio:g} % is not a whole percent, as the controller's INTEGER takes it")
+        return ratio
+
 
 class BoxSection(Section):
     """A box in the base frame; the tool stays within `cone` of `orientation` (Euler ZYZ)."""

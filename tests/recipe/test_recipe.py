@@ -445,3 +445,15 @@ def test_the_documentation_has_every_key_and_unit() -> None:
         unit for dimension in Dimension if dimension is not Dimension.ANGULAR_SPEED for unit in dimension.value.factors
     }
     assert all(f"`{unit}`" in text for unit in units)
+
+
+@pytest.mark.parametrize("key", ["percent", "stress"])
+def test_percentages_of_the_fly_statement_are_whole(recipe_file: Path, key: str) -> None:
+    """The controller's are INTEGER: better said now than after the search."""
+    text = FULL.replace("percent: 80 %, stress: 40 %", f"{key}: 33.3 %")
+    assert "33.3" in text
+    (fault,) = faults_of(recipe_file, text)
+    assert f"motion.fly.{key}" in fault
+    assert "not a whole percent" in fault
+    fine = load_text(recipe_file, text.replace("33.3 %", "57 %")).motion.settings  # 0.57 is a little less than that
+    assert {"percent": fine.fly_percent, "stress": fine.stress_percent}[key] == pytest.approx(57.0)
