@@ -133,6 +133,11 @@ def start_lasting_controller() -> Iterator[Callable[..., Emulator]]:
         yield start
 
 
+def patience(seconds: float) -> float:
+    """A limit that an idle machine keeps [s], as long as this one needs with what it has to do at the moment."""
+    return seconds * min(max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1)), 10.0)
+
+
 def free_port() -> int:
     """A port of loopback for a program that is started later: none that the system gives to others meanwhile."""
     for port in random.sample(range(20000, 30000), 100):

@@ -20,6 +20,7 @@ from fake_controller.build import build_controller
 from fake_controller.controller import PERIOD, Controller, State
 from fake_controller.faults import Fault, Faults
 from fake_controller.servers import BROKER, WIRES, Server, open_server
+from tests.conftest import patience
 
 RECIPE = """
 robot: {robot}
@@ -101,7 +102,7 @@ class Bench:
         controller.state = State(**state)
         watchdog = 2.0 if clock == "fast" else 0.5 if wire == "tcp" else 1.0  # where one asks and waits it takes longer
         broker = self._broker() if wire == "cnr_comau" else BROKER
-        server = open_server(wire, controller, watchdog=watchdog, waits=clock == "fast", broker=broker)
+        server = open_server(wire, controller, watchdog=patience(watchdog), waits=clock == "fast", broker=broker)
         self._servers.append(server)
         queued = any(fault.name in ("queue_full", "sequence_error") for fault in faults)
         self.write_for(wire, f"{server.address},mode=points" if queued else server.address)

@@ -14,6 +14,7 @@ from paho.mqtt.client import CallbackAPIVersion, Client
 from fake_controller.build import build_controller
 from fake_controller.execution import Slice
 from fake_controller.server_cnr import CnrServer
+from tests.conftest import patience
 
 CLOCK_OFFSET = 1_234_567_890  # µs of the topics' clock before the controller's
 TOPICS = (
@@ -191,7 +192,9 @@ class Bench:
     def __init__(self, robot, broker, undo, clock="fast", faults=(), watchdog=2.0):
         self.undo = undo
         self.controller = build_controller(robot, seed=3, clock=clock, faults=faults)
-        self.server = CnrServer(self.controller, watchdog=watchdog, broker=broker.address, waits=clock == "fast")
+        self.server = CnrServer(
+            self.controller, watchdog=patience(watchdog), broker=broker.address, waits=clock == "fast"
+        )
         undo.callback(self.server.close)
         self.trajectory_port, self.feedback_port, self.status_port, self.ftp_port = self.server.ports
 

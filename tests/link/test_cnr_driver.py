@@ -17,6 +17,7 @@ from drivers.protocol import Driver, MeasuresCurrents, NeedsAPerson, TakesPoints
 from drivers.registry import create
 from drivers.wire import cnr
 from drivers.wire.cnr import MessageType, Point, QueueStatus
+from tests.conftest import patience
 from tests.link.cnr_script import Script, feedback, motion, success
 
 # --- the address
@@ -103,7 +104,7 @@ def test_feedback_and_status_come_back_as_they_came(linked, order):
 
 
 def test_a_command_that_is_not_answered_is_not_sent_again(linked):
-    script, sockets = linked(lambda m: success(m) if m.type == MessageType.PING else None, timeout=0.3)
+    script, sockets = linked(lambda m: success(m) if m.type == MessageType.PING else None, timeout=patience(0.3))
     assert sockets.command(MessageType.START, Point(sequence_number=5)) is None
     assert [m.type for m in script.heard].count(MessageType.START) == 1
 
@@ -131,7 +132,7 @@ def test_a_late_answer_is_not_taken_for_that_of_the_next_command(linked):
                 return kept.pop()
         return success(message)
 
-    _, sockets = linked(reply, timeout=0.3)
+    _, sockets = linked(reply, timeout=patience(0.3))
     assert sockets.command(MessageType.START) is None
     assert sockets.command(MessageType.STOP) is None  # what came was of the start
     assert sockets.command(MessageType.STOP).success
@@ -139,7 +140,7 @@ def test_a_late_answer_is_not_taken_for_that_of_the_next_command(linked):
 
 def test_programs_that_do_not_answer_a_ping_are_refused(linked):
     with pytest.raises(DriverError, match="does not answer a ping"):
-        linked(lambda _: None, timeout=0.3)
+        linked(lambda _: None, timeout=patience(0.3))
 
 
 def test_a_client_that_is_one_too_many_is_told(linked):
@@ -274,13 +275,13 @@ def test_an_answer_that_comes_late_is_found_behind_a_ping(linked):
             return kept[0]
         return success(message)
 
-    script, sockets = linked(reply, timeout=0.3)
+    script, sockets = linked(reply, timeout=patience(0.3))
     _Feeder(sockets, trajectories(via(2), 2)).fill(motion())
     assert sent(script) == [(3001, 1), (3001, 2), (3002, 0)]
 
 
 def test_a_point_that_nobody_answers_for_is_not_sent_again(linked):
-    script, sockets = linked(lambda m: None if m.type == MessageType.POINT else success(m), timeout=0.3)
+    script, sockets = linked(lambda m: None if m.type == MessageType.POINT else success(m), timeout=patience(0.3))
     with pytest.raises(DriverError, match="not sent again"):
         _Feeder(sockets, trajectories(via(2), 2)).fill(motion())
     assert sent(script) == [(3001, 1)]

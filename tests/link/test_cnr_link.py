@@ -23,7 +23,7 @@ from drivers.wire.reasons import EndReason
 from fake_controller.build import build_controller
 from fake_controller.server_cnr import CnrServer
 from fake_controller.server_cnr_ftp import ProgramFolder
-from tests.conftest import end_with_tests
+from tests.conftest import end_with_tests, patience
 from tests.faults.conftest import RECIPE
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -53,7 +53,7 @@ def connected(address, robot):
 
 def test_a_broker_that_ends_in_motion_stops_the_arm(arm, own_broker):
     controller = build_controller(arm, seed=3, clock="fast")
-    with closing(CnrServer(controller, watchdog=2.0, broker=own_broker.address, waits=True)) as server:
+    with closing(CnrServer(controller, watchdog=patience(2.0), broker=own_broker.address, waits=True)) as server:
         with connected(server.address, arm) as driver:
             driver.start("p", driver.upload("p", ARM))
             received = driver.samples()
@@ -69,7 +69,7 @@ def test_torque_is_the_sensors_whichever_way_it_went(arm, broker):
     """Through currents and back: what the driver hands out is what the controller measured."""
     controller = build_controller(arm, seed=3, clock="fast")
     with (
-        closing(CnrServer(controller, watchdog=2.0, broker=broker.address, waits=True)) as server,
+        closing(CnrServer(controller, watchdog=patience(2.0), broker=broker.address, waits=True)) as server,
         connected(server.address, arm) as driver,
     ):
         driver.start("p", driver.upload("p", ARM.replace("2000", "1")))
@@ -85,7 +85,7 @@ def test_points_that_were_stopped_are_not_held_for_the_next_start(broker):
     """The programs go on with what was stopped only; nobody expects that of a start."""
     away, back = (ViaPoint(np.radians([turn, 0.0, -90.0, 0.0, 20.0, 0.0]), 0.0, 0.05) for turn in (10.0, 0.0))
     controller = build_controller("comau_ns16", seed=3, clock="fast")
-    with closing(CnrServer(controller, watchdog=2.0, broker=broker.address, waits=True)) as server:
+    with closing(CnrServer(controller, watchdog=patience(2.0), broker=broker.address, waits=True)) as server:
         with connected(server.address, "comau_ns16") as driver:  # the pose it begins in is singular
             driver.start("p", driver.upload("p", "PROGRAM p\nBEGIN\n  MOVE JOINT TO {0, 0, -90, 0, 20, 0}\nEND p\n"))
             assert sum(map(len, driver.samples())) > 0
@@ -109,7 +109,7 @@ def test_a_person_starts_the_program_and_has_to_stop_it(arm, broker):
     """The socket programs know nothing of a program that was started by hand: they ignore a stop."""
     told = []
     controller = build_controller(arm, seed=3, clock="fast")
-    with closing(CnrServer(controller, watchdog=2.0, broker=broker.address, waits=True)) as server:
+    with closing(CnrServer(controller, watchdog=patience(2.0), broker=broker.address, waits=True)) as server:
 
         def person(text):
             told.append(text)
@@ -183,7 +183,7 @@ def test_a_controller_whose_watchdog_nobody_vouches_for_is_told_of(arm, broker, 
     if not mended:
         monkeypatch.setattr(ProgramFolder, "write_identity", write_less)
     controller = build_controller(arm, seed=3, clock="fast")
-    with closing(CnrServer(controller, watchdog=2.0, broker=broker.address, waits=True)) as server:
+    with closing(CnrServer(controller, watchdog=patience(2.0), broker=broker.address, waits=True)) as server:
         with connected(server.address, arm) as driver:
             assert bool(driver.identify().unguarded) != mended
         recipe = tmp_path / "recipe.yaml"

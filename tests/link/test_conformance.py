@@ -16,7 +16,7 @@ from fake_controller.server_cnr import CnrServer
 from fake_controller.server_modbus import ModbusRtuServer, ModbusServer
 from fake_controller.server_serial import SerialServer
 from fake_controller.server_tcp import TcpServer
-from tests.conftest import free_port
+from tests.conftest import free_port, patience
 from tests.link.conftest import LONG, SHORT
 
 BAUD = 4_000_000
@@ -35,7 +35,7 @@ class FakeBench:
         self.wire = self.connect_wire()
 
     def driver(self):
-        return self.created(self.address, watchdog=2.0)
+        return self.created(self.address, watchdog=patience(2.0))
 
     def created(self, address, **options):
         driver = create(self.name, address, **options)
@@ -139,7 +139,7 @@ class SocketBench(FakeBench):
                         client.sendall(answer)
 
         threading.Thread(target=serve, daemon=True).start()
-        return self.created(f"127.0.0.1:{listener.getsockname()[1]}", timeout=0.5)
+        return self.created(f"127.0.0.1:{listener.getsockname()[1]}", timeout=patience(0.5))
 
 
 class TcpBench(SocketBench):
@@ -188,7 +188,7 @@ class CnrBench(SocketBench):
         super().__init__(arm, undo)
 
     def connect_wire(self):
-        server = CnrServer(self.controller, watchdog=2.0, broker=self.broker.address, waits=True)
+        server = CnrServer(self.controller, watchdog=patience(2.0), broker=self.broker.address, waits=True)
         self.undo.callback(server.close)
         relays = Relays([*(("127.0.0.1", port) for port in server.ports), self.broker.address])
         self.undo.callback(relays.close)
@@ -275,7 +275,7 @@ class LineBench(FakeBench):
                         port.write(answer)
 
         threading.Thread(target=serve, daemon=True).start()
-        return self.created(self.at(cable), timeout=0.5)
+        return self.created(self.at(cable), timeout=patience(0.5))
 
 
 class FramesBench(LineBench):

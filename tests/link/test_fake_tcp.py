@@ -17,6 +17,7 @@ from drivers.wire import tcp
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.build import build_controller
 from fake_controller.server_tcp import TcpServer
+from tests.conftest import patience
 from tests.link.conftest import LONG, program
 
 GOAL = np.radians([20.0, -30.0])
@@ -37,7 +38,7 @@ def server(arm):
 
 @pytest.fixture
 def driver(server):
-    with closing(TcpDriver(server.address, watchdog=2.0)) as driver:
+    with closing(TcpDriver(server.address, watchdog=patience(2.0))) as driver:
         driver.connect()
         yield driver
 

@@ -13,7 +13,7 @@ import pytest
 from agent.recording import LogWriter, read_log, writer
 from agent.recording.log_file import LogFile
 from drivers.registry import create
-from tests.conftest import end_with_tests
+from tests.conftest import end_with_tests, patience
 
 MINUTE = 60.0  # s
 TEN_MINUTES = 370  # cycles of the program below
@@ -130,7 +130,7 @@ def test_cost_at_500_hz(tmp_path, measured, wire):
     name, *options = WIRES[wire]
     with (
         emulator(tmp_path, "--clock", "real", *options) as (process, address),
-        closing(create(name, address, watchdog=2.0)) as driver,
+        closing(create(name, address, watchdog=patience(2.0))) as driver,
     ):
         driver.connect()
         driver.start("p", driver.upload("p", program(10_000)))

@@ -21,6 +21,7 @@ from drivers.wire import modbus as wire
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.build import build_controller
 from fake_controller.server_modbus import ModbusServer
+from tests.conftest import patience
 from tests.link.conftest import LONG, SHORT, program
 
 
@@ -32,7 +33,7 @@ def server(arm):
 
 @pytest.fixture
 def driver(server):
-    with closing(ModbusDriver(server.address, watchdog=2.0)) as driver:
+    with closing(ModbusDriver(server.address, watchdog=patience(2.0))) as driver:
         driver.connect()
         yield driver
 
@@ -55,7 +56,7 @@ def test_what_tcp_and_modbus_tell_is_the_same(arm):
     for server_class, driver_class in ((TcpServer, TcpDriver), (ModbusServer, ModbusDriver)):
         with (
             closing(server_class(build_controller(arm, 5, "fast"))) as server,
-            closing(driver_class(server.address, watchdog=2.0)) as driver,
+            closing(driver_class(server.address, watchdog=patience(2.0))) as driver,
         ):
             driver.connect()
             blocks = list(start(driver, SHORT))
@@ -122,7 +123,7 @@ def test_what_is_overwritten_before_it_was_read_is_a_gap(arm, tampered):
                     time.sleep(0.001)
             return data
 
-        with closing(ModbusDriver(tampered(server.port, hold), watchdog=5.0)) as driver:
+        with closing(ModbusDriver(tampered(server.port, hold), watchdog=patience(5.0))) as driver:
             driver.connect()
             blocks = list(start(driver, SHORT))
             total = 1 + int(blocks[-1].sequence[-1])
@@ -139,7 +140,7 @@ def test_a_sample_that_arrives_damaged_is_read_again(server, tampered):
             return data[:100] + bytes([data[100] ^ 4]) + data[101:]
         return data
 
-    with closing(ModbusDriver(tampered(server.port, damage), watchdog=2.0)) as driver:
+    with closing(ModbusDriver(tampered(server.port, damage), watchdog=patience(2.0))) as driver:
         driver.connect()
         blocks = list(start(driver, SHORT))
         assert len(damaged) == 5
@@ -158,7 +159,7 @@ def test_a_start_whose_answer_is_lost_is_not_given_again(server, tampered):
                 starts.append(values)
         return b"" if starts and not outward else data
 
-    with closing(ModbusDriver(tampered(server.port, swallow), watchdog=0.5, timeout=1.0)) as driver:
+    with closing(ModbusDriver(tampered(server.port, swallow), watchdog=patience(0.5), timeout=patience(1.0))) as driver:
         driver.connect()
         checksum = driver.upload("p", LONG)
         with pytest.raises(DriverError, match="silent"):
@@ -180,7 +181,7 @@ def test_one_lost_answer_to_a_read_is_made_good(server, tampered):
             return b""
         return data
 
-    with closing(ModbusDriver(tampered(server.port, lose), watchdog=2.0)) as driver:
+    with closing(ModbusDriver(tampered(server.port, lose), watchdog=patience(2.0))) as driver:
         driver.connect()
         checksum = driver.upload("p", SHORT)
         driver.start("p", checksum)
@@ -191,7 +192,7 @@ def test_one_lost_answer_to_a_read_is_made_good(server, tampered):
 
 
 def test_a_consumer_that_falls_behind_stops_the_motion(server):
-    with closing(ModbusDriver(server.address, watchdog=2.0, buffer_limit=100_000)) as driver:
+    with closing(ModbusDriver(server.address, watchdog=patience(2.0), buffer_limit=100_000)) as driver:
         driver.connect()
         received = start(driver, LONG)
         while server.controller.moving:

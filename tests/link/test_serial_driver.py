@@ -20,6 +20,7 @@ from fake_controller.build import build_controller
 from fake_controller.cable import Cable
 from fake_controller.server_modbus import ModbusRtuServer
 from fake_controller.server_serial import SerialServer
+from tests.conftest import patience
 from tests.link.conftest import LONG, SHORT, program
 
 FAST = 4_000_000
@@ -218,7 +219,7 @@ class _Raw:
 
 
 def test_a_start_that_is_damaged_is_not_given_again(line):
-    cable, controller, driver = line(timeout=1.0, start_timeout=1.0)
+    cable, controller, driver = line(timeout=patience(1.0), start_timeout=patience(1.0))
     checksum = driver.upload("p", SHORT)
     driver.identify()
     sent = []
@@ -239,7 +240,7 @@ def test_a_start_that_is_damaged_is_not_given_again(line):
 
 
 def test_an_upload_that_is_damaged_stores_nothing(line):
-    cable, _, driver = line(timeout=1.0)
+    cable, _, driver = line(timeout=patience(1.0))
     cable.tamper = lambda end, data: data.replace(b"MOVE", b"MUVE") if end == "far" else data
     with pytest.raises(DriverError, match="did not answer the program p"):
         driver.upload("p", SHORT)
@@ -253,7 +254,7 @@ def test_the_wrong_baud_rate_is_noise(line):
     driver.close()
     cable.tamper = lambda end, data: bytes(byte ^ 0x55 for byte in data) if end == "near" else data
     with pytest.raises(ProtocolError, match="baud rate"):
-        create("serial", f"{cable.far},{FAST}", timeout=0.5).connect()
+        create("serial", f"{cable.far},{FAST}", timeout=patience(0.5)).connect()
 
 
 def test_a_cable_is_as_slow_as_its_baud_rate():

@@ -15,6 +15,7 @@ from drivers.protocol import Gap
 from drivers.tcp import TcpDriver
 from drivers.wire import tcp
 from drivers.wire.reasons import EndReason, Refusal
+from tests.conftest import patience
 
 
 def samples(first: int, count: int, joints: int = 2, offset_ns: int = 0) -> tcp.Samples:
@@ -183,7 +184,7 @@ def test_a_start_that_is_not_answered_is_not_sent_again_and_the_link_is_closed(p
                 seen.append(type(p.receive()[0]))
         left.set()
 
-    driver = TcpDriver(peer(play), start_timeout=0.1)
+    driver = TcpDriver(peer(play), start_timeout=patience(0.1))
     driver.connect()
     with pytest.raises(DriverError, match="did not answer start of p"):
         driver.start("p", "00")

@@ -23,6 +23,7 @@ from agent.safety.motion import PlannedProgram
 from drivers.tcp import TcpDriver
 from drivers.wire import tcp
 from drivers.wire.reasons import EndReason, Refusal
+from tests.conftest import patience
 
 HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
 NAMES = tuple(f"joint_{k}" for k in range(1, 7))
@@ -193,7 +194,7 @@ class Bench:
             return self.answer
 
         self.guard = GuardedLink(
-            self.driver(peer.address, timeout=2.0, start_timeout=2.0),
+            self.driver(peer.address, timeout=patience(2.0), start_timeout=patience(2.0)),
             self.robot,
             address or peer.address,
             rate,
