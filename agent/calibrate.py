@@ -14,11 +14,12 @@ from agent.approved import approve, check_approved
 from agent.console import Console
 from agent.ending import current_run, ending_text
 from agent.figures import error_text, not_judged_text, outcome_text
+from agent.lock import robot_lock
 from agent.recipe import Recipe
 from agent.record import Recording
 from agent.record_plan import EXCITATION, record_plan, validation_logs
 from agent.result import build_result, provenance, run_data, typical_motion
-from agent.run import RunFolder, robot_lock, sha256_file
+from agent.run import RunFolder, sha256_file
 
 
 @dataclass(frozen=True)

@@ -62,9 +62,10 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
     from agent.approved import approve
     from agent.calibrate import step
     from agent.ending import ending_text
+    from agent.lock import robot_lock
     from agent.recipe import load_recipe
     from agent.record_plan import record_plan
-    from agent.run import RunFolder, robot_lock, write_atomically
+    from agent.run import RunFolder, write_atomically
 
     _check(question, [])
     loaded = load_recipe(recipe)

@@ -19,13 +19,14 @@ from agent.ending import current_run, ending_text
 from agent.errors import ControllerError
 from agent.figures import error_text, not_judged_text, outcome_text, torque_units, without_nominal
 from agent.fresh_data import diagnose_if_worse, worse_joints
+from agent.lock import robot_lock
 from agent.recipe import Recipe
 from agent.record import Link, Recording, open_link, report_losses
 from agent.record_plan import EXCITATION
 from agent.reference import Reference, find_reference, last_accepted
 from agent.reports import watch_lines
 from agent.result import provenance
-from agent.run import RunFolder, robot_lock, sha256_file
+from agent.run import RunFolder, sha256_file
 from agent.safety.authorisation import Authorisation
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ import numpy as np
 
 from agent.console import Console
 from agent.controller import create_driver, torque_facts
+from agent.lock import robot_lock
 from agent.recipe import Recipe
-from agent.run import robot_lock
 from agent.safety.checked import FILE, CheckedPrograms
 from agent.safety.guard import GuardedLink
 from agent.safety.motion import PlannedProgram, pauses

@@ -6,9 +6,7 @@ import hashlib
 import json
 import os
 import platform
-import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -16,7 +14,7 @@ from typing import Any
 
 from agent.console import finite, fit_to_show
 from agent.documents import read_json
-from agent.errors import AgentError, BusyError, InputError
+from agent.errors import AgentError, InputError
 from drivers.texts import hide
 
 _STATE = "state.json"
@@ -164,33 +162,6 @@ def write_atomically(path: Path, text: str) -> Path:
         beside.unlink(missing_ok=True)
         raise AgentError(f"{path}: cannot be written: {error.strerror}; free space or rights?") from None
     return path
-
-
-@contextmanager
-def robot_lock(driver: str, address: str) -> Iterator[None]:
-    """Hold the lock of one controller for this machine, whatever folder the agent runs in.
-
-    A process that holds it may take it again.
-
-    Raises:
-        BusyError: another run holds it.
-    """
-    from filelock import FileLock, Timeout
-
-    name = hashlib.sha256(f"{driver}|{address}".encode()).hexdigest()[:16]
-    lock = FileLock(Path(tempfile.gettempdir()) / f"calibration-agent-{name}.lock", is_singleton=True)
-    try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        raise BusyError(f"{driver} {address}: another run holds this robot; wait for it to end, or stop it") from None
-    except OSError as error:
-        raise AgentError(
-            f"{lock.lock_file}: the robot's lock cannot be made: {error.strerror}; did another user make it?"
-        ) from None
-    try:
-        yield
-    finally:
-        lock.release()
 
 
 def sha256_text(text: str) -> str:
