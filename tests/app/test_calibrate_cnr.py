@@ -12,7 +12,12 @@ import pytest
 from fake_controller.build import build_controller
 from fake_controller.server_cnr import CnrServer
 
-AWAY = "PROGRAM elsewhere HOLD, PROG_ARM=1\nBEGIN\n  MOVE JOINT TO {0, 0, -90, 0, 30, 0}\nEND elsewhere\n"
+AWAY = """PROGRAM elsewhere HOLD, PROG_ARM=1
+BEGIN
+  $TOOL := POS(0, 0, 0, 0, 0, 0, '')
+  MOVE JOINT TO {0, 0, -90, 0, 30, 0}
+END elsewhere
+"""
 
 
 @pytest.fixture
@@ -56,7 +61,8 @@ def test_programs_that_a_person_starts(server, write_recipe, start_agent, only_r
 
 @pytest.mark.verify
 def test_via_points(server, write_recipe, run_agent, only_run, measured, tmp_path: Path):
-    """Straight lines cannot begin in the singular calibration pose: a program goes elsewhere first."""
+    """Straight lines cannot begin in the singular calibration pose, nor with a tool that somebody left: a program goes
+    elsewhere first and sets the tool."""
     (tmp_path / "away.pdl").write_text(AWAY, encoding="utf-8")
     first = run_agent(
         "record", recipe_for(write_recipe, server.address), "--program", "away.pdl", "-o", tmp_path / "away.mcap"

@@ -1,0 +1,81 @@
+"""The controller's frames are read and compared before a program moves that leaves them open."""
+
+from __future__ import annotations
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from agent.errors import ControllerError, InputError
+from agent.motion.frames import left_open
+from agent.motion.pdl2 import parse_program, pos_to_pose
+from agent.robot import load_robot
+from agent.robot.drivetrain import torque_per_ampere
+from agent.robot.dynamics import Tool
+from agent.safety.frames import check_frames
+from agent.safety.motion import PlannedProgram
+from drivers.registry import create
+from drivers.tcp import TcpDriver
+from fake_controller.build import build_controller
+from fake_controller.server_cnr import CnrServer
+
+MOUNTED = pos_to_pose(np.array([0, 0, 120, 0, 0, 0]))
+SET = """PROGRAM p
+BEGIN
+  $TOOL := POS(0, 0, 120, 0, 0, 0)
+  $BASE := POS(10, 20, 30, 40, 50, 60)
+  $UFRAME := POS(0, 0, 0, 0, 0, 0)
+  MOVE JOINT TO {0, 0, -90, 0, 5, 0}
+END p
+"""
+
+
+def planned(tool: np.ndarray) -> PlannedProgram:
+    return PlannedProgram("loop", "", (), frames={"$TOOL": tool})
+
+
+def test_frames_are_read_and_compared_and_both_are_told(broker):
+    robot = load_robot("comau_ns16")
+    controller = build_controller("comau_ns16", seed=3, clock="fast")
+    with (
+        closing(CnrServer(controller, watchdog=2.0, broker=broker.address, waits=True)) as server,
+        closing(create("cnr_comau", server.address)) as driver,
+    ):
+        driver.torque_per_ampere = torque_per_ampere(robot)
+        driver.connect()
+        left = controller.frames[2]
+        with pytest.raises(ControllerError) as refused:
+            check_frames(planned(MOUNTED), driver, "here")
+        assert refused.value.exit_code == 4
+        assert f"$TOOL is POS({left[0]:g}, {left[1]:g}" in str(refused.value)
+        assert "POS(0, 0, 120, 0, 0, 0, '')" in str(refused.value)
+        driver.start("p", driver.upload("p", SET))
+        assert sum(map(len, driver.samples())) > 0
+        check_frames(planned(MOUNTED), driver, "here")
+        expected = pos_to_pose(np.array([10, 20, 30, 40, 50, 60]))
+        np.testing.assert_allclose(driver.frames()["$BASE"], expected, atol=1e-6)
+        with pytest.raises(ControllerError, match=r"\$TOOL"):
+            check_frames(planned(np.eye(4)), driver, "here")
+
+
+def test_a_link_that_reads_no_frames_takes_no_program_that_leaves_them_open():
+    driver = TcpDriver("127.0.0.1:1")
+    check_frames(PlannedProgram("loop", "", ()), driver, "here")
+    with pytest.raises(InputError, match=r"does not set \$TOOL.*\$TOOL := POS\(0, 0, 120"):
+        check_frames(planned(MOUNTED), driver, "here")
+
+
+@pytest.mark.parametrize(
+    ("said", "move", "names"),
+    [
+        ("", "MOVE JOINT TO {0, 0, -90, 0, 5, 0}", []),
+        ("", "MOVE LINEAR TO {0, 0, -90, 0, 5, 0}", ["$TOOL"]),
+        ("", "MOVE JOINT TO POS(1000, 0, 800, 0, 180, 0)", ["$BASE", "$TOOL", "$UFRAME"]),
+        ("$TOOL := POS(0, 0, 0, 0, 0, 0)", "MOVE LINEAR TO POS(1000, 0, 800, 0, 180, 0)", ["$BASE", "$UFRAME"]),
+        ("$TOOL := POS(0, 0, 9, 0, 0, 0)", "MOVE LINEAR TO {0, 0, -90, 0, 5, 0}", []),
+    ],
+)
+def test_what_a_program_leaves_open(said, move, names):
+    statements = parse_program(f"PROGRAM p\nBEGIN\n  {said}\n  {move}\nEND p\n").run()
+    assert [*left_open(statements, Tool(frame=MOUNTED))] == names
