@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 from agent.console import Console
 from agent.documents import read_json
 from agent.errors import AgentError, InputError
-from agent.history import open_history, read_run
+from agent.history import open_history
+from agent.past_run import read_run
 from agent.run import RunFolder, sha256_file, write_atomically
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 
-from agent.history import PastRun
+from agent.past_run import PastRun
 
 #: A run that is due within this part of its interval is due: a clock is never to the second.
 _EARLY = 0.01

@@ -15,7 +15,8 @@ from agent.apply import current_model, origin
 from agent.approved import approved_parts, differences, problem
 from agent.documents import read_json
 from agent.errors import InputError
-from agent.history import PastRun, open_history
+from agent.history import open_history
+from agent.past_run import PastRun
 from agent.recipe import Recipe
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from agent.console import Console
 from agent.errors import InputError
-from agent.history import PastRun, read_object, read_run, readable
+from agent.past_run import PastRun, read_object, read_run, readable
 from agent.recipe import Recipe, load_recipe
 from agent.reports import further_sections, recalibration_page
 from agent.run import sha256_file, write_atomically

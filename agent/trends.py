@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from agent.changes import Background, fit_course, line, size_of_change
-from agent.history import PastParameter, PastRun
+from agent.past_run import PastParameter, PastRun
 
 #: Probability of an alarm of any series of a machine without change.
 FALSE_ALARMS = 1e-3

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.due import too_early, wrong_clock
-from agent.history import PastRun, open_history
+from agent.history import open_history
+from agent.past_run import PastRun
 from agent.trends import watch
 
 NOW = datetime(2026, 6, 1, 2, 0, tzinfo=UTC)
