@@ -154,6 +154,21 @@ def report(
 
 
 @app.command()
+def export(
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help="model file")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="folder to write to")],
+) -> None:
+    """Write a model as URDF, MuJoCo model and friction file for other programs. Prints their paths."""
+    from agent.estimation import IdentifiedModel
+    from agent.export import export_model
+
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is a file; name a folder to write to")
+    for path in export_model(IdentifiedModel.load(model), out):
+        print(path)
+
+
+@app.command()
 def apply(
     run: Annotated[str | None, typer.Argument(metavar="[RUN]", help="run folder, or its name")] = None,
     previous: Annotated[bool, typer.Option("--previous", help="back to the model before")] = False,

@@ -18,13 +18,16 @@ if TYPE_CHECKING:
 #: Error may be this much above that at the model's own calibration, and this part of the nominal torque more.
 WORSE = 1.25
 FLOOR = 1e-3
+#: Without a nominal torque the model's own error is the only scale there is, and it scatters from run to run.
+WORSE_UNSCALED = 1.5
 _STANDSTILL = 0.005  # of the highest speed of a joint: there its friction may be anything within stiction
 
 
 def worse_joints(model: IdentifiedModel, rmse: np.ndarray) -> list[str]:
     """Joints whose error (n,) [N·m] is above that of the model on its own data."""
-    nominal = np.nan_to_num(model.robot.nominal_torque)
-    limit = WORSE * model.held_out_rmse + FLOOR * nominal
+    nominal = model.robot.nominal_torque
+    unscaled = WORSE_UNSCALED * model.held_out_rmse
+    limit = np.where(np.isnan(nominal), unscaled, WORSE * model.held_out_rmse + FLOOR * nominal)
     return [name for name, above in zip(model.robot.joint_names, rmse > limit, strict=True) if above]
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from agent.calibrate import Outcome
 from agent.figures import error_text, figure_text, not_judged_text
+from agent.fresh_data import worse_joints
 from agent.history import History, history_table, open_history
 from agent.report.figures import motion_box_plot
 from agent.report.run_report import _headline
@@ -92,6 +94,17 @@ def test_box_plot_keeps_the_torque_of_joints_without_one(nominal):
     expected = np.where(np.isfinite(nominal), 100 * rmse / np.nan_to_num(nominal, nan=1.0), rmse)
     np.testing.assert_allclose(figure.rows, expected)
     assert ("gate" in figure.svg) == np.isfinite(nominal).any()
+
+
+def test_without_a_nominal_torque_the_models_own_error_is_the_scale():
+    robot = load_robot("comau_ns16")
+    model = SimpleNamespace(robot=without(robot, "joint_2"), held_out_rmse=np.ones(6))
+    assert worse_joints(model, np.full(6, 1.4)) == [
+        joint.name
+        for joint, nominal in zip(robot.joints, robot.nominal_torque, strict=True)
+        if joint.name != "joint_2" and nominal < 150
+    ]
+    assert "joint_2" in worse_joints(model, np.full(6, 1.6))
 
 
 def test_figures_in_words():
