@@ -11,8 +11,10 @@ import typer
 
 from agent import cli_shop_floor
 from agent.cli_options import (
+    AllowMixed,
     AsJson,
     Cutoff,
+    Force,
     Logs,
     Quiet,
     RecipePath,
@@ -147,6 +149,8 @@ def estimate(
         Path | None,
         typer.Option(metavar="DIR", help="also write URDF, MuJoCo model and friction file (of a consistent fit)"),
     ] = None,
+    allow_mixed: AllowMixed = False,
+    force: Force = False,
     as_json: AsJson = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
@@ -155,7 +159,9 @@ def estimate(
     from agent.console import print_json
     from agent.identify import estimate_files
 
-    model, text = estimate_files(robot, logs, out, cutoff, method, console_for(verbose, quiet), export)
+    model, text = estimate_files(
+        robot, logs, out, cutoff, method, console_for(verbose, quiet), export, allow_mixed, force
+    )
     if as_json:
         print_json(model)
     else:
@@ -167,6 +173,7 @@ def validate(
     logs: Logs,
     model: Annotated[Path, typer.Option("--model", metavar="MODEL", help="model file")],
     cutoff: Cutoff = None,
+    allow_mixed: AllowMixed = False,
     as_json: AsJson = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
@@ -175,7 +182,7 @@ def validate(
     from agent.console import print_json
     from agent.identify import validate_files, validation_text
 
-    result = validate_files(model, logs, cutoff, console_for(verbose, quiet))
+    result = validate_files(model, logs, cutoff, console_for(verbose, quiet), allow_mixed)
     if as_json:
         print_json(result)
     else:
@@ -196,6 +203,8 @@ def diagnose(
     without: Annotated[
         list[str] | None, typer.Option("--without", metavar="EFFECT", help="leave an effect out of the catalogue")
     ] = None,
+    allow_mixed: AllowMixed = False,
+    force: Force = False,
     as_json: AsJson = False,
     report: Annotated[Path | None, typer.Option("--report", metavar="OUT.html", help="page to write")] = None,
     out: Annotated[
@@ -210,7 +219,7 @@ def diagnose(
     from agent.console import print_json
     from agent.diagnose import Question, diagnose_files, diagnose_recording, diagnosis_text
 
-    question = Question(model, cutoff, tuple(without or ()), report, out)
+    question = Question(model, cutoff, tuple(without or ()), report, out, allow_mixed, force)
     console = console_for(verbose, quiet)
     if record is not None:
         if logs or robot:

@@ -20,6 +20,8 @@ Serial = Annotated[str | None, typer.Option("--serial", metavar="S", help="seria
 Authorised = Annotated[
     Path | None, typer.Option("--authorisation", metavar="FILE", help="a person's word that allows unattended motion")
 ]
+AllowMixed = Annotated[bool, typer.Option("--allow-mixed", help="logs may be of several machines or tools")]
+Force = Annotated[bool, typer.Option("--force", help="go on although a log is implausible")]
 Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="MCAP logs")]
 
 

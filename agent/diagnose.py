@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.console import Console
-from agent.identify import check_output, read_logs, say_used
+from agent.identify import check_one_machine, check_output, check_plausible, read_logs, say_used
 from agent.robot import RobotDescription, load_robot
 
 if TYPE_CHECKING:
@@ -33,7 +33,8 @@ _VERDICTS = {
 class Question:
     """What is asked of logs: against which model (None: one fitted to them), what is left out, what is written.
 
-    `report` is the page, `out` the file of the model with the effects found; None: neither.
+    `report` is the page, `out` the file of the model with the effects found; None: neither. `allow_mixed`: logs and
+    model may be of several machines or tools; `force`: go on although a log is implausible.
     """
 
     model: Path | None = None
@@ -41,6 +42,8 @@ class Question:
     without: tuple[str, ...] = ()
     report: Path | None = None
     out: Path | None = None
+    allow_mixed: bool = False
+    force: bool = False
 
 
 def diagnose_files(robot: str, paths: Sequence[Path], question: Question, console: Console) -> dict[str, Any]:
@@ -136,6 +139,8 @@ def _find(
 
     reference = None if question.model is None else IdentifiedModel.load(question.model)
     logs = read_logs(list(paths), robot, console)
+    check_one_machine(logs, reference, question.allow_mixed)
+    check_plausible(robot, logs, question.force, console)
     found = diagnose(robot, logs, reference, question.cutoff, question.without)
     say_used(logs, found.dataset.cutoff, found.dataset.model.order, console)
     return found, simulate(found)

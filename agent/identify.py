@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from agent.console import Console
-from agent.errors import InputError
+from agent.errors import InputError, RejectedError
 from agent.robot import load_robot
 
 
@@ -38,6 +38,42 @@ def read_logs(paths: list[Path], robot: Any, console: Console) -> list[Any]:
     return logs
 
 
+def check_one_machine(logs: Sequence[Any], model: Any, allow_mixed: bool) -> None:
+    """Refuse logs of several machines or tools, or of another than the model's (None: no model).
+
+    Raises:
+        InputError: where two serials or two tools are known to differ; both are named.
+    """
+    if allow_mixed:
+        return
+    for key in ("serial", "tool"):
+        found = {value: log.name for log in reversed(logs) if (value := log.metadata.get(key))}
+        if model is not None:
+            found |= {value: "the model" for value in model.provenance.get(key, ())}
+        if len(found) > 1:
+            listed = " and ".join(f"{value} ({where})" for value, where in sorted(found.items()))
+            raise InputError(
+                f"the logs are not of one {'machine' if key == 'serial' else 'tool'}: {key} {listed}. "
+                "Name those of one, or mix them on purpose with --allow-mixed"
+            )
+
+
+def check_plausible(robot: Any, logs: Sequence[Any], force: bool, console: Console) -> None:
+    """Refuse logs that no motion of this robot can have made; with `force` only say so.
+
+    Raises:
+        RejectedError: with the likeliest reason first.
+    """
+    from agent.estimation.plausible import doubts
+
+    found = doubts(robot, logs)
+    if found and not force:
+        names = ", ".join(log.name for log in logs)
+        raise RejectedError(f"{names}: {'; '.join(found)}. Nothing is written; mend it, or go on with --force")
+    for doubt in found:
+        console.warn(doubt)
+
+
 def say_used(logs: Sequence[Any], cutoff: float, order: int, console: Console) -> None:
     """Say how many samples of each log a filter left to work with; a warning where stretches are too short for it."""
     from agent.estimation.filtering import FilterSettings, used_text
@@ -55,6 +91,8 @@ def estimate_files(
     method: str | None,
     console: Console,
     export: Path | None = None,
+    allow_mixed: bool = False,
+    force: bool = False,
 ) -> tuple[dict[str, Any], str]:
     """Fit a model to logs and write its file; returns its content and a table for people.
 
@@ -65,8 +103,11 @@ def estimate_files(
 
     check_output(out, paths)
     description = load_robot(robot)
+    logs = read_logs(paths, description, console)
+    check_one_machine(logs, None, allow_mixed)
+    check_plausible(description, logs, force, console)
     # no fit looks at these, and twenty minutes of them are many
-    logs = [replace(log, velocity=None, planned_position=None) for log in read_logs(paths, description, console)]
+    logs = [replace(log, velocity=None, planned_position=None) for log in logs]
     if export is not None and method is None:
         method = "consistent"
     model = estimate(description, logs, EstimationSettings.create(cutoff=cutoff, method=method))
@@ -94,16 +135,38 @@ def check_output(out: Path, paths: Sequence[Path]) -> None:
         raise InputError(f"{out}: is one of the logs or models that are read; name another file to write")
 
 
-def validate_files(model_path: Path, paths: list[Path], cutoff: float | None, console: Console) -> dict[str, Any]:
+def validate_files(
+    model_path: Path, paths: list[Path], cutoff: float | None, console: Console, allow_mixed: bool = False
+) -> dict[str, Any]:
     """Prediction of logs by a model, in the contract's schema."""
     from agent.estimation import IdentifiedModel
     from agent.validation import validate
 
     model = IdentifiedModel.load(model_path)
     logs = read_logs(paths, model.robot, console)
+    check_one_machine(logs, model, allow_mixed)
     result = validate(model, logs, cutoff)
     say_used(logs, result["cutoff_hz"], model.order, console)
+    for comment in _comments(model, logs, result):
+        console.warn(comment)
     return result
+
+
+def _comments(model: Any, logs: Sequence[Any], result: dict[str, Any]) -> Iterator[str]:
+    """What a person should know before believing the figures of a validation."""
+    fitted = {entry.get("sha256") for entry in model.provenance.get("logs", ())} - {None, ""}
+    known = [log.name for log in logs if log.sha256 in fitted]
+    if known:
+        yield f"the model was fitted to {', '.join(known)}: its error there says little about other motions"
+    error = result["overall"]["relative_error_all_joints"]
+    if error is not None and error > 1:
+        from agent.estimation.plausible import doubts
+
+        reasons = doubts(model.robot, logs) or ["the model is of another robot, tool or unit than the logs"]
+        yield (
+            f"the error is {100 * error:.0f} % of the torque itself: predicting no torque at all would be better. "
+            f"Most likely: {'; '.join(reasons)}"
+        )
 
 
 def validation_text(result: dict[str, Any]) -> str:

@@ -69,6 +69,14 @@ class Link:
         """Of the controller."""
         return self._guard.address
 
+    @property
+    def _machine(self) -> dict[str, str]:
+        """Whose motion it is, for the logs: those of another machine or tool are no more of the same model."""
+        who, tool = self.identity, self._recipe.tool
+        controller = f"{who.controller} {who.version}".strip()
+        facts = {"serial": who.serial, "tool": "none" if tool is None else tool.text(), "controller": controller}
+        return {key: value for key, value in facts.items() if value}
+
     def position(self) -> np.ndarray:
         """(n,) where the arm stands now [rad]."""
         return self._guard.position()
@@ -149,7 +157,7 @@ class Link:
                 robot=robot.name,
                 motion=motion,
                 sample_rate=1.0 / self.identity.period,
-                facts={**self._torque, **limits},
+                facts={**self._machine, **self._torque, **limits},
             ) as writer:
                 try:
                     with guard.motion(program) as samples:

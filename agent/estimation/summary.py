@@ -15,7 +15,7 @@ from agent.estimation.observation import Observation
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.solving import autocorrelation_time
 from agent.estimation.uncertainty import covariance, silent_directions
-from agent.recording.log import Log
+from agent.recording.log import MACHINE, Log
 
 _BAD_CONDITION = 1000.0
 _NOTABLE_STANDSTILL = 0.05
@@ -146,12 +146,15 @@ def _leading_names(names: Sequence[str], directions: np.ndarray, most: int = 8) 
 
 def _provenance(observation: Observation, logs: Sequence[Log]) -> dict[str, Any]:
     rows = [sum(len(s.time) for s in observation.stretches if s.log_index == k) for k in range(len(logs))]
+    machine = {key: sorted({log.metadata[key] for log in logs if log.metadata.get(key)}) for key in MACHINE}
     return {
+        **{key: found for key, found in machine.items() if found},
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "smoothing_hz": float(observation.stretches[0].motion.pass_edge),
         "logs": [
             {
                 "log": log.name,
+                "sha256": log.sha256,
                 "samples": len(log.t),
                 "rate_hz": float(log.sample_rate),
                 "duration_s": float(log.t[-1] - log.t[0]),

@@ -12,7 +12,7 @@ import numpy as np
 
 from agent.errors import InputError
 from agent.recording.limits import LIMITS, impossible
-from agent.recording.log import Log
+from agent.recording.log import MACHINE, Log
 from agent.recording.log_file import nanoseconds, write_log
 from agent.recording.mapping import CURRENT, Columns, EffortColumns, Mapping, PositionColumns, load_mapping, units_of
 from agent.recording.resampling import resampled
@@ -112,6 +112,7 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
     spacing = spacing_of(order.stamp, entries.rate)
     repairs = (*order.repairs, *spacing.repairs)
     notes += [str(repair) for repair in repairs]
+    machine = {key: value for key in MACHINE if (value := getattr(entries, key)) is not None}
     log = Log(
         path=output,
         joint_names=robot.joint_names,
@@ -124,7 +125,7 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
         sample_rate=spacing.rate,
         stamp=int(order.stamp[0]) / _NANO,
         segments=spacing.segments,
-        metadata={"robot": robot.name, "motion": entries.motion},
+        metadata={"robot": robot.name, "motion": entries.motion, **machine},
         repairs=repairs,
     )
     return log, notes

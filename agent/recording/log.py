@@ -10,6 +10,8 @@ import numpy as np
 
 from agent.recording.scratch import Scratch
 
+#: Keys of `Log.metadata` that say whose motion it is, where that is known.
+MACHINE = ("serial", "tool", "controller")
 #: What to keep beside a cycle that is cut out of a log [s]: more than filters drop at its ends.
 AROUND = 1.0
 
@@ -36,8 +38,8 @@ class Log:
     same stamps (NaN where there is none). `sample_rate` [Hz] is that of intervals without a missing sample. `segments`
     are [start, stop) sample ranges without a gap in them: stretches of at most 10 ms or two samples may be missing, see
     `agent.recording.resampled`; `breaks` [s] are those of their starts at which a position jumps. `stamp` is the first
-    sample's controller time [s]. The arrays of a long log lie in `scratch`: who goes over all of them part by part
-    releases it after each.
+    sample's controller time [s], `sha256` of the file that was read. The arrays of a long log lie in `scratch`: who
+    goes over all of them part by part releases it after each.
     """
 
     path: Path
@@ -55,6 +57,7 @@ class Log:
     metadata: dict[str, str] = field(default_factory=dict)
     repairs: tuple[Repair, ...] = ()
     breaks: tuple[float, ...] = ()
+    sha256: str = ""
     scratch: Scratch = field(default_factory=Scratch, repr=False)
 
     @property

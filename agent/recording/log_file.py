@@ -18,7 +18,7 @@ import numpy as np
 from agent.recording.foxglove import FILE_NAME as LAYOUT_NAME
 from agent.recording.foxglove import foxglove_layout
 from agent.recording.joint_state import SCHEMA_NAME, SCHEMA_TEXT, JointStateLayout, layout_for
-from agent.recording.log import Log
+from agent.recording.log import MACHINE, Log
 from agent.recording.mcap_output import CHUNK_SIZE, MESSAGE_HEAD, McapOutput, RecordingError
 from agent.recording.sequence import SequenceCheck
 
@@ -257,7 +257,8 @@ def _write_whole(path: Path, log: Log) -> None:
     times = log.stamp + log.t
     run = log.metadata
     robot, motion = run.get("robot", ""), run.get("motion", "")
-    file = LogFile(path, log.joint_names, robot, motion, log.sample_rate, clock=lambda: times[0])
+    facts = {key: run[key] for key in MACHINE if key in run}
+    file = LogFile(path, log.joint_names, robot, motion, log.sample_rate, clock=lambda: times[0], facts=facts)
     try:
         file.write(as_samples(log))
         for topic, position in ((REFERENCES, log.reference_position), (PLANNED, log.planned_position)):

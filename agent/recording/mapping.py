@@ -110,6 +110,9 @@ class ImportMap(_Strict):
     """A mapping file."""
 
     motion: str = "imported"
+    serial: str | None = None
+    tool: str | None = None
+    controller: str | None = None
     side: Side = "joint"
     rate: Annotated[Frequency, Field(gt=0)] | None = None
     time: TimeColumn | None = None

@@ -100,6 +100,7 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
         metadata=run,
         repairs=tuple(repairs),
         breaks=tuple(t[list(cuts)].tolist()),
+        sha256=found.sha256,
         scratch=found.scratch,
     )
 

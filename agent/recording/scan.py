@@ -6,6 +6,7 @@ has. Messages are only located on the way; those of one topic and length are dec
 
 from __future__ import annotations
 
+import hashlib
 import os
 import struct
 import zlib
@@ -57,8 +58,8 @@ class Scan:
     """What was found. topics: decoded messages by topic; types: message type and encoding of every topic.
 
     closed: the writer finished the file; dropped: bytes that could not be read at its end; damaged: chunks left out,
-    each with the number of the chunk; unreadable: messages by topic that are no joint states; scratch: where the
-    numbers of a long log are.
+    each with the number of the chunk; unreadable: messages by topic that are no joint states; sha256: of the whole
+    file; scratch: where the numbers of a long log are.
     """
 
     scratch: Scratch = field(default_factory=Scratch)
@@ -69,6 +70,7 @@ class Scan:
     dropped: int = 0
     damaged: list[int] = field(default_factory=list)
     unreadable: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    sha256: str = ""
 
 
 def scan(path: Path) -> Scan:
@@ -79,7 +81,10 @@ def scan(path: Path) -> Scan:
     """
     try:
         with open(path, "rb") as file:
-            return _Scanner(path).run(file, os.fstat(file.fileno()).st_size)
+            found = _Scanner(path).run(file, os.fstat(file.fileno()).st_size)
+            file.seek(0)
+            found.sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+            return found
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except OSError as error:

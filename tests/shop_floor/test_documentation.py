@@ -19,10 +19,10 @@ from tests.conftest import free_port
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
-# Each page goes on where the one before ends.
+# Each page goes on where the one before ends; README and tutorial are read one after the other, too.
 STORIES = (
     ("tutorial.md", "how-to-diagnosis.md", "how-to-recalibrate.md", "how-to-robot.md", "import.md", "recipe.md"),
-    ("../README.md",),
+    ("../README.md", "tutorial.md"),
 )
 
 
@@ -75,7 +75,7 @@ def test_every_command_of_tutorial_and_how_tos(tmp_path: Path):
         assert (tmp_path / made).is_file(), made
 
 
-def test_every_command_of_the_readme(tmp_path: Path):
+def test_every_command_of_the_readme_and_then_of_the_tutorial(tmp_path: Path):
     run = _tell(STORIES[1], tmp_path)
     assert run.returncode == 0, run.stderr[-3000:]
     for made in ("plan/plan.html", "logs/index.html", "model.json", "diagnosis.html"):

@@ -1,0 +1,134 @@
+"""Logs that no motion of the robot can have made are refused, with the likeliest reason."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.console import Console
+from agent.errors import InputError, RejectedError
+from agent.estimation.plausible import doubts
+from agent.identify import estimate_files, validate_files
+from agent.recording import read_log, write_log
+from agent.robot import load_robot
+
+JOINT = 1
+
+
+def turned(values: np.ndarray, joint: int = JOINT) -> np.ndarray:
+    return values * np.where(np.arange(values.shape[1]) == joint, -1.0, 1.0)
+
+
+MISTAKES = {
+    "N·mm": lambda log: {"effort": 1000 * log.effort},
+    "look like degrees": lambda log: {"position": np.degrees(log.position), "velocity": None},
+    "opposite signs": lambda log: {"effort": -log.effort},
+    "joint_2 .*opposite signs": lambda log: {"effort": turned(log.effort)},
+    "never negative": lambda log: {"effort": np.abs(log.effort)},
+    "joint_2 never changes while it moves": lambda log: {"effort": np.where(np.arange(6) == JOINT, 0.0, log.effort)},
+    "joint_2 is stuck": lambda log: {
+        "position": np.where(np.arange(6) == JOINT, log.position[0], log.position),
+        "velocity": None,
+    },
+    "joint_2 and joint_3 look swapped": lambda log: {
+        "position": log.position[:, [0, 2, 1, 3, 4, 5]],
+        "effort": log.effort[:, [0, 2, 1, 3, 4, 5]],
+        "velocity": None,
+    },
+    "0.5 times the derivative": lambda log: {"velocity": 0.5 * np.gradient(log.position, log.t, axis=0)},
+    "-1 times the derivative.*flipped": lambda log: {"velocity": -np.gradient(log.position, log.t, axis=0)},
+}
+
+
+@pytest.fixture(scope="module")
+def healthy(shared_data):
+    robot = load_robot(str(shared_data / "gap-dev/robot.yaml"))
+    return robot, read_log(shared_data / "gap-dev/baseline/excite.mcap", robot)
+
+
+@pytest.mark.parametrize("reason", MISTAKES)
+def test_what_cannot_be_is_said(healthy, reason):
+    robot, log = healthy
+    found = doubts(robot, [replace(log, **MISTAKES[reason](log))])
+    assert found
+    assert re.search(reason, found[0]), found
+
+
+def test_gravity_in_another_direction_is_named(healthy):
+    robot, log = healthy
+    (found,) = doubts(replace(robot, gravity=(9.80665, 0.0, 0.0)), [log])
+    assert "gravity in the base frame looks like (0, 0, -9.807)" in found
+
+
+@pytest.mark.parametrize(
+    ("robot", "logs"),
+    [
+        ("gap-dev/robot.yaml", "gap-dev/baseline"),
+        ("gap-dev/robot.yaml", "gap-dev/case_03/logs"),
+        ("real-dev/kr300/robot_real.yaml", "real-dev/kr300"),
+        ("real-dev/kr300/robot_dummy.yaml", "real-dev/kr300"),
+        ("real-dev/tiago/robot.yaml", "real-dev/tiago"),
+        ("real-dev/bam_xl330/robot.yaml", "real-dev/bam_xl330"),
+    ],
+)
+def test_real_logs_are_not_refused(shared_data, robot, logs):
+    description = load_robot(str(shared_data / robot))
+    for path in sorted((shared_data / logs).glob("*.mcap"))[:3]:
+        assert not doubts(description, [read_log(path, description)]), path
+
+
+def test_an_unsigned_current_of_a_real_arm_is_refused(shared_data):
+    robot = load_robot(str(shared_data / "real-dev/so101/robot.yaml"))
+    log = read_log(shared_data / "real-dev/so101/custom_motion.mcap", robot)
+    assert "never negative" in doubts(robot, [log])[0]
+
+
+def test_nothing_is_written_unless_forced(healthy, shared_data, tmp_path):
+    _, log = healthy
+    robot, out, quiet = str(shared_data / "gap-dev/robot.yaml"), tmp_path / "model.json", Console(-1)
+    flipped = tmp_path / "flipped.mcap"
+    write_log(flipped, replace(log, effort=-log.effort))
+    with pytest.raises(RejectedError, match="opposite signs.*--force"):
+        estimate_files(robot, [flipped], out, 10.0, "weighted", quiet)
+    assert not out.exists()
+    estimate_files(robot, [flipped], out, 10.0, "weighted", quiet, force=True)
+    assert out.exists()
+
+
+def test_logs_of_two_machines_or_tools_are_not_pooled(healthy, shared_data, tmp_path, capsys):
+    _, log = healthy
+    robot, out, quiet = str(shared_data / "gap-dev/robot.yaml"), tmp_path / "model.json", Console(-1)
+    paths: list[Path] = []
+    for serial, tool in (("A-1", "none"), ("B-2", "none"), ("A-1", "gripper")):
+        paths.append(tmp_path / f"{serial}_{tool}.mcap")
+        part = log.between(len(paths), len(paths) + 12)
+        write_log(paths[-1], replace(part, metadata={"serial": serial, "tool": tool}))
+    first, other, gripped = paths
+    with pytest.raises(InputError, match=r"serial A-1 \(A-1_none.mcap\) and B-2 \(B-2_none.mcap\).*--allow-mixed"):
+        estimate_files(robot, [first, other], out, 10.0, "weighted", quiet)
+    assert not out.exists()
+    estimate_files(robot, [first], out, 10.0, "weighted", quiet)
+    with pytest.raises(InputError, match=r"serial A-1 \(the model\) and B-2"):
+        validate_files(out, [other], None, quiet)
+    with pytest.raises(InputError, match=r"tool gripper .* and none \(the model\)"):
+        validate_files(out, [gripped], None, quiet)
+    capsys.readouterr()
+    validate_files(out, [first], None, quiet)
+    assert "fitted to A-1_none.mcap" in capsys.readouterr().err
+    validate_files(out, [other], None, quiet, allow_mixed=True)
+    assert "fitted to" not in capsys.readouterr().err
+
+
+def test_an_absurd_error_has_a_comment(healthy, shared_data, tmp_path, capsys):
+    _, log = healthy
+    robot, out, quiet = str(shared_data / "gap-dev/robot.yaml"), tmp_path / "model.json", Console(-1)
+    for name, factor in (("right", 1.0), ("wrong", 1000.0)):
+        write_log(tmp_path / f"{name}.mcap", replace(log, effort=factor * log.effort))
+    estimate_files(robot, [tmp_path / "wrong.mcap"], out, 10.0, "weighted", quiet, force=True)
+    capsys.readouterr()
+    validate_files(out, [tmp_path / "right.mcap"], None, quiet)
+    assert "predicting no torque at all would be better" in capsys.readouterr().err
