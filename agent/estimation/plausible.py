@@ -1,9 +1,9 @@
 """What no motion and no body can be: said, with the likeliest reason, before a model is made of it.
 
 Signals are looked at first: dead channels, units, signs. Then a plain rigid arm with Coulomb and viscous friction and
-offsets, free in all its parameters, is fitted to a few hundred samples. Where it explains less than half of the torque,
-it is fitted again to what the log would be had one thing in it been mistaken, and the mistake that explains most is
-named.
+offsets, free in all its parameters, is fitted to a few hundred samples, and again to what the log would be had one
+thing in it been mistaken: gravity, a unit, a sign, two joints. On healthy logs of four real arms and one simulated no mistake
+left less than 0.89 of what is unexplained; a real one left at most 0.29.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ _CUTOFF = 10.0  # Hz
 _SAMPLES, _TRIED = 500, 125  # of all logs together, for a fit and for each of the mistakes tried
 _UNEXPLAINED = 0.5  # of the torque of all joints, root mean square
 _BETTER = 0.6  # of what was left unexplained, that a mistake must leave at most to be named
+_EXACT = 0.01  # of the torque: a fit that leaves less is right, and what is left may be anything
 _STEEL = 7850.0  # kg/m³
 _TOO_STRONG = 100.0  # times what the description says of the drive
 _TOO_FAR = 5.0  # times the joint's range
@@ -84,8 +85,8 @@ def _signals(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
     live = moving & ~dead
     if live.any() and np.all(weakest.min(axis=0)[live] >= 0) and _swings(logs, efforts, live):
         yield (
-            f"the torque of {', '.join(names[live])} is never negative, whichever way it moves: it is an amount without "
-            "a sign, as some drives report their current"
+            f"the torque of {', '.join(names[live])} is never negative, whichever way it moves: it is an amount "
+            "without a sign, as some drives report their current"
         )
 
 
@@ -235,26 +236,26 @@ def _mechanics(robot: RobotDescription, samples: _Samples) -> Iterator[str]:
         if plain.joints[k] > _UNEXPLAINED and size[k] > 0.1 * size.max():
             yield f"{names[k]} is stuck: its position never changes, and its torque is not that of a joint that stands"
             return
-    if plain.unexplained > _UNEXPLAINED or len(pushed):
-        likeliest = _likeliest(robot, samples, plain, _mistakes(robot, samples))
-        if plain.unexplained > _UNEXPLAINED:
-            likeliest = likeliest or "torque and motion do not belong together, and no mistake tried here explains them"
-            yield f"{likeliest}: {share}"
-            return
+    fits = plain.joints.mean() < _EXACT and not len(pushed)
+    likeliest = None if fits else _likeliest(robot, samples)
+    if plain.unexplained > _UNEXPLAINED:
+        likeliest = likeliest or "torque and motion do not belong together, and no mistake tried here explains them"
+        yield f"{likeliest}: {share}"
+    elif len(pushed):
         whose = ", ".join(names[k] for k in pushed)
         likeliest = likeliest or f"torque and motion of {whose} have opposite signs"
         push = 100 * plain.pushing.max()
         yield f"{likeliest}: friction and inertia would drive {whose} on, by {push:.0f} % of its torque"
-    elif likeliest := _likeliest(robot, samples, plain, _other_gravity(robot, samples)):
-        yield f"{likeliest}: {share}, and much more so"
+    elif likeliest:
+        yield f"{likeliest}: much more of the torque would be explained"
 
 
-def _likeliest(robot: RobotDescription, samples: _Samples, plain: _Fit, mistakes: Iterator[_Mistake]) -> str | None:
+def _likeliest(robot: RobotDescription, samples: _Samples) -> str | None:
     """The mistake that explains clearly more than the log as it is; None where none does."""
     every = max(1, len(samples.q) // _TRIED)
     some = [values[::every] for values in (samples.q, samples.qd, samples.qdd, samples.torque, samples.direction)]
     as_it_is = _fit(robot, _Samples(*some)).joints
-    tried = [(what, _fit(here, thin).joints) for what, here, thin in _thinned(mistakes, every)]
+    tried = [(what, _fit(here, thin).joints) for what, here, thin in _thinned(_mistakes(robot, samples), every)]
     what, left = min(tried, key=lambda entry: entry[1].mean())
     return what if left.mean() < _BETTER * as_it_is.mean() else None
 
@@ -322,10 +323,11 @@ def _fit(robot: RobotDescription, s: _Samples) -> _Fit:
     rub = columns @ braking
     power = np.mean(rub * s.qd, axis=0) / np.maximum(np.sqrt(np.mean(s.qd**2, axis=0)), 1e-12)
     push = np.empty(n)
-    some = s.q[:: max(1, count // 20)]
+    some = s.q[:: max(1, count // 10)]
+    at_rest = rigid(some, 0 * some, 0 * some)
     for k in range(n):
         unit = np.tile(np.eye(n)[k], (len(some), 1))
-        inertia = (rigid(some, 0 * some, unit) - rigid(some, 0 * some, 0 * some))[:, k] @ solution[:bodies]
+        inertia = (rigid(some, 0 * some, unit) - at_rest)[:, k] @ solution[:bodies]
         own_torque = np.mean(inertia) * np.sqrt(np.mean(s.qdd[:, k] ** 2))
         push[k] = -(power[k] + own_torque)
     total = np.linalg.norm(s.torque)

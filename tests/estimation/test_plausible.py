@@ -27,7 +27,7 @@ MISTAKES = {
     "N·mm": lambda log: {"effort": 1000 * log.effort},
     "look like degrees": lambda log: {"position": np.degrees(log.position), "velocity": None},
     "opposite signs": lambda log: {"effort": -log.effort},
-    "joint_2 .*opposite signs": lambda log: {"effort": turned(log.effort)},
+    "the torque of joint_2 looks flipped": lambda log: {"effort": turned(log.effort)},
     "never negative": lambda log: {"effort": np.abs(log.effort)},
     "joint_2 never changes while it moves": lambda log: {"effort": np.where(np.arange(6) == JOINT, 0.0, log.effort)},
     "joint_2 is stuck": lambda log: {
@@ -69,15 +69,15 @@ def test_gravity_in_another_direction_is_named(healthy):
     [
         ("gap-dev/robot.yaml", "gap-dev/baseline"),
         ("gap-dev/robot.yaml", "gap-dev/case_03/logs"),
+        ("gap-dev/robot.yaml", "gap-dev/case_04/logs"),
         ("real-dev/kr300/robot_real.yaml", "real-dev/kr300"),
-        ("real-dev/kr300/robot_dummy.yaml", "real-dev/kr300"),
         ("real-dev/tiago/robot.yaml", "real-dev/tiago"),
         ("real-dev/bam_xl330/robot.yaml", "real-dev/bam_xl330"),
     ],
 )
 def test_real_logs_are_not_refused(shared_data, robot, logs):
     description = load_robot(str(shared_data / robot))
-    for path in sorted((shared_data / logs).glob("*.mcap"))[:3]:
+    for path in sorted((shared_data / logs).glob("*.mcap"))[:2]:
         assert not doubts(description, [read_log(path, description)]), path
 
 
@@ -92,7 +92,7 @@ def test_nothing_is_written_unless_forced(healthy, shared_data, tmp_path):
     robot, out, quiet = str(shared_data / "gap-dev/robot.yaml"), tmp_path / "model.json", Console(-1)
     flipped = tmp_path / "flipped.mcap"
     write_log(flipped, replace(log, effort=-log.effort))
-    with pytest.raises(RejectedError, match="opposite signs.*--force"):
+    with pytest.raises(RejectedError, match=r"opposite signs.*--force"):
         estimate_files(robot, [flipped], out, 10.0, "weighted", quiet)
     assert not out.exists()
     estimate_files(robot, [flipped], out, 10.0, "weighted", quiet, force=True)

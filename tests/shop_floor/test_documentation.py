@@ -78,7 +78,7 @@ def test_every_command_of_tutorial_and_how_tos(tmp_path: Path):
 def test_every_command_of_the_readme_and_then_of_the_tutorial(tmp_path: Path):
     run = _tell(STORIES[1], tmp_path)
     assert run.returncode == 0, run.stderr[-3000:]
-    for made in ("plan/plan.html", "logs/index.html", "model.json", "diagnosis.html"):
+    for made in ("first/plan.html", "plan/plan.html", "logs/index.html", "model.json", "diagnosis.html"):
         assert (tmp_path / made).is_file(), made
 
 
