@@ -167,6 +167,7 @@ class Link:
                             self._console.progress(f"{motion}: {aligner.elapsed:6.1f} of about {total:.0f} s of motion")
                 finally:
                     writer.note(guard.facts)
+                    writer.missed(guard.lost)
                     writer.write_temperatures(guard.temperatures)
                     for start in aligner.finish(writer.write_planned):
                         writer.cycle_start(start)

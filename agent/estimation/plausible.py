@@ -2,8 +2,8 @@
 
 Signals are looked at first: dead channels, units, signs. Then a plain rigid arm with Coulomb and viscous friction and
 offsets, free in all its parameters, is fitted to a few hundred samples, and again to what the log would be had one
-thing in it been mistaken: gravity, a unit, a sign, two joints. On healthy logs of four real arms and one simulated no mistake
-left less than 0.89 of what is unexplained; a real one left at most 0.29.
+thing in it been mistaken: gravity, a unit, a sign, two joints. On healthy logs of three real arms and one simulated no
+mistake left less than 0.89 of what is unexplained; a real one left at most 0.29.
 """
 
 from __future__ import annotations

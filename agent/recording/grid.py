@@ -73,6 +73,8 @@ def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.n
     `place` (S,) are the stamps in periods. Jitter leaves open by a few rows where a sample is missing; positions are
     near a cubic of nine rows to either side, and by how far is told by the rows that lie in one piece.
     """
+    if len(number) < _AROUND:
+        return number
     number = number.copy()
     near = number - number[0], place - place[0]
     spread = max(float(np.std(near[0] - near[1])), 1e-3)

@@ -81,6 +81,7 @@ class LogFile:
         self._names = tuple(joint_names)
         self._clock = clock
         self._sequence = SequenceCheck()
+        self._missed = 0
         self._run = {"robot": robot, "motion": motion, **(facts or {})}
         if sample_rate is not None:
             self._run["sample_rate_hz"] = f"{sample_rate:.12g}"
@@ -97,8 +98,8 @@ class LogFile:
 
     @property
     def lost(self) -> int:
-        """Samples that never came, by sequence number."""
-        return self._sequence.lost
+        """Samples that never came, by sequence number or as the link counted them."""
+        return max(self._sequence.lost, self._missed)
 
     @property
     def repeated(self) -> int:
@@ -156,6 +157,10 @@ class LogFile:
     def note(self, facts: Mapping[str, str]) -> None:
         """Add to what the record `run` says at the end."""
         self._run |= facts
+
+    def missed(self, count: int) -> None:
+        """Note how many samples the link lost in all, those before the first and after the last one seen too."""
+        self._missed = count
 
     def event(self, text: str) -> None:
         """Note what happened, on /controller_status at the receive time."""

@@ -37,6 +37,8 @@ _MESSAGE_HEAD = 22
 _BATCH = 2**20
 #: Layouts of messages that one file may have; beyond, messages are not joint states of one robot.
 _MAX_LAYOUTS = 1000
+#: A chunk may hold so much before compression [bytes], and a file so many times its size: logs shrink to a tenth.
+MOST_UNPACKED, _MOST_TIMES = 64 * 2**20, 500
 _TYPES = ("sensor_msgs/msg/JointState", "sensor_msgs/JointState")
 
 
@@ -103,12 +105,14 @@ class _Scanner:
         self._located: dict[tuple[int, int], list[int]] = defaultdict(list)
         self._size = 0
         self._before = 0
+        self._file_size = self._unpacked = 0
 
     def run(self, file: BinaryIO, size: int) -> Scan:
         magic = file.read(len(_MAGIC))
         if magic != _MAGIC:
             what = "the file is empty" if size == 0 else "not an MCAP file"
             raise InputError(f"{self._path}: {what}; a log is an MCAP file with sensor_msgs/msg/JointState messages")
+        self._file_size = size
         chunks = 0
         for opcode, body, whole in self._records(file, size):
             if opcode == Opcode.CHUNK:
@@ -139,10 +143,12 @@ class _Scanner:
 
     def _take_chunk(self, body: bytes, whole: bool, number: int) -> None:
         try:
-            _, _, _, crc, name_length = _CHUNK.unpack_from(body)
+            _, _, size, crc, name_length = _CHUNK.unpack_from(body)
             start = _CHUNK.size + name_length
             compression = body[_CHUNK.size : start].decode()
-            data = _unpack(compression, body[start + 8 :])
+            if compression:
+                self._check_size(size)
+            data = _unpack(compression, body[start + 8 :], size)
         except (struct.error, UnicodeDecodeError, zstandard.ZstdError, RuntimeError, EOFError, MemoryError):
             self._found.damaged.append(number)
             return
@@ -150,18 +156,35 @@ class _Scanner:
             raise InputError(
                 f"{self._path}: compressed with {compression!r}; zstd, lz4 and none can be read: convert the file"
             )
+        if compression and len(data) > size:
+            self._found.damaged.append(number)  # it holds more than it declares
+            return
         if whole and crc and zlib.crc32(data) != crc:
             self._found.damaged.append(number)
             return
         if not self._take(data) and whole:
             self._found.damaged.append(number)
 
+    def _check_size(self, size: int) -> None:
+        """Refuse what would fill memory or disk: a chunk may declare anything."""
+        self._unpacked += size
+        if size > MOST_UNPACKED:
+            raise InputError(
+                f"{self._path}: a chunk of {size / 2**20:.0f} MiB before compression; at most {MOST_UNPACKED >> 20} "
+                "MiB can be read: write the file anew with smaller chunks"
+            )
+        if self._unpacked > max(MOST_UNPACKED, _MOST_TIMES * self._file_size):
+            raise InputError(
+                f"{self._path}: unpacks to more than {_MOST_TIMES} times its size, as no recording of a motion does"
+            )
+
     def _take_metadata(self, body: bytes) -> None:
         try:
             record = Metadata.read(_stream(body))
         except (struct.error, UnicodeDecodeError, EndOfFile):
             return
-        self._found.metadata[record.name] = record.metadata
+        texts = {_printable(key): _printable(value) for key, value in record.metadata.items()}
+        self._found.metadata[record.name] = texts
 
     def _take(self, records: bytes) -> bool:
         """Locate the messages among schemas and channels, as they stand in a chunk or in the file.
@@ -259,16 +282,23 @@ class _Scanner:
         return layout
 
 
-def _unpack(compression: str, data: bytes) -> bytes | None:
-    """The records of a chunk, as far as its data goes; None for an unknown compression."""
+def _unpack(compression: str, data: bytes, size: int) -> bytes | None:
+    """The records of a chunk, as far as its data goes and a byte beyond its declared size; None for an unknown
+    compression."""
     if compression == "":
         return data
     if compression == "zstd":
-        return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+        with zstandard.ZstdDecompressor(max_window_size=MOST_UNPACKED).stream_reader(data) as stream:
+            return stream.read(size + 1)
     if compression == "lz4":
-        return lz4.frame.LZ4FrameDecompressor().decompress(data)
+        return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
     return None
 
 
 def _stream(body: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(body))
+
+
+def _printable(text: str) -> str:
+    """Without what would act on a terminal."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)

@@ -116,6 +116,10 @@ class LogWriter:
         """Add to what the record `run` says at the end."""
         self._put(0, lambda: self._file.note(facts))
 
+    def missed(self, count: int) -> None:
+        """Note how many samples the link lost in all, those before the first and after the last one seen too."""
+        self._put(0, lambda: self._file.missed(count))
+
     def event(self, text: str) -> None:
         """Note what happened on the link or to the robot."""
         self._put(len(text), lambda: self._file.event(text))

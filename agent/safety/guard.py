@@ -235,6 +235,11 @@ class GuardedLink:
             self._checked.add(self.identity.serial, program.stands_for or program.checksum)
 
     @property
+    def lost(self) -> int:
+        """Samples of the last motion that never came, from its first to its last."""
+        return sum(gap.count for gap in self._driver.gaps)
+
+    @property
     def facts(self) -> dict[str, str]:
         """What the driver knows of the last motion beyond its samples."""
         return self._driver.facts if isinstance(self._driver, TellsFacts) else {}

@@ -141,6 +141,17 @@ def test_blocks_without_velocity_effort_or_references(tools, record):
         assert {message.log_time for _, _, message in make_reader(file).iter_messages()} == {1234500000000}
 
 
+def test_samples_that_the_link_lost_before_the_first_and_after_the_last_are_counted(tools, tmp_path):
+    path = tmp_path / "log.mcap"
+    with LogWriter(path, tools.JOINTS, robot="arm", motion="test", sample_rate=500.0) as writer:
+        writer.write(tools.cut(tools.motion(1000), slice(100, 900)))
+        writer.missed(200)
+    assert writer.lost == 200
+    log = read_log(path)
+    assert log.metadata["lost_samples"] == "200"
+    assert "lost on the link: 200 at 0.000 s" in [str(repair) for repair in log.repairs]
+
+
 def test_lost_and_repeated_samples_are_counted_and_said(tools, record):
     block = tools.motion(1000)
     order = np.r_[0:300, 305:600, 590:600, 600:1000]  # five lost, ten repeated

@@ -1,0 +1,81 @@
+"""Files that were made to harm: memory is bounded, and whatever stands in them is one message or one repair."""
+
+from __future__ import annotations
+
+import struct
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType
+
+from agent.errors import InputError
+from agent.recording import read_log
+
+MAGIC = b"\x89MCAP0\r\n"
+BOMB = 300 * 2**20
+
+
+@pytest.fixture(scope="module")
+def bomb() -> bytes:
+    """300 MiB of zeros in a few kilobytes."""
+    return zstandard.ZstdCompressor(level=1).compress(bytes(BOMB))
+
+
+def chunks(path: Path, data: bytes, declared: int, count: int = 1) -> Path:
+    body = struct.pack("<QQQII", 0, 0, declared, 0, 4) + b"zstd" + struct.pack("<Q", len(data)) + data
+    path.write_bytes(MAGIC + count * (struct.pack("<BQ", 6, len(body)) + body))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("declared", "count", "message"),
+    [(1000, 1, "no messages in it"), (BOMB, 1, "a chunk of 300 MiB"), (60 * 2**20, 50, "500 times its size")],
+)
+def test_a_chunk_takes_no_more_memory_than_a_limit(tmp_path, bomb, declared, count, message):
+    path = chunks(tmp_path / "log.mcap", bomb, declared, count)
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match=message):
+            read_log(path)
+        assert tracemalloc.get_traced_memory()[1] < 200 * 2**20
+    finally:
+        tracemalloc.stop()
+
+
+NUMBERS = st.one_of(st.just("9" * 5000), st.just("[" * 100_000), st.just("1e999"), st.just("NaN"), st.just("٣"))
+TEXTS = st.one_of(NUMBERS, st.text(max_size=20), st.sampled_from(['{"a": 1}', "[null]", "[[1]]", "[1e400]", "-1"]))
+KEYS = ("sample_rate_hz", "cycle_starts_s", "lost_samples", "repeated_samples", "serial", "robot", "\x1b[2J")
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.dictionaries(st.sampled_from(KEYS), TEXTS))
+def test_any_metadata_is_read(tools, tmp_path, run):
+    times = 1 + np.arange(50) / 100
+    messages = [{"time": t, "names": ["a"], "position": [t], "effort": [t]} for t in times]
+    log = read_log(tools.write_foreign(tmp_path / "log.mcap", messages, {**run}))
+    assert len(log.t) == 50
+    assert all(text.isprintable() for repair in log.repairs for text in str(repair))
+    assert all(text.isprintable() for entry in log.metadata.items() for text in entry)
+
+
+def test_huge_numbers_in_lists_are_no_cycles(tools, tmp_path):
+    messages = [{"time": 1 + k / 100, "names": ["a"], "position": [k], "effort": [k]} for k in range(50)]
+    for text in ("[1" + "0" * 400 + "]", "[" * 100_000):
+        log = read_log(tools.write_foreign(tmp_path / "log.mcap", messages, {"cycle_starts_s": text}))
+        assert log.cycle_starts == ()
+        assert any("cycle_starts_s" in repair.kind for repair in log.repairs)
+
+
+def test_names_that_are_no_text_are_no_joint_states(tools, tmp_path):
+    good = {"time": 1.0, "names": ["abcd"], "position": [1.0], "effort": [1.0]}
+    path = tools.write_foreign(
+        tmp_path / "log.mcap", [good, {**good, "time": 1.1}], compression=CompressionType.NONE, use_chunking=False
+    )
+    path.write_bytes(path.read_bytes().replace(b"abcd", b"\xff\xfe\xfd\xfc"))
+    with pytest.raises(InputError, match="no readable"):
+        read_log(path)
