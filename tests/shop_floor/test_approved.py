@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import json
+import random
+import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,7 +18,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import agent.robot
-from agent.approved import approve, check_approved
+from agent.approved import approve, check_approved, differences, digest, problem
 from agent.console import Console
 from agent.errors import InputError
 from agent.excitation.store import stored_loops
@@ -291,3 +294,51 @@ def test_a_stopped_run_whose_log_was_changed_is_not_gone_on_with(shop: Path, run
     run = run_agent("calibrate", "recipe.yaml", "--resume", state.parent)
     assert run.returncode == 2
     assert "excitation.mcap: not the file that this run finished with" in run.stderr
+
+
+def _leaves(value: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Where the numbers of plain data are."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _leaves(inner, (*place, key))
+    elif isinstance(value, list):
+        for number, inner in enumerate(value):
+            yield from _leaves(inner, (*place, number))
+    elif isinstance(value, (int, float)) and not isinstance(value, bool):
+        yield place
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(which=st.integers(0, 10**6), factor=st.sampled_from([3.0, 1.0 + 1e-12, -1.0, 0.5]))
+def test_any_number_that_changes_is_noticed_and_its_part_named(planned, which: int, factor: float):
+    then = problem(_loaded(planned[0]))
+    places = list(_leaves(then))
+    place = places[which % len(places)]
+    now = copy.deepcopy(then)
+    holder = now
+    for key in place[:-1]:
+        holder = holder[key]
+    holder[place[-1]] = holder[place[-1]] * factor or 1.0
+    said = differences(then, now)
+    assert (digest(then) != digest(now)) == bool(said)
+    if said:
+        assert "differs from the one this run was planned with" in said
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("seed", range(12))
+def test_no_number_of_a_stored_program_may_change(shop: Path, seed: int):
+    """One digit of a coordinate, a speed or an angle, anywhere; what a controller would not notice may stay."""
+    recipe = load_recipe(shop / "recipe.yaml")
+    rng = random.Random(seed)
+
+    def one_digit(data: dict[str, Any]) -> None:
+        body = data["program"]
+        digits = [m.start() for m in re.finditer(r"(?<=[-(, ])\d(?=\d\d)", body)]
+        place = rng.choice(digits)
+        data["program"] = f"{body[:place]}{(int(body[place]) + rng.randint(1, 8)) % 10}{body[place + 1 :]}"
+
+    _edit_loop(shop, one_digit)
+    (loop,) = stored_loops(shop / "trajectories")
+    with pytest.raises(InputError):
+        check_loop(recipe, loop)
