@@ -12,7 +12,8 @@ from agent import planning
 from agent.apply import origin, remember
 from agent.approved import approve, check_approved
 from agent.console import Console
-from agent.ending import current_run, ending_text
+from agent.controller import answering
+from agent.ending import current_run, ending_text, going_on
 from agent.figures import error_text, not_judged_text, outcome_text
 from agent.lock import robot_lock
 from agent.recipe import Recipe
@@ -20,6 +21,7 @@ from agent.record import Recording
 from agent.record_plan import EXCITATION, record_plan, validation_logs
 from agent.result import build_result, provenance, run_data, typical_motion
 from agent.run import RunFolder, sha256_file
+from agent.safety.preconditions import check_period
 
 
 @dataclass(frozen=True)
@@ -82,18 +84,28 @@ def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None,
         if not_judged := not_judged_text(recipe.robot, recipe.gate.normalised_rmse):
             console.warn(not_judged)
 
-        with step(run, "plan"):
+        with step(run, "plan", console):
+            if run.finished("plan") is None:
+                _greet(recipe, console)
             plan = planning.plan_once(recipe, run, console)
-        with step(run, "record"):
+        with step(run, "record", console):
             recordings = record_plan(recipe, plan, run, console, logs, yes)
-        with step(run, "estimate"):
+        with step(run, "estimate", console):
             model = _estimate(recipe, run, console)
-        with step(run, "validate"):
+        with step(run, "validate", console):
             validation = _validate(recipe, run, model, console)
-        with step(run, "report"):
+        with step(run, "report", console):
             outcome = _report(recipe, plan, run, recordings, model, validation, console)
         remember(run, console)
         return replace(outcome, ending=ending_text(run, recipe))
+
+
+def _greet(recipe: Recipe, console: Console) -> None:
+    """Ask the controller who it is before the search: a wrong address is told at once, not minutes later."""
+    with answering(recipe) as (_, identity):
+        if not identity.watch_only:
+            check_period(identity, recipe.record.rate, recipe.controller.address)
+    console.say(f"{identity.robot}, serial {identity.serial}, answers at {recipe.controller.address}")
 
 
 def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
@@ -161,12 +173,16 @@ def _report(
 
 
 @contextmanager
-def step(run: RunFolder, name: str) -> Iterator[None]:
-    """Whatever ends the run inside is noted in the run folder; a step that an earlier start finished stays as it is."""
+def step(run: RunFolder, name: str, console: Console) -> Iterator[None]:
+    """Whatever ends the run inside is noted in the run folder, and told with how to go on.
+
+    A step that an earlier start finished stays as it is.
+    """
     try:
         yield
     except BaseException as error:
         run.stopped(name, str(error) or type(error).__name__)
+        console.warn(going_on(run, name))
         raise
     if run.finished(name) is None:
         run.finish(name)

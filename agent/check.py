@@ -68,7 +68,7 @@ def check_recipe(path: Path, console: Console) -> Findings:
     findings = [Finding("recipe", fault, 2) for fault in faults]
     if recipe is None:
         return Findings(tuple(findings))
-    looks: tuple[tuple[str, Callable[[Recipe], str]], ...] = (
+    looks: tuple[tuple[str, Callable[[Recipe, Console], str]], ...] = (
         ("sub-region", _reach),
         ("loops", _loops),
         ("validation", _validation),
@@ -80,8 +80,9 @@ def check_recipe(path: Path, console: Console) -> Findings:
     if not_judged := not_judged_text(recipe.robot, recipe.gate.normalised_rmse):
         findings.append(Finding("gate", not_judged))
     for subject, look in looks:
+        console.step(f"looking at {subject}")
         try:
-            findings.append(Finding(subject, look(recipe)))
+            findings.append(Finding(subject, look(recipe, console)))
         except Exception as error:
             code = getattr(error, "exit_code", None)
             if code is None and not isinstance(error, AgentError):
@@ -90,7 +91,7 @@ def check_recipe(path: Path, console: Console) -> Findings:
     return Findings(tuple(findings))
 
 
-def _reach(recipe: Recipe) -> str:
+def _reach(recipe: Recipe, _: Console) -> str:
     from agent.excitation import check_sub_region
     from agent.planning import loop_problem
 
@@ -100,22 +101,25 @@ def _reach(recipe: Recipe) -> str:
     return f"{len(missed)} places are out of reach and a search goes around them, the first: {missed[0]}"
 
 
-def _loops(recipe: Recipe) -> str:
-    return _feasible(recipe, recipe.motion.speed, recipe.search.seed)
+def _loops(recipe: Recipe, console: Console) -> str:
+    return _feasible(recipe, recipe.motion.speed, recipe.search.seed, console)
 
 
-def _validation(recipe: Recipe) -> str:
-    return _feasible(recipe, recipe.validate.speed, recipe.validate.seed)
+def _validation(recipe: Recipe, console: Console) -> str:
+    return _feasible(recipe, recipe.validate.speed, recipe.validate.seed, console)
 
 
-def _feasible(recipe: Recipe, speed: float, seed: int) -> str:
+def _feasible(recipe: Recipe, speed: float, seed: int, console: Console) -> str:
     from agent.errors import InputError
     from agent.excitation import Candidates
     from agent.planning import loop_problem
 
     candidates = Candidates(loop_problem(recipe, speed))
     rng = np.random.default_rng(seed)
-    scores = [candidates.score(rng.uniform(size=candidates.problem.genes)) for _ in range(LOOPS)]
+    scores = []
+    for number in range(LOOPS):
+        scores.append(candidates.score(rng.uniform(size=candidates.problem.genes)))
+        console.progress(f"{number + 1} of {LOOPS} random loops at {speed:g} m/s tried")
     broken = [score for score in scores if not score.feasible]
     text = f"{LOOPS - len(broken)} of {LOOPS} random loops at {speed:g} m/s keep all limits and clear of the cell"
     if not broken:
@@ -127,27 +131,20 @@ def _feasible(recipe: Recipe, speed: float, seed: int) -> str:
     return text
 
 
-def _controller(recipe: Recipe) -> str:
-    from agent.controller import create_driver
+def _controller(recipe: Recipe, _: Console) -> str:
+    from agent.controller import answering
     from agent.motion.frames import tool_frame
     from agent.safety.frames import check_frames, frames_text
     from agent.safety.motion import PlannedProgram
-    from agent.safety.preconditions import check_identity
     from drivers.protocol import TakesPoints, TellsFrames
 
     address = recipe.controller.address
-    driver = create_driver(recipe, lambda _: None)
-    try:
-        driver.connect()
-        identity = driver.identify()
-        check_identity(identity, recipe.robot, address)
+    with answering(recipe) as (driver, identity):
         status = driver.status()
         frames = driver.frames() if isinstance(driver, TellsFrames) else {}
         if isinstance(driver, TakesPoints):
             points = PlannedProgram("of via-points", "", (), frames={"$TOOL": tool_frame(recipe.tool)})
             check_frames(points, driver, address)
-    finally:
-        driver.close()
     state = [
         f"mode {status.mode}",
         f"drives {'on' if status.drives_on else 'off'}",
@@ -159,8 +156,8 @@ def _controller(recipe: Recipe) -> str:
         *([frames_text(frames)] if frames else []),
     ]
     found = (
-        f"{identity.robot}, serial {identity.serial}, {identity.controller} {identity.version} at {address}, "
-        f"{1 / identity.period:g} Hz: {', '.join(state)}"
+        f"{identity.robot}, serial {identity.serial}, {identity.controller} {identity.version} at "
+        f"{address}, {1 / identity.period:g} Hz: {', '.join(state)}"
     )
     if identity.unguarded:
         raise ControllerError(f"{found}; {identity.unguarded}")

@@ -32,13 +32,29 @@ _INTERRUPTED = 130
 
 app = typer.Typer(
     name="agent",
-    help="Calibrate the dynamics of an industrial robot where it works, and say why simulation and robot disagree.",
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
 )
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(version("calibration-agent"))
+        raise typer.Exit
+
+
+@app.callback()
+def agent(
+    version: Annotated[
+        bool, typer.Option("--version", help="print the version and exit", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Calibrate the dynamics of an industrial robot where it works, and say why simulation and robot disagree."""
 
 
 @app.command()
@@ -98,7 +114,9 @@ def plan(
 @app.command()
 def calibrate(
     recipe: RecipePath,
-    resume: Annotated[Path | None, typer.Option("--resume", metavar="RUN", help="go on with a stopped run")] = None,
+    resume: Annotated[
+        str | None, typer.Option("--resume", metavar="RUN", help="go on with a stopped run: its folder, or its name")
+    ] = None,
     logs: RunsFolder = Path("logs"),
     yes: Yes = False,
     as_json: AsJson = False,
@@ -108,10 +126,12 @@ def calibrate(
     """The whole job: plan, program, send, record, filter, estimate, validate, report. Prints the run folder."""
     from agent.calibrate import calibrate as run_job
     from agent.console import print_json
+    from agent.history import find_run
     from agent.recipe import load_recipe
 
     console = console_for(verbose, quiet)
-    outcome = run_job(load_recipe(recipe), console, logs=logs, resume=resume, yes=yes)
+    stopped = None if resume is None else find_run(logs, resume)
+    outcome = run_job(load_recipe(recipe), console, logs=logs, resume=stopped, yes=yes)
     if as_json:
         print_json(outcome.result)
     else:

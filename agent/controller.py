@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from agent.recipe import Recipe
-from drivers.protocol import Driver, MeasuresCurrents, NeedsAPerson
+from drivers.protocol import Driver, Identity, MeasuresCurrents, NeedsAPerson
 
 
 def create_driver(recipe: Recipe, tell: Callable[[str], None]) -> Driver:
@@ -25,6 +26,27 @@ def create_driver(recipe: Recipe, tell: Callable[[str], None]) -> Driver:
     if isinstance(driver, NeedsAPerson):
         driver.tell = tell
     return driver
+
+
+@contextmanager
+def answering(recipe: Recipe) -> Iterator[tuple[Driver, Identity]]:
+    """The recipe's controller, connected for questions, and who it is; nothing moves.
+
+    Raises:
+        ControllerError: another robot.
+        ConfigurationError, InputError: as in `create_driver`.
+        DriverError: nobody there, silent, or another protocol.
+    """
+    from agent.safety.preconditions import check_identity
+
+    driver = create_driver(recipe, lambda _: None)
+    try:
+        driver.connect()
+        identity = driver.identify()
+        check_identity(identity, recipe.robot, recipe.controller.address)
+        yield driver, identity
+    finally:
+        driver.close()
 
 
 def torque_facts(recipe: Recipe, driver: Driver) -> dict[str, str]:

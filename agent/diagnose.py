@@ -81,12 +81,11 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
         if question.model is not None:
             run.write_text(_SIMULATOR, question.model.read_text(encoding="utf-8"))
         console.say(f"run {run.path}")
-        with step(run, "plan"):
+        with step(run, "plan", console):
             plan = planning.plan_once(loaded, run, console)
-        with step(run, "record"):
+        with step(run, "record", console):
             recordings = record_plan(loaded, plan, run, console, runs, yes)
-        with step(run, "diagnose"):
-            console.step("diagnosing")
+        with step(run, "diagnose", console):
             here = replace(question, report=run.file("report.html"))
             result = _diagnose(loaded.robot, [recording.path for recording in recordings], here, console)
             run.write_json("result.json", result)
@@ -138,11 +137,14 @@ def _find(
     from agent.estimation import IdentifiedModel
 
     reference = None if question.model is None else IdentifiedModel.load(question.model)
+    console.step(f"reading {len(paths)} logs")
     logs = read_logs(list(paths), robot, console)
     check_one_machine(logs, reference, question.allow_mixed)
     check_plausible(robot, logs, question.force, console)
-    found = diagnose(robot, logs, reference, question.cutoff, question.without)
+    console.step("searching for what model and robot disagree in")
+    found = diagnose(robot, logs, reference, question.cutoff, question.without, console.progress)
     say_used(logs, found.dataset.cutoff, found.dataset.model.order, console)
+    console.step("simulating with and without it")
     return found, simulate(found)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from pathlib import Path
 from typing import Any
@@ -60,3 +61,18 @@ def _next(run: RunFolder, recipe: Recipe, current: str | None) -> str:
     if kind == "recalibrate":
         return f"mend what the report names, then agent calibrate {path}{where}"
     return f"agent history{where}; agent calibrate {path}{where} after a repair"
+
+
+def going_on(run: RunFolder, step: str) -> str:
+    """What a run that stopped in a step has kept, and how it goes on."""
+    motions = [name for name in run.state["steps"] if name.endswith(".mcap")]
+    kept = f", {len(motions)} of its motions are recorded" if motions else ""
+    recipe = shlex.quote(os.path.relpath(run.state["recipe"]))
+    logs = run.path.parent
+    where = "" if logs == _LOGS else f" --logs {shlex.quote(str(logs))}"
+    again = {
+        "calibrate": f"go on with: agent calibrate {recipe}{where} --resume {run.path.name}",
+        "recalibrate": f"start again with: agent recalibrate {recipe}{where}",
+        "diagnose": f"start again with: agent diagnose --record {recipe}{where}",
+    }[run.state["kind"]]
+    return f"stopped in the step {step!r}; what was finished is kept in {run.path}{kept}; {again}"

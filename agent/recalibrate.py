@@ -110,11 +110,11 @@ def recalibrate(
         console.say(f"run {run.path}")
         if not_judged := not_judged_text(recipe.robot, recipe.gate.normalised_rmse):
             console.warn(not_judged)
-        with step(run, "record"):
+        with step(run, "record", console):
             recording = _record(recipe, reference, run, console, yes, logs, authorisation)
-        with step(run, "estimate"):
+        with step(run, "estimate", console):
             log, found, comparison = _estimate(recipe, reference, run, console)
-        with step(run, "validate"):
+        with step(run, "validate", console):
             from agent.conditions import conditions
             from agent.validation import predict_log
 
@@ -125,7 +125,7 @@ def recalibrate(
             result["diagnosis"] = diagnose_if_worse(reference.model, worse, log, run, console)
             current = current_run(logs, recipe.robot.name, run.state["serial"])
             result["current_model"] = run.path.name if result["accepted"] else current
-        with step(run, "report"):
+        with step(run, "report", console):
             _report(recipe, reference.loop, run, result, comparison, log, prediction)
         remember(run, console)
         if result["accepted"]:

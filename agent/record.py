@@ -50,6 +50,14 @@ class Recording:
         return cls(path, data["samples"], data["lost"], data["duration"], cycles, temperatures)
 
 
+@dataclass(frozen=True)
+class Place:
+    """Of a motion among others: `text` to put before its progress, and how much motion comes after it [s]."""
+
+    text: str = ""
+    after: float = 0.0
+
+
 class Link:
     """An open controller link behind its guard, and the logs of what runs through it."""
 
@@ -82,7 +90,14 @@ class Link:
         return self._guard.position()
 
     def run(
-        self, name: str, text: str, log: Path, motion: str, chains: Sequence[Trajectory], total: float
+        self,
+        name: str,
+        text: str,
+        log: Path,
+        motion: str,
+        chains: Sequence[Trajectory],
+        total: float,
+        place: Place = Place(),
     ) -> Recording:
         """Upload, check, start once, and record until the program ends.
 
@@ -91,6 +106,7 @@ class Link:
         Args:
             chains: what we planned from stop to stop, in order: written to the log beside the set-points.
             total: expected duration [s], for the progress line.
+            place: of this motion among those of the run, for the progress line.
 
         Raises:
             ControllerError, SafetyError, InputError: not ready to move, not allowed, or stopped while moving.
@@ -99,7 +115,7 @@ class Link:
         program = self._planned(name, text, chains)
         if self._guard.needs_slow_run(program):
             program = self._run_slowly(program, log)
-        return self._record(program, log, motion, total)
+        return self._record(program, log, motion, total, place)
 
     def _run_slowly(self, program: PlannedProgram, log: Path) -> PlannedProgram:
         """Run the slow version; returns the program planned anew, from where the arm stands now."""
@@ -143,7 +159,9 @@ class Link:
         # The points are joint positions, and the straight lines between them the tool's.
         return replace(program, points=via_points(program, robot, tool), frames={"$TOOL": tool_frame(tool)})
 
-    def _record(self, program: PlannedProgram, log: Path, motion: str, total: float) -> Recording:
+    def _record(
+        self, program: PlannedProgram, log: Path, motion: str, total: float, place: Place = Place()
+    ) -> Recording:
         from agent.recording import LogWriter
 
         guard, robot = self._guard, self._recipe.robot
@@ -164,7 +182,10 @@ class Link:
                         for block in samples:
                             writer.write(block)
                             aligner.take(block.time, block.reference_position)
-                            self._console.progress(f"{motion}: {aligner.elapsed:6.1f} of about {total:.0f} s of motion")
+                            self._console.progress(
+                                f"{place.text}{motion}: {aligner.elapsed:6.1f} of about {total:.0f} s of motion, "
+                                f"{max(0.0, total - aligner.elapsed) + place.after:.0f} s left in all"
+                            )
                 finally:
                     writer.note(guard.facts)
                     writer.missed(guard.lost)

@@ -8,7 +8,7 @@ from agent.console import Console
 from agent.errors import InputError
 from agent.planning import Plan, programs
 from agent.recipe import Recipe
-from agent.record import Recording, open_link, report_losses
+from agent.record import Place, Recording, open_link, report_losses
 from agent.run import RunFolder, sha256_file
 
 EXCITATION = "excitation.mcap"
@@ -29,9 +29,12 @@ def record_plan(recipe: Recipe, plan: Plan, run: RunFolder, console: Console, lo
             run.note(serial=link.identity.serial)
             ready = programs(recipe, list(missing.values()), link.position())
             console.step(f"recording {len(missing)} motions, {sum(total for *_, total in ready):.0f} s in all")
+            left = sum(total for *_, total in ready)
             for (name, motion), (text, chains, total) in zip(missing.items(), ready, strict=True):
                 _set_aside(run.file(name))
-                recording = link.run(motion.name, text, run.file(name), motion.kind, chains, total)
+                left -= total
+                place = Place(f"motion {list(motions).index(name) + 1} of {len(motions)}, ", left)
+                recording = link.run(motion.name, text, run.file(name), motion.kind, chains, total, place)
                 report_losses(recording, console)
                 run.finish(name, **recording.to_dict(), sha256=sha256_file(recording.path))
                 done[name] = recording

@@ -148,18 +148,24 @@ class RunFolder:
 def write_atomically(path: Path, text: str) -> Path:
     """Write beside, flush to the disk and rename. A password that this process has read is left out.
 
+    A device or a pipe is written to as it is: a rename would put a file in its place.
+
     Raises:
         AgentError: disk full, read-only or no rights; the old file is untouched.
     """
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    special = path.exists() and not path.is_file()
+    beside = path if special else path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with open(beside, "w", encoding="utf-8") as file:
             file.write(hide(text))
             file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
+            if not special:
+                os.fsync(file.fileno())
+        if not special:
+            os.replace(beside, path)
     except OSError as error:
-        beside.unlink(missing_ok=True)
+        if not special:
+            beside.unlink(missing_ok=True)
         raise AgentError(f"{path}: cannot be written: {error.strerror}; free space or rights?") from None
     return path
 

@@ -69,6 +69,8 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     finally:
         server.close()
+        if options.ready_file is not None:
+            options.ready_file.unlink(missing_ok=True)  # nobody is to take it for the next one's
     if controller.motions_started:
         print(f"fake controller: {controller.history()}", flush=True)
     return 0

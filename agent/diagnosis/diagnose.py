@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -25,8 +25,9 @@ def diagnose(
     model: IdentifiedModel | None = None,
     cutoff: float | None = None,
     without: Sequence[str] = (),
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Diagnosis:
-    """Diagnose logs against a model, or against one fitted to them.
+    """Diagnose logs against a model, or against one fitted to them; `progress` is told how far it has come.
 
     Raises:
         InputError: no logs, an unknown effect in `without`, or logs that cannot be used (see `assemble`).
@@ -35,8 +36,9 @@ def diagnose(
         raise InputError("no logs were given, so there is nothing to diagnose")
     check_effects(without)
     logs, twice = _distinct(logs)
+    progress("filtering, and fitting the model in every fold" if model is None else "filtering")
     dataset = assemble(robot, model, logs, cutoff)
-    search = Search(dataset.fit, without, dataset.given)
+    search = Search(dataset.fit, without, dataset.given, progress)
     finding, gap = judge(dataset, search, search.run())
     motion = motion_gap(logs)
     warnings = (*twice, *_warnings(robot, logs, model is not None), *_path_warnings(motion))

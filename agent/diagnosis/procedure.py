@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -40,8 +40,14 @@ _RESIDUAL_DRIVEN = ("torque_ripple", "contact", "payload", "time_delay", "joint_
 class Search:
     """A catalogue tried on a fit; `given`: to a model from elsewhere, whose error without an effect is known."""
 
-    def __init__(self, fit: Fit, without: Sequence[str] = (), given: bool = True):
-        self.fit, self.given = fit, given
+    def __init__(
+        self,
+        fit: Fit,
+        without: Sequence[str] = (),
+        given: bool = True,
+        progress: Callable[[str], None] = lambda text: None,
+    ):
+        self.fit, self.given, self._progress = fit, given, progress
         self.allowed = {name for name in CATALOGUE if name not in without}
         self.rows = float(fit.count.sum())
         self.pool: list[Candidate] = []
@@ -130,7 +136,10 @@ class Search:
                     continue
                 if fixed or effect.name in _RESIDUAL_DRIVEN:
                     wanted += [(effect, joints, settings) for settings in effect.settings(fit, joints)]
+        beside = " and ".join(c.effect.name for c in fit.chosen) or "the model alone"
+        self._progress(f"scan {len(self._scanned) + 1}, beside {beside}: {len(wanted)} forms are made")
         new = fit.candidates(wanted)
+        self._progress(f"scan {len(self._scanned) + 1}, beside {beside}: {len(self.pool) + len(new)} forms are tried")
         if fixed:
             self.pool = [c for c in new if c.effect.name not in _RESIDUAL_DRIVEN]
             pool = self.tried = new
@@ -138,8 +147,10 @@ class Search:
             pool = [c for c in self.pool if c.place not in taken] + new
         best = best_by_place(fit.score(pool))
         if fixed:
+            self._progress(f"what {len(self.tried)} forms gain by chance")
             self.null = null_gains(fit, self.tried)
             self.least = max(self.least, self.null.threshold)
+        self._progress(f"scan {len(self._scanned) + 1}, beside {beside}: the leading forms are refined")
         best = self._refined(fit, best)
         eligible = self._eligible(fit, best)
         return Step(fit.chosen, fit.error(), tuple(sorted(best.values(), key=lambda s: -s.gain)), eligible)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -235,18 +234,11 @@ class IdentifiedModel:
         """Write the model file, beside and renamed, so that a reader never sees half of it.
 
         Raises:
-            OSError: the disk is full or not writable.
+            AgentError: the disk is full or not writable; what was there stays.
         """
-        path = Path(path)
-        beside = path.with_name(path.name + ".part")
-        try:
-            with open(beside, "w", encoding="utf-8") as file:
-                json.dump(self.to_dict(), file, allow_nan=False)
-                file.flush()
-                os.fsync(file.fileno())
-            beside.replace(path)
-        finally:
-            beside.unlink(missing_ok=True)
+        from agent.run import write_atomically
+
+        write_atomically(Path(path), json.dumps(self.to_dict(), allow_nan=False))
 
     @classmethod
     def load(cls, path: str | Path) -> IdentifiedModel:

@@ -222,9 +222,9 @@ class GuardedLink:
             except RefusedError:
                 self._to_stop = False
                 raise
-            except BaseException:
-                if not over:
-                    self._stop()
+            except BaseException as error:
+                if not over and self._stop() and not isinstance(error, Exception):  # somebody ended the program
+                    self._warn(f"{self.address}: the arm was stopped and stands; the log of this motion ends here")
                 raise
             finally:
                 if over:
@@ -347,11 +347,16 @@ class GuardedLink:
         reason = unsafe_in_motion(status)
         return None if reason is None else SafetyError(f"{self.address}: the arm was stopped: {reason}")
 
-    def _stop(self) -> None:
-        """Ask for a stop; where it is not confirmed, let go of the link, so that the controller stops by itself."""
+    def _stop(self) -> bool:
+        """Ask for a stop; where it is not confirmed, let go of the link, so that the controller stops by itself.
+
+        Returns whether it was confirmed.
+        """
+        confirmed = False
         with undisturbed():
             try:
                 self._driver.stop()
+                confirmed = True
             except Exception as error:  # whatever it is: the other way to a stop is left
                 self._driver.close()
                 self._warn(
@@ -359,6 +364,7 @@ class GuardedLink:
                     "Go and look at it"
                 )
             self._to_stop = False
+        return confirmed
 
     @contextmanager
     def _advice(self, what: str) -> Iterator[None]:

@@ -107,7 +107,10 @@ def test_an_interrupted_run_stops_the_arm_and_says_where(
     _, errors = process.communicate()
     assert process.returncode == code, errors
     assert "Traceback" not in errors
+    assert "the arm was stopped and stands" in errors
     folder = only_run(tmp_path / "logs")
+    assert f"kept in logs/{folder.name}" in errors
+    assert f"--resume {folder.name}" in errors
     state = json.loads((folder / "state.json").read_text(encoding="utf-8"))
     assert (state["status"], state["stopped"]["step"]) == ("stopped", "record")
     assert len(read_log(folder / "excitation.mcap").t) > 0
@@ -135,7 +138,7 @@ def test_a_stopped_run_goes_on(
     folder = only_run(tmp_path / "logs")
     port = slow.address.rsplit(":", 1)[1]
     start_controller("--clock", "fast", "--port", port)
-    run = run_agent("calibrate", recipe, "--resume", folder)
+    run = run_agent("calibrate", recipe, "--resume", folder.name)
     assert run.returncode == 0, run.stderr
     assert "search" not in run.stderr.split("fitness")[0], "the plan was finished and is not searched again"
     assert (folder / "excitation.stopped1.mcap").exists()

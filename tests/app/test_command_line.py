@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -78,7 +79,21 @@ def test_nobody_at_the_address_is_exit_4_and_the_run_says_where_it_stopped(
     folder = only_run(tmp_path / "logs")
     state = json.loads((folder / "state.json").read_text(encoding="utf-8"))
     assert state["status"] == "stopped"
-    assert state["stopped"]["step"] == "record"
+    assert state["stopped"]["step"] == "plan"
+    assert "search" not in run.stderr, "the controller is asked before the search"
+    assert f"agent calibrate recipe.yaml --resume {folder.name}" in run.stderr
+
+
+def test_the_version(run_agent):
+    run = run_agent("--version")
+    assert run.returncode == 0
+    assert re.fullmatch(r"[0-9]+(\.[0-9]+)+\S*\n", run.stdout)
+
+
+def test_check_says_how_far_it_has_come(run_agent, write_recipe):
+    run = run_agent("check", write_recipe("127.0.0.1:1"))
+    assert "random loops at 1 m/s tried" in run.stderr
+    assert "looking at controller" in run.stderr
 
 
 def test_an_existing_output_is_never_overwritten(run_agent, tmp_path: Path):

@@ -81,6 +81,16 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.
     assert [entry.name for entry in tmp_path.iterdir()] == ["model.json"]
 
 
+@pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="no device here that is always full")
+def test_a_full_device_is_one_message_and_stays_a_device(tmp_path: Path):
+    link = tmp_path / "model.json"
+    link.symlink_to("/dev/full")
+    with pytest.raises(AgentError, match="No space left on device; free space"):
+        write_atomically(link, "new")
+    assert link.is_symlink()
+    assert Path("/dev/full").is_char_device()
+
+
 def test_state_is_json_without_nan(recipe: Path, tmp_path: Path):
     run = RunFolder.create(tmp_path / "logs", "arm", recipe)
     run.finish("estimate", value=float("inf"))
