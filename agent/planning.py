@@ -258,10 +258,9 @@ def replan(recipe: Recipe, path: Path) -> Plan:
     stored = read_json(path)
     try:
         return _replanned(recipe, stored)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise InputError(
-            f"{path}: no plan for this recipe ({type(error).__name__}: {error}); start a new run"
-        ) from None
+    except (InputError, LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        what = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+        raise InputError(f"{path}: no plan for this recipe ({what}); start a new run") from None
 
 
 def _replanned(recipe: Recipe, stored: dict[str, Any]) -> Plan:

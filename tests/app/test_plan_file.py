@@ -1,0 +1,99 @@
+"""plan.json and state.json of a run that is gone on with: whatever stands in them, one message or a plan."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agent.errors import InputError
+from agent.excitation import Candidates
+from agent.planning import loop_problem, replan
+from agent.recipe import load_recipe
+from agent.run import RunFolder
+from tests.app.conftest import RECIPE
+
+WRONG = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-(10**40), 10**40),
+    st.floats(),
+    st.text(max_size=5),
+    st.lists(st.floats(), max_size=3),
+    st.dictionaries(st.text(max_size=3), st.none(), max_size=2),
+)
+STATE = {
+    "schema": "run/1",
+    "robot": "comau_ns16",
+    "recipe": "/recipe.yaml",
+    "kind": "calibrate",
+    "started": "2026-01-01T00:00:00+00:00",
+    "status": "stopped",
+    "stopped": {"step": "record", "reason": "interrupted", "at": "2026-01-01T00:01:00+00:00"},
+    "steps": {"plan": {"finished": "2026-01-01T00:00:30+00:00"}},
+    "inputs_sha256": {"recipe.yaml": "s"},
+    "versions": {"python": "3.11"},
+}
+
+
+def _places(data, way=()):
+    yield way
+    items = data.items() if isinstance(data, dict) else enumerate(data[:2]) if isinstance(data, list) else ()
+    for key, value in items:
+        yield from _places(value, (*way, key))
+
+
+def _changed(document, draw):
+    """The document with something else in one place."""
+    document = json.loads(json.dumps(document))
+    way, wrong = draw(st.sampled_from(list(_places(document)))), draw(WRONG)
+    if not way:
+        return wrong
+    holder = document
+    for key in way[:-1]:
+        holder = holder[key]
+    holder[way[-1]] = wrong
+    return document
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory):
+    """A recipe, and a plan for it as a run keeps it."""
+    folder = tmp_path_factory.mktemp("planned")
+    path = folder / "recipe.yaml"
+    path.write_text(RECIPE.format(address="127.0.0.1:1", cycles=2, motions=1, speed="0.2 m/s", gate=0.03))
+    recipe = load_recipe(path)
+    genes = Candidates(loop_problem(recipe, recipe.motion.speed)).problem.genes
+    genome = np.full(genes, 0.5).tolist()
+    return recipe, folder / "plan.json", {"search": {"genome": genome, "fitness": 1.0}, "validation": [genome]}
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.data())
+def test_a_plan_that_was_changed_is_a_plan_or_one_message(planned, data):
+    recipe, path, plan = planned
+    path.write_text(json.dumps(_changed(plan, data.draw)), encoding="utf-8")
+    try:
+        made = replan(recipe, path)
+    except InputError as error:
+        assert path.name in str(error)  # noqa: PT017  either outcome is right
+        return
+    assert all(np.isfinite(motion.loop.trajectory.q).all() for motion in (made.excitation, *made.validation))
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.data())
+def test_a_state_that_was_changed_is_gone_on_with_or_one_message(tmp_path_factory, data):
+    run = tmp_path_factory.mktemp("run")
+    (run / "state.json").write_text(json.dumps(_changed(STATE, data.draw)), encoding="utf-8")
+    try:
+        opened = RunFolder.open(run, "s")
+    except InputError as error:
+        assert run.name in str(error)  # noqa: PT017  either outcome is right
+        return
+    assert opened.state["status"] == "running"
+    opened.stopped("record", "again")
+    assert json.loads((run / "state.json").read_text(encoding="utf-8"))["status"] == "stopped"
