@@ -30,6 +30,8 @@ MODULES: dict[str, tuple[str, ...]] = {
     "agent/safety/checked.py": (),
     "agent/safety/adherence.py": (),
     "agent/safety/planned_path.py": (),
+    "agent/safety/patience.py": (),
+    "agent/safety/motion.py": (),
     "agent/safety/first_run.py": (),
     "agent/safety/authorisation.py": ("check",),
 }
