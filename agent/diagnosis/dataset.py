@@ -101,7 +101,7 @@ def assemble(
     if given:
         precision, shift = _stored_precision(model), np.zeros(len(model.values))
     else:
-        prior = physical_prior(observation, model.terms)
+        prior = physical_prior(observation, model.terms, model.provenance["link_prior"])
         precision, shift = prior.precision, prior.precision @ (prior.mean - model.values)
     block = _stretches(time, log, logs)
     fit = Fit(reference, signals, joined, index, sigma, precision, shift, cell, block, folds, single)

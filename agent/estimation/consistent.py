@@ -61,7 +61,7 @@ class _Programme:
 
     def __init__(self, problem: Problem):
         rigid = problem.observation.rigid
-        mean, deviation = link_prior(problem.observation)
+        mean, deviation = link_prior(problem.observation, problem.links)
         self.standard = len(mean)
         count, terms = rigid.count, problem.terms
         self.to_parameters = np.zeros((count + len(terms), self.standard + len(terms)))

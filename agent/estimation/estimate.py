@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -12,13 +12,16 @@ import numpy as np
 from agent.errors import InputError
 from agent.estimation.blocks import partition
 from agent.estimation.choice import choose
+from agent.estimation.cutoff import LOWEST, predictive_cutoff
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.friction_terms import Reversal
 from agent.estimation.least_squares import ordinary, reweighted, weighted
 from agent.estimation.model import IdentifiedModel
-from agent.estimation.observation import RigidBodies, observe
+from agent.estimation.observation import Observation, RigidBodies, observe
+from agent.estimation.prior_choice import choose_links
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.selection import ladder, paper_terms
+from agent.estimation.solving import iterate_weights, solve
 from agent.estimation.summary import build_model
 from agent.recording.log import Log
 from agent.recording.scratch import parts
@@ -63,6 +66,7 @@ ESTIMATORS: dict[str, Callable[[Problem], Estimate]] = {
 }
 METHODS = ("auto", *ESTIMATORS)
 _AUTO = ("weighted", "huber", "essential", "consistent")
+_KEPT = 0.8  # of the filtered time, by a lower cut-off
 
 
 @dataclass(frozen=True)
@@ -107,7 +111,7 @@ def estimate(
     _check_twice(logs)
     settings = settings or EstimationSettings()
     rigid, names, texts = rigid_bodies(robot, tool)
-    observation = observe(rigid, logs, settings.filter)
+    observation = observe_predictable(rigid, logs, settings.filter)
     cells = partition(observation.stretches)
     if settings.friction == "ladder":
         problem = ladder(observation, cells)
@@ -119,6 +123,53 @@ def estimate(
     else:
         method, found = settings.method, ESTIMATORS[settings.method](problem)
     return build_model(problem, found, method, names, texts, logs)
+
+
+def observe_predictable(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -> Observation:
+    """Logs filtered with the cut-off asked for, or with one up to which a first fit predicts their torque.
+
+    A lower cut-off needs longer stretches; one that would lose much of the logs is not taken.
+
+    Raises:
+        InputError: as `observe`.
+    """
+    observation = observe(rigid, logs, settings)
+    highest = observation.stretches[0].motion.cutoff
+    if settings.cutoff is not None or highest <= LOWEST:
+        return observation
+    lowest = _lower(observation, logs, settings, LOWEST)
+    if lowest is None:
+        return observation
+    first = choose_links(_first_problem(lowest))
+    parameters = solve(
+        first.moments, iterate_weights(first.moments, first.prior, first.trust), first.prior, first.trust
+    )
+    better = predictive_cutoff(_first_problem(observation), parameters)
+    if better is None:
+        return observation
+    cutoff, joint = better
+    lower = lowest if cutoff == LOWEST else _lower(observation, logs, settings, cutoff)
+    return observation if lower is None else replace(lower, noisy=joint)
+
+
+def _lower(
+    observation: Observation, logs: Sequence[Log], settings: FilterSettings, cutoff: float
+) -> Observation | None:
+    """The logs filtered with a lower cut-off; None where that would lose much of them."""
+    try:
+        lower = observe(observation.rigid, logs, replace(settings, cutoff=cutoff))
+    except InputError:
+        return None
+    return lower if _seconds(lower) >= _KEPT * _seconds(observation) else None
+
+
+def _first_problem(observation: Observation) -> Problem:
+    terms = paper_terms([Reversal()] * observation.robot.dof)
+    return Problem.pose(observation, partition(observation.stretches), terms)
+
+
+def _seconds(observation: Observation) -> float:
+    return sum(len(s.time) * s.motion.step / s.motion.rate for s in observation.stretches)
 
 
 def _check_motion(logs: Sequence[Log]) -> None:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.errors import InputError
-from agent.estimation.cutoff import quiet_cutoff
 from agent.estimation.filtering import FilterSettings, Motion, motions, resolve_cutoff
 from agent.estimation.friction_terms import AxleMotion, FrictionTerm, axle_columns
 from agent.recording.log import Log
@@ -134,7 +133,7 @@ class Stretches(Sequence[Stretch]):
 class Observation:
     """All logs, filtered. Columns of any friction term, or of anything else computed from the motions, can be added.
 
-    `noisy` is the joint whose noise lowered the cut-off.
+    `noisy` is the joint whose spectrum lowered the cut-off.
     """
 
     robot: RobotDescription
@@ -186,27 +185,21 @@ class Observation:
 
 
 def observe(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -> Observation:
-    """Filter logs into an observation, all with the cut-off that the slowest sampling and the noisiest positions allow,
-    unless it is given.
+    """Filter logs into an observation, all with the cut-off that the slowest sampling allows, unless it is given.
 
     Raises:
         InputError: a log without torque, with other joints than the robot, or too short for the filter.
     """
     for log in logs:
         check_log(rigid.robot, log)
-    cutoff, noisy = min(resolve_cutoff(log, settings) for log in logs), None
-    if settings.cutoff is None:
-        for log in logs:
-            cutoff, joint = quiet_cutoff(rigid.dynamics, log, cutoff)
-            noisy = noisy if joint is None else joint
-    settings = replace(settings, cutoff=cutoff)
+    settings = replace(settings, cutoff=min(resolve_cutoff(log, settings) for log in logs))
     scratch = Scratch()
     stretches = []
     for index, log in enumerate(logs):
         for motion in motions(log, settings):
             stretches.append(filtered(rigid, index, motion, scratch))
             scratch.release()
-    return Observation(rigid.robot, rigid, Stretches(tuple(stretches), scratch), noisy)
+    return Observation(rigid.robot, rigid, Stretches(tuple(stretches), scratch))
 
 
 def filtered(rigid: RigidBodies, log_index: int, motion: Motion, scratch: Scratch) -> Stretch:

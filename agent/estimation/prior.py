@@ -1,7 +1,9 @@
 """What is known before any data: links are roughly what the URDF says, the rest is of a plausible size.
 
 A prior in the standard parameters is carried over to the base parameters, β = P π, so that directions the motion does
-not excite stay near the URDF instead of growing without bound, while excited ones hardly feel it.
+not excite stay near the URDF instead of growing without bound, while excited ones hardly feel it. A URDF may hold
+placeholders, so the data may overrule it: held-out error decides how far its links are believed, or whether only their
+possible size is (see `prior_choice`).
 """
 
 from __future__ import annotations
@@ -14,6 +16,14 @@ from agent.estimation.friction_terms import FORMS, FrictionTerm
 from agent.estimation.observation import Observation
 
 _LINK_DOUBT = 0.5  # standard deviation of a link's mass, first moment and inertia, relative
+_FREE_DOUBT = (
+    2.5  # the same of a link of which only its possible size is known, relative to what the torques could hold
+)
+_FREE_RADIUS = 0.5  # of the reach: the size of such a link
+
+
+#: What a prior of the links may rest on: the description's inertials, or only what the torques could hold.
+DESCRIPTION, SIZE = "description", "size"
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,10 +38,10 @@ class Prior:
         return Prior(self.mean[chosen], self.precision[np.ix_(chosen, chosen)])
 
 
-def physical_prior(observation: Observation, terms: tuple[FrictionTerm, ...]) -> Prior:
+def physical_prior(observation: Observation, terms: tuple[FrictionTerm, ...], links: str = DESCRIPTION) -> Prior:
     """Prior of the base parameters and friction terms of an observation."""
     robot = observation.robot
-    mean, deviation = link_prior(observation)
+    mean, deviation = link_prior(observation, links)
     projection = observation.rigid.projection
     count = observation.rigid.count
     precision = np.zeros((count + len(terms), count + len(terms)))
@@ -43,31 +53,35 @@ def physical_prior(observation: Observation, terms: tuple[FrictionTerm, ...]) ->
     return Prior(np.append(projection @ mean, np.zeros(len(terms))), precision)
 
 
-def link_prior(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
+def link_prior(observation: Observation, source: str = DESCRIPTION) -> tuple[np.ndarray, np.ndarray]:
     """Mean and standard deviation (10 n + n,) of the links' standard parameters and the rotor inertias.
 
     A link's size is its radius of gyration, at least a tenth of the reach; a massless link has at least 2 % of the
-    robot's mass, or of what its torques could hold, and all of that where the URDF has no masses at all. A rotor may be
-    as large as the torque and acceleration seen allow.
+    robot's mass, or of what its torques could hold, and all of that where only the size is known (`SIZE`). A rotor may
+    be as large as the torque and acceleration seen allow.
     """
     robot, dynamics = observation.robot, observation.rigid.dynamics
     links = dynamics.standard_parameters().reshape(-1, 10)
+    if source == SIZE:
+        links = np.zeros_like(links)
     rng = np.random.default_rng(0)
     reach = np.linalg.norm(dynamics.tip_pose(rng.uniform(-3, 3, (50, robot.dof)))[:, :3, 3], axis=1).max()
     reach = max(float(reach), 0.1)
     gravity = max(float(np.linalg.norm(robot.gravity)), 1.0)
     torque = _largest_torque(observation)
     liftable = torque.max() / gravity / reach
-    least = 0.02 * max(links[:, 0].sum(), liftable) if links[:, 0].sum() > 0 else liftable
+    least = liftable if source == SIZE else 0.02 * max(links[:, 0].sum(), liftable)
     mass = np.maximum(links[:, 0], least)
     gyration = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(axis=1), 0) / 2 / mass)
-    radius = np.maximum(gyration, 0.1 * reach)
+    radius = np.maximum(gyration, (_FREE_RADIUS if source == SIZE else 0.1) * reach)
     scale = mass[:, None] * np.stack([np.ones_like(mass), *[radius] * 3, *[radius**2] * 6], axis=1)
 
     rotors = np.array([joint.rotor_inertia or 0.0 for joint in robot.joints])
     acceleration = np.max([np.abs(stretch.motion.qdd).max(axis=0) for stretch in observation.stretches], axis=0)
     largest = torque / np.maximum(acceleration, 0.01 * robot.max_acceleration) / robot.gear_ratios**2
-    return np.append(links.ravel(), rotors), np.append(_LINK_DOUBT * scale.ravel(), np.maximum(largest, rotors))
+    return np.append(links.ravel(), rotors), np.append(
+        (_FREE_DOUBT if source == SIZE else _LINK_DOUBT) * scale.ravel(), np.maximum(largest, rotors)
+    )
 
 
 def _largest_torque(observation: Observation) -> np.ndarray:

@@ -11,7 +11,7 @@ from agent.estimation.blocks import Partition
 from agent.estimation.friction_terms import FrictionTerm
 from agent.estimation.moments import Moments, collect
 from agent.estimation.observation import Observation
-from agent.estimation.prior import Prior, physical_prior
+from agent.estimation.prior import DESCRIPTION, Prior, physical_prior
 from agent.estimation.solving import autocorrelation_time, iterate_weights, solve
 
 #: Weighted sum of moments (p + 1, p + 1) to parameters (p,).
@@ -32,6 +32,7 @@ class Problem:
     moments: Moments
     prior: Prior
     trust: float
+    links: str = DESCRIPTION
     _friction: list[np.ndarray] = field(default_factory=list)
 
     @classmethod
@@ -43,14 +44,15 @@ class Problem:
         load: np.ndarray | None = None,
         trust: float = 1.0,
         keep: bool = False,
+        links: str = DESCRIPTION,
     ) -> Problem:
         """Of fitting these terms; without `load`, it is that of the URDF's links. `keep` the columns of friction."""
-        prior = physical_prior(observation, terms)
+        prior = physical_prior(observation, terms, links)
         load = prior.mean[: observation.rigid.count] if load is None else load
         friction = (observation.friction(stretch, terms, load) for stretch in observation.stretches)
         kept = _kept(observation, friction) if keep else []
         moments = collect(observation, partition, terms, kept or friction)
-        return cls(observation, partition, terms, load, moments, prior, trust, kept)
+        return cls(observation, partition, terms, load, moments, prior, trust, links, kept)
 
     def select(self, chosen: np.ndarray) -> Problem:
         """The same with some of the terms, by index."""
@@ -63,6 +65,10 @@ class Problem:
             prior=self.prior.select(columns),
             _friction=_kept(self.observation, (columns.T[chosen].T for columns in self._friction)),
         )
+
+    def with_links(self, links: str) -> Problem:
+        """The same under another prior of the links."""
+        return replace(self, links=links, prior=physical_prior(self.observation, self.terms, links))
 
     def friction(self) -> list[np.ndarray]:
         """Per stretch (S', T): the terms' filtered columns, worked out once."""

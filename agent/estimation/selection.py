@@ -20,6 +20,7 @@ from agent.estimation.blocks import Partition
 from agent.estimation.friction_terms import FrictionTerm, Reversal
 from agent.estimation.observation import Observation
 from agent.estimation.prior import Prior
+from agent.estimation.prior_choice import choose_links
 from agent.estimation.problem import Problem
 from agent.estimation.solving import clear_gain, iterate_weights, solve
 
@@ -60,18 +61,21 @@ def ladder(observation: Observation, partition: Partition) -> Problem:
         ]
         for axle in range(n)
     ]
-    problem, reversals = _best_reversals(_with_reversals(observation, partition, grids))
+    wide = _with_reversals(observation, partition, grids)
+    sharp = np.array([k for k, term in enumerate(wide.terms) if term.reversal in (None, Reversal())])
+    links = choose_links(wide.select(sharp)).links
+    problem, reversals = _best_reversals(wide.with_links(links))
     problem = problem.with_own_trust()
     for factors in _FINER:
         grids = [[replace(r, scale=r.scale * factor) for factor in factors] if r.scale else [r] for r in reversals]
-        finer = replace(_with_reversals(observation, partition, grids), trust=problem.trust)
+        finer = replace(_with_reversals(observation, partition, grids).with_links(links), trust=problem.trust)
         problem, reversals = _best_reversals(finer)
 
     weights = iterate_weights(problem.moments, problem.prior, problem.trust)
     load = solve(problem.moments, weights, problem.prior, problem.trust)[: observation.rigid.count]
     candidates = (term for axle in range(n) for term in _candidates(axle, reversals[axle], float(fastest[axle])))
     terms = (*paper_terms(reversals), *candidates)
-    wide = Problem.pose(observation, partition, terms, load, problem.trust, keep=True)
+    wide = Problem.pose(observation, partition, terms, load, problem.trust, keep=True, links=links)
     return wide.select(_climb(wide, weights, len(problem.terms)))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from agent.estimation.model import IdentifiedModel, condition_text
 from agent.estimation.moments import Moments, standstill_speed
 from agent.estimation.observation import Observation
+from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.solving import autocorrelation_time
 from agent.estimation.uncertainty import covariance, silent_directions
@@ -55,7 +56,7 @@ def build_model(
         standard=found.standard,
         group_rmse=_group_rmse(moments, found),
         standstill_speed=standstill_speed(observation),
-        provenance=_provenance(observation, logs),
+        provenance={**_provenance(observation, logs), "link_prior": problem.links},
     )
     return replace(model, notes=tuple(_notes(model, problem, found, times, len(logs))))
 
@@ -82,11 +83,12 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.
     yield f"Held-out errors: {problem.partition.folds} folds of {kind}."
     if found.note:
         yield found.note
+    yield from _described_links(model, problem)
     yield from _doubts(problem.observation)
     if problem.observation.noisy is not None:
         yield (
-            f"The cut-off is {model.cutoff:g} Hz: higher, noise of the positions would be too much of the torque of "
-            f"{model.robot.joint_names[problem.observation.noisy]}."
+            f"The cut-off is {model.cutoff:g} Hz: above it a prediction is further from the measured torque than none, "
+            f"first of all on {model.robot.joint_names[problem.observation.noisy]}."
         )
     if model.condition_number > _BAD_CONDITION:
         number = condition_text(model.condition_number)
@@ -100,7 +102,7 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.
         names = ", ".join(_leading_names(model.names, directions))
         yield (
             f"{len(directions)} of {len(model.values)} parameter directions are not in these data and stay near their "
-            f"prior (links near the URDF): mainly {names}."
+            f"prior ({_prior_in_words(problem.links)}): mainly {names}."
         )
     still = problem.moments.rows[:, 1].sum(axis=0) / problem.moments.rows.sum(axis=(0, 1))
     lighter = np.sqrt(found.weights[1] / found.weights[0])
@@ -114,6 +116,30 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.
             "Standstill, where friction is anything within stiction, is in the fit with the weight its residuals "
             f"earn: {', '.join(shares)}."
         )
+
+
+def _described_links(model: IdentifiedModel, problem: Problem) -> Iterator[str]:
+    """What the data say of the links that the description has, where they were not believed as usual."""
+    rigid = problem.observation.rigid
+    described = rigid.projection @ np.append(rigid.dynamics.standard_parameters(), np.zeros(model.robot.dof))
+    if not np.any(described):
+        yield "The description has no link masses: nothing is assumed of the links but what their torques could hold."
+        return
+    if problem.links == DESCRIPTION:
+        return
+    q = np.concatenate([s.motion.q[:: max(len(s.motion.q) // 200, 1)] for s in problem.observation.stretches])
+    still = np.zeros_like(q)
+    ours, theirs = (
+        np.sqrt(np.mean(rigid.torque(q, still, still, base) ** 2, axis=0)) for base in (model.base_values, described)
+    )
+    rows = [
+        f"{name} {a:.3g} and {b:.3g}" for name, a, b in zip(model.robot.joint_names, ours, theirs, strict=True) if a > 0
+    ]
+    yield (
+        "The link inertials of the description are left out of the prior: stretches held out are predicted no better "
+        "with them. Gravity torque, root mean square over these postures, by this fit and "
+        f"by the description [N·m]: {', '.join(rows)}."
+    )
 
 
 def _doubts(observation: Observation) -> Iterator[str]:
@@ -136,6 +162,10 @@ def _doubts(observation: Observation) -> Iterator[str]:
             f"{robot.joint_names[k]} reaches {speed}, {times[k]:.3g} times its highest speed by the robot description: "
             "are the unit of its positions and its gear ratio right?"
         )
+
+
+def _prior_in_words(links: str) -> str:
+    return "links near the URDF" if links == DESCRIPTION else "links no heavier than their torques could hold"
 
 
 def _leading_names(names: Sequence[str], directions: np.ndarray, most: int = 8) -> list[str]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,9 +12,8 @@ from hypothesis import strategies as st
 
 from agent.errors import InputError
 from agent.estimation import filtering
-from agent.estimation.estimate import rigid_bodies
+from agent.estimation.estimate import observe_predictable, rigid_bodies
 from agent.estimation.filtering import FilterSettings, motions, smooth_and_differentiate
-from agent.estimation.observation import observe
 
 
 def _motions(log, cutoff=None, reduce=True, **more):
@@ -185,26 +187,29 @@ def test_smooth_signals_may_be_thinned_before_the_filter(arm, make_log, rate, cu
 
 
 def test_noise_of_the_positions_lowers_the_cutoff_unless_it_is_given(arm, multisine, make_log):
-    """Without noise 30 Hz; and at what is chosen, noise alone makes a twentieth of the torque."""
+    """Without noise 30 Hz; with it, one up to which the positions predict torque, whatever the description says."""
     robot = arm(2)
     rigid, _, _ = rigid_bodies(robot)
     t = np.arange(10_000) / 500
     q, qd, qdd = multisine(2, t)
     torque = rigid.dynamics.inverse_dynamics(q, qd, qdd) + 3 * np.sign(qd)
-    noisy = q + 1e-4 * np.random.default_rng(0).normal(size=q.shape)
+    noisy = q + 5e-4 * np.random.default_rng(0).normal(size=q.shape)
 
-    def chosen(position, cutoff=None):
+    def chosen(position, cutoff=None, description=robot):
+        bodies, _, _ = rigid_bodies(description)
         log = make_log(robot, t, position, torque)
-        return observe(rigid, [log], FilterSettings(cutoff)).stretches[0].motion
+        return observe_predictable(bodies, [log], FilterSettings(cutoff)).stretches[0].motion
 
     assert chosen(q).cutoff == 30
     assert chosen(noisy, 30.0).cutoff == 30
     motion = chosen(noisy)
-    assert 10 < motion.cutoff < 25
-    reflected = np.array([joint.rotor_inertia for joint in robot.joints]) * robot.gear_ratios**2
-    with_noise, without = (
-        motion.low_pass(rigid.dynamics.inverse_dynamics(m.q, m.qd, m.qdd) + reflected * m.qdd)
-        for m in (motion, chosen(q, motion.cutoff))
-    )
-    share = np.std(with_noise - without, axis=0) / np.sqrt(np.mean(torque**2, axis=0))
-    assert share.max() == pytest.approx(0.05, rel=0.4)
+    assert 10 <= motion.cutoff < 25
+    heavy = replace(robot, urdf=re.sub('mass value="[0-9.]*"', 'mass value="300"', robot.urdf))
+    assert chosen(noisy, description=heavy).cutoff == pytest.approx(motion.cutoff, rel=0.2)
+
+    def noise(at):  # torque that only noise of the positions makes, over the measured torque
+        exact = chosen(q, at.cutoff)
+        with_noise, without = (m.low_pass(rigid.dynamics.inverse_dynamics(m.q, m.qd, m.qdd)) for m in (at, exact))
+        return np.std(with_noise - without, axis=0) / np.sqrt(np.mean(torque**2, axis=0))
+
+    assert noise(motion).max() < 0.5 * noise(chosen(noisy, 30.0)).max()

@@ -1,0 +1,48 @@
+"""A description that lies: placeholder inertials must not spoil the estimate, nor must its absence."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from agent.estimation import EstimationSettings, estimate
+from agent.estimation.estimate import rigid_bodies
+from agent.estimation.prior_choice import placeholders
+from agent.recording import read_log
+from agent.robot import load_robot
+from agent.validation import validate
+
+
+@pytest.mark.parametrize("description", ["real", "none", "dummy"])
+def test_a_measured_arm_is_predicted_whatever_its_description_says(shared_data, measured, description):
+    folder = shared_data / "real-dev/kr300"
+    robot = load_robot(folder / f"robot_{description}.yaml")
+    fit, held_out = [read_log(folder / f"{name}.mcap", robot) for name in "AB"], [read_log(folder / "C.mcap", robot)]
+    model = estimate(robot, fit, EstimationSettings.create(cutoff=10.0))
+    error = validate(model, held_out)["overall"]["relative_error_all_joints"]
+    measured(f"KR300, A and B to C, inertials {description}", 100 * error, "%", "at most 9.5 %", error <= 0.095)
+    assert error <= 0.095
+    if description != "real":
+        assert model.provenance["link_prior"] == "size"
+
+
+def test_a_link_prior_that_is_wrong_is_not_believed_and_is_said(arm, multisine, make_log):
+    robot = arm(3)
+    t = np.arange(10_000) / 500
+    q, qd, qdd = multisine(3, t)
+    rigid, _, _ = rigid_bodies(robot)
+    weights = 40 * rigid.dynamics.inverse_dynamics(q, qd, qdd) + 20 * qd  # forty times as heavy as it is described
+    model = estimate(robot, [make_log(robot, t, q, weights)])
+    assert model.provenance["link_prior"] == "size"
+    assert any("left out of the prior" in note and "Gravity torque" in note for note in model.notes)
+    assert model.held_out_rmse.max() < 0.02 * np.abs(weights).max()
+
+
+def test_links_of_one_mass_are_placeholders():
+    def links(*masses: float) -> np.ndarray:
+        return np.concatenate([[mass, *[0.1 * mass] * 9] for mass in masses])
+
+    assert placeholders(links(0, 0, 0))
+    assert placeholders(links(3, 3, 3, 3, 3, 3.2))
+    assert not placeholders(links(3.7, 8.4, 2.3, 1.2, 1.2, 0.2))
+    assert not placeholders(links(5.0))
