@@ -192,7 +192,10 @@ def _faster(data: dict[str, Any]) -> None:
 
 
 def _other_tool_frame(data: dict[str, Any]) -> None:
-    data["program"] = data["program"].replace("BEGIN\n", "BEGIN\n  $UFRAME := POS(0, 0, -350, 0, 0, 0, '')\n", 1)
+    """Set after the program's own frames."""
+    loop = "  FOR cycle_number"
+    assert loop in data["program"]
+    data["program"] = data["program"].replace(loop, f"  $UFRAME := POS(0, 0, -350, 0, 0, 0, '')\n{loop}", 1)
 
 
 def _out_of_range(data: dict[str, Any]) -> None:
