@@ -24,7 +24,7 @@ def main() -> None:
     """Print the table."""
     from agent.excitation import Candidates, Criterion, log_determinant
     from agent.excitation.criterion import one_blas_thread
-    from agent.planning import loop_problem
+    from agent.pipeline.planning import loop_problem
     from agent.recipe import load_recipe
 
     recipe = load_recipe(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "recipes/ns16_quickstart.yaml")

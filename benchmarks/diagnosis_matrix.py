@@ -20,8 +20,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from agent.blind_check.cases import draw_effect
+from agent.core.errors import AgentError
 from agent.diagnosis import CATALOGUE, diagnose
-from agent.errors import AgentError
 from agent.estimation import IdentifiedModel, estimate
 from agent.recording.log import Log
 from agent.robot import RobotDescription, load_robot

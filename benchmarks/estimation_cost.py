@@ -29,8 +29,8 @@ ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 FIT = """
 import json, resource, sys, time
 start = time.process_time()
-from agent.console import Console
-from agent.identify import estimate_files
+from agent.core.console import Console
+from agent.pipeline.identify import estimate_files
 import agent.estimation, agent.recording, agent.robot.dynamics, scipy.fft, scipy.special, scipy.interpolate, clarabel
 imported = time.process_time()
 from pathlib import Path

@@ -26,10 +26,8 @@ import local_vs_global  # noqa: E402  beside this file
 from agent.estimation import FilterSettings  # noqa: E402
 from agent.estimation.blocks import partition  # noqa: E402
 from agent.estimation.consistent import consistent  # noqa: E402
-from agent.estimation.estimate import rigid_bodies  # noqa: E402
 from agent.estimation.filtering import Motion, motions  # noqa: E402
 from agent.estimation.least_squares import weighted  # noqa: E402
-from agent.estimation.model import IdentifiedModel  # noqa: E402
 from agent.estimation.observation import observe  # noqa: E402
 from agent.estimation.problem import Estimate, Problem  # noqa: E402
 from agent.estimation.selection import ladder  # noqa: E402
@@ -37,8 +35,10 @@ from agent.estimation.summary import build_model  # noqa: E402
 from agent.excitation import Criterion  # noqa: E402
 from agent.excitation.criterion import one_blas_thread  # noqa: E402
 from agent.excitation.genetic import genetic  # noqa: E402
+from agent.model.identified import IdentifiedModel  # noqa: E402
 from agent.recipe import load_recipe  # noqa: E402
 from agent.recording import Log  # noqa: E402
+from agent.robot.rigid_bodies import rigid_bodies  # noqa: E402
 from fake_controller.plant import Plant  # noqa: E402
 
 EDGE = 0.25

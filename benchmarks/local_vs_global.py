@@ -29,7 +29,7 @@ from agent.excitation.random_search import random_search  # noqa: E402
 from agent.excitation.scoring import Score, ranking  # noqa: E402
 from agent.motion import create_interpolator  # noqa: E402
 from agent.motion.program import JointTarget, Move, MoveType, Termination  # noqa: E402
-from agent.planning import loop_problem  # noqa: E402
+from agent.pipeline.planning import loop_problem  # noqa: E402
 from agent.recipe import Recipe, load_recipe  # noqa: E402
 from agent.recording import Log  # noqa: E402
 from agent.robot import RobotDescription  # noqa: E402

@@ -26,7 +26,7 @@ def reference() -> str:
 def _commands() -> Iterator[str]:
     import typer.main
 
-    from agent.cli import app
+    from agent.cli.app import app
 
     group = typer.main.get_command(app)
     for name in sorted(group.commands):
@@ -54,10 +54,14 @@ def _option(option: Any) -> str:
 
 
 def _exit_codes() -> Iterator[str]:
-    import agent.errors
+    import agent.core.errors
 
     yield "| 0 | | done, and accepted where there is a gate |"
-    found = [e for e in vars(agent.errors).values() if isinstance(e, type) and issubclass(e, agent.errors.AgentError)]
+    found = [
+        e
+        for e in vars(agent.core.errors).values()
+        if isinstance(e, type) and issubclass(e, agent.core.errors.AgentError)
+    ]
     for error in sorted(found, key=lambda e: e.exit_code):
         yield f"| {error.exit_code} | `{error.__name__}` | {(error.__doc__ or '').strip()} |"
     yield "| 129, 130, 131, 143 | | ended by a signal (hang-up, interrupt, quit, terminate), after a controlled stop |"

@@ -42,7 +42,7 @@ def build_controller(
     """
     identified = None
     if model is not None:
-        from agent.estimation.model import IdentifiedModel
+        from agent.model.identified import IdentifiedModel
 
         identified = IdentifiedModel.load(model)
     robot = load_robot(robot_name) if identified is None else identified.robot

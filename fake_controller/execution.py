@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.motion.interpolator import Interpolator, MotionError
 from agent.motion.program import Delay, JointTarget, Move, Statement, Target, Termination
 from agent.motion.trajectory import Trajectory

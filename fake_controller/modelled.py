@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from agent.errors import RejectedError
-from agent.estimation.full_parameters import full_parameters
-from agent.estimation.model import IdentifiedModel, ModelEffect
+from agent.core.errors import RejectedError
+from agent.model.full_parameters import full_parameters
+from agent.model.identified import IdentifiedModel, ModelEffect
 from agent.robot.dynamics import Dynamics
 from fake_controller.actuation import load_effect
 from fake_controller.actuation.friction import FrictionCurve

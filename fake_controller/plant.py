@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.robot import RobotDescription
 from agent.robot.dynamics import Dynamics
 from agent.simulation import ExternalTorque, ForwardSimulation, ServoGains
@@ -18,7 +18,7 @@ from fake_controller.actuation.machine import Machine, draw_machine
 from fake_controller.actuation.sensors import Measured, Sensors
 
 if TYPE_CHECKING:
-    from agent.estimation.model import IdentifiedModel
+    from agent.model.identified import IdentifiedModel
     from fake_controller.modelled import BeyondMachine
 
 __all__ = ["Measured", "Plant", "Truth"]

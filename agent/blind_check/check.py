@@ -17,9 +17,9 @@ from agent.blind_check.cases import GROUP, Case, draw_cases
 from agent.blind_check.key import key_text, open_key, seal
 from agent.blind_check.runs import link_recipe, record_motions
 from agent.blind_check.scoring import outcome, score
-from agent.console import Console
-from agent.errors import AgentError, InputError
-from agent.run import write_atomically
+from agent.core.console import Console
+from agent.core.errors import AgentError, InputError
+from agent.runs.folder import write_atomically
 from drivers.errors import DriverError
 
 #: A log of the first two motions is about this long [s], two cycles and the way to where they start.
@@ -151,7 +151,7 @@ class BlindCheck:
     def _second_opinions(self, case: Case, result: dict[str, Any], logs: Sequence[Path]) -> dict[str, Any]:
         from agent.blind_check.oracle import reference_closures
         from agent.blind_check.worker import diagnose_job
-        from agent.console import finite
+        from agent.core.console import finite
 
         names = sorted({effect["effect"] for effect in case.effects})
         withheld = diagnose_job(self._job(case, logs), without=names)

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
+from agent.link.planned import check_cell
 from agent.motion import create_interpolator
 from agent.motion.pdl2 import write_program
 from agent.motion.program import JointTarget, MotionSettings, Move, MoveType, Termination
-from agent.planning import check_cell
 from agent.recipe import Recipe
 
 MOTIONS = ("excite", "moves", "slow")

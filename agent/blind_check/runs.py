@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from agent.console import Console
-from agent.errors import ControllerError
+from agent.core.console import Console
+from agent.core.errors import ControllerError
 from agent.recipe import Recipe, load_recipe
 
 _RECIPE = """\
@@ -76,8 +76,8 @@ def record_motions(
         ControllerError, SafetyError, DriverError: the arm did not do it.
         InputError: a program that cannot be planned.
     """
-    from agent.planning import plan_statements
-    from agent.record import open_link
+    from agent.link.planned import plan_statements
+    from agent.link.record import open_link
 
     folder.mkdir(parents=True, exist_ok=True)
     logs = []

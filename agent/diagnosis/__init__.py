@@ -1,11 +1,11 @@
 """The sim-to-real gap: where it lies, which effect causes it, how far it shrinks."""
 
 from agent.diagnosis.diagnose import check_effects, diagnose
-from agent.diagnosis.effects import CATALOGUE, Effect
+from agent.diagnosis.extended_model import extended_model
 from agent.diagnosis.forward import Simulated, simulate, simulation_part
-from agent.diagnosis.model_effects import extended_model
 from agent.diagnosis.result import Diagnosis
 from agent.diagnosis.trial import Trial
+from agent.model.effects import CATALOGUE, Effect
 
 __all__ = [
     "CATALOGUE",

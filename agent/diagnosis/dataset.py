@@ -8,15 +8,15 @@ from itertools import pairwise
 
 import numpy as np
 
+from agent.core.errors import InputError
 from agent.diagnosis.fit import Fit, Fold
-from agent.diagnosis.signals import Reference, Signals
 from agent.diagnosis.standstill import STANDING
-from agent.errors import InputError
 from agent.estimation.estimate import EstimationSettings, estimate
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.model import EFFECTS, IdentifiedModel
 from agent.estimation.observation import Observation, observe
 from agent.estimation.prior import physical_prior
+from agent.model.identified import EFFECTS, IdentifiedModel
+from agent.model.signals import Reference, Signals
 from agent.recording.log import Log
 from agent.robot import RobotDescription
 

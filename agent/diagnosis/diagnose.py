@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from agent.core.errors import InputError
 from agent.diagnosis.dataset import assemble
-from agent.diagnosis.effects import CATALOGUE
 from agent.diagnosis.motion_gap import MotionGap, motion_gap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.result import Diagnosis, build, judge
-from agent.errors import InputError
-from agent.estimation.model import IdentifiedModel
+from agent.model.effects import CATALOGUE
+from agent.model.identified import IdentifiedModel
 from agent.recording.log import Log
 from agent.robot import RobotDescription
 

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from agent.diagnosis.effects import Effect
-from agent.diagnosis.signals import Reference, Signals
+from agent.model.effects import Effect
+from agent.model.signals import Reference, Signals
 
 _INDEPENDENT = 0.1  # s between independent rows
 

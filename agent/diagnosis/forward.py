@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.diagnosis.model_effects import effect_torque, extended_model
-from agent.diagnosis.signals import Reference
+from agent.diagnosis.extended_model import extended_model
 from agent.estimation.filtering import FilterSettings, Motion, motions, smooth_and_differentiate
-from agent.estimation.friction_terms import AxleMotion, axle_columns
-from agent.estimation.model import IdentifiedModel
+from agent.model.friction_terms import AxleMotion, axle_columns
+from agent.model.identified import IdentifiedModel
+from agent.model.signals import Reference
+from agent.model.with_effects import effect_torque
 from agent.simulation import ForwardSimulation, RigidActuation, ServoGains
 
 if TYPE_CHECKING:

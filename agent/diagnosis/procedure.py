@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from agent.diagnosis.effects import CATALOGUE
 from agent.diagnosis.evidence import Null, null_gains
 from agent.diagnosis.finding import Finding, Step
 from agent.diagnosis.fit import Candidate, Fit, Score
-from agent.diagnosis.likeness import best_by_place, complexity, imitates, plausible, twins
+from agent.diagnosis.isolability import best_by_place, complexity, imitates, plausible, twins
 from agent.diagnosis.standstill import at_rest
 from agent.diagnosis.verdict import CLOSES
+from agent.model.effects import CATALOGUE
 
 #: All in units of the background energy of all rows, Σ e² / σ² of a model that is right.
 LEAST_GAIN = 0.02  # an effect must gain as much to be named

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 
 from agent.diagnosis.dataset import Dataset
-from agent.diagnosis.effects import CATALOGUE, Effect
 from agent.diagnosis.evidence import share_intervals
 from agent.diagnosis.finding import Finding
 from agent.diagnosis.gap import SMALL, Gap, held_out_gap
+from agent.diagnosis.labels import PATH
 from agent.diagnosis.motion_gap import MotionGap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.regimes import regimes
 from agent.diagnosis.verdict import CLOSES, settle
-from agent.diagnosis.words import PATH
-from agent.figures import error_units
+from agent.model.effects import CATALOGUE, Effect
+from agent.robot.torque_figures import error_units
 
 SCHEMA = "diagnosis/1"
 # Set-points are numbers, not measurements: where they differ, only a log that misplaces them in time speaks against it.

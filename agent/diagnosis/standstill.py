@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.diagnosis.signals import Signals
+from agent.model.signals import Signals
 
 #: Of the highest speed: a joint that is no faster stands.
 STANDING = 0.004

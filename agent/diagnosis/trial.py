@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from agent.diagnosis.effects import CATALOGUE, Effect
 from agent.diagnosis.fit import Candidate
 from agent.diagnosis.result import Diagnosis
+from agent.model.effects import CATALOGUE, Effect
 
 _FACTORS = (1.25, 1.1, 1.05)
 

@@ -2,7 +2,7 @@
 
 from agent.estimation.estimate import METHODS, EstimationSettings, estimate
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.model import EFFECTS, IdentifiedModel, ModelEffect, condition_text
+from agent.model.identified import EFFECTS, IdentifiedModel, ModelEffect, condition_text
 
 __all__ = [
     "EFFECTS",

@@ -9,23 +9,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.estimation.blocks import partition
 from agent.estimation.choice import choose
 from agent.estimation.cutoff import LOWEST, predictive_cutoff
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.friction_terms import Reversal
 from agent.estimation.least_squares import ordinary, reweighted, weighted
-from agent.estimation.model import IdentifiedModel
-from agent.estimation.observation import Observation, RigidBodies, observe
+from agent.estimation.observation import Observation, observe
 from agent.estimation.prior_choice import choose_links
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.selection import ladder, paper_terms
 from agent.estimation.solving import iterate_weights, solve
 from agent.estimation.summary import build_model
+from agent.model.friction_terms import Reversal
+from agent.model.identified import IdentifiedModel
 from agent.recording.log import Log
 from agent.recording.scratch import parts
 from agent.robot import RobotDescription
+from agent.robot.rigid_bodies import RigidBodies, rigid_bodies
 
 if TYPE_CHECKING:
     from agent.robot.dynamics import Tool
@@ -204,14 +205,3 @@ def _same(one: Log, other: Log, part: slice) -> bool:
     one.scratch.release()
     other.scratch.release()
     return same
-
-
-def rigid_bodies(
-    robot: RobotDescription, tool: Tool | None = None
-) -> tuple[RigidBodies, tuple[str, ...], tuple[str, ...]]:
-    """Regressor of a robot's base parameters, the names of its standard parameters, and the combinations as text."""
-    from agent.robot.base_parameters import base_parameters
-    from agent.robot.dynamics import Dynamics
-
-    base = base_parameters(robot)
-    return RigidBodies(Dynamics(robot, tool), base.independent, base.projection), base.standard_names, base.names

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.estimation.clock import Clock
 from agent.recording.log import Log
 

@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from agent.estimation.blocks import Partition
-from agent.estimation.friction_terms import FrictionTerm
 from agent.estimation.observation import Observation, Stretch
+from agent.model.friction_terms import FrictionTerm
 
 _STANDSTILL = 0.005  # of the highest speed seen on the joint
 _RESTING = 1e-6  # of its highest speed at all: round-off in a channel that is constant

@@ -14,7 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.estimation.filtering import FilterSettings, motions, resolve_cutoff
 from agent.recording.log import Log
 from agent.robot import RobotDescription

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from agent.estimation.model import IdentifiedModel, condition_text
 from agent.estimation.moments import Moments, standstill_speed
 from agent.estimation.observation import Observation
 from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.solving import autocorrelation_time
 from agent.estimation.uncertainty import covariance, silent_directions
+from agent.model.identified import IdentifiedModel, condition_text
 from agent.recording.log import MACHINE, Log
 
 _BAD_CONDITION = 1000.0

@@ -4,8 +4,8 @@ from agent.excitation.candidates import Candidates, Loop, LoopProblem
 from agent.excitation.criterion import Criterion, log_determinant, torque_weights
 from agent.excitation.scoring import Score, ranking
 from agent.excitation.search import Generation, SearchResult, search
-from agent.excitation.store import FOLDER, StoredLoop, find_loop, keep_loop, loop_key, stored_loops
 from agent.excitation.sub_region import OutOfReach, check_sub_region
+from agent.runs.stored_loops import FOLDER, StoredLoop, find_loop, keep_loop, loop_key, stored_loops
 
 __all__ = [
     "FOLDER",

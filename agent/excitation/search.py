@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.excitation.candidates import Candidates, Loop, LoopProblem
 from agent.excitation.criterion import one_blas_thread
 from agent.excitation.genetic import genetic

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.excitation.candidates import LoopProblem
 from agent.robot.kinematics import KinematicsError, kinematics_for
 

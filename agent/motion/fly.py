@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.motion.fly_binding import binding_limits
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.fly_runs import RunPlanner

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.motion import path_rotation as rotation
 from agent.motion.frames import tool_frame
 from agent.motion.interpolator import MotionError

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.motion.program import Statement
 from agent.motion.trajectory import Trajectory
 from agent.robot.description import RobotDescription

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.motion import path_rotation as rotation
 from agent.motion.interpolator import MotionError
 from agent.motion.program import (

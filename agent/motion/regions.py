@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.motion import path_rotation as rotation
 
 #: Slack of `contains`, in genes.

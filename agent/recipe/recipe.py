@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.documents import find_faults, line_of, read_yaml, without_faults
-from agent.errors import InputError
+from agent.core.documents import find_faults, line_of, read_yaml, without_faults
+from agent.core.errors import InputError
+from agent.core.units import Dimension, parse_quantity
 from agent.motion.program import MotionSettings
 from agent.recipe.schema import BARE_ANGLE, BARE_PLACE, RecipeDocument, ToolSection, ViaPointsSection
 from agent.robot import RobotDescription, builtin_robots, load_robot
-from agent.units import Dimension, parse_quantity
 
 if TYPE_CHECKING:
     from agent.robot.dynamics import Tool

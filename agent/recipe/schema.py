@@ -16,9 +16,9 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails
 
-from agent.errors import InputError
+from agent.core.errors import InputError
+from agent.core.units import Bare, Dimension, parse_quantity
 from agent.motion.program import FlyTrajectory, FlyType
-from agent.units import Bare, Dimension, parse_quantity
 
 #: Estimators that `estimate.method` may name; `auto` lets held-out error choose.
 ESTIMATION_METHODS = (

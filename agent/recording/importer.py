@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
+from agent.core.units import Dimension, parse_quantity
 from agent.recording.limits import LIMITS, impossible
 from agent.recording.log import MACHINE, Log
 from agent.recording.log_file import nanoseconds, write_log
@@ -18,7 +19,6 @@ from agent.recording.mapping import CURRENT, Columns, EffortColumns, Mapping, Po
 from agent.recording.resampling import resampled
 from agent.recording.stamps import put_in_order, spacing_of
 from agent.recording.tables import Table, read_table
-from agent.units import Dimension, parse_quantity
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription

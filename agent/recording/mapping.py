@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal, NoReturn
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from agent.documents import line_of, read_yaml, validate_document
-from agent.errors import InputError
-from agent.units import Dimension, parse_quantity
+from agent.core.documents import line_of, read_yaml, validate_document
+from agent.core.errors import InputError
+from agent.core.units import Dimension, parse_quantity
 
 Side = Literal["motor", "joint"]
 _TURN = 6.283185307179586

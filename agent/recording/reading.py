@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.recording.jumps import Mended, mend_jumps
 from agent.recording.limits import impossible
 from agent.recording.log import Log, Repair

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.recording.log import Log, Repair
 
 

@@ -25,7 +25,7 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.recording.joint_state import JointStateLayout, parse_layout
 from agent.recording.scratch import Scratch
 

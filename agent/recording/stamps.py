@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.recording.grid import grid_rate, line, sample_numbers
 from agent.recording.log import Repair
 

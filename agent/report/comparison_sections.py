@@ -10,7 +10,7 @@ from agent.report.figures import SERIES, Figure, new_plot, to_figure
 from agent.report.page import Section, Table
 
 if TYPE_CHECKING:
-    from agent.compare import Comparison
+    from agent.validation.compare import Comparison
 
 
 _SHOWN = 30.0
@@ -61,7 +61,7 @@ def comparison_section(comparison: Comparison) -> Section:
 
 def changes_figure(comparison: Comparison) -> Figure:
     """Change of every parameter in standard deviations of a change."""
-    from agent.compare import BEYOND
+    from agent.validation.compare import BEYOND
 
     changes = comparison.changes
     values = np.array([change.deviations for change in changes])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from agent.figures import SHARE, figure_text
 from agent.report.page import Section, Table
+from agent.robot.torque_figures import SHARE, figure_text
 
 _PATH = "interpolator_mismatch"
 _VERDICTS = {

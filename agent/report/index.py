@@ -13,8 +13,8 @@ from agent.report.figures import SERIES, Figure, new_plot, to_figure
 from agent.report.page import Page, Section, Table, render
 
 if TYPE_CHECKING:
-    from agent.past_run import PastRun
-    from agent.trends import Trend, Watch
+    from agent.runs.past_run import PastRun
+    from agent.runs.trends import Trend, Watch
 
 _MOST_POINTS = 400
 

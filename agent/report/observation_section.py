@@ -10,7 +10,7 @@ from agent.report.figures import SERIES, Figure, new_plot, to_figure
 from agent.report.page import Section, Table
 
 if TYPE_CHECKING:
-    from agent.observability import Observability
+    from agent.validation.observability import Observability
 
 _USUAL_LIMIT = 100  # Gautier and Khalil's rule of thumb for exciting trajectories
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.figures import torque_units
 from agent.report.figures import Figure, new_plot, to_figure
 from agent.report.page import Section
+from agent.robot.torque_figures import torque_units
 
 if TYPE_CHECKING:
     from agent.validation import Prediction

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 
 if TYPE_CHECKING:
     from agent.robot.kinematics import Kinematics

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.robot.description import RobotDescription
 
 #: Order of a link's ten standard parameters: mass [kg], first moments [kg·m], inertia about the joint frame [kg·m²].

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.robot.description import RobotDescription
 from agent.robot.kinematic_chain import KinematicChain, chain_of
 

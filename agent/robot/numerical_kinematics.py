@@ -13,7 +13,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.robot.description import RobotDescription
 from agent.robot.kinematic_chain import KinematicChain
 from agent.robot.kinematics import (

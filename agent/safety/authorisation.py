@@ -22,8 +22,8 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from agent.documents import load_document
-from agent.errors import InputError
+from agent.core.documents import load_document
+from agent.core.errors import InputError
 from agent.recipe.schema import Name, Speed, Time
 
 #: Nobody knows what a cell looks like in two years: a file that allows more is refused.
@@ -105,7 +105,7 @@ class Authorisation:
         """The loop was planned with the robot, tool, cell and motion settings that were authorised.
 
         Args:
-            problem: SHA-256 (hex) of all of them, as `agent.approved` makes it.
+            problem: SHA-256 (hex) of all of them, as `agent.runs.approved` makes it.
 
         Raises:
             InputError: it was not.

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.motion.trajectory import Trajectory
 from agent.robot.description import Capsule, RobotDescription
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.motion.program import Move, Statement, Target
 from agent.safety.motion import PlannedProgram
 

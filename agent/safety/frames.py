@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from agent.errors import ControllerError, InputError
+from agent.core.errors import ControllerError, InputError
 from agent.safety.motion import PlannedProgram
 from drivers.protocol import Driver, TellsFrames
 

@@ -1,7 +1,7 @@
 """The only way from the pipeline to a moving arm: every condition before motion, and the watch while it moves.
 
-A program is sent once and started once. Whatever ends the motion before its end - an error, any signal (see
-`agent.signals`), a full disk, the consumer leaving - asks the controller for a stop on the path first; where that is
+A program is sent once and started once. Whatever ends the motion early - an error, any signal (`agent.core.signals`),
+a full disk, the consumer leaving - asks the controller for a stop on the path first; where that is
 not confirmed the link is closed, and the controller's own watchdog stops the arm.
 """
 
@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.errors import AgentError, ControllerError, InputError, SafetyError
+from agent.core.errors import AgentError, ControllerError, InputError, SafetyError
+from agent.core.signals import stop_to_come, undisturbed
 from agent.robot import RobotDescription
 from agent.safety.adherence import Adherence
 from agent.safety.checked import CheckedPrograms
@@ -33,7 +34,6 @@ from agent.safety.preconditions import (
     standing,
     unsafe_in_motion,
 )
-from agent.signals import stop_to_come, undisturbed
 from drivers.errors import DriverError, MotionStopped, RefusedError
 from drivers.protocol import Driver, Identity, SampleBlock, Status, TakesPoints, TellsFacts, TellsTemperatures
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from agent.estimation.filtering import FilterSettings, motions, resolve_cutoff
-from agent.estimation.model import IdentifiedModel
 from agent.estimation.observation import check_log
+from agent.model.identified import IdentifiedModel
 from agent.recording.log import Log
 
 SCHEMA = "validation/1"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from fake_controller.actuation.bodies import BaseTilt, InertialMismatch, Payload, WristCoupling
 from fake_controller.actuation.effect import Effect
 from fake_controller.actuation.friction_effects import (

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from agent.console import Console
-from agent.diagnose import Question, diagnose_files
-from agent.errors import AgentError
+from agent.core.console import Console
+from agent.core.errors import AgentError
 from agent.estimation import IdentifiedModel
-from agent.identify import estimate_files, import_files, validate_files
+from agent.pipeline.diagnose import Question, diagnose_files
+from agent.pipeline.identify import estimate_files, import_files, validate_files
 from agent.recording import read_log
 from agent.recording.log_file import STATES, LogFile
 from agent.robot import load_robot

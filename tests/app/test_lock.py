@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import pytest
 
-from agent.errors import AgentError, BusyError
-from agent.lock import lock_file, robot_lock
+from agent.core.errors import AgentError, BusyError
+from agent.runs.lock import lock_file, robot_lock
 
 
 @pytest.fixture

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.excitation import Candidates
-from agent.planning import loop_problem, replan
+from agent.pipeline.planning import loop_problem, replan
 from agent.recipe import load_recipe
-from agent.run import RunFolder
+from agent.runs.folder import RunFolder
 from tests.app.conftest import RECIPE
 
 WRONG = st.one_of(

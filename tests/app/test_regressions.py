@@ -27,7 +27,7 @@ ROBOT = "name: r\nurdf: r.urdf\ntip_frame: l1\njoints: [{name: j1, max_velocity:
     ],
 )
 def test_a_urdf_with_something_else_for_a_number_is_refused_by_name(tmp_path: Path, fault, named):
-    from agent.errors import InputError
+    from agent.core.errors import InputError
     from agent.robot import load_robot
 
     (tmp_path / "r.urdf").write_text(URDF.format(**{"mass": "1", "axis": "0 0 1", "lower": "-1"} | fault))
@@ -68,7 +68,7 @@ def test_a_program_that_moves_nothing_is_refused_and_no_log_is_claimed(
 
 @pytest.mark.parametrize(("moving", "said"), [(False, "no joint moves"), (True, "the torque is zero")])
 def test_logs_without_motion_or_torque_are_refused(moving, said):
-    from agent.errors import InputError
+    from agent.core.errors import InputError
     from agent.estimation import estimate
     from agent.recording.log import Log
     from agent.robot import load_robot
@@ -86,7 +86,7 @@ def test_logs_without_motion_or_torque_are_refused(moving, said):
     [("projection", None), ("projection", [[1.0]]), ("residual_rmse", None), ("covariance", "nan")],
 )
 def test_a_model_file_that_was_damaged_by_hand_is_refused(tmp_path: Path, key, value):
-    from agent.errors import InputError
+    from agent.core.errors import InputError
     from agent.estimation import EstimationSettings, IdentifiedModel, estimate
     from agent.recording.log import Log
     from agent.robot import load_robot

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.errors import AgentError, ControllerError, InputError, SafetyError
-from agent.record import moving_stretches
-from agent.run import RunFolder, sha256_text, write_atomically
+from agent.core.errors import AgentError, ControllerError, InputError, SafetyError
+from agent.link.record import moving_stretches
+from agent.runs.folder import RunFolder, sha256_text, write_atomically
 from agent.safety.preconditions import check_ready, is_loopback, needs_person
 from drivers.protocol import Status
 
@@ -74,7 +74,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("agent.run.os.fsync", full)
+    monkeypatch.setattr("agent.runs.folder.os.fsync", full)
     with pytest.raises(AgentError, match="No space left"):
         write_atomically(path, "new")
     assert path.read_text(encoding="utf-8") == "old"

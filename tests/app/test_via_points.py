@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.errors import InputError
+from agent.core.errors import InputError
+from agent.link.via_points import JOINT_STEP, JOINT_TOLERANCE, via_points
 from agent.motion import create_interpolator
 from agent.motion.pdl2 import parse_program, write_loop_program, write_program
 from agent.motion.program import (
@@ -23,7 +24,6 @@ from agent.robot.configuration import configuration_of
 from agent.robot.kinematics import kinematics_for
 from agent.safety.first_run import stop_to_stop
 from agent.safety.motion import PlannedProgram
-from agent.via_points import JOINT_STEP, JOINT_TOLERANCE, via_points
 
 ROBOT = load_robot("comau_ns16")
 START = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])

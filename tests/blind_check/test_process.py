@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from agent.blind_check import BlindCheck
-from agent.console import Console
-from agent.errors import InputError
-from agent.run import sha256_text
+from agent.core.console import Console
+from agent.core.errors import InputError
+from agent.runs.folder import sha256_text
 
 ROOT = Path(__file__).resolve().parents[2]
 QUIET = Console(verbosity=-1)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.diagnosis.effects import CATALOGUE
 from agent.diagnosis.evidence import FALSE_ALARMS, POWER, null_gains, share_intervals
 from agent.diagnosis.fit import Candidate, Fit
+from agent.model.effects import CATALOGUE
 
 WATCHED = (("friction_change", (1,)), ("stribeck", (1,)), ("gravity_spring", (2,)), ("torque_constant", (0,)))
 

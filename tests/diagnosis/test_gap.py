@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.diagnosis.effects import CATALOGUE
 from agent.diagnosis.gap import held_out_gap
+from agent.model.effects import CATALOGUE
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.diagnose import diagnosis_text
+from agent.core.errors import InputError
 from agent.diagnosis import CATALOGUE, diagnose
-from agent.diagnosis.report import diagnosis_report
-from agent.errors import InputError
+from agent.pipeline.diagnose import diagnosis_text
+from agent.report.diagnosis_page import diagnosis_report
 
 VOCABULARY = [
     "stribeck",

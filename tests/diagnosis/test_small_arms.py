@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.diagnose import diagnosis_text
 from agent.diagnosis import CATALOGUE, Diagnosis, diagnose, extended_model, simulate, simulation_part
 from agent.diagnosis.dataset import Dataset, assemble
-from agent.diagnosis.report import diagnosis_report, headline
 from agent.estimation import IdentifiedModel, estimate
-from agent.estimation.model import ModelEffect
+from agent.model.identified import ModelEffect
+from agent.pipeline.diagnose import diagnosis_text
 from agent.recording.log import Log
+from agent.report.diagnosis_page import diagnosis_report, headline
 from agent.report.gap_section import diagnosis_section, diagnosis_summary
 from agent.robot import Joint, RobotDescription
 from agent.validation import predict_log

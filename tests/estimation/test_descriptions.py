@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from agent.estimation import EstimationSettings, estimate
-from agent.estimation.estimate import rigid_bodies
 from agent.estimation.prior_choice import placeholders
 from agent.recording import read_log
 from agent.robot import load_robot
+from agent.robot.rigid_bodies import rigid_bodies
 from agent.validation import validate
 
 

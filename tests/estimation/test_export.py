@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.errors import RejectedError
+from agent.core.errors import RejectedError
 from agent.estimation import IdentifiedModel
-from agent.estimation.estimate import rigid_bodies
-from agent.estimation.friction_terms import FrictionTerm, Reversal
-from agent.estimation.full_parameters import check_physical, full_parameters, pseudo_inertia
-from agent.export import export_model
+from agent.model.export import export_model
+from agent.model.friction_terms import FrictionTerm, Reversal
+from agent.model.full_parameters import check_physical, full_parameters, pseudo_inertia
 from agent.robot import RobotDescription, load_robot
+from agent.robot.rigid_bodies import rigid_bodies
 
 WRIST = ((1, 0, 0, 0, 0, 0), (0, 1, 0, 0, 0, 0), (0, 0, 1, 0, 0, 0), (0, 0, 0, 1, 0, 0), (0, 0, 0, 0, 1, 0))
 COUPLED = (*(tuple(map(float, row)) for row in WRIST), (0.0, 0.0, 0.0, 0.0, 1.0, 1.0))

@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.estimation import filtering
-from agent.estimation.estimate import observe_predictable, rigid_bodies
+from agent.estimation.estimate import observe_predictable
 from agent.estimation.filtering import FilterSettings, motions, smooth_and_differentiate
+from agent.robot.rigid_bodies import rigid_bodies
 
 
 def _motions(log, cutoff=None, reduce=True, **more):

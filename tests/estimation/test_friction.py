@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.estimation import EstimationSettings, estimate
-from agent.estimation.estimate import rigid_bodies
-from agent.estimation.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns, dahl
 from agent.estimation.selection import paper_terms
+from agent.model.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns, dahl
+from agent.robot.rigid_bodies import rigid_bodies
 from agent.validation import predict_log
 
 

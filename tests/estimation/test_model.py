@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.estimation import EFFECTS, EstimationSettings, IdentifiedModel, ModelEffect, estimate
-from agent.estimation.estimate import rigid_bodies
+from agent.robot.rigid_bodies import rigid_bodies
 
 
 @pytest.fixture(scope="module")

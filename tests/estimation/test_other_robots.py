@@ -15,9 +15,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.estimation import EstimationSettings, IdentifiedModel, estimate
-from agent.export import export_model
+from agent.model.export import export_model
 from agent.recording import Log, import_log, read_log, write_log
 from agent.robot import RobotDescription
 from agent.validation import predict_log, validate

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.console import Console
-from agent.errors import InputError, RejectedError
+from agent.core.console import Console
+from agent.core.errors import InputError, RejectedError
 from agent.estimation.plausible import doubts
-from agent.identify import estimate_files, validate_files
+from agent.pipeline.identify import estimate_files, validate_files
 from agent.recording import read_log, write_log
 from agent.robot import load_robot
 

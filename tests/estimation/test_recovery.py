@@ -9,17 +9,17 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.estimation import EstimationSettings, estimate
 from agent.estimation.blocks import partition
-from agent.estimation.estimate import rigid_bodies
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns
 from agent.estimation.least_squares import weighted
 from agent.estimation.observation import observe
 from agent.estimation.prior import link_prior
 from agent.estimation.problem import Problem
 from agent.estimation.selection import paper_terms
+from agent.model.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns
+from agent.robot.rigid_bodies import rigid_bodies
 
 PAPER = EstimationSettings.create(method="weighted", friction="paper")
 

@@ -9,9 +9,7 @@ import pytest
 
 from agent.estimation import EstimationSettings, estimate
 from agent.estimation.blocks import partition
-from agent.estimation.estimate import rigid_bodies
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.friction_terms import AxleMotion, Reversal, axle_columns
 from agent.estimation.least_squares import weighted
 from agent.estimation.observation import observe
 from agent.estimation.prior import link_prior
@@ -19,6 +17,8 @@ from agent.estimation.problem import Problem
 from agent.estimation.selection import paper_terms
 from agent.estimation.solving import autocorrelation_time
 from agent.estimation.uncertainty import covariance
+from agent.model.friction_terms import AxleMotion, Reversal, axle_columns
+from agent.robot.rigid_bodies import rigid_bodies
 from agent.validation import predict_log
 
 

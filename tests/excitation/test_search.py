@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.excitation import Candidates, Generation, LoopProblem, check_sub_region, search
 from agent.recipe import KeepOut
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.errors import AgentError, InputError
+from agent.core.errors import AgentError, InputError
 from agent.excitation import StoredLoop, find_loop, keep_loop, loop_key, stored_loops
 from agent.recipe import Recipe, load_recipe, template
-from agent.run import sha256_text
+from agent.runs.folder import sha256_text
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from drivers.wire.reasons import EndReason
 from fake_controller.build import build_controller
 from fake_controller.faults import FAULTS, PHASES, Fault

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.check import check_recipe
-from agent.console import Console
+from agent.core.console import Console
+from agent.pipeline.check import check_recipe
 from agent.robot import load_robot
 from agent.robot.drivetrain import torque_per_ampere
 from drivers.errors import DriverError

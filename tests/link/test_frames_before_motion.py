@@ -7,7 +7,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from agent.errors import ControllerError, InputError
+from agent.core.errors import ControllerError, InputError
 from agent.motion.frames import left_open
 from agent.motion.pdl2 import parse_program, pos_to_pose
 from agent.robot import load_robot

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.motion import MotionError, create_interpolator
 from agent.motion.orl import LIBRARY, OrlInterpolator
 from agent.motion.program import CartesianTarget, Delay, JointTarget, MotionSettings, Move, MoveType

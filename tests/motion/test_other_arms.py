@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.motion import FlyInterpolator
 from agent.motion.program import CartesianTarget, JointTarget, MotionSettings, Move, MoveType, OrientationType
 from agent.robot import Joint, RobotDescription

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.motion import FlyInterpolator, MotionError
 from agent.motion.program import (
     CartesianTarget,

@@ -14,12 +14,12 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
-from agent.documents import read_yaml
-from agent.errors import InputError
+from agent.core.documents import read_yaml
+from agent.core.errors import InputError
+from agent.core.units import Dimension
 from agent.motion.program import FlyTrajectory, FlyType
 from agent.recipe import ViaBox, ViaLike, ViaPointList, ViaTube, examine_recipe, load_recipe, recipe_schema, template
 from agent.recipe.schema import ESTIMATION_METHODS, SEARCH_METHODS, RecipeDocument, ToolSection
-from agent.units import Dimension
 
 ROOT = Path(__file__).parents[2]
 MINIMAL = """\

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.errors import InputError
-from agent.units import Dimension, parse_quantity
+from agent.core.errors import InputError
+from agent.core.units import Dimension, parse_quantity
 
 EVERY_UNIT = [(dimension, unit) for dimension in Dimension for unit in dimension.value.factors]
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from agent.controller import create_driver, torque_facts
-from agent.errors import InputError
+from agent.core.errors import InputError
+from agent.link.controller import create_driver, torque_facts
 from agent.recipe import load_recipe
 from agent.recording import LogWriter, read_log
 from agent.robot import load_robot

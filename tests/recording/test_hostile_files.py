@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.recording import read_log
 
 MAGIC = b"\x89MCAP0\r\n"

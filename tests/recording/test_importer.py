@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.recording import import_log, read_log
 from agent.robot import load_robot
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.recording import read_log
 from agent.robot import load_robot
 from agent.robot.description import Joint, RobotDescription

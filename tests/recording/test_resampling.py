@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.recording import Log, RecordingError, read_log, resampled, write_log
 
 

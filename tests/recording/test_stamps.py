@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.estimation.filtering import FilterSettings, motions, used_text
 from agent.recording import read_log
 

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.recording import LogWriter, read_log
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -70,7 +70,7 @@ def test_a_writer_that_was_killed_at_once_leaves_a_log_that_says_so(tmp_path):
 _FILLER = """
 import resource, sys
 import numpy as np
-from agent.errors import AgentError
+from agent.core.errors import AgentError
 from agent.recording import LogWriter
 from drivers.protocol import SampleBlock
 

@@ -15,7 +15,7 @@ from mcap.records import Chunk, Metadata
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.recording import LogWriter, RecordingError, read_log
 from agent.recording.joint_state import layout_for
 

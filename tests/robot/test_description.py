@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.robot import load_robot
 
 YAML = """

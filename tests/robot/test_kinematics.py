@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.robot import KinematicsError, RobotDescription, configuration_of, kinematics_for, load_robot
 from agent.robot.configuration import Configuration, parse_configuration
 from agent.robot.dynamics import Dynamics, Tool

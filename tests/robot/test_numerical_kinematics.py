@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.robot import KinematicsError, RobotDescription, configuration_of, kinematics_for
 from agent.robot.kinematic_chain import chain_of
 from agent.robot.numerical_kinematics import NumericalKinematics

@@ -43,7 +43,7 @@ HEAVY = (
     "agent.motion.pdl2.reader",
     "agent.recipe.schema",
     "agent.robot.dynamics",
-    "agent.run",
+    "agent.runs.folder",
     "drivers.tcp",
 )
 LIMIT = 120.0  # s; a change that hangs is noticed

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.robot.collision import Box
 from agent.robot.description import Capsule, load_robot
 from agent.robot.dynamics import Dynamics, Tool

@@ -13,7 +13,7 @@ from datetime import UTC, date, datetime
 import numpy as np
 import pytest
 
-from agent.errors import ControllerError, InputError, SafetyError
+from agent.core.errors import ControllerError, InputError, SafetyError
 from agent.safety.motion import PlannedProgram
 from drivers.tcp import TcpDriver
 

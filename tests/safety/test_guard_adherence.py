@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.errors import ControllerError, InputError, SafetyError
+from agent.core.errors import ControllerError, InputError, SafetyError
 from agent.robot import load_robot
 from agent.safety.adherence import ALLOWANCE, SHARE, Adherence
 from agent.safety.motion import rest_at

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.errors import ControllerError, InputError
+from agent.core.errors import ControllerError, InputError
 from agent.motion.program import Delay, JointTarget, MotionSettings, Move, MoveType
 from agent.safety.checked import CheckedPrograms
 from agent.safety.first_run import FIRST_SPEED, slow_version, stop_to_stop

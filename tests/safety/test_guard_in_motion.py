@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.errors import AgentError, ControllerError, SafetyError
+from agent.core.errors import AgentError, ControllerError, SafetyError
 from agent.motion.program import Delay
 from agent.safety.guard import GuardedLink
 from agent.safety.motion import SETTLING, PlannedProgram, pauses

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.errors import AgentError, InputError
+from agent.core.errors import AgentError, InputError
 from agent.motion.trajectory import Trajectory
 from agent.robot import load_robot
 from agent.safety.authorisation import LONGEST

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.errors import ControllerError
+from agent.core.errors import ControllerError
 from agent.safety.guard import TEMPERATURE_INTERVAL
 from drivers.errors import DriverError
 from drivers.tcp import TcpDriver

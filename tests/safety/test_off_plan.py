@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.excitation import Candidates, LoopProblem
 from agent.motion import FlyInterpolator, ViaRegions
 from agent.motion.program import FlyTrajectory, FlyType, MotionSettings, Termination

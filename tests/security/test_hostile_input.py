@@ -16,9 +16,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from agent.console import Console, fit_to_show
-from agent.documents import LARGEST_JSON, read_json, read_yaml
-from agent.errors import InputError
+from agent.core.console import Console, fit_to_show
+from agent.core.documents import LARGEST_JSON, read_json, read_yaml
+from agent.core.errors import InputError
 from agent.recipe import examine_recipe, template
 from agent.recording import LogWriter, read_log
 from drivers.cnr_address import parse_address

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.run import write_atomically
+from agent.runs.folder import write_atomically
 from drivers.cnr_address import parse_address
 from drivers.cnr_files import ProgramFolder
 from drivers.errors import ConfigurationError, DriverError

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.safety.authorisation import Authorisation, load_authorisation
 
 NOW = datetime(2026, 6, 1, 12, tzinfo=UTC)

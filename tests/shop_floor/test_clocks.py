@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.due import too_early, wrong_clock
-from agent.history import open_history
-from agent.past_run import PastRun
-from agent.trends import watch
+from agent.runs.due import too_early, wrong_clock
+from agent.runs.history import open_history
+from agent.runs.past_run import PastRun
+from agent.runs.trends import watch
 
 NOW = datetime(2026, 6, 1, 2, 0, tzinfo=UTC)
 DAY = 86_400.0

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.history import open_history
-from agent.trends import watch
+from agent.runs.history import open_history
+from agent.runs.trends import watch
 
 RUNS = 20
 JOINTS = [f"joint_{k + 1}" for k in range(6)]

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from agent.apply import apply_run
-from agent.errors import AgentError, InputError
-from agent.history import FILE, find_run, history_json, history_table, open_history
-from agent.reports import write_index
+from agent.core.errors import AgentError, InputError
+from agent.pipeline.reports import write_index
+from agent.runs.current_model import apply_run
+from agent.runs.history import FILE, find_run, history_json, history_table, open_history
 
 
 def test_runs_with_their_parameters_in_order(write_runs):
@@ -122,7 +122,7 @@ def test_listing_loads_nothing_heavy(write_runs):
     logs = write_runs(2)
     script = (
         "import sys; sys.argv = ['agent', 'history', '--logs', sys.argv[1]]\n"
-        "from agent.cli import main\n"
+        "from agent.cli.app import main\n"
         "try: main()\nexcept SystemExit as end: assert not end.code\n"
         "heavy = {'numpy', 'scipy', 'pinocchio', 'matplotlib', 'mcap', 'rich.console'} & set(sys.modules)\n"
         "assert not heavy, heavy\n"

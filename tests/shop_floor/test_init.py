@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.init import schema_text
+from agent.pipeline.init import schema_text
 from agent.recipe import load_recipe
 
 ROOT = Path(__file__).resolve().parents[2]

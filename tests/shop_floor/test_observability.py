@@ -9,8 +9,8 @@ import pytest
 
 from agent.estimation import IdentifiedModel
 from agent.estimation.filtering import FilterSettings, motions
-from agent.observability import observability
 from agent.recording import read_log
+from agent.validation.observability import observability
 
 
 @pytest.fixture(scope="module")

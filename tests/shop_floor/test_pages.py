@@ -190,7 +190,7 @@ def test_a_rejected_calibration_names_the_axis(shop: Path, run_agent):
 
 
 def test_the_page_over_all_runs(write_runs, browse):
-    from agent.reports import write_index
+    from agent.pipeline.reports import write_index
 
     logs = write_runs(20, 2, wear=1)
     page = write_index(logs)
@@ -212,7 +212,7 @@ def test_the_browser_is_asked_the_right_question(tmp_path: Path, browse):
 
 
 def test_a_page_without_trends(write_runs, browse):
-    from agent.reports import write_index
+    from agent.pipeline.reports import write_index
 
     page = write_index(write_runs(2))
     assert "at least eight runs" in page.read_text(encoding="utf-8")

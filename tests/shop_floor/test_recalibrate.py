@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from agent.estimation import IdentifiedModel
-from agent.excitation.store import stored_loops
+from agent.runs.stored_loops import stored_loops
 
 
 def _runs(shop: Path) -> list[Path]:
@@ -139,7 +139,7 @@ def test_nobody_there_is_exit_4_and_stands_in_the_history(shop, run_agent):
 
 def test_a_busy_robot_is_exit_75(shop, run_agent, controller):
     hold = (
-        "import sys\nfrom agent.lock import robot_lock\n"
+        "import sys\nfrom agent.runs.lock import robot_lock\n"
         f"with robot_lock('tcp', '{controller.address}'):\n    print('held', flush=True)\n    sys.stdin.read()\n"
     )
     root = Path(__file__).resolve().parents[2]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from agent.history import open_history
-from agent.trends import FEWEST, parameter_trends, watch
+from agent.runs.history import open_history
+from agent.runs.trends import FEWEST, parameter_trends, watch
 
 
 def _watch(logs):

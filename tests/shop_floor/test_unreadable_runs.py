@@ -14,15 +14,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.apply import apply_previous, apply_run
-from agent.compare import compare_runs
-from agent.console import Console
-from agent.errors import AgentError, InputError
-from agent.history import FILE, find_run, history_json, history_table, open_history
-from agent.report_again import report_again
-from agent.reports import write_index
-from agent.run import RunFolder
-from agent.trends import watch
+from agent.core.console import Console
+from agent.core.errors import AgentError, InputError
+from agent.pipeline.compare import compare_runs
+from agent.pipeline.rebuild_report import report_again
+from agent.pipeline.reports import write_index
+from agent.runs.current_model import apply_previous, apply_run
+from agent.runs.folder import RunFolder
+from agent.runs.history import FILE, find_run, history_json, history_table, open_history
+from agent.runs.trends import watch
 from tests.shop_floor.conftest import friction_runs, write_run
 
 QUIET = Console(verbosity=-1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.robot.dynamics import Dynamics
 from fake_controller.actuation import EFFECTS, load_effect
 from fake_controller.plant import Plant

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.estimation import EstimationSettings, estimate
 from agent.estimation.filtering import FilterSettings, motions
 from agent.recording.log import Log

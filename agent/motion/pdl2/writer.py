@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.motion.pdl2.frames import pose_to_pos
 from agent.motion.pdl2.reader import parse_program
 from agent.motion.pdl2.tree import Constant, Pos

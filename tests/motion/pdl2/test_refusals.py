@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.motion.pdl2 import Pdl2Error, parse_program
 
 DECLARATIONS = """VAR p, q : POSITION

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.errors import InputError
+from agent.core.errors import InputError
 from agent.motion.pdl2 import parse_program, pos_to_pose, write_loop_program, write_program
 from agent.motion.program import (
     NO_FRAME,

@@ -1,0 +1,5 @@
+"""The command line: parse, call, print, exit code. No mathematics."""
+
+from agent.cli.app import main
+
+__all__ = ["main"]

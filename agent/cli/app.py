@@ -1,0 +1,370 @@
+"""Commands: parse, call, print, exit code. No mathematics, and nothing heavy imported before it is needed."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from agent.cli import shop_floor
+from agent.cli.options import (
+    AllowMixed,
+    AsJson,
+    Cutoff,
+    Force,
+    Logs,
+    Quiet,
+    RecipePath,
+    RobotOption,
+    RunsFolder,
+    Verbose,
+    Yes,
+    console_for,
+)
+from agent.core.errors import AgentError, InputError
+from agent.core.output import flush_results, open_standard_descriptors, patient_messages
+from agent.core.signals import Ended, hang_up, signals_raised
+
+_INTERRUPTED = 130
+
+app = typer.Typer(
+    name="agent",
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(version("calibration-agent"))
+        raise typer.Exit
+
+
+@app.callback()
+def agent(
+    version: Annotated[
+        bool, typer.Option("--version", help="print the version and exit", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Calibrate the dynamics of an industrial robot where it works, and say why simulation and robot disagree."""
+
+
+@app.command()
+def init(
+    recipe: Annotated[Path, typer.Argument(metavar="[RECIPE]", help="file to write")] = Path("recipe.yaml"),
+    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")] = None,
+    driver: Annotated[str | None, typer.Option("--driver", metavar="NAME", help="driver of the link")] = None,
+    controller: Annotated[str | None, typer.Option("--controller", metavar="ADDRESS", help="of the controller")] = None,
+    centre: Annotated[str | None, typer.Option("--centre", metavar="X,Y,Z", help="of the sub-region")] = None,
+    size: Annotated[str | None, typer.Option("--size", metavar="X,Y,Z", help="of the sub-region")] = None,
+    orientation: Annotated[str | None, typer.Option("--orientation", metavar="A,E,R", help="of the tool")] = None,
+    cone: Annotated[str | None, typer.Option("--cone", metavar="ANGLE", help="how far the tool may lean")] = None,
+) -> None:
+    """Write a commented recipe; what no option says is asked on a terminal."""
+    from agent.pipeline.init import write_recipe
+
+    given = {"robot": robot, "driver": driver, "controller": controller, "centre": centre, "size": size}
+    print(write_recipe(recipe, {**given, "orientation": orientation, "cone": cone}))
+    print(f"next: agent check {recipe} (moves nothing)", file=sys.stderr)
+
+
+@app.command()
+def check(recipe: RecipePath, as_json: AsJson = False, verbose: Verbose = False, quiet: Quiet = False) -> None:
+    """Validate recipe, reach, limits and cell, and ping the controller. Moves nothing."""
+    from agent.core.console import print_json
+    from agent.pipeline.check import check_recipe
+
+    findings = check_recipe(recipe, console_for(verbose, quiet))
+    if as_json:
+        print_json(findings.to_dict())
+    else:
+        print(findings.text())
+    raise typer.Exit(findings.exit_code)
+
+
+@app.command()
+def plan(
+    recipe: RecipePath,
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="folder for the plan")] = None,
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Search for the via-points only: trajectory, margins to every limit, the .pdl. Opens no port."""
+    from agent.core.console import print_json
+    from agent.pipeline.plan import plan_recipe
+    from agent.recipe import load_recipe
+
+    loaded = load_recipe(recipe)
+    result = plan_recipe(loaded, out or Path(f"{recipe.stem}_plan"), console_for(verbose, quiet))
+    if as_json:
+        print_json(result.to_dict())
+    else:
+        print(result.text())
+
+
+@app.command()
+def calibrate(
+    recipe: RecipePath,
+    resume: Annotated[
+        str | None, typer.Option("--resume", metavar="RUN", help="go on with a stopped run: its folder, or its name")
+    ] = None,
+    logs: RunsFolder = Path("logs"),
+    yes: Yes = False,
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """The whole job: plan, program, send, record, filter, estimate, validate, report. Prints the run folder."""
+    from agent.core.console import print_json
+    from agent.pipeline.calibrate import calibrate as run_job
+    from agent.recipe import load_recipe
+    from agent.runs.history import find_run
+
+    console = console_for(verbose, quiet)
+    stopped = None if resume is None else find_run(logs, resume)
+    outcome = run_job(load_recipe(recipe), console, logs=logs, resume=stopped, yes=yes)
+    if as_json:
+        print_json(outcome.result)
+    else:
+        print(outcome.summary(), file=sys.stderr)
+        print(outcome.run)
+    raise typer.Exit(0 if outcome.accepted else 3)
+
+
+@app.command()
+def record(
+    recipe: RecipePath,
+    program: Annotated[Path, typer.Option("--program", metavar="P", help="PDL2 program to run")],
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="LOG", help="log to write")] = None,
+    yes: Yes = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Send a program, run it and record the motion."""
+    from agent.link.record import record_program_file
+    from agent.recipe import load_recipe
+
+    log = out or program.with_suffix(".mcap")
+    recorded = record_program_file(load_recipe(recipe), program, log, console_for(verbose, quiet), yes=yes)
+    print(recorded.path)
+
+
+@app.command()
+def estimate(
+    logs: Logs,
+    robot: RobotOption,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL", help="model file to write")],
+    cutoff: Cutoff = None,
+    method: Annotated[str | None, typer.Option("--method", help="estimator; chosen on held-out data if absent")] = None,
+    export: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="also write URDF, MuJoCo model and friction file (of a consistent fit)"),
+    ] = None,
+    allow_mixed: AllowMixed = False,
+    force: Force = False,
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Filter and estimate from logs. Writes the model file."""
+    from agent.core.console import print_json
+    from agent.pipeline.identify import estimate_files
+
+    model, text = estimate_files(
+        robot, logs, out, cutoff, method, console_for(verbose, quiet), export, allow_mixed, force
+    )
+    if as_json:
+        print_json(model)
+    else:
+        print(text)
+
+
+@app.command()
+def validate(
+    logs: Logs,
+    model: Annotated[Path, typer.Option("--model", metavar="MODEL", help="model file")],
+    cutoff: Cutoff = None,
+    allow_mixed: AllowMixed = False,
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Predict the torque of logs that were not used in the fit."""
+    from agent.core.console import print_json
+    from agent.pipeline.identify import validate_files, validation_text
+
+    result = validate_files(model, logs, cutoff, console_for(verbose, quiet), allow_mixed)
+    if as_json:
+        print_json(result)
+    else:
+        print(validation_text(result))
+
+
+@app.command()
+def diagnose(
+    logs: Annotated[list[Path] | None, typer.Argument(metavar="LOG...", help="MCAP logs")] = None,
+    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")] = None,
+    model: Annotated[
+        Path | None, typer.Option("--model", metavar="MODEL", help="the model that is the simulator")
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option("--record", metavar="RECIPE", help="record first: the recipe's motions, no logs")
+    ] = None,
+    cutoff: Cutoff = None,
+    without: Annotated[
+        list[str] | None, typer.Option("--without", metavar="EFFECT", help="leave an effect out of the catalogue")
+    ] = None,
+    allow_mixed: AllowMixed = False,
+    force: Force = False,
+    as_json: AsJson = False,
+    report: Annotated[Path | None, typer.Option("--report", metavar="OUT.html", help="page to write")] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="MODEL", help="model file to write, with the effects found")
+    ] = None,
+    runs: Annotated[Path, typer.Option("--logs", metavar="DIR", help="where a recorded run is kept")] = Path("logs"),
+    yes: Yes = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """The gap between model and robot: where it lies, which effect causes it, how far it shrinks."""
+    from agent.core.console import print_json
+    from agent.pipeline.diagnose import Question, diagnose_files, diagnose_recording, diagnosis_text
+
+    question = Question(model, cutoff, tuple(without or ()), report, out, allow_mixed, force)
+    console = console_for(verbose, quiet)
+    if record is not None:
+        if logs or robot:
+            raise InputError("diagnose: --record records its own logs of the recipe's robot: leave out LOG and --robot")
+        result = diagnose_recording(record, question, console, runs, yes)
+    elif not logs or not robot:
+        raise InputError("diagnose: name the robot and the logs (--robot R LOG...), or a recipe to record (--record)")
+    else:
+        result = diagnose_files(robot, logs, question, console)
+    if as_json:
+        print_json(result)
+    else:
+        print(diagnosis_text(result))
+
+
+@app.command("blind-check")
+def blind_check(
+    cases: Annotated[int, typer.Option("--cases", metavar="N", help="runs to make")] = 400,
+    seed: Annotated[int, typer.Option("--seed", metavar="S", help="of everything that is drawn")] = 1,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="folder, gone on with")] = Path("blind_check"),
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Runs of the fake controller with a withheld effect, diagnosed without the key, then scored."""
+    from agent.blind_check import BlindCheck
+    from agent.blind_check.report import summary_text
+    from agent.core.console import print_json
+
+    scores = BlindCheck(cases, seed, out).run(console_for(verbose, quiet))
+    if as_json:
+        print_json(scores)
+    else:
+        print(summary_text(scores))
+
+
+@app.command()
+def trajectories(as_json: AsJson = False) -> None:
+    """Stored loops, by robot, tool, sub-region and checksum."""
+    from agent.core.console import print_json
+    from agent.excitation import stored_loops
+
+    damaged: list[str] = []
+    loops = stored_loops(damaged=damaged)
+    for said in damaged:
+        print(f"agent: {said}", file=sys.stderr)
+    if as_json:
+        print_json({"schema": "trajectories/1", "trajectories": [loop.to_dict() for loop in loops]})
+        return
+    for loop in loops:
+        print(loop.line())
+    if not loops and not damaged:
+        print("no stored loops yet: `agent plan` and `agent calibrate` keep what they find", file=sys.stderr)
+
+
+@app.command("import")
+def import_(
+    files: Annotated[list[Path], typer.Argument(metavar="IN... OUT.mcap", help="tables, then the log to write")],
+    robot: RobotOption,
+    mapping: Annotated[Path, typer.Option("--map", metavar="MAP.yaml", help="which column is what")],
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Turn columns of CSV, MAT or Parquet files into a log."""
+    from agent.pipeline.identify import import_files
+
+    if len(files) < 2:
+        raise InputError("import: name at least one table and the log to write: agent import … IN OUT.mcap")
+    for note in import_files(robot, mapping, files[:-1], files[-1]):
+        console_for(verbose, quiet).say(note)
+    print(files[-1])
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []})
+def emulator(context: typer.Context) -> None:
+    """Start the fake controller as a process of its own (`agent emulator --help` for its options)."""
+    os.execv(sys.executable, [sys.executable, "-m", "fake_controller", *context.args])
+
+
+app.registered_commands += shop_floor.app.registered_commands
+
+
+def main() -> None:
+    """Entry point: runs the command and turns every error into one message and its exit code."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    open_standard_descriptors()
+    with signals_raised(), patient_messages(hang_up):
+        _run()
+
+
+def _run() -> None:
+    try:
+        code = app(standalone_mode=False)
+        if code == _INTERRUPTED:  # typer's word for a KeyboardInterrupt
+            raise KeyboardInterrupt
+        flush_results()
+    except (KeyboardInterrupt, typer.Abort):
+        _fail("interrupted", _INTERRUPTED)
+    except Ended as end:
+        _fail(str(end), end.exit_code)
+    except AgentError as error:
+        _fail(str(error), error.exit_code)
+    except Exception as error:
+        _unexpected(error)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _unexpected(error: Exception) -> None:
+    code = getattr(error, "exit_code", None)
+    if isinstance(code, int):  # the errors of click and of the drivers
+        show = getattr(error, "show", None)
+        if show is not None:
+            show()
+            sys.exit(code)
+        _fail(str(error), code)
+    if isinstance(error, OSError) and error.filename is not None:
+        _fail(f"{error.filename}: {error.strerror}", 1)
+    import traceback
+
+    traceback.print_exc()
+    _fail("internal error: this is a fault of the agent; the lines above say where", 1)
+
+
+def _fail(message: str, code: int) -> None:
+    from agent.core.console import fit_to_show
+
+    print(f"agent: {fit_to_show(message)}", file=sys.stderr)
+    sys.exit(code)

@@ -1,0 +1,192 @@
+"""Commands of the shop floor: again by the clock, past runs, the current model, pages."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from agent.cli.options import (
+    AsJson,
+    Authorised,
+    Quiet,
+    RecipePath,
+    RunArgument,
+    RunsFolder,
+    Serial,
+    Verbose,
+    Yes,
+    console_for,
+)
+from agent.core.errors import InputError
+
+app = typer.Typer()
+
+
+@app.command()
+def recalibrate(
+    recipe: RecipePath,
+    logs: RunsFolder = Path("logs"),
+    authorisation: Authorised = None,
+    yes: Yes = False,
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """For cron and timers: run the stored loop again, re-estimate, judge, and keep what is accepted. No search."""
+    from agent.core.console import print_json
+    from agent.pipeline.recalibrate import recalibrate as run_job
+    from agent.recipe import load_recipe
+    from agent.safety.authorisation import load_authorisation
+
+    allowed = None if authorisation is None else load_authorisation(authorisation)
+    outcome = run_job(load_recipe(recipe), console_for(verbose, quiet), logs, yes, allowed)
+    if as_json:
+        print_json(outcome.result or {"schema": "recalibration/1", "skipped": outcome.skipped})
+    else:
+        if outcome.run is not None:
+            print(outcome.summary(), file=sys.stderr)
+        print(outcome.run or outcome.summary())
+    raise typer.Exit(0 if outcome.accepted else 3)
+
+
+@app.command()
+def schedule(
+    recipe: RecipePath,
+    logs: RunsFolder = Path("logs"),
+    at: Annotated[str, typer.Option("--at", metavar="HH:MM", help="time of day")] = "02:00",
+    authorisation: Authorised = None,
+    install: Annotated[bool, typer.Option("--install", help="write the systemd units of this user")] = False,
+) -> None:
+    """Print (or install) a systemd service and timer, and a crontab line, that recalibrate by the clock."""
+    from agent.pipeline.schedule import install as write_units
+    from agent.pipeline.schedule import make_schedule, next_steps
+    from agent.recipe import load_recipe
+    from agent.safety.authorisation import load_authorisation
+
+    if authorisation is None:
+        print("without --authorisation FILE, nothing but an emulator on this computer will move", file=sys.stderr)
+    else:
+        load_authorisation(authorisation)
+    made = make_schedule(load_recipe(recipe), logs, Path.cwd(), at, authorisation)
+    if not install:
+        print(made.text(), end="")
+        return
+    for path in write_units(made):
+        print(path)
+    print(next_steps(made), file=sys.stderr)
+
+
+@app.command()
+def history(
+    logs: RunsFolder = Path("logs"),
+    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="runs of this robot only")] = None,
+    serial: Serial = None,
+    as_json: AsJson = False,
+) -> None:
+    """Past runs: what they found, and what the gate said."""
+    from agent.runs.current_model import current_runs
+    from agent.runs.history import history_json, history_table, open_history
+
+    with open_history(logs) as past:
+        runs = past.runs(robot, serial)
+        current, lost = current_runs(logs)
+        future = [f"{run.run}: dated in the future; the trends leave it out" for run in runs if run.in_future()]
+        for doubtful in (*past.damaged, *lost, *future):
+            print(f"agent: {doubtful}", file=sys.stderr)
+        if as_json:
+            import json
+
+            from agent.runs.trends import watch
+
+            data = {**history_json(past, runs, current), "watch": [one.to_dict() for one in watch(runs)]}
+            print(json.dumps(data))
+            return
+    print(history_table(runs, current))
+    if not runs and not past.damaged:
+        print("no runs yet: `agent calibrate RECIPE` makes the first", file=sys.stderr)
+
+
+@app.command()
+def compare(
+    before: RunArgument,
+    after: RunArgument,
+    logs: RunsFolder = Path("logs"),
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Which parameters moved between two runs by more than their uncertainty, and what that does to torque."""
+    from agent.core.console import print_json
+    from agent.pipeline.compare import compare_runs
+    from agent.runs.history import find_run
+
+    result = compare_runs(find_run(logs, before), find_run(logs, after), console_for(verbose, quiet))
+    if as_json:
+        print_json(result.to_dict())
+    else:
+        print(result.text())
+
+
+@app.command()
+def report(
+    run: Annotated[str | None, typer.Argument(metavar="[RUN]", help="run folder, or its name")] = None,
+    index: Annotated[bool, typer.Option("--index", help="a page over all runs, with the trends")] = False,
+    logs: RunsFolder = Path("logs"),
+    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="with --index: of this robot only")] = None,
+    serial: Serial = None,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make the HTML page of a run again, or the page over all runs. Prints its path."""
+    from agent.pipeline.rebuild_report import report_again
+    from agent.pipeline.reports import write_index
+    from agent.runs.history import find_run
+
+    if (run is None) == (not index):
+        raise InputError("report: name a run, or give --index for the page over all of them")
+    if run is None:
+        print(write_index(logs, robot, serial))
+    else:
+        print(report_again(find_run(logs, run), console_for(verbose, quiet)))
+
+
+@app.command()
+def export(
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help="model file")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="folder to write to")],
+) -> None:
+    """Write a model as URDF, MuJoCo model and friction file for other programs. Prints their paths."""
+    from agent.estimation import IdentifiedModel
+    from agent.model.export import export_model
+
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is a file; name a folder to write to")
+    for path in export_model(IdentifiedModel.load(model), out):
+        print(path)
+
+
+@app.command()
+def apply(
+    run: Annotated[str | None, typer.Argument(metavar="[RUN]", help="run folder, or its name")] = None,
+    previous: Annotated[bool, typer.Option("--previous", help="back to the model before")] = False,
+    logs: RunsFolder = Path("logs"),
+    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="with --previous: of this robot")] = None,
+    serial: Serial = None,
+    as_json: AsJson = False,
+) -> None:
+    """Make a run's model the robot's current one. Writes to no controller."""
+    from agent.core.console import print_json
+    from agent.runs.current_model import apply_previous, apply_run
+    from agent.runs.history import find_run
+
+    if (run is None) == (not previous):
+        raise InputError("apply: name the run whose model shall be current, or give --previous")
+    applied = apply_previous(logs, robot, serial) if run is None else apply_run(logs, find_run(logs, run))
+    if as_json:
+        print_json(applied.to_dict())
+    else:
+        print(f"{applied.robot} {applied.serial}: the current model is that of {applied.run}", file=sys.stderr)
+        print(applied.model)

@@ -1,0 +1,125 @@
+"""What a person sees while the agent works: messages on stderr, results on stdout."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+from agent.core.output import PatientStream, patient
+from drivers.texts import hide, hide_all, printable
+
+#: Characters of one message; a recipe with many faults has some thousands.
+LONGEST = 20_000
+
+
+class Console:
+    """Progress and messages. Nobody who tells something waits for whoever reads it; `agent.core.output` says how.
+
+    On a terminal a running step rewrites its line; elsewhere it prints a line at most every `interval` seconds, so
+    a log file stays readable and a waiting person still sees that something moves.
+
+    Args:
+        verbosity: -1 quiet (warnings and results only), 0 normal, 1 verbose.
+    """
+
+    def __init__(self, verbosity: int = 0, interval: float = 5.0, clock: Callable[[], float] = time.monotonic):
+        from rich.console import Console as RichConsole
+
+        self.verbosity = verbosity
+        self._interval = interval
+        self._clock = clock
+        self._rich = RichConsole(file=_Messages(), highlight=False, soft_wrap=True)  # type: ignore[arg-type]
+        self._begin = clock()
+        self._last = -float("inf")
+        self._open_line = False
+
+    def step(self, title: str) -> None:
+        """A stage begins."""
+        self._last = -float("inf")
+        self.say(title)
+
+    def progress(self, text: str) -> None:
+        """The running stage has come this far; shown now and then."""
+        if self.verbosity < 0:
+            return
+        now = self._clock()
+        if self._rich.is_terminal:
+            if now - self._last > 0.1:
+                stream, line = patient(sys.stderr), f"\r\033[K{self._stamp()}   {fit_to_show(text)}"
+                if isinstance(stream, PatientStream):
+                    stream.progress(line)
+                else:
+                    stream.write(line)
+                self._open_line = True
+                self._last = now
+        elif now - self._last >= self._interval:
+            self._print(f"  {text}")
+            self._last = now
+
+    def say(self, text: str) -> None:
+        """A message; left out with -q."""
+        if self.verbosity >= 0:
+            self._print(text)
+
+    def detail(self, text: str) -> None:
+        """A message for -v."""
+        if self.verbosity > 0:
+            self._print(f"  {text}")
+
+    def warn(self, text: str) -> None:
+        """Something the user should know; always shown."""
+        self._print(f"warning: {text}", style="yellow")
+
+    def confirm(self, question: str) -> bool:
+        """Ask a person; without a terminal nobody can answer, which is no."""
+        if not (sys.stdin.isatty() and patient(sys.stderr).isatty()):
+            return False
+        self._rich.print(f"{fit_to_show(question)} [y/N] ", end="", markup=False)
+        patient(sys.stderr).drain()
+        return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+    def _print(self, text: str, style: str | None = None) -> None:
+        if self._open_line:
+            self._rich.file.write("\r\033[K")
+            self._open_line = False
+        self._rich.print(f"{self._stamp()} {fit_to_show(text)}", style=style, markup=False)
+
+    def _stamp(self) -> str:
+        return f"[{self._clock() - self._begin:6.1f} s]"
+
+
+class _Messages:
+    """Where messages go at the moment: whoever replaces `sys.stderr` gets them."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(patient(sys.stderr), name)
+
+
+def print_json(data: Any) -> None:
+    """One JSON object on stdout; a number that is not finite becomes null."""
+    sys.stdout.write(hide(json.dumps(finite(data), indent=2)) + "\n")
+
+
+def fit_to_show(text: str) -> str:
+    """A message for a terminal: no passwords, no control characters, and not without end."""
+    return printable(hide_all(text), LONGEST, lines=True)
+
+
+def finite(data: Any) -> Any:
+    """The same data as plain JSON types: arrays as lists, NaN and infinity as None."""
+    import numpy as np
+
+    if isinstance(data, dict):
+        return {str(key): finite(value) for key, value in data.items()}
+    if isinstance(data, (list, tuple)):
+        return [finite(value) for value in data]
+    if isinstance(data, np.ndarray):
+        return finite(data.tolist())
+    if isinstance(data, np.generic):
+        return finite(data.item())
+    if isinstance(data, float) and not np.isfinite(data):
+        return None
+    return data

@@ -1,0 +1,270 @@
+"""YAML documents read into pydantic models, with every fault named by file, line and key."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import difflib
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from agent.core.errors import InputError
+from drivers.texts import hide_all, printable
+
+Model = TypeVar("Model", bound=BaseModel)
+#: Lists and mappings within each other; more is no document of ours, and costs a parser seconds.
+DEEPEST = 50
+#: Bytes of a YAML file, characters of one value in it, and values once every alias is written out.
+LARGEST_YAML, LONGEST_VALUE, MOST_VALUES = 256 << 10, 10_000, 100_000
+#: Bytes of a JSON file; the largest that the agent writes, a model with its covariance, has a few million.
+LARGEST_JSON = 64 << 20
+#: Characters of a key or of a fault that are shown.
+_SHOWN = 600
+
+
+def load_document(path: Path, model: type[Model]) -> Model:
+    """Read a YAML file into `model`.
+
+    Raises:
+        InputError: the file is missing, is not YAML, or breaks the model; every fault is listed as
+            ``file:line: key: what is wrong``.
+    """
+    return validate_document(path, read_yaml(path), model)
+
+
+def read_yaml(path: Path) -> Any:
+    """Parse a YAML 1.2 file; mappings keep the line of each key (ruamel's round-trip types).
+
+    Raises:
+        InputError: missing, unreadable or malformed file.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+    text = read_text(Path(path), LARGEST_YAML)
+    try:
+        _bounded(path, YAML(typ="rt").parse(text))
+        data = YAML(typ="rt").load(text)
+    except InputError:
+        raise
+    except MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 1
+        raise InputError(f"{path}:{line}: not valid YAML: {error.problem}") from None
+    except YAMLError as error:
+        raise InputError(f"{path}: not valid YAML: {error}") from None
+    except Exception as error:  # ruamel raises plain Python errors for dates, tags and depths that it cannot build
+        what = "a number of too many digits" if "integer string conversion" in str(error) else str(error)[:_SHOWN]
+        raise InputError(f"{path}: not valid YAML: {type(error).__name__}: {what}") from None
+    if data is None:
+        raise InputError(f"{path}: the file is empty")
+    return data
+
+
+def read_text(path: Path, largest: int) -> str:
+    """A text file that a person wrote.
+
+    Args:
+        largest: bytes; a longer file is not read.
+
+    Raises:
+        InputError: missing, unreadable, not UTF-8 or too long.
+    """
+    try:
+        with open(path, "rb") as file:
+            data = file.read(largest + 1)
+        if len(data) > largest:
+            raise InputError(f"{path}: longer than {largest >> 10} KiB; is it the right file?")
+        return data.decode("utf-8")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, ValueError) as error:  # not UTF-8, or a name with a null byte
+        raise InputError(f"{path}: cannot be read as text: {error}") from None
+
+
+def _bounded(path: Path, events: Iterable[Any]) -> None:
+    """A YAML document stays small when it is built.
+
+    Raises:
+        InputError: nested too deep, a value that is too long, or aliases that grow into too many values.
+    """
+    from ruamel.yaml import events as kinds
+
+    sizes: dict[str, int] = {}
+    open_ones: list[tuple[str | None, int]] = []  # anchor, and values before it
+    total = 0
+    for event in events:
+        line = event.start_mark.line + 1
+        anchor = getattr(event, "anchor", None)
+        if isinstance(event, kinds.AliasEvent):
+            if any(anchor == name for name, _ in open_ones):
+                raise InputError(f"{path}:{line}: *{anchor[:40]} stands within what it names")
+            total += sizes.get(anchor, 0)
+        elif isinstance(event, kinds.ScalarEvent):
+            if len(event.value) > LONGEST_VALUE:
+                raise InputError(
+                    f"{path}:{line}: a value of {len(event.value)} characters; {LONGEST_VALUE} are allowed"
+                )
+            total += 1
+            if anchor:
+                sizes[anchor] = 1
+        elif isinstance(event, kinds.CollectionStartEvent):
+            open_ones.append((anchor, total))
+            total += 1
+            if len(open_ones) > DEEPEST:
+                raise InputError(
+                    f"{path}:{line}: lists and mappings are nested more than {DEEPEST} deep; a bracket missing?"
+                )
+        elif isinstance(event, kinds.CollectionEndEvent):
+            name, before = open_ones.pop()
+            if name:
+                sizes[name] = total - before
+        if total > MOST_VALUES:
+            raise InputError(f"{path}:{line}: more than {MOST_VALUES} values, aliases written out; leave aliases out")
+
+
+def read_json(path: Path, largest: int = LARGEST_JSON) -> Any:
+    """Parse a JSON file that the agent, or somebody else, wrote.
+
+    Args:
+        largest: bytes; a longer file is not read.
+
+    Raises:
+        InputError: missing, unreadable, not UTF-8, not JSON, nested too deep, or too long.
+    """
+    try:
+        if path.exists() and not path.is_file():  # whoever opens a pipe waits for ever
+            raise ValueError("it is no file")
+        with open(path, "rb") as file:
+            data = file.read(largest + 1)
+        if len(data) > largest:
+            raise ValueError(f"it is longer than {largest >> 20} MiB")
+        return json.loads(data.decode("utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except RecursionError:
+        raise InputError(f"{path}: damaged: lists and objects are nested too deep") from None
+    except ValueError as error:  # text that is no UTF-8 or no JSON, a number of thousands of digits
+        raise InputError(f"{path}: damaged: {str(error)[:200]}") from None
+
+
+def validate_document(path: Path, data: Any, model: type[Model]) -> Model:
+    """Validate what `read_yaml` returned.
+
+    Raises:
+        InputError: with one line per fault.
+    """
+    faults = find_faults(path, data, model)
+    if faults:
+        raise InputError("\n".join(faults.values()))
+    return model.model_validate(data)
+
+
+def find_faults(path: Path, data: Any, model: type[BaseModel]) -> dict[tuple[Any, ...], str]:
+    """What is wrong with what `read_yaml` returned: a line for people by the location of each fault."""
+    if not isinstance(data, dict):
+        return {(): f"{path}:1: a mapping of keys is expected, not {type(data).__name__}"}
+    try:
+        model.model_validate(data)
+    except ValidationError as error:
+        return {_location(fault): _describe(path, data, model, fault) for fault in error.errors()}
+    return {}
+
+
+def without_faults(data: Any, faults: Iterable[tuple[Any, ...]]) -> Any:
+    """A copy of a document in which the faulty keys are missing; where one is missing already, what should hold it."""
+    there = {location[: _depth(data, location)] for location in faults}
+    kept = copy.deepcopy(data)
+    # from the end, so that the places in a list still are what they were
+    for *above, last in sorted((place for place in there if place), key=_in_order, reverse=True):
+        holder = kept
+        with contextlib.suppress(KeyError, IndexError, TypeError):  # gone with what held it
+            for key in above:
+                holder = holder[key]
+            del holder[last]
+    return kept
+
+
+def line_of(data: Any, location: tuple[Any, ...]) -> int:
+    """Line (from 1) of the deepest part of `location` that the document has."""
+    line = 1
+    for key in location:
+        try:
+            position = data.lc.data[key]
+            data = data[key]
+        except (AttributeError, KeyError, TypeError, IndexError):
+            break
+        line = position[0] + 1
+    return line
+
+
+def _depth(data: Any, location: tuple[Any, ...]) -> int:
+    """How many keys of `location` lead somewhere."""
+    for depth, key in enumerate(location):
+        try:
+            data = data[key]
+        except (KeyError, IndexError, TypeError):
+            return depth
+    return len(location)
+
+
+def _in_order(location: tuple[Any, ...]) -> list[tuple[bool, Any]]:
+    return [(isinstance(key, str), key) for key in location]
+
+
+def _describe(path: Path, data: Any, model: type[BaseModel], fault: Any) -> str:
+    location = _location(fault)
+    message = fault["msg"].removeprefix("Value error, ")
+    if fault["type"] == "extra_forbidden":
+        allowed = _keys_at(model, location[:-1])
+        message = f"unknown key; allowed are {', '.join(allowed)}" if allowed else "unknown key"
+        close = difflib.get_close_matches(str(location[-1]), allowed, 1)
+        if close:
+            message += f" (did you mean {close[0]}?)"
+    elif fault["type"] == "missing":
+        message = "this key is required and missing"
+    elif fault["type"] in ("model_type", "model_attributes_type"):
+        message = f"a mapping is expected; its keys are {', '.join(_keys_at(model, location))}"
+    else:
+        got = _shown(fault.get("input"))
+        if got and got not in message:
+            message += f" (got {got})"
+    key = printable(".".join(str(part) for part in location) or "document", _SHOWN)
+    return f"{path}:{line_of(data, location)}: {key}: {printable(hide_all(message), _SHOWN)}"
+
+
+def _shown(value: Any) -> str:
+    """A plain value as it was written; nothing for others."""
+    if isinstance(value, int) and not isinstance(value, bool) and value.bit_length() > 256:
+        return "a number of very many digits"
+    return repr(value) if isinstance(value, (str, int, float, bool)) else ""
+
+
+def _location(fault: Any) -> tuple[Any, ...]:
+    return tuple(part for part in fault["loc"] if not (isinstance(part, str) and part.startswith("function-")))
+
+
+def _keys_at(model: Any, location: tuple[Any, ...]) -> list[str]:
+    for part in location:
+        if isinstance(part, int):
+            continue
+        fields = {field.alias or name: field for name, field in getattr(model, "model_fields", {}).items()}
+        if part not in fields:
+            return []
+        model = _model_in(fields[part].annotation)
+    return [field.alias or name for name, field in getattr(model, "model_fields", {}).items()]
+
+
+def _model_in(annotation: Any) -> Any:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for argument in getattr(annotation, "__args__", ()):
+        found = _model_in(argument)
+        if found is not None:
+            return found
+    return None

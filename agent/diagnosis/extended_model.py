@@ -1,0 +1,33 @@
+"""A model with the effects that a diagnosis found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from agent.model.identified import IdentifiedModel, ModelEffect
+
+if TYPE_CHECKING:
+    from agent.diagnosis.result import Diagnosis
+
+
+def extended_model(diagnosis: Diagnosis, without: int | None = None, once: bool = False) -> IdentifiedModel:
+    """The model with the effects found, its parameters moved as far as the fit with them moved them.
+
+    Args:
+        without: fitted to all logs but this one; to all of them if None.
+        once: with what happened once (a contact), which another motion knows nothing of.
+    """
+    fit, model = diagnosis.finding.fit, diagnosis.dataset.model
+    names = model.robot.joint_names
+    change, fitted = fit.fitted(None if without is None else fit.folds[without])
+    effects = tuple(
+        ModelEffect(
+            candidate.effect.name,
+            tuple(names[j] for j in candidate.joints),
+            {**candidate.settings, **dict(zip(candidate.names, map(float, values), strict=True))},
+        )
+        for candidate, values in zip(fit.chosen, fitted, strict=True)
+        if once or not candidate.effect.once
+    )
+    return replace(model, values=model.values + change, effects=(*model.effects, *effects))

@@ -1,0 +1,66 @@
+"""Which forms are alike: by kind, by what they equal, and by how simple they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from agent.diagnosis.fit import Candidate, Score
+from agent.model.effects import Effect
+
+#: One physical change comes before a general refit, a torque of its own before a shape that could be anything.
+_PLAIN_FIRST = {"inertial_mismatch": 8, "dress_pack": 1, "thermal_friction": 1, "contact": 1}
+
+#: Shapes over speed and over position: two of one kind on one joint would only imitate a third.
+_KINDS = (
+    {
+        "stribeck",
+        "asymmetric_friction",
+        "load_dependent_friction",
+        "viscous_nonlinearity",
+        "thermal_friction",
+        "presliding",
+        "friction_change",
+        "torque_constant",
+    },
+    {"torque_offset", "gravity_spring", "dress_pack", "asymmetric_friction"},
+    {"joint_elasticity", "backlash"},
+    {"payload", "inertial_mismatch"},
+)
+
+
+def plausible(score: Score) -> bool:
+    """Whether the fitted parameters can be true."""
+    candidate = score.candidate
+    return candidate.effect.plausible(candidate.settings, dict(zip(candidate.names, score.values, strict=True)))
+
+
+def twins(candidate: Candidate, score: Score) -> bool:
+    """Whether a score is of a form that equals a cause's unless the data tell them apart, and possible."""
+    other = score.candidate
+    there = other.joints == candidate.joints or () in (other.joints, candidate.joints)
+    return there and other.effect.name in candidate.effect.twins and plausible(score)
+
+
+def imitates(chosen: Sequence[Candidate], score: Score) -> bool:
+    """Whether one of the chosen effects has a shape of the same kind on the same joint."""
+    name = score.candidate.effect.name
+    return any(
+        c.joints == score.candidate.joints and any({name, c.effect.name} <= kind for kind in _KINDS) for c in chosen
+    )
+
+
+def best_by_place(scores: Sequence[Score]) -> dict[tuple[str, tuple[int, ...]], Score]:
+    """Of every place the settings that gain most, possible ones first."""
+    best: dict = {}
+    for score in scores:
+        place = score.candidate.place
+        rank = (plausible(score), score.gain)
+        if place not in best or rank > (plausible(best[place]), best[place].gain):
+            best[place] = score
+    return best
+
+
+def complexity(candidate: Candidate) -> int:
+    """Number of parameters, with a surcharge for what could be anything."""
+    effect: Effect = candidate.effect
+    return effect.freedom(candidate.settings) + _PLAIN_FIRST.get(effect.name, 0)

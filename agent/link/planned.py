@@ -1,0 +1,87 @@
+"""What a program will do: its set-points from stop to stop, checked against the cell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agent.core.errors import InputError
+from agent.recipe import Recipe
+
+if TYPE_CHECKING:
+    from agent.motion.program import Statement
+    from agent.motion.trajectory import Trajectory
+
+
+def plan_statements(recipe: Recipe, text: str, path: str, start: np.ndarray) -> tuple[str, list[Trajectory]]:
+    """Name of a PDL2 program, and its set-points from stop to stop when the arm stands at `start` (n,).
+
+    Raises:
+        Pdl2Error: the text is not the motion subset of PDL2.
+        MotionError: it breaks a limit.
+    """
+    from agent.motion import create_interpolator
+    from agent.motion.pdl2 import parse_program
+
+    program = parse_program(text, path, recipe.robot)
+    interpolator = create_interpolator(
+        recipe.search.interpolator, recipe.robot, recipe.tool, period=1.0 / recipe.record.rate
+    )
+    chains: list[Trajectory] = []
+    known: dict[tuple, Trajectory] = {}
+    for moves in _stop_to_stop(program.run()):
+        key = (_chain_key(moves), np.round(start, 9).tobytes())
+        if key not in known:
+            known[key] = interpolator.plan(moves, start)
+        if np.ptp(known[key].q, axis=0).any():
+            chains.append(known[key])
+            start = known[key].q[-1]
+    return program.name, chains
+
+
+def check_cell(recipe: Recipe, trajectory: Trajectory) -> None:
+    """The arm keeps clear of itself and of the keep-out boxes along a trajectory, and could stop on its way.
+
+    Raises:
+        InputError: names where, what touches what, and how deep.
+    """
+    report = _cell(recipe).check_with_stopping(trajectory, margin=recipe.motion.settings.fly_distance)
+    if report.collision is not None:
+        raise InputError(
+            f"{report.collision}: move or shrink motion.via_points, or move the arm to another start position"
+        )
+
+
+def _stop_to_stop(statements: Iterator[Statement]) -> Iterator[list[Statement]]:
+    from agent.motion.program import Move
+
+    pending: list[Statement] = []
+    for statement in statements:
+        if not isinstance(statement, Move):
+            continue  # a DELAY is a rest between two stretches of motion
+        pending.append(statement)
+        if not statement.fly:
+            yield pending
+            pending = []
+    if pending:
+        yield pending
+
+
+def _chain_key(moves: list[Statement]) -> tuple:
+    def target(value: Any) -> tuple:
+        if value is None:
+            return ()
+        array = value.pose if hasattr(value, "pose") else value.position
+        return (type(value).__name__, np.asarray(array).tobytes(), getattr(value, "configuration", ""))
+
+    return tuple((m.type, m.fly, m.settings, target(m.target), target(m.via)) for m in moves)
+
+
+@lru_cache(maxsize=4)
+def _cell(recipe: Recipe) -> Any:
+    from agent.safety.cell import Cell
+
+    return Cell(recipe.robot, recipe.tool, recipe.cell.keep_out, recipe.cell.joint_ranges)

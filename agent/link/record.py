@@ -1,0 +1,369 @@
+"""Send a program, run it once and record its motion: one log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agent.core.console import Console
+from agent.link.controller import create_driver, torque_facts
+from agent.recipe import Recipe
+from agent.runs.lock import robot_lock
+from agent.safety.checked import FILE, CheckedPrograms
+from agent.safety.guard import GuardedLink
+from agent.safety.motion import PlannedProgram, pauses
+from drivers.protocol import Identity
+
+if TYPE_CHECKING:
+    from agent.motion.trajectory import Trajectory
+    from agent.safety.authorisation import Authorisation
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What came of one motion. Durations in seconds of controller time.
+
+    `temperatures`: of the motors [°C] when it began and when it ended, where the controller measures them.
+    """
+
+    path: Path
+    samples: int
+    lost: int
+    duration: float
+    cycle_starts: tuple[float, ...]
+    temperatures: tuple[tuple[float, ...], ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, but for the path."""
+        return {key: value for key, value in asdict(self).items() if key != "path"}
+
+    @classmethod
+    def from_dict(cls, path: Path, data: dict[str, Any]) -> Recording:
+        """The inverse of `to_dict`; other keys are left alone."""
+        cycles = tuple(data["cycle_starts"])
+        temperatures = tuple(tuple(values) for values in data.get("temperatures", ()))
+        return cls(path, data["samples"], data["lost"], data["duration"], cycles, temperatures)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Of a motion among others: `text` to put before its progress, and how much motion comes after it [s]."""
+
+    text: str = ""
+    after: float = 0.0
+
+
+class Link:
+    """An open controller link behind its guard, and the logs of what runs through it."""
+
+    def __init__(self, guard: GuardedLink, recipe: Recipe, console: Console, torque: dict[str, str]):
+        self._guard = guard
+        self._recipe = recipe
+        self._console = console
+        self._torque = torque  # how it is obtained, for the logs
+
+    @property
+    def identity(self) -> Identity:
+        """Who is at the far end."""
+        return self._guard.identity
+
+    @property
+    def address(self) -> str:
+        """Of the controller."""
+        return self._guard.address
+
+    @property
+    def _machine(self) -> dict[str, str]:
+        """Whose motion it is, for the logs: those of another machine or tool are no more of the same model."""
+        who, tool = self.identity, self._recipe.tool
+        controller = f"{who.controller} {who.version}".strip()
+        facts = {"serial": who.serial, "tool": "none" if tool is None else tool.text(), "controller": controller}
+        return {key: value for key, value in facts.items() if value}
+
+    def position(self) -> np.ndarray:
+        """(n,) where the arm stands now [rad]."""
+        return self._guard.position()
+
+    def run(
+        self,
+        name: str,
+        text: str,
+        log: Path,
+        motion: str,
+        chains: Sequence[Trajectory],
+        total: float,
+        place: Place = Place(),
+    ) -> Recording:
+        """Upload, check, start once, and record until the program ends.
+
+        A program that is new to a machine runs slowly first, into a log of its own.
+
+        Args:
+            chains: what we planned from stop to stop, in order: written to the log beside the set-points.
+            total: expected duration [s], for the progress line.
+            place: of this motion among those of the run, for the progress line.
+
+        Raises:
+            ControllerError, SafetyError, InputError: not ready to move, not allowed, or stopped while moving.
+            DriverError: the link failed; what was received is in the log.
+        """
+        program = self._planned(name, text, chains)
+        if self._guard.needs_slow_run(program):
+            program = self._run_slowly(program, log)
+        return self._record(program, log, motion, total, place)
+
+    def _run_slowly(self, program: PlannedProgram, log: Path) -> PlannedProgram:
+        """Run the slow version; returns the program planned anew, from where the arm stands now."""
+        from agent.link.planned import check_cell, plan_statements
+        from agent.motion import create_interpolator
+        from agent.safety.first_run import FIRST_SPEED, slow_version
+
+        recipe = self._recipe
+        interpolator = create_interpolator(
+            recipe.search.interpolator, recipe.robot, recipe.tool, period=1.0 / recipe.record.rate
+        )
+        slow = slow_version(program, recipe.robot, interpolator, self.position())
+        for chain in slow.chains:
+            check_cell(recipe, chain)
+        if self._guard.takes_points:
+            slow = self._with_points(slow)
+        self._console.step(
+            f"{program.name} is new to serial {self.identity.serial}: first at no more than {FIRST_SPEED:g} m/s, "
+            f"{slow.duration:.0f} s of motion; watch it"
+        )
+        self._record(slow, _free(log.with_suffix(".first_run.mcap")), "first_run", slow.duration)
+        name, chains = plan_statements(recipe, program.text, program.name, self.position())
+        for chain in {id(chain): chain for chain in chains}.values():
+            check_cell(recipe, chain)
+        return self._planned(name, program.text, chains)
+
+    def _planned(self, name: str, text: str, chains: Sequence[Trajectory]) -> PlannedProgram:
+        from agent.motion.frames import left_open
+        from agent.motion.pdl2 import parse_program
+
+        statements = list(parse_program(text, name, self._recipe.robot).run())
+        frames = left_open(statements, self._recipe.tool)
+        program = PlannedProgram(name, text, tuple(chains), pauses=pauses(statements), frames=frames)
+        return self._with_points(program) if self._guard.takes_points else program
+
+    def _with_points(self, program: PlannedProgram) -> PlannedProgram:
+        from agent.link.via_points import via_points
+        from agent.motion.frames import tool_frame
+
+        robot, tool = self._recipe.robot, self._recipe.tool
+        # The points are joint positions, and the straight lines between them the tool's.
+        return replace(program, points=via_points(program, robot, tool), frames={"$TOOL": tool_frame(tool)})
+
+    def _record(
+        self, program: PlannedProgram, log: Path, motion: str, total: float, place: Place = Place()
+    ) -> Recording:
+        from agent.recording import LogWriter
+
+        guard, robot = self._guard, self._recipe.robot
+        guard.send(program)
+        aligner = _Aligner(program.chains, self.identity.period)
+        limits = {"watch_only": self.identity.watch_only} if self.identity.watch_only else {}
+        try:
+            with LogWriter(
+                log,
+                robot.joint_names,
+                robot=robot.name,
+                motion=motion,
+                sample_rate=1.0 / self.identity.period,
+                facts={**self._machine, **self._torque, **limits},
+            ) as writer:
+                try:
+                    with guard.motion(program) as samples:
+                        for block in samples:
+                            writer.write(block)
+                            aligner.take(block.time, block.reference_position)
+                            self._console.progress(
+                                f"{place.text}{motion}: {aligner.elapsed:6.1f} of about {total:.0f} s of motion, "
+                                f"{max(0.0, total - aligner.elapsed) + place.after:.0f} s left in all"
+                            )
+                finally:
+                    writer.note(guard.facts)
+                    writer.missed(guard.lost)
+                    writer.write_temperatures(guard.temperatures)
+                    for start in aligner.finish(writer.write_planned):
+                        writer.cycle_start(start)
+        finally:
+            if aligner.samples == 0:
+                log.unlink(missing_ok=True)  # nothing has moved, or nothing is known of it
+        felt = [tuple(values.tolist()) for _, values in guard.temperatures]
+        return Recording(
+            log,
+            aligner.samples,
+            writer.lost,
+            aligner.elapsed,
+            tuple(aligner.cycle_starts),
+            (felt[0], felt[-1]) if felt else (),
+        )
+
+
+@contextmanager
+def open_link(
+    recipe: Recipe,
+    console: Console,
+    yes: bool,
+    runs: Path,
+    authorisation: Authorisation | None = None,
+    watching: bool = False,
+) -> Iterator[Link]:
+    """Lock the robot, connect, and check who is there.
+
+    Args:
+        runs: folder with the list of programs that have had their slow first run.
+        authorisation: what a person wrote down for when nobody is there.
+        watching: nothing will be identified from what is recorded.
+
+    Raises:
+        BusyError: another run holds this robot.
+        ControllerError: another robot, another period than the recipe's rate, or samples that are too few.
+        InputError: nobody confirmed that the cell is clear.
+        DriverError: nobody there, silent, or another protocol.
+    """
+    controller = recipe.controller
+    with robot_lock(controller.driver, controller.address):
+        driver = create_driver(recipe, console.say)
+        guard = GuardedLink(
+            driver,
+            recipe.robot,
+            controller.address,
+            recipe.record.rate,
+            CheckedPrograms(runs / FILE),
+            console.confirm,
+            console.warn,
+            yes,
+            authorisation,
+            watching=watching,
+            tool=recipe.tool,
+            margin=recipe.motion.settings.fly_distance,
+        )
+        try:
+            guard.open()
+            who = guard.identity
+            console.detail(f"{who.robot}, serial {who.serial}, {who.controller} {who.version}")
+            yield Link(guard, recipe, console, torque_facts(recipe, driver))
+        finally:
+            guard.close()
+
+
+def record_program_file(
+    recipe: Recipe, program: Path, log: Path, console: Console, yes: bool, runs: Path = Path("logs")
+) -> Recording:
+    """Run a PDL2 program that somebody wrote, and record it; `runs` as in `open_link`.
+
+    Raises:
+        InputError: the program cannot be parsed or planned, or the log exists.
+    """
+    from agent.core.errors import InputError
+    from agent.link.planned import check_cell, plan_statements
+    from agent.recording.log import motion_name
+
+    if log.exists():
+        raise InputError(f"{log}: exists already; name another log with -o")
+    try:
+        text = program.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{program}: cannot be read: {error}") from None
+    with open_link(recipe, console, yes, runs, watching=True) as link:
+        name, chains = plan_statements(recipe, text, str(program), link.position())
+        for chain in chains:
+            check_cell(recipe, chain)
+        total = sum(chain.duration for chain in chains)
+        if total == 0:
+            raise InputError(f"{program}: the program moves nothing, so there is nothing to record; add a MOVE")
+        recording = link.run(name, text, log, motion_name(program), chains, total)
+    report_losses(recording, console)
+    return recording
+
+
+def _free(path: Path) -> Path:
+    """The path, or the same with a number where a file is there already."""
+    number = 1
+    free = path
+    while free.exists():
+        number += 1
+        free = path.with_suffix(f".{number}{path.suffix}")
+    return free
+
+
+def report_losses(recording: Recording, console: Console) -> None:
+    """Say what the link lost; silence means nothing was."""
+    if recording.lost:
+        console.warn(
+            f"{recording.path.name}: {recording.lost} of {recording.samples + recording.lost} samples were lost"
+        )
+
+
+class _Aligner:
+    """Lays what we planned, from stop to stop, onto the controller's set-points.
+
+    The controller waits for the arm to settle at each stop, so only the stretches between stops are comparable in
+    time. Where the numbers of stretches differ there is nothing to compare, and nothing is written.
+    """
+
+    #: Shortest rest [s] of the set-points that counts as a stop.
+    REST = 0.006
+    #: An approach shorter than this [rad, m] is where the arm rests off its set-point; the controller makes none.
+    THERE = 1e-3
+
+    def __init__(self, chains: Sequence[Trajectory], period: float):
+        self._chains = chains
+        self._period = period
+        self._times: list[np.ndarray] = []
+        self._references: list[np.ndarray] = []
+        self.samples = 0
+        self.cycle_starts: list[float] = []
+
+    def take(self, time: np.ndarray, reference: np.ndarray | None) -> None:
+        self._times.append(np.asarray(time))
+        if reference is not None:
+            self._references.append(np.asarray(reference))
+        self.samples += len(time)
+
+    @property
+    def elapsed(self) -> float:
+        return float(self._times[-1][-1] - self._times[0][0]) if self.samples else 0.0
+
+    def finish(self, write_planned: Callable[[np.ndarray, np.ndarray, np.ndarray], None]) -> list[float]:
+        """Write the planned set-points; returns the controller times at which cycles start (all but the approach)."""
+        if not self._references:
+            return []
+        time = np.concatenate(self._times)
+        stretches = moving_stretches(np.concatenate(self._references), round(self.REST / self._period))
+        chains, approaches = self._chains, 1
+        if len(stretches) == len(chains) - 1 and np.ptp(chains[0].q, axis=0).max() < self.THERE:
+            chains, approaches = chains[1:], 0  # the arm stood at the first point already
+        if len(stretches) != len(chains):
+            return []
+        for (start, _), chain in zip(stretches, chains, strict=True):
+            stop = min(start + len(chain.t), len(time))
+            write_planned(time[start:stop], chain.q[: stop - start], chain.qd[: stop - start])
+        motion = list(zip(stretches, chains, strict=True))[approaches:]
+        # A program with stops in its cycle repeats where it makes the same way again, not at every stop.
+        starts = [start for (start, _), chain in motion if chain is motion[0][1]]
+        self.cycle_starts = [float(time[start] - time[0]) for start in starts]
+        return [float(time[start]) for start in starts]
+
+
+def moving_stretches(reference: np.ndarray, rest: int) -> list[tuple[int, int]]:
+    """[start, stop) ranges of (S, n) set-points between rests of at least `rest` samples.
+
+    A range starts at the last sample before the first change and ends after the last change.
+    """
+    if len(reference) < 2:
+        return []
+    changes = np.flatnonzero(np.any(np.diff(reference, axis=0) != 0.0, axis=1))
+    if len(changes) == 0:
+        return []
+    splits = np.flatnonzero(np.diff(changes) > rest)
+    starts = np.concatenate([[changes[0]], changes[splits + 1]])
+    stops = np.concatenate([changes[splits], [changes[-1]]]) + 2
+    return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True)]

@@ -1,0 +1,79 @@
+"""Whether a model file hangs together: sizes, finite numbers, friction forms with what they need."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.model.friction_terms import FORMS, FrictionTerm
+from agent.robot import RobotDescription
+
+if TYPE_CHECKING:
+    from agent.model.identified import IdentifiedModel
+
+_REVERSING = ("coulomb", "stribeck", "load")
+
+
+def check_model(model: IdentifiedModel) -> None:
+    """Raise ValueError where a model read from a file cannot be used."""
+    robot = model.robot
+    check_robot(robot)
+    n, b, p = robot.dof, len(model.independent), len(model.values)
+    if p != b + len(model.terms) or model.covariance.shape != (p, p) or len(model.combinations) != b:
+        raise ValueError("the numbers of parameters and the size of their covariance differ")
+    if model.projection.shape != (b, 11 * n) or len(model.standard_names) != 11 * n:
+        raise ValueError("the projection does not fit the numbers of base and standard parameters")
+    if np.any(model.independent < 0) or np.any(model.independent >= 11 * n):
+        raise ValueError(f"independent counts standard parameters, 0 to {11 * n - 1}")
+    arrays = {
+        "residual_rmse": (model.residual_rmse, (n,)),
+        "held_out_rmse": (model.held_out_rmse, (n,)),
+        "weights": (model.weights, (2, n)),
+        "standard_parameters": (model.standard, (11 * n,)),
+        "group_rmse": (model.group_rmse, (2, n)),
+        "standstill_speed": (model.standstill_speed, (n,)),
+    }
+    if (model.group_rmse is None) != (model.standstill_speed is None):
+        raise ValueError("group_rmse and standstill_speed belong together")
+    for key, (array, shape) in arrays.items():
+        if array is None:
+            continue
+        if array.shape != shape:
+            raise ValueError(f"{key} is an array of {shape} for {n} joints, not of {array.shape}")
+        if not np.isfinite(array).all():
+            raise ValueError(f"{key} has to be finite")
+    if not all(np.isfinite(array).all() for array in (model.values, model.covariance, model.projection)):
+        raise ValueError("parameters, covariance and projection have to be finite")
+    if np.any(np.diag(model.covariance) < 0):
+        raise ValueError("the covariance has a negative variance")
+    if not 0 < model.cutoff < np.inf or not 1 <= model.order <= 20:
+        raise ValueError("the filter has a cut-off above 0 Hz and an order of 1 to 20")
+    for term in model.terms:
+        _check_term(term)
+
+
+def check_robot(robot: RobotDescription) -> None:
+    """Raise ValueError unless a description read from a model has a whole number of everything."""
+    n = robot.dof
+    if not 1 <= n <= 7:
+        raise ValueError(f"a robot has 1 to 7 joints, not {n}")
+    if np.shape(robot.gravity) != (3,) or not np.isfinite(robot.gravity).all():
+        raise ValueError("gravity is three numbers")
+    if np.shape(robot.motor_coupling) != (n, n) or not np.isfinite(robot.coupling).all():
+        raise ValueError(f"motor_coupling is {n} rows of {n} numbers")
+    if not np.isfinite(robot.gear_ratios).all() or np.any(robot.gear_ratios == 0):
+        raise ValueError("gear ratios are finite and not 0")
+
+
+def _check_term(term: FrictionTerm) -> None:
+    if term.form not in FORMS:
+        raise ValueError(f"unknown friction form {term.form!r}")
+    if term.form in _REVERSING:
+        reversal = term.reversal
+        if reversal is None or reversal.kind not in ("speed", "travel") or not 0 <= reversal.scale < np.inf:
+            raise ValueError(f"{term.name} needs a reversal of kind speed or travel, with a scale")
+        if reversal.kind == "travel" and reversal.scale == 0:
+            raise ValueError(f"{term.name}: a travel is above 0")
+    if term.form == "stribeck" and (term.fading is None or not 0 < term.fading < np.inf):
+        raise ValueError(f"{term.name} needs a fading speed")

@@ -1,0 +1,31 @@
+"""Friction that differs by direction."""
+
+import numpy as np
+
+from agent.model.effects.effect import Effect, on_axle
+
+
+class AsymmetricFriction(Effect):
+    """τ = a |s| + b |w|, or either term alone; the first is an offset as long as the joint slides."""
+
+    name = "asymmetric_friction"
+    formula = "a · |s| + b · |w|"
+    source = "Armstrong-Hélouvry, Control of Machines with Friction (1991); Janot, Gautier, Brunot, EMPS benchmark"
+    signature = "residual of one sign while the joint moves either way, gone at standstill or growing with speed"
+    confused_with = ("torque_offset",)
+    look_at = "one-sided bearing load, seals, preload of a screw or belt"
+    limits = ("torque_offset",)
+
+    def settings(self, survey, joints):
+        return [{"coulomb": 1.0}, {"viscous": 1.0}, {"coulomb": 1.0, "viscous": 1.0}]
+
+    def names(self, settings):
+        return tuple(f"{kind}_asymmetry" for kind in ("coulomb", "viscous") if kind in settings)
+
+    def columns(self, signals, joints, settings):
+        (axle,) = joints
+        parts = {"coulomb": np.abs(signals.direction(axle)), "viscous": signals.axles.magnitude[:, axle]}
+        return on_axle(signals.reference, axle, *(parts[kind] for kind in parts if kind in settings))
+
+    def freedom(self, settings):
+        return len(settings)

@@ -1,0 +1,31 @@
+"""Dead zone when the transmitted torque changes sign."""
+
+import numpy as np
+
+from agent.model.effects.two_mass import TwoMass
+
+_GAPS = np.geomspace(2e-4, 1.3e-2, 11)  # rad
+_FREQUENCIES = np.geomspace(7.0, 65.0, 10)  # Hz, of the link on its locked motor while the teeth touch
+_DAMPING = 0.15
+
+
+class Backlash(TwoMass):
+    """τ_k = −a ṗ, d the motor's lead over a link behind teeth with play (see `two_mass`), a near 1."""
+
+    name = "backlash"
+    formula = "−ṗ, p = M_kk ḋ, ṗ + c ḋ + k z(d) = τ_link, z = d beyond ± gap / 2"
+    source = "Nordin, Gutman, Automatica 38 (2002)"
+    signature = "pulses right after the load torque changes sign, quiet elsewhere"
+    confused_with = ("presliding", "joint_elasticity")
+    look_at = "play of the gear: turn the link by hand with the motor braked"
+    refined = ("gap", "stiffness", "damping")
+    limits = ("joint_elasticity",)
+    grid = tuple((float(frequency), _DAMPING, float(gap)) for frequency in _FREQUENCIES for gap in _GAPS)
+    few = tuple((frequency, _DAMPING, gap) for frequency in (22.0, 45.0) for gap in (8e-4, 3e-3))
+
+    def settings(self, survey, joints):
+        loads = np.concatenate([s.link_load[s.kept, joints[0]] for s in survey.signals])
+        return super().settings(survey, joints) if np.sum(np.diff(np.sign(loads)) != 0) >= 4 else []
+
+    def plausible(self, settings, values):
+        return 0.15 < values["share"] < 4.0

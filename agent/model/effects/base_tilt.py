@@ -1,0 +1,39 @@
+"""Gravity that is not where the model has it."""
+
+import numpy as np
+
+from agent.model.effects.effect import Effect
+
+
+class BaseTilt(Effect):
+    """τ = a τ_g(e₁) + b τ_g(e₂): torque of gravity of its full size along two directions across the model's."""
+
+    name = "base_tilt"
+    scope = "base"
+    formula = "a · τ(g e₁) + b · τ(g e₂), e₁ ⟂ e₂ ⟂ g"
+    source = "Atkeson, An, Hollerbach, Int. J. Robotics Research 5 (1986): the regressor is linear in gravity"
+    signature = "residual of standing still on all joints that carry weight, joint 1 too"
+    confused_with = ("encoder_offset", "inertial_mismatch", "payload")
+    look_at = "level of the base, mounting angle in the robot description"
+
+    def settings(self, survey, joints):
+        return [{}] if np.linalg.norm(survey.reference.robot.gravity) > 0 else []
+
+    def names(self, settings):
+        return ("tilt_1", "tilt_2")
+
+    def columns(self, signals, joints, settings):
+        gravity = np.array(signals.reference.robot.gravity)
+        down = gravity / np.linalg.norm(gravity)
+        first = np.cross(down, np.eye(3)[np.argmin(np.abs(down))])
+        first /= np.linalg.norm(first)
+        still = np.zeros_like(signals.q)
+        torques = []
+        for direction in (first, np.cross(down, first)):
+            links = signals.reference.links.with_gravity(np.linalg.norm(gravity) * direction)
+            torques.append(links.inverse_dynamics(signals.q, still, still))
+        stacked = np.stack(torques, axis=2)
+        return {joint: stacked[:, joint] for joint in range(signals.q.shape[1])}
+
+    def plausible(self, settings, values):
+        return float(np.hypot(values["tilt_1"], values["tilt_2"])) < 0.5

@@ -1,0 +1,57 @@
+"""Hose or cable that bends with the joint."""
+
+import numpy as np
+
+from agent.model.effects.effect import Effect
+from agent.model.friction_terms import dahl
+
+_NODES = 6
+_TRAVEL = 0.03  # of the range, until the hose slides in itself
+
+
+class DressPack(Effect):
+    """τ = a + b q, or a smooth curve through torques at _NODES positions; with hysteresis d z(q), z Dahl's state.
+
+    The curve is the natural cubic spline over the travelled range `low` to `high`, straight beyond it: a hose may be
+    slack up to some angle, harden, or give way, and its curve has no formula of its own.
+    """
+
+    name = "dress_pack"
+    formula = "a + b · q + d · z(q), or curve(q) + d · z(q)"
+    source = "hose as a spring with inner friction (Dahl, AIAA J. 14, 1976); natural splines (de Boor, 1978)"
+    signature = "residual that depends on the joint's own position, without the shape of gravity"
+    confused_with = ("gravity_spring", "torque_offset", "friction_change")
+    twins = ("gravity_spring",)
+    look_at = "hoses and cables at this joint: stiff, caught or too short"
+    limits = ("torque_offset",)
+
+    def settings(self, survey, joints):
+        low = float(min(s.q[:, joints[0]].min() for s in survey.signals))
+        high = max(float(max(s.q[:, joints[0]].max() for s in survey.signals)), low + 1e-9)
+        curve, rubbing = {"low": low, "high": high}, {"travel": _TRAVEL * (high - low)}
+        return [{}, rubbing, curve, {**curve, **rubbing}]
+
+    def names(self, settings):
+        nodes = tuple(f"torque_{k}" for k in range(_NODES)) if "low" in settings else ("constant", "stiffness")
+        return (*nodes, "hysteresis") if "travel" in settings else nodes
+
+    def columns(self, signals, joints, settings):
+        q = signals.q[:, joints[0]]
+        parts = _curve(q, settings["low"], settings["high"]) if "low" in settings else [np.ones(len(q)), q]
+        if "travel" in settings:
+            parts = [*parts, dahl(q, np.array([settings["travel"]]))[:, 0]]
+        return {joints[0]: np.column_stack(parts)}
+
+    def freedom(self, settings):
+        return len(self.names(settings))
+
+
+def _curve(q: np.ndarray, low: float, high: float) -> list[np.ndarray]:
+    """(S,) of each node: the natural spline that is one there and nought at the others."""
+    from scipy.interpolate import CubicSpline
+
+    nodes = np.linspace(low, high, _NODES)
+    spline = CubicSpline(nodes, np.eye(_NODES), bc_type="natural")
+    inside = np.clip(q, low, high)
+    values = spline(inside) + (q - inside)[:, None] * spline(inside, 1)
+    return list(values.T)

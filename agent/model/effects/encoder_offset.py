@@ -1,0 +1,32 @@
+"""Zero position that differs from the model's."""
+
+import numpy as np
+
+from agent.model.effects.effect import Effect
+
+_STEP = 1e-4  # rad
+
+
+class EncoderOffset(Effect):
+    """τ = −a ∂τ_bodies / ∂q_k on all joints, by central differences: the joint stands at q_k − a."""
+
+    name = "encoder_offset"
+    formula = "−a · ∂τ_bodies / ∂q_k"
+    source = "torque expanded in q_k; Khalil, Dombre, Modeling, Identification and Control of Robots (2002)"
+    signature = "residual like gravity turned about one joint, on this and the neighbouring joints"
+    confused_with = ("inertial_mismatch", "gravity_spring", "base_tilt")
+    look_at = "calibration mark of this joint; a motor, belt or encoder that was changed"
+
+    def names(self, settings):
+        return ("offset",)
+
+    def columns(self, signals, joints, settings):
+        step = np.zeros(signals.q.shape[1])
+        step[joints[0]] = _STEP
+        links = signals.reference.links
+        ahead, behind = (links.inverse_dynamics(signals.q + d, signals.qd, signals.qdd) for d in (step, -step))
+        change = (behind - ahead) / (2 * _STEP)
+        return {joint: change[:, joint, None] for joint in range(signals.q.shape[1])}
+
+    def plausible(self, settings, values):
+        return abs(values["offset"]) < 0.3

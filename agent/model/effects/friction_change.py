@@ -1,0 +1,28 @@
+"""Coulomb or viscous level that is not the model's any more."""
+
+from agent.model.effects.effect import Effect, on_axle
+
+
+class FrictionChange(Effect):
+    """τ = a s + b w, or either term alone."""
+
+    name = "friction_change"
+    formula = "a · s + b · w"
+    source = "Bittencourt, Axelsson, identification of wear in a robot joint, report LiTH-ISY-R-3058 (2013)"
+    signature = "residual with the sign of the speed at all speeds, and growing in proportion to it"
+    confused_with = ("torque_constant", "thermal_friction", "load_dependent_friction")
+    look_at = "wear and lubrication of the gear, brake that drags, bearing preload"
+
+    def settings(self, survey, joints):
+        return [{"coulomb": 1.0}, {"viscous": 1.0}, {"coulomb": 1.0, "viscous": 1.0}]
+
+    def names(self, settings):
+        return tuple(f"{kind}_change" for kind in ("coulomb", "viscous") if kind in settings)
+
+    def columns(self, signals, joints, settings):
+        (axle,) = joints
+        parts = {"coulomb": signals.direction(axle), "viscous": signals.axles.speed[:, axle]}
+        return on_axle(signals.reference, axle, *(parts[kind] for kind in parts if kind in settings))
+
+    def freedom(self, settings):
+        return len(settings)

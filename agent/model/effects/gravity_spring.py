@@ -1,0 +1,34 @@
+"""Counterbalance, spring or cylinder between two pivots."""
+
+import numpy as np
+
+from agent.model.effects.effect import Effect
+
+
+class GravitySpring(Effect):
+    """τ = a cos q + b sin q, or with the second harmonic, which a spring between two pivots has as well."""
+
+    name = "gravity_spring"
+    formula = "Σ a_h · cos(h q) + b_h · sin(h q), h = 1 or 1, 2"
+    source = "two pivots and a spring: Klimchik, Wu, Caro, Dumas, Furet, Pashkevich, arXiv:1311.6674 (2013)"
+    signature = "residual that is a smooth function of the joint's own angle, like a pendulum's"
+    confused_with = ("dress_pack", "inertial_mismatch", "torque_offset")
+    twins = ("dress_pack",)
+    look_at = "balancer: spring, gas pressure of the cylinder, its pivots"
+    limits = ("torque_offset",)
+
+    def settings(self, survey, joints):
+        if survey.reference.robot.joints[joints[0]].prismatic:
+            return []
+        return [{"harmonics": 1.0}, {"harmonics": 2.0}]
+
+    def names(self, settings):
+        return tuple(f"{part}_{h}" for h in range(1, int(settings["harmonics"]) + 1) for part in ("cosine", "sine"))
+
+    def columns(self, signals, joints, settings):
+        q = signals.q[:, joints[0]]
+        parts = [f(h * q) for h in range(1, int(settings["harmonics"]) + 1) for f in (np.cos, np.sin)]
+        return {joints[0]: np.column_stack(parts)}
+
+    def freedom(self, settings):
+        return 2 * int(settings["harmonics"])

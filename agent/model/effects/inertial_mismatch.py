@@ -1,0 +1,38 @@
+"""Link inertial parameters that differ from the model's."""
+
+import numpy as np
+
+from agent.model.effects.effect import Effect
+
+_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+
+
+class InertialMismatch(Effect):
+    """τ = Y_k a: ten parameters of one link, or those of all links, each within its doubt."""
+
+    name = "inertial_mismatch"
+    scope = "arm"
+    formula = "Y_k · Δπ_k"
+    source = "Atkeson, An, Hollerbach, Int. J. Robotics Research 5 (1986)"
+    signature = "residual of weight and inertia on the joints from the base up to one link"
+    confused_with = ("payload", "gravity_spring", "encoder_offset", "torque_constant")
+    twins = ("encoder_offset", "payload", "base_tilt", "gravity_spring")
+    look_at = "what was bolted to or taken off this link; link data of the robot description"
+    limits = ("payload",)
+
+    def settings(self, survey, joints):
+        return [{"link": float(k + 1)} for k in range(survey.reference.robot.dof)]
+
+    def names(self, settings):
+        return tuple(f"{name}{int(settings['link'])}" for name in _NAMES)
+
+    def columns(self, signals, joints, settings):
+        last = int(settings["link"])
+        return {joint: signals.standard[:, joint, 10 * (last - 1) : 10 * last] for joint in range(last)}
+
+    def doubt(self, survey, joints, settings):
+        last = int(settings["link"])
+        return np.asarray(survey.reference.doubt[10 * (last - 1) : 10 * last])
+
+    def freedom(self, settings):
+        return 10

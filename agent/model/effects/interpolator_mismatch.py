@@ -1,0 +1,23 @@
+"""Executed path or timing that is not the planned one: seen in the set-points, not in torque."""
+
+from agent.model.effects.effect import Effect
+
+
+class InterpolatorMismatch(Effect):
+    """Set-points r(t) against planned ones p(t): r(t) ≈ p(a t + b), see `agent.diagnosis.motion_gap`."""
+
+    name = "interpolator_mismatch"
+    scope = "arm"
+    formula = "r(t) − p(t)"
+    source = "Villagrossi, Pedrocchi, Vicentini, Molinari Tosatti, AIM (2013): the interpolator decides the motion"
+    signature = "torque at its floor, set-points away from the plan"
+    look_at = "override, fly settings and acceleration ramps of the controller against those planned with"
+
+    def places(self, robot):
+        return []
+
+    def names(self, settings):
+        return ()
+
+    def columns(self, signals, joints, settings):
+        return {}

@@ -1,0 +1,25 @@
+"""Two-mass resonance between motor and link."""
+
+import numpy as np
+
+from agent.model.effects.two_mass import TwoMass
+
+_FREQUENCIES = np.geomspace(3.0, 36.0, 34)  # Hz
+_DAMPING = (0.04, 0.12)
+
+
+class JointElasticity(TwoMass):
+    """τ_k = −a ṗ, d the motor's lead over the link (see `two_mass`), a near 1: all joints feel the link."""
+
+    name = "joint_elasticity"
+    formula = "−ṗ, p = M_kk ḋ, ṗ + c ḋ + k d = τ_link"
+    source = "Spong, J. Dynamic Systems, Measurement and Control 109 (1987)"
+    signature = "ringing after fast load changes, at one frequency that falls with the inertia carried"
+    confused_with = ("time_delay", "backlash", "inertial_mismatch")
+    look_at = "gear, belt and coupling of this joint: cracked, loose or undersized"
+    refined = ("stiffness", "damping")
+    grid = tuple((float(frequency), damping, 0.0) for frequency in _FREQUENCIES for damping in _DAMPING)
+    few = grid[1::14]
+
+    def plausible(self, settings, values):
+        return 0.3 < values["share"] < 2.5

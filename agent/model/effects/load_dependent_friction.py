@@ -1,0 +1,24 @@
+"""Friction that grows with the torque the gear transmits."""
+
+import numpy as np
+
+from agent.model.effects.effect import Effect, on_axle
+
+
+class LoadDependentFriction(Effect):
+    """τ = a s |τ_load|."""
+
+    name = "load_dependent_friction"
+    formula = "a · s · |τ_load|"
+    source = "Bittencourt, Wernholt, Sander-Tavallaey, Brogårdh, IROS (2010)"
+    signature = "residual with the sign of the speed, larger where the arm reaches out or accelerates"
+    confused_with = ("friction_change", "torque_constant")
+    look_at = "gear efficiency: tooth or wave-generator wear, overload"
+    limits = ("friction_change",)
+
+    def names(self, settings):
+        return ("coefficient",)
+
+    def columns(self, signals, joints, settings):
+        (axle,) = joints
+        return on_axle(signals.reference, axle, signals.direction(axle) * np.abs(signals.axles.load[:, axle]))

@@ -1,0 +1,71 @@
+"""Mass at the flange that the model does not have."""
+
+import numpy as np
+
+from agent.model.effects.effect import Effect
+
+_ROUNDS = 6
+_BALL = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
+
+
+class Payload(Effect):
+    """A ball of mass m at c: columns of the last link for m, h = m c, and I = (hᵀh E − h hᵀ) / m + i E.
+
+    I is homogeneous of degree one in (m, h), so with its derivatives at (m₀, h₀) the torque is exactly linear there;
+    (m₀, h₀) start from a fit of all ten parameters of the last link and settle in a few rounds (Gauss-Newton).
+    """
+
+    name = "payload"
+    scope = "arm"
+    formula = "Y_n · (m, m c, I(m, c)), a ball on the last link"
+    source = "Atkeson, An, Hollerbach, Int. J. Robotics Research 5 (1986): loads"
+    signature = "residual of weight and inertia on all joints, as of a mass at the flange"
+    confused_with = ("inertial_mismatch", "base_tilt")
+    look_at = "what hangs on the flange: tool, part, mass entered in the controller"
+
+    def settings(self, survey, joints):
+        start: dict[str, float] = {}
+        for _ in range(_ROUNDS):
+            mass, *moment = survey.fit(self, joints, start)[:4]
+            if not mass > 1e-3:
+                return []
+            start = dict(zip(("m0", "hx0", "hy0", "hz0"), map(float, (mass, *moment)), strict=True))
+        return [start]
+
+    def names(self, settings):
+        first = ("mass", "moment_x", "moment_y", "moment_z")
+        return (
+            (*first, "inertia")
+            if settings
+            else (*first, *(f"inertia_{k}" for k in ("xx", "xy", "yy", "xz", "yz", "zz")))
+        )
+
+    def columns(self, signals, joints, settings):
+        n = signals.q.shape[1]
+        link = signals.standard[:, :, 10 * (n - 1) :]
+        if settings:
+            m, h = settings["m0"], np.array([settings["hx0"], settings["hy0"], settings["hz0"]])
+            change = np.zeros((10, 5))
+            change[:4, :4] = np.eye(4)
+            change[4:, 0] = -_voigt(h, h) / m**2
+            for axis, unit in enumerate(np.eye(3)):
+                change[4:, 1 + axis] = (_voigt(unit, h) + _voigt(h, unit)) / m
+            change[4:, 4] = _BALL
+            link = link @ change
+        return {joint: link[:, joint] for joint in range(n)}
+
+    def doubt(self, survey, joints, settings):
+        return np.array([20.0, 5.0, 5.0, 5.0, *([0.5] if settings else [2.0] * 6)])
+
+    def plausible(self, settings, values):
+        moment = np.array([values["moment_x"], values["moment_y"], values["moment_z"]])
+        return values["mass"] > 0.01 and bool(np.linalg.norm(moment) < 1.0 * values["mass"])
+
+    def freedom(self, settings):
+        return 4
+
+
+def _voigt(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(6,) aᵀb E − a bᵀ as Ixx, Ixy, Iyy, Ixz, Iyz, Izz, symmetric part."""
+    tensor = a @ b * np.eye(3) - 0.5 * (np.outer(a, b) + np.outer(b, a))
+    return tensor[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]

@@ -1,0 +1,29 @@
+"""Friction that follows the position after a reversal before the contact slides."""
+
+from agent.model.effects.effect import Effect, on_axle, travelled
+from agent.model.friction_terms import Reversal
+
+
+class Presliding(Effect):
+    """τ = a (z − s): z is Dahl's state, dz = (1 − z sign(dx)) dx / travel, s the direction the model slides with."""
+
+    name = "presliding"
+    formula = "a · (z(x) − s), dz = (1 − z · sign(dx)) dx / travel"
+    source = "Dahl, AIAA J. 14 (1976); Swevers, Al-Bender, Ganseman, Prajogo, IEEE TAC 45 (2000)"
+    signature = "residual right after reversals, fading with the distance travelled, whatever the speed"
+    confused_with = ("stribeck", "backlash")
+    look_at = "gear wind-up and preloaded bearings; flexspline and seals that give way before they slide"
+    refined = ("travel",)
+    limits = ("friction_change",)
+
+    def settings(self, survey, joints):
+        low, high = travelled(survey, joints[0])
+        return [{"travel": (high - low) * fraction} for fraction in (2e-4, 5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016, 0.03)]
+
+    def names(self, settings):
+        return ("level",)
+
+    def columns(self, signals, joints, settings):
+        (axle,) = joints
+        state = signals.axles.direction(axle, Reversal("travel", settings["travel"]))
+        return on_axle(signals.reference, axle, state - signals.direction(axle))

@@ -1,0 +1,33 @@
+"""Friction that rises as the sliding slows down."""
+
+import numpy as np
+
+from agent.model.effects.effect import Effect, highest_speed, on_axle
+
+# Of the highest speed. Below it is how the friction reverses, in which a model and a machine differ without any effect.
+_SPEEDS = (0.02, 0.035, 0.06, 0.1, 0.17, 0.28)
+
+
+class Stribeck(Effect):
+    """τ = a s exp(−(|w| / v)^δ): v the speed over which it fades, δ 1 or 2."""
+
+    name = "stribeck"
+    formula = "a · s · exp(−(|w| / v)^δ)"
+    source = "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
+    signature = "residual with the sign of the speed, at low speed only"
+    confused_with = ("friction_change", "presliding", "viscous_nonlinearity")
+    look_at = "lubrication and seals of the gear: starved or cold grease lets friction rise at low speed"
+    refined = ("speed",)
+    limits = ("friction_change",)
+
+    def settings(self, survey, joints):
+        fastest = highest_speed(survey, joints[0])
+        return [{"speed": fastest * fraction, "shape": shape} for fraction in _SPEEDS for shape in (1.0, 2.0)]
+
+    def names(self, settings):
+        return ("rise",)
+
+    def columns(self, signals, joints, settings):
+        (axle,) = joints
+        fading = (signals.axles.magnitude[:, axle] / settings["speed"]) ** settings["shape"]
+        return on_axle(signals.reference, axle, signals.direction(axle) * np.exp(-np.minimum(fading, 700)))

@@ -1,0 +1,41 @@
+"""Friction that drifts while the drive warms up."""
+
+import numpy as np
+
+from agent.model.effects.effect import Effect, on_axle
+
+_LONGEST_SESSION = 12 * 3600.0  # s
+
+
+class ThermalFriction(Effect):
+    """τ = (a + b exp(−t / T)) s + (c + d exp(−t / T)) w, t from the start of each log, or of the first of a session."""
+
+    name = "thermal_friction"
+    formula = "(a + b · exp(−t / T)) · s + (c + d · exp(−t / T)) · w"
+    source = "Bittencourt, Wernholt, Sander-Tavallaey, Brogårdh, IROS (2010)"
+    signature = "residual with the sign of the speed that changes from cycle to cycle"
+    confused_with = ("friction_change", "torque_constant")
+    look_at = "temperature of gear and motor: let the arm warm up, or compare a cold and a warm run"
+    refined = ("time_constant",)
+    limits = ("friction_change",)
+
+    def settings(self, survey, joints):
+        longest = max(float(s.time[-1]) for s in survey.signals)
+        session = max(s.started + float(s.time[-1]) for s in survey.signals)
+        each = [{"time_constant": fraction * longest} for fraction in (0.08, 0.2, 0.5, 1.5, 5.0)]
+        if not longest < session < _LONGEST_SESSION:
+            return each
+        return each + [{"time_constant": fraction * session, "session": 1.0} for fraction in (0.1, 0.3, 0.8, 2.0)]
+
+    def names(self, settings):
+        return ("coulomb_change", "coulomb_drift", "viscous_change", "viscous_drift")
+
+    def columns(self, signals, joints, settings):
+        (axle,) = joints
+        since = signals.time + (signals.started if "session" in settings else 0.0)
+        fading = np.exp(-since / settings["time_constant"])
+        slide, speed = signals.direction(axle), signals.axles.speed[:, axle]
+        return on_axle(signals.reference, axle, slide, slide * fading, speed, speed * fading)
+
+    def freedom(self, settings):
+        return 5

@@ -1,0 +1,20 @@
+"""Measured torque that is scaled."""
+
+from agent.model.effects.effect import Effect, on_axle
+
+
+class TorqueConstant(Effect):
+    """τ = a τ_model of the axle: bodies, rotor and friction alike."""
+
+    name = "torque_constant"
+    formula = "a · τ_axle"
+    source = "Gautier, Briot, J. Dynamic Systems, Measurement and Control 136 (2014)"
+    signature = "residual in proportion to the whole torque of the joint, and of no other joint"
+    confused_with = ("friction_change", "inertial_mismatch")
+    look_at = "torque constant and current scaling of this drive; demagnetised or replaced motor"
+
+    def names(self, settings):
+        return ("scale_error",)
+
+    def columns(self, signals, joints, settings):
+        return on_axle(signals.reference, joints[0], signals.axle_torque[:, joints[0]])

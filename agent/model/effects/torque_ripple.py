@@ -1,0 +1,64 @@
+"""Torque that is periodic in the motor's or the gear's angle."""
+
+import numpy as np
+
+from agent.model.effects.effect import Effect, on_axle, travelled
+
+_HIGHEST = 13.0  # periods a motor turn
+_LOWEST = 8.0  # periods a joint turn: below, springs and hoses are meant
+_PEAKS = 3
+
+
+class TorqueRipple(Effect):
+    """τ = a cos(ν x) + b sin(ν x), with or without the second harmonic, x the axle's angle, ν periods a turn of it."""
+
+    name = "torque_ripple"
+    formula = "Σ a_h · cos(h ν x) + b_h · sin(h ν x), h = 1 or 1, 2"
+    source = "Hung, Ding, IEE Proc. B 140 (1993)"
+    signature = "a line in the residual over the angle of motor or gear, whatever the speed"
+    confused_with = ()
+    look_at = "motor orders: cogging, current sensor offsets; gear orders: damaged teeth, wave generator"
+
+    def settings(self, survey, joints):
+        """Highest peaks of the residual's spectrum over the angle, by sums in narrow bins and one transform."""
+        (axle,) = joints
+        low, high = travelled(survey, axle)
+        gear = abs(float(survey.reference.robot.gear_ratios[axle]))
+        highest = _HIGHEST * max(gear, 10.0)
+        bins = int((high - low) * highest / 2 / np.pi * 4) + 2
+        if bins > 2_000_000 or high - low < 3 * 2 * np.pi / highest:
+            return []
+        sums = np.zeros(bins)
+        speeds = []
+        for signals, residual, sigma in zip(survey.signals, survey.residuals, survey.sigmas, strict=True):
+            position = signals.axles.position[signals.kept, axle]
+            place = np.clip(((position - low) / (high - low) * bins).astype(int), 0, bins - 1)
+            np.add.at(sums, place, residual[:, axle] / sigma[:, axle] ** 2)
+            speeds.append(np.abs(signals.axles.speed[signals.kept, axle]))
+        size = 4 * bins
+        power = np.abs(np.fft.rfft(sums, size)) ** 2
+        order = 2 * np.pi * np.arange(len(power)) / size * bins / (high - low)
+        speed = np.sort(np.concatenate(speeds))
+        cutoff = survey.reference.model.cutoff
+        passing = np.searchsorted(speed, 2 * np.pi * 0.9 * cutoff / np.maximum(order, 1e-9))
+        gain = np.where((order > max(_LOWEST, 6 * np.pi / (high - low))) & (order < highest), power, 0)
+        gain = gain / np.maximum(passing, 20)
+        found = []
+        for _ in range(_PEAKS):
+            best = int(np.argmax(gain))
+            if gain[best] <= 0:
+                break
+            found += [{"order": float(order[best]), "harmonics": count} for count in (1.0, 2.0)]
+            gain[max(0, best - 8) : best + 9] = 0
+        return found
+
+    def names(self, settings):
+        return tuple(f"{part}_{h}" for h in range(1, int(settings["harmonics"]) + 1) for part in ("cosine", "sine"))
+
+    def columns(self, signals, joints, settings):
+        phase = settings["order"] * signals.axles.position[:, joints[0]]
+        parts = [f(h * phase) for h in range(1, int(settings["harmonics"]) + 1) for f in (np.cos, np.sin)]
+        return on_axle(signals.reference, joints[0], *parts)
+
+    def freedom(self, settings):
+        return 1 + 2 * int(settings["harmonics"])

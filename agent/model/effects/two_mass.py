@@ -1,0 +1,166 @@
+"""Rotor and link with a gear that gives way between them, driven by the rigid load."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import ClassVar
+
+import numpy as np
+
+from agent.model.effects.effect import Effect, Survey
+from agent.model.signals import Signals
+
+_RATE = 1500.0  # Hz of the integration, at least
+_TRIED = 2  # of a joint's grid, in full
+_SUSPECT = 1.3  # Σ e² / σ² to a row from which on a joint gets the whole grid, and half of the worst joint's
+_PROMISING = 0.15  # of a joint's Σ e² / σ², taken away by the best of the grid: its neighbours are worth a look
+_NEIGHBOURS = (1.12, 1.05)  # factors of frequency and play, finer with every round
+
+
+def leads(
+    motions: Sequence[Signals], joints: np.ndarray, stiffness: np.ndarray, gap: np.ndarray, damping: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Per motion ṗ [N·m] and d̈ [rad/s²] of the motor's lead d over the link, (S, K) float32, K of each argument (K,).
+
+    The motor moves as measured, so the link's momentum p = m ḋ obeys ṗ + c ḋ + k z(d) = L, with L the torque the rigid
+    link would take, m(t) its inertia about the joint, z(d) the twist beyond half the play (without play z(d) = d) and
+    c = 2 ζ √(k m̄), which acts while the teeth touch. Semi-implicit steps, all motions and all K at once.
+    """
+    longest = max(len(motion.time) for motion in motions)
+
+    def side_by_side(parts: list[np.ndarray]) -> np.ndarray:
+        return np.hstack([np.pad(part, ((0, longest - len(part)), (0, 0)), mode="edge") for part in parts])
+
+    load = side_by_side([motion.link_load for motion in motions])
+    diagonal = [np.diagonal(motion.mass, axis1=1, axis2=2) for motion in motions]
+    inertia = np.maximum(side_by_side(diagonal), 1e-9)
+    dof = motions[0].q.shape[1]
+    column = np.concatenate([motion * dof + joints for motion in range(len(motions))])
+    k, half = np.tile(stiffness, len(motions)), 0.5 * np.tile(gap, len(motions))
+    c = 2 * np.tile(damping, len(motions)) * np.sqrt(k * inertia.mean(axis=0)[column])
+    period = float(np.median(np.diff(motions[0].time)))
+    substeps = max(2, int(np.ceil(_RATE * period)))
+    step = period / substeps
+    first = load[0, column]
+    twist = first / k + np.sign(first) * half
+    momentum, velocity = np.zeros((2, len(k)))
+    torque, second = np.empty((2, longest, len(k)), dtype=np.float32)
+    has_gap = bool(np.any(half > 0))
+    impulse, spring, mobility = step * load, step * k, 1 / inertia
+    for sample in range(longest):
+        pushed, inverse, before = impulse[sample, column], mobility[sample, column], momentum
+        kept, moved = 1 - step * c * inverse, step * inverse
+        for _ in range(substeps):
+            if has_gap:
+                beyond = twist - np.minimum(np.maximum(twist, -half), half)
+                momentum = np.where(beyond != 0, kept, 1.0) * momentum + pushed - spring * beyond
+            else:
+                momentum = kept * momentum + pushed - spring * twist
+            twist = twist + moved * momentum
+        torque[sample] = (momentum - before) / period
+        slower, velocity = velocity, momentum * inverse
+        second[sample] = (velocity - slower) / period
+    parts = zip(*(np.split(part, len(motions), axis=1) for part in (torque, second)), motions, strict=True)
+    return [(one[: len(motion.time)], two[: len(motion.time)]) for one, two, motion in parts]
+
+
+class TwoMass(Effect):
+    """τ_k = −a d/dt(M_kk ḋ), τ_j = −a M_jk d̈, a near 1: what the joints feel of a motor that leads its link by d.
+
+    A resonance is far narrower than a step of any grid that could be tried in full. So the whole `grid` is tried on the
+    joint itself, where it costs one column each, then the neighbours of the best, and only the best of all on all
+    joints. A joint that the model predicts gets a few of the grid, to say what would be found there.
+    """
+
+    #: (frequency [Hz] of the link on its locked motor, damping ratio, play [rad])
+    grid: ClassVar[tuple[tuple[float, float, float], ...]]
+    few: ClassVar[tuple[tuple[float, float, float], ...]]
+
+    def settings(self, survey, joints):
+        (k,) = joints
+        tried, columns = self._alone(survey)[k]
+        best, gain = self._best(survey, k, tried, columns)
+        energy = _energy(survey)[k] * len(columns)
+        for factor in _NEIGHBOURS:
+            if gain < _PROMISING * energy:
+                break
+            near = [neighbour for entry in best for neighbour in self._neighbours(entry, factor)]
+            self.prepare(survey.signals, [((k,), entry) for entry in near])
+            best, gain = self._best(survey, k, near, self._on_joint(survey, k, near))
+        return best
+
+    def _best(
+        self, survey: Survey, k: int, tried: Sequence[dict[str, float]], columns: np.ndarray
+    ) -> tuple[list[dict[str, float]], float]:
+        """The ones that gain most, possible ones first, and the first one's gain."""
+        gain, share = survey.gains_alone(k, columns)
+        possible = np.array([self.plausible({}, {"share": value}) for value in share])
+        order = np.lexsort((-gain, ~possible))[:_TRIED]
+        return [tried[at] for at in order], float(gain[order[0]])
+
+    def _neighbours(self, entry: dict[str, float], factor: float) -> list[dict[str, float]]:
+        """Every combination of nonlinear parameters a step up, as they are, and a step down."""
+        steps = {"stiffness": factor**2, "damping": factor**4, "gap": factor}
+        values = [[entry[name] * steps[name] ** power for power in (-1, 0, 1)] for name in entry]
+        return [dict(zip(entry, combination, strict=True)) for combination in product(*values)]
+
+    def _alone(self, survey: Survey) -> dict[int, tuple[list[dict[str, float]], np.ndarray]]:
+        """Per joint: what is tried, and (S', len(tried)) torque on that joint alone, all motions in a row."""
+        known = survey.signals[0].__dict__.setdefault("_alone", {})
+        if self.name not in known:
+            tried = {k: self._tried(survey, k) for k in range(survey.reference.robot.dof)}
+            self.prepare(survey.signals, [((k,), entry) for k, entries in tried.items() for entry in entries])
+            known[self.name] = {k: (entries, self._on_joint(survey, k, entries)) for k, entries in tried.items()}
+        return known[self.name]
+
+    def _tried(self, survey: Survey, k: int) -> list[dict[str, float]]:
+        inertia = float(np.mean([s.mass[:, k, k].mean() for s in survey.signals]))
+        energy = _energy(survey)
+        grid = self.grid if energy[k] > min(_SUSPECT, 0.5 * energy.max()) else self.few
+        return [
+            {"stiffness": inertia * (2 * np.pi * frequency) ** 2, "damping": damping, **({"gap": gap} if gap else {})}
+            for frequency, damping, gap in grid
+        ]
+
+    def _on_joint(self, survey: Survey, k: int, tried: Sequence[Mapping[str, float]]) -> np.ndarray:
+        parts = []
+        for signals in survey.signals:
+            parts.append(signals.low_pass(-np.stack([self._lead(signals, k, entry)[0] for entry in tried], axis=1)))
+        return np.concatenate(parts)
+
+    def names(self, settings):
+        return ("share",)
+
+    def prepare(self, motions, wanted):
+        keys = dict.fromkeys(_key(joints[0], settings) for joints, settings in wanted)
+        known = [motion.__dict__.setdefault("_leads", {}) for motion in motions]
+        new = [key for key in keys if any(key not in of_motion for of_motion in known)]
+        if not new:
+            return
+        joints, stiffness, damping, gap = (np.array(part) for part in zip(*new, strict=True))
+        for of_motion, (torque, second) in zip(known, leads(motions, joints, stiffness, gap, damping), strict=True):
+            of_motion.update(zip(new, zip(torque.T, second.T, strict=True), strict=True))
+
+    def _lead(self, signals: Signals, k: int, settings: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        return signals.__dict__["_leads"][_key(k, settings)]
+
+    def columns(self, signals, joints, settings):
+        (k,) = joints
+        self.prepare([signals], [(joints, settings)])
+        torque, second = self._lead(signals, k, settings)
+        others = {j: -(signals.mass[:, j, k] * second)[:, None] for j in range(signals.q.shape[1])}
+        return {**others, k: -torque[:, None].astype(float)}
+
+    def freedom(self, settings):
+        return 2
+
+
+def _energy(survey: Survey) -> np.ndarray:
+    """(n,) mean of (e / σ)² of what is left."""
+    parts = zip(survey.residuals, survey.sigmas, strict=True)
+    return np.mean(np.concatenate([(left / sigma) ** 2 for left, sigma in parts]), axis=0)
+
+
+def _key(k: int, settings: Mapping[str, float]) -> tuple[int, float, float, float]:
+    return k, settings["stiffness"], settings["damping"], settings.get("gap", 0.0)

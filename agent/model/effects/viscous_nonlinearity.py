@@ -1,0 +1,37 @@
+"""Viscous friction that bends with speed."""
+
+import numpy as np
+
+from agent.model.effects.effect import Effect, highest_speed, on_axle
+
+
+class ViscousNonlinearity(Effect):
+    """τ = a f(w) + b w with f(w) = v asinh(w / v) (shear thinning, Eyring), w |w| or w³."""
+
+    name = "viscous_nonlinearity"
+    formula = "a · v · asinh(w / v) + b · w, or a · |w|^(p−1) w + b · w"
+    source = "Waiboer, Aarts, Jonker, ECCOMAS (2005); Eyring, J. Chem. Phys. 4 (1936)"
+    signature = "residual with the sign of the speed, bent at high speed"
+    confused_with = ("friction_change", "stribeck")
+    look_at = "grease: viscosity, fill level, churning at high speed"
+    limits = ("friction_change",)
+
+    def settings(self, survey, joints):
+        fastest = highest_speed(survey, joints[0])
+        return [
+            *({"speed": fastest * fraction} for fraction in (0.01, 0.03, 0.1, 0.3)),
+            {"power": 2.0},
+            {"power": 3.0},
+        ]
+
+    def names(self, settings):
+        return ("bend", "viscous_change")
+
+    def columns(self, signals, joints, settings):
+        (axle,) = joints
+        speed = signals.axles.speed[:, axle]
+        if "power" in settings:
+            bent = speed * np.abs(speed) ** (settings["power"] - 1)
+        else:
+            bent = settings["speed"] * np.arcsinh(speed / settings["speed"])
+        return on_axle(signals.reference, axle, bent, speed)

@@ -1,0 +1,112 @@
+"""Motors that turn along with another axis."""
+
+import numpy as np
+
+from agent.model.effects.effect import Effect
+from agent.model.friction_terms import AxleMotion, axle_columns
+from agent.model.signals import Signals
+
+_RATIOS = (0.05, 0.068, 0.09, 0.12, 0.16, 0.22, 0.3, 0.4, 0.55, 0.74, 1.0)
+_FREE_RATIOS = (0.1, 0.3, 0.6, 1.0)
+_REVERSAL = 2e-3  # of the highest speed, where the model's friction reverses over a travel or at once
+
+
+class WristCoupling(Effect):
+    """Axle j turns at w + r q̇_i and not at w = (C q̇)_j alone, so its rotor and friction act at that speed.
+
+    What the axle's motor gives more, Δf_j = a r q̈_i + b (F(w + r q̇_i) − F(w)), reaches joint k as C_jk Δf_j. F is the
+    friction that the model has for the axle, and b near 1. What else there is depends on where torque is reported. On
+    the joint side the motor of joint i carries the axle's share too, Δτ_i = r (a (ẇ + r q̈_i) + b F(w + r q̇_i)). On the
+    axles' side the load f_j of the axle, without its rotor, reaches axle i unseen: Δf_i = r (a ẇ − b f_j). Where the
+    model's friction sits elsewhere, viscous and Coulomb part and that load have factors of their own (`free`).
+    """
+
+    name = "wrist_coupling"
+    scope = "pair"
+    formula = "τ = C'ᵀ f(C' q̇) − Cᵀ f(C q̇), C' is C with r more in row j, column i"
+    source = "power is kept, so torques go by the transpose: Khalil, Dombre (2002), coupled transmissions"
+    signature = "residual on two wrist axes, each with the speed and acceleration of the other"
+    confused_with = ("friction_change",)
+    look_at = "motor_coupling in the robot description; coupling compensation of the controller"
+    limits = ("friction_change",)
+    refined = ("ratio",)
+
+    def places(self, robot):
+        first = max(0, robot.dof - 3)
+        return [(i, j) for i in range(first, robot.dof) for j in range(i + 1, robot.dof)]
+
+    def settings(self, survey, joints):
+        kinds = [
+            *({"ratio": ratio} for ratio in _RATIOS),
+            *({"ratio": ratio, "free": 1.0} for ratio in _FREE_RATIOS),
+        ]
+        sides: tuple[dict[str, float], ...] = ({}, {"axle_side": 1.0})
+        return [
+            {**kind, "ratio": sign * kind["ratio"], **side} for kind in kinds for side in sides for sign in (-1.0, 1.0)
+        ]
+
+    def nearby(self, settings, factor):
+        """Several steps each way, as the gain peaks narrowly over the ratio; a free one with the model's friction."""
+        tied = {name: value for name, value in settings.items() if name != "free"}
+        kinds = [settings, tied] if "free" in settings else [settings]
+        return [{**kind, "ratio": kind["ratio"] * factor**power} for kind in kinds for power in range(-3, 4)]
+
+    def names(self, settings):
+        if "free" not in settings:
+            return ("rotor", "share")
+        return ("rotor", "viscous", "coulomb", *(("transmission",) if "axle_side" in settings else ()))
+
+    def columns(self, signals, joints, settings):
+        i, j = joints
+        ratio = settings["ratio"]
+        alone, turned = (_friction(signals, j, i, part, "free" in settings) for part in (0.0, ratio))
+        coupling = signals.reference.coupling
+        acceleration = signals.qdd @ coupling[j]
+        width = len(self.names(settings))
+        more, carried = np.zeros((2, len(alone), width))
+        last = 1 + alone.shape[1]
+        more[:, 0], more[:, 1:last] = ratio * signals.qdd[:, i], turned - alone
+        if "axle_side" in settings:
+            carriers = coupling[i]
+            carried[:, 0] = acceleration
+            carried[:, -1] = signals.axles.load[:, j] * (1.0 if "free" in settings else -1.0)
+        else:
+            carriers = np.eye(len(coupling))[i]
+            carried[:, 0], carried[:, 1:last] = acceleration + ratio * signals.qdd[:, i], turned
+        felt = np.flatnonzero(np.abs(coupling[j]) + np.abs(carriers))
+        return {int(k): coupling[j, k] * more + carriers[k] * ratio * carried for k in felt}
+
+    def plausible(self, settings, values):
+        return values["rotor"] > 0 and 0.3 < values.get("share", 1.0) < 1.7 and values.get("transmission", -1.0) < 0
+
+    def freedom(self, settings):
+        return 1 + len(self.names(settings))
+
+
+def _friction(signals: Signals, axle: int, joint: int, ratio: float, free: bool) -> np.ndarray:
+    """(S, 1) of the model, or (S, 2) parts of its own, remembered: both sides ask for the same."""
+    known = signals.__dict__.setdefault("_turning", {})
+    key = (axle, joint if ratio else axle, ratio, free)
+    if key not in known:
+        known[key] = (_viscous_and_coulomb if free else _model_friction)(signals, axle, joint, ratio)
+    return known[key]
+
+
+def _model_friction(signals: Signals, axle: int, joint: int, ratio: float) -> np.ndarray:
+    """(S, 1) friction of the model on an axle that also turns with a joint."""
+    model, seen = signals.reference.model, signals.axles
+    position, speed = seen.position.copy(), seen.speed.copy()
+    position[:, axle] += ratio * signals.q[:, joint]
+    speed[:, axle] += ratio * signals.qd[:, joint]
+    terms = [(k, term) for k, term in enumerate(model.terms, len(model.independent)) if term.axle == axle]
+    columns = axle_columns(tuple(term for _, term in terms), AxleMotion(position, speed, seen.load))
+    return columns @ model.values[[k for k, _ in terms], None]
+
+
+def _viscous_and_coulomb(signals: Signals, axle: int, joint: int, ratio: float) -> np.ndarray:
+    """(S, 2) speed and direction of an axle that also turns with a joint."""
+    reversal = signals.reference.reversals[axle]
+    scale = reversal.scale if reversal.kind == "speed" else 0.0
+    speed = signals.axles.speed[:, axle] + ratio * signals.qd[:, joint]
+    usual = _REVERSAL * float(signals.reference.robot.max_velocity[axle])
+    return np.column_stack([speed, np.tanh(speed / (scale or usual))])

@@ -1,0 +1,334 @@
+"""The identified model: what is needed to predict torque, to judge the prediction, and to fit again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.core.errors import InputError
+from agent.model.checks import check_model
+from agent.model.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns
+from agent.robot import RobotDescription
+from agent.robot.rigid_bodies import RigidBodies
+
+SCHEMA = "model/1"
+
+
+@dataclass(frozen=True)
+class ModelEffect:
+    """Something beyond rigid bodies and friction that adds torque: an effect's name, its joints and parameters."""
+
+    effect: str
+    joints: tuple[str, ...]
+    parameters: dict[str, float]
+
+
+#: Torque (S, n) an effect adds: (model, entry, motion with keys time, q, qd, qdd, torque predicted so far) → (S, n).
+EffectTorque = Callable[["IdentifiedModel", ModelEffect, dict[str, Any], np.ndarray], np.ndarray]
+EFFECTS: dict[str, EffectTorque] = {}
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedModel:
+    """A fitted model of one robot, self-contained.
+
+    Its p parameters are b base parameters (rotor inertias among them), then the friction terms: values (p,) and
+    covariance (p, p). `independent`, `projection` and `combinations` are those of `agent.robot.base_parameters`;
+    `residual_rmse` and `held_out_rmse` (n,) [N·m] are of the fit and of its cross-validation, standstill included;
+    `weights` (2, n) are the fit's, in motion and at standstill; `group_rmse` (2, n) is the held-out RMSE of the same
+    groups, and `standstill_speed` (n,) up to which a joint stands still (None in older files); `cutoff` [Hz] and
+    `order` are the filter's; `standard` (10 n + n,) are physical inertial parameters behind the base parameters, where
+    the method found them.
+    """
+
+    robot: RobotDescription
+    independent: np.ndarray
+    projection: np.ndarray
+    standard_names: tuple[str, ...]
+    combinations: tuple[str, ...]
+    terms: tuple[FrictionTerm, ...]
+    values: np.ndarray
+    covariance: np.ndarray
+    cutoff: float
+    order: int
+    method: str
+    weights: np.ndarray
+    residual_rmse: np.ndarray
+    held_out_rmse: np.ndarray
+    condition_number: float
+    standard: np.ndarray | None = None
+    group_rmse: np.ndarray | None = None
+    standstill_speed: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+    effects: tuple[ModelEffect, ...] = ()
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(p,) short names of all parameters."""
+        return (*(self.standard_names[k] for k in self.independent), *(term.name for term in self.terms))
+
+    @property
+    def standard_deviations(self) -> np.ndarray:
+        """(p,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def base_values(self) -> np.ndarray:
+        """(b,) base parameters."""
+        return self.values[: len(self.independent)]
+
+    @cached_property
+    def rigid(self) -> RigidBodies:
+        """The regressor of the base parameters."""
+        from agent.robot.dynamics import Dynamics
+
+        return RigidBodies(Dynamics(self.robot), self.independent, self.projection)
+
+    def columns(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """(S, n, p) regressor of all parameters for joint motion (S, n)."""
+        rigid = self.rigid.columns(q, qd, qdd)
+        friction = self._friction_columns(q, qd, rigid @ self.base_values)
+        return np.concatenate([rigid, friction], axis=2)
+
+    def predict(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, time: np.ndarray | None = None) -> np.ndarray:
+        """(S, n) joint torque [N·m] of consecutive samples (S, n) at `time` (S,) [s], which only effects may need.
+
+        Raises:
+            InputError: the model has an effect that is not known here.
+        """
+        return self.predict_parts(q, qd, qdd, time)[0]
+
+    def predict_parts(
+        self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, time: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What `predict` returns, and what the friction terms have in it; both (S, n) [N·m].
+
+        Raises:
+            InputError: the model has an effect that is not known here.
+        """
+        rigid = self.rigid.torque(q, qd, qdd, self.base_values)
+        columns = axle_columns(self.terms, AxleMotion.of(self.robot, q, qd, rigid))
+        friction = columns * self.values[len(self.independent) :] @ self._friction_share
+        torque = rigid + friction
+        motion = {"time": time, "q": q, "qd": qd, "qdd": qdd}
+        for entry in self.effects:
+            torque = torque + _effect(entry)(self, entry, motion, torque)
+        return torque, friction
+
+    def prediction_interval(
+        self, columns: np.ndarray, speed: np.ndarray | None = None, probability: float = 0.95
+    ) -> np.ndarray:
+        """(S, n) half width [N·m] around a prediction from regressor columns (S, n, p), filtered as it is.
+
+        The variance is that of the parameters, xᵀ Σ x, and that of held-out rows: in motion, or at standstill where the
+        joints' `speed` (S, n) is given and says so, since stiction leaves friction open there.
+        """
+        from scipy.special import ndtri
+
+        variance = np.einsum("snp,pq,snq->sn", columns, self.covariance, columns, optimize=True)
+        rest = self.residual_rmse
+        if speed is not None and self.group_rmse is not None:
+            rest = np.where(np.abs(speed) > self.standstill_speed, *self.group_rmse)
+        return float(ndtri(0.5 + probability / 2)) * np.sqrt(variance + rest**2)
+
+    @property
+    def _friction_share(self) -> np.ndarray:
+        """(T, n): what each term's axle torque is on each joint."""
+        return self.robot.coupling[[term.axle for term in self.terms]]
+
+    def _friction_columns(self, q: np.ndarray, qd: np.ndarray, rigid_torque: np.ndarray) -> np.ndarray:
+        columns = axle_columns(self.terms, AxleMotion.of(self.robot, q, qd, rigid_torque))
+        return self._friction_share.T[None] * columns[:, None, :]
+
+    def _term_unit(self, term: FrictionTerm) -> str:
+        return term.unit(self.robot.joints[term.axle].prismatic)
+
+    def _term_meaning(self, term: FrictionTerm) -> str:
+        return term.meaning(self.robot.joint_names[term.axle])
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Table of parameters like the paper's Table I, header first."""
+        deviations = self.standard_deviations
+        rows: list[tuple[str, ...]] = [("parameter", "value", "std. dev.", "rel. [%]", "unit", "stands for")]
+        for k, name in enumerate(self.names):
+            b = len(self.independent)
+            unit = _standard_unit(name) if k < b else self._term_unit(self.terms[k - b])
+            meaning = self.combinations[k] if k < b else self._term_meaning(self.terms[k - b])
+            value, deviation = self.values[k], deviations[k]
+            relative = f"{100 * deviation / abs(value):.1f}" if value != 0 else "-"
+            rows.append((name, f"{value:.5g}", f"{deviation:.2g}", relative, unit, meaning))
+        return rows
+
+    def text(self) -> str:
+        """The table, what there is to say about it, and the held-out error, for people."""
+        rows = [row[:5] for row in self.rows()]
+        widths = [max(len(row[k]) for row in rows) for k in range(5)]
+        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+        lines.append(f"condition number of the scaled observation matrix: {condition_text(self.condition_number)}")
+        errors = "  ".join(
+            f"{joint.name} {error:.3g} {'N' if joint.prismatic else 'N·m'}"
+            for joint, error in zip(self.robot.joints, self.held_out_rmse, strict=True)
+        )
+        lines.append(f"held-out RMSE: {errors}")
+        return "\n".join([*lines, *self.notes])
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content of the model file."""
+        deviations = self.standard_deviations
+        b = len(self.independent)
+        return {
+            "schema": SCHEMA,
+            "robot": self.robot.to_dict(),
+            "method": self.method,
+            "filter": {"cutoff_hz": self.cutoff, "order": self.order},
+            "base_parameters": [
+                {
+                    "name": self.names[k],
+                    "combination": self.combinations[k],
+                    "unit": _standard_unit(self.names[k]),
+                    "value": float(self.values[k]),
+                    "standard_deviation": float(deviations[k]),
+                }
+                for k in range(b)
+            ],
+            "friction": [
+                {
+                    "name": term.name,
+                    "joint": self.robot.joint_names[term.axle],
+                    "form": term.form,
+                    "reversal": None if term.reversal is None else asdict(term.reversal),
+                    "fading": term.fading,
+                    "unit": self._term_unit(term),
+                    "value": float(self.values[b + k]),
+                    "standard_deviation": float(deviations[b + k]),
+                }
+                for k, term in enumerate(self.terms)
+            ],
+            "effects": [
+                {"effect": e.effect, "joints": list(e.joints), "parameters": e.parameters} for e in self.effects
+            ],
+            "covariance": self.covariance.tolist(),
+            "standard_names": list(self.standard_names),
+            "independent": self.independent.tolist(),
+            "projection": self.projection.tolist(),
+            "standard_parameters": None if self.standard is None else self.standard.tolist(),
+            "weights": self.weights.tolist(),
+            "residual_rmse": self.residual_rmse.tolist(),
+            "held_out_rmse": self.held_out_rmse.tolist(),
+            "group_rmse": None if self.group_rmse is None else self.group_rmse.tolist(),
+            "standstill_speed": None if self.standstill_speed is None else self.standstill_speed.tolist(),
+            "condition_number": self.condition_number if np.isfinite(self.condition_number) else None,
+            "notes": list(self.notes),
+            "provenance": self.provenance,
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write the model file, beside and renamed, so that a reader never sees half of it.
+
+        Raises:
+            AgentError: the disk is full or not writable; what was there stays.
+        """
+        from agent.runs.folder import write_atomically
+
+        write_atomically(Path(path), json.dumps(self.to_dict(), allow_nan=False))
+
+    @classmethod
+    def load(cls, path: str | Path) -> IdentifiedModel:
+        """Read a model file.
+
+        Raises:
+            InputError: missing, not JSON, of another schema, or incomplete.
+        """
+        path = Path(path)
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise InputError(f"{path}: no such model file") from None
+        except (OSError, ValueError, RecursionError) as error:
+            raise InputError(f"{path}: cannot be read as a model: {error}") from None
+        schema = data.get("schema") if isinstance(data, dict) else None
+        if schema != SCHEMA:
+            raise InputError(f"{path}: not a model file of schema {SCHEMA!r} (it says {schema!r})")
+        try:
+            return cls.from_dict(data)
+        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+            what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+            raise InputError(f"{path}: this model file is incomplete or damaged: {what}") from None
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> IdentifiedModel:
+        """The inverse of `to_dict`."""
+        robot = RobotDescription.from_dict(data["robot"])
+        base, friction = data["base_parameters"], data["friction"]
+        values = np.array([entry["value"] for entry in [*base, *friction]], dtype=float)
+        condition = data["condition_number"]
+        model = cls(
+            robot=robot,
+            independent=np.array(data["independent"], dtype=int),
+            projection=np.array(data["projection"], dtype=float),
+            standard_names=tuple(data["standard_names"]),
+            combinations=tuple(entry["combination"] for entry in base),
+            terms=tuple(
+                FrictionTerm(
+                    _axle(robot, e["joint"]),
+                    e["form"],
+                    None if e["reversal"] is None else Reversal(**e["reversal"]),
+                    e["fading"],
+                )
+                for e in friction
+            ),
+            values=values,
+            covariance=np.array(data["covariance"], dtype=float),
+            cutoff=float(data["filter"]["cutoff_hz"]),
+            order=int(data["filter"]["order"]),
+            method=data["method"],
+            weights=np.array(data["weights"], dtype=float),
+            residual_rmse=np.array(data["residual_rmse"], dtype=float),
+            held_out_rmse=np.array(data["held_out_rmse"], dtype=float),
+            condition_number=np.inf if condition is None else float(condition),
+            standard=_optional(data, "standard_parameters"),
+            group_rmse=_optional(data, "group_rmse"),
+            standstill_speed=_optional(data, "standstill_speed"),
+            notes=tuple(data["notes"]),
+            effects=tuple(ModelEffect(e["effect"], tuple(e["joints"]), dict(e["parameters"])) for e in data["effects"]),
+            provenance=data["provenance"],
+        )
+        check_model(model)
+        return model
+
+
+def _optional(data: dict[str, Any], key: str) -> np.ndarray | None:
+    return None if data.get(key) is None else np.array(data[key], dtype=float)
+
+
+def _axle(robot: RobotDescription, joint: str) -> int:
+    if joint not in robot.joint_names:
+        raise ValueError(f"{joint!r} is no joint of the robot")
+    return robot.joint_names.index(joint)
+
+
+def _effect(entry: ModelEffect) -> EffectTorque:
+    if entry.effect not in EFFECTS:
+        import_module("agent.model.with_effects")  # registers the forms it knows
+    if entry.effect not in EFFECTS:
+        raise InputError(f"the model has an effect {entry.effect!r} that this version cannot evaluate")
+    return EFFECTS[entry.effect]
+
+
+def condition_text(number: float) -> str:
+    """A condition number as every page and summary shows it."""
+    return f"{number:.0f}" if np.isfinite(number) else "beyond 1e7"
+
+
+def _standard_unit(name: str) -> str:
+    if name.startswith("m") and name[1:].isdigit():
+        return "kg"
+    return "kg·m" if name.startswith("m") else "kg·m²"

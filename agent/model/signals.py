@@ -1,0 +1,162 @@
+"""What the forms of effects are computed from: one motion, and the reference model seen as separate physical parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.model.friction_terms import AxleMotion, Reversal, axle_columns
+from agent.model.identified import IdentifiedModel
+from agent.robot import RobotDescription
+
+if TYPE_CHECKING:
+    from agent.robot.dynamics import Dynamics
+
+_MASS_STEP = 10  # mass matrices change slowly: one in ten samples is computed
+
+
+class Reference:
+    """The model that is diagnosed against, with its base parameters spread over links and rotors.
+
+    Base parameters β = P π fix only combinations of the standard parameters π. Of all π with P π = β the one nearest
+    to the description's is taken, distances counted in the doubt D about each parameter:
+    π = π₀ + D² Pᵀ (P D² Pᵀ)⁻¹ (β − P π₀).
+    """
+
+    def __init__(self, model: IdentifiedModel):
+        from agent.robot.dynamics import Dynamics
+
+        self.model, self.robot = model, model.robot
+        nominal = Dynamics(self.robot)
+        links = nominal.standard_parameters()
+        mean, doubt = _doubt(self.robot, nominal, links)
+        spread = (model.projection * doubt**2) @ model.projection.T
+        correction = np.linalg.solve(spread, model.base_values - model.projection @ mean)
+        standard = mean + doubt**2 * (model.projection.T @ correction)
+        self.doubt = doubt
+        self.links: Dynamics = nominal.with_parameters(standard[: 10 * self.robot.dof])
+        #: links whose mass matrix is sound: those of the description where the spread ones could not be bodies
+        self.solid = self.links if _sound(self.links, nominal) else nominal
+        self.rotors = standard[10 * self.robot.dof :]
+        self.coupling = self.robot.coupling
+        self.from_joints = np.linalg.inv(self.coupling)
+        self.reversals = tuple(self._reversal(axle) for axle in range(self.robot.dof))
+
+    @property
+    def scale(self) -> np.ndarray:
+        """(n,) torque that makes figures of a joint comparable [N·m]: nominal, or what the model leaves, × 100."""
+        return np.where(
+            np.isfinite(self.robot.nominal_torque), self.robot.nominal_torque, 100 * self.model.held_out_rmse
+        )
+
+    def _reversal(self, axle: int) -> Reversal:
+        for term in self.model.terms:
+            if term.axle == axle and term.form == "coulomb" and term.reversal is not None:
+                return term.reversal
+        return Reversal("speed", 2e-3 * float(self.robot.max_velocity[axle]))
+
+
+def _sound(links: Dynamics, nominal: Dynamics) -> bool:
+    postures = np.random.default_rng(0).uniform(-1.5, 1.5, (8, nominal.dof))
+    return all(np.all(np.diag(links.mass_matrix(q)) > 0.3 * np.diag(nominal.mass_matrix(q))) for q in postures)
+
+
+def _doubt(robot: RobotDescription, nominal: Dynamics, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and doubt (10 n + n,) of the standard parameters: half a link, and any rotor the drive could turn."""
+    rng = np.random.default_rng(0)
+    tips = nominal.tip_pose(rng.uniform(-3, 3, (50, robot.dof)))[:, :3, 3]
+    reach = max(float(np.linalg.norm(tips, axis=1).max()), 0.1)
+    blocks = links.reshape(-1, 10)
+    mass = np.maximum(blocks[:, 0], 0.02 * max(blocks[:, 0].sum(), 1e-3))
+    gyration = np.sqrt(np.maximum(blocks[:, [4, 6, 9]].sum(axis=1), 0) / 2 / mass)
+    radius = np.maximum(gyration, 0.1 * reach)
+    scale = mass[:, None] * np.stack([np.ones_like(mass), *[radius] * 3, *[radius**2] * 6], axis=1)
+    matrix = nominal.mass_matrix(np.zeros(robot.dof))
+    rotors = np.array([joint.rotor_inertia or 0.0 for joint in robot.joints])
+    usual = np.maximum(np.diag(matrix), 1e-3 * np.diag(matrix).max() + 1e-9) / robot.gear_ratios**2
+    return np.append(blocks.ravel(), rotors), np.append(0.5 * scale.ravel(), np.where(rotors > 0, 0.5 * rotors, usual))
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """One motion without gaps. S samples, n joints: time (S,) [s] of the log, q, qd, qdd (S, n) smoothed.
+
+    `log_index` counts logs (-1 where unknown), `cycle_starts` [s] are those of its log and `started` [s] is when that
+    began, counted from the first log: all for effects that happen at some time. `kept` are the samples that the filter
+    returns.
+    """
+
+    reference: Reference
+    time: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    log_index: int = -1
+    kept: slice = field(default_factory=lambda: slice(None))
+    cycle_starts: tuple[float, ...] = ()
+    started: float = 0.0
+
+    @cached_property
+    def axles(self) -> AxleMotion:
+        """Positions and speeds of the axles, and the load they carry."""
+        return AxleMotion.of(self.reference.robot, self.q, self.qd, self.rigid)
+
+    @cached_property
+    def rigid(self) -> np.ndarray:
+        """(S, n) joint torque of the model's base parameters."""
+        model = self.reference.model
+        return model.rigid.torque(self.q, self.qd, self.qdd, model.base_values)
+
+    @cached_property
+    def friction(self) -> np.ndarray:
+        """(S, n) friction torque of the model, on the axles."""
+        model = self.reference.model
+        columns = axle_columns(model.terms, self.axles)
+        values = model.values[len(model.independent) :]
+        torque = np.zeros(self.q.shape)
+        for k, term in enumerate(model.terms):
+            torque[:, term.axle] += columns[:, k] * values[k]
+        return torque
+
+    @cached_property
+    def predicted(self) -> np.ndarray:
+        """(S, n) joint torque of the model's bodies and friction."""
+        return self.rigid + self.friction @ self.reference.coupling
+
+    @cached_property
+    def axle_torque(self) -> np.ndarray:
+        """(S, n) the same on the axles: what the motors give, times the gear ratio."""
+        return self.rigid @ self.reference.from_joints + self.friction
+
+    def direction(self, axle: int) -> np.ndarray:
+        """(S,) direction of sliding, as the model's friction reverses."""
+        return self.axles.direction(axle, self.reference.reversals[axle])
+
+    @cached_property
+    def link_load(self) -> np.ndarray:
+        """(S, n) joint torque of the links alone, without rotors."""
+        return self.reference.links.inverse_dynamics(self.q, self.qd, self.qdd)
+
+    @cached_property
+    def mass(self) -> np.ndarray:
+        """(S, n, n) mass matrix of the links, computed on every tenth sample and straight in between."""
+        links = self.reference.solid
+        at = np.append(np.arange(0, len(self.q) - 1, _MASS_STEP), len(self.q) - 1)
+        matrices = np.array([links.mass_matrix(q) for q in self.q[at]])
+        sample = np.arange(len(self.q))
+        first = np.minimum(sample // _MASS_STEP, len(at) - 2)
+        share = ((sample - at[first]) / (at[first + 1] - at[first]))[:, None, None]
+        return (1 - share) * matrices[first] + share * matrices[first + 1]
+
+    @cached_property
+    def standard(self) -> np.ndarray:
+        """(S, n, 10 n) regressor of the links' standard parameters."""
+        return self.reference.links.regressor(self.q, self.qd, self.qdd)
+
+    @cached_property
+    def jacobian(self) -> np.ndarray:
+        """(S, 3, n) of the tip's position."""
+        return self.reference.links.tcp_jacobian(self.q)[:, :3]

@@ -1,0 +1,188 @@
+"""The whole job, as in the paper's Fig. 2: plan, program, send, record, filter, estimate, validate, report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from agent.core.console import Console
+from agent.link.controller import answering
+from agent.link.record import Recording
+from agent.pipeline import planning
+from agent.pipeline.ending import current_run, ending_text, going_on
+from agent.pipeline.record_plan import EXCITATION, record_plan, validation_logs
+from agent.pipeline.result import build_result, provenance, run_data, typical_motion
+from agent.recipe import Recipe
+from agent.robot.torque_figures import error_text, not_judged_text, outcome_text
+from agent.runs.approved import approve, check_approved
+from agent.runs.current_model import origin, remember
+from agent.runs.folder import RunFolder, sha256_file
+from agent.runs.lock import robot_lock
+from agent.safety.preconditions import check_period
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Run folder, the content of its `result.json`, whether the gate accepted it, and what comes next."""
+
+    run: Path
+    result: dict[str, Any]
+    accepted: bool
+    ending: str = ""
+
+    def summary(self) -> str:
+        """One screen."""
+        from agent.estimation import condition_text
+
+        result, validation = self.result, self.result["validation"]
+        axes = "  ".join(
+            f"{name} {error_text(share, torque, unit)}"
+            for name, share, torque, unit in zip(
+                validation["joints"],
+                validation["normalised_rmse"],
+                validation["rmse"],
+                validation["units"],
+                strict=True,
+            )
+        )
+        not_judged = result["gate"]["not_judged"]
+        of = "RMSE" if len(not_judged) == len(validation["joints"]) else "of nominal torque"
+        return "\n".join(
+            [
+                "",
+                f"fitness             {result['search']['fitness']:.2f}  (log10 det(HᵀH/M), higher is better)",
+                f"condition number    {condition_text(result['estimation']['condition_number'])}  (below 100 is good)",
+                f"prediction error    {axes}",
+                f"                    {of}, {validation['motions']} unseen motions at {validation['speed']:g} m/s",
+                "result              "
+                + outcome_text(self.accepted, result["reason"], not_judged, validation["joints"])
+                + f"  (gate {100 * result['gate']['normalised_rmse']:.1f} % of nominal torque on every axis)",
+                f"report              {self.run / 'report.html'}",
+                self.ending,
+                "",
+            ]
+        )
+
+
+def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None, yes: bool) -> Outcome:
+    """Run the job; with `resume`, go on after the last finished step of a stopped run.
+
+    Raises:
+        AgentError, DriverError: with their exit codes; the run folder says where and why it stopped.
+    """
+    with robot_lock(recipe.controller.driver, recipe.controller.address):
+        if resume is None:
+            run = RunFolder.create(logs, recipe.robot.name, recipe.path)
+            run.note(kind="calibrate", **origin(recipe))
+            approve(run, recipe)
+        else:
+            run = RunFolder.open(resume, recipe.sha256, check=lambda opened: check_approved(opened, recipe))
+        console.say(f"run {run.path}")
+        if not_judged := not_judged_text(recipe.robot, recipe.gate.normalised_rmse):
+            console.warn(not_judged)
+
+        with step(run, "plan", console):
+            if run.finished("plan") is None:
+                _greet(recipe, console)
+            plan = planning.plan_once(recipe, run, console)
+        with step(run, "record", console):
+            recordings = record_plan(recipe, plan, run, console, logs, yes)
+        with step(run, "estimate", console):
+            model = _estimate(recipe, run, console)
+        with step(run, "validate", console):
+            validation = _validate(recipe, run, model, console)
+        with step(run, "report", console):
+            outcome = _report(recipe, plan, run, recordings, model, validation, console)
+        remember(run, console)
+        return replace(outcome, ending=ending_text(run, recipe))
+
+
+def _greet(recipe: Recipe, console: Console) -> None:
+    """Ask the controller who it is before the search: a wrong address is told at once, not minutes later."""
+    with answering(recipe) as (_, identity):
+        if not identity.watch_only:
+            check_period(identity, recipe.record.rate, recipe.controller.address)
+    console.say(f"{identity.robot}, serial {identity.serial}, answers at {recipe.controller.address}")
+
+
+def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
+    from agent.estimation import EstimationSettings, IdentifiedModel, estimate
+    from agent.pipeline.identify import read_logs
+
+    if run.finished("estimate"):
+        run.check_file("model.json", run.state.get("model_sha256"))
+        return IdentifiedModel.load(run.file("model.json"))
+    console.step("estimating")
+    logs = read_logs([run.file(EXCITATION)], recipe.robot, console)
+    model = estimate(
+        recipe.robot,
+        logs,
+        EstimationSettings.create(
+            cutoff=recipe.estimate.filter.cutoff, method=recipe.estimate.method, order=recipe.estimate.filter.order
+        ),
+        tool=recipe.tool,
+    )
+    model.save(run.file("model.json"))
+    run.note(model_sha256=sha256_file(run.file("model.json")))
+    return model
+
+
+def _validate(recipe: Recipe, run: RunFolder, model: Any, console: Console) -> list[Any]:
+    from agent.pipeline.identify import read_logs
+    from agent.validation import predict_log
+
+    console.step("validating on unseen motions")
+    logs = read_logs(validation_logs(run), recipe.robot, console)
+    return [predict_log(model, log) for log in logs]
+
+
+def _report(
+    recipe: Recipe,
+    plan: planning.Plan,
+    run: RunFolder,
+    recordings: list[Recording],
+    model: Any,
+    predictions: list[Any],
+    console: Console,
+) -> Outcome:
+    from agent.pipeline.analysis_log import write_analysis
+    from agent.pipeline.conditions import conditions
+    from agent.pipeline.reports import against_last, further_sections
+    from agent.recording import read_log
+    from agent.report import run_report
+    from agent.validation import predict_log
+
+    sources = provenance(run.path, run.state, [run.file(EXCITATION), *validation_logs(run)])
+    result = build_result(recipe, plan, recordings, model, predictions, sources)
+    log = read_log(run.file(EXCITATION), recipe.robot)
+    result["serial"] = run.state["serial"]
+    result["conditions"] = conditions(log, predict_log(model, log), recordings[0])
+    result |= against_last(run, log, console)
+    current = current_run(run.path.parent, recipe.robot.name, result["serial"])
+    result["current_model"] = run.path.name if result["accepted"] and current is None else current
+    run.write_json("result.json", result)
+    typical = typical_motion(predictions)
+    write_analysis(run.file("analysis.mcap"), read_log(run.file(typical.log), recipe.robot), typical)
+    further = further_sections(run.path, recipe, model, predictions)
+    run.write_text("report.html", run_report(run_data(recipe, plan, result, model, predictions, further)))
+    run.complete(result["accepted"])
+    return Outcome(run.path, result, result["accepted"])
+
+
+@contextmanager
+def step(run: RunFolder, name: str, console: Console) -> Iterator[None]:
+    """Whatever ends the run inside is noted in the run folder, and told with how to go on.
+
+    A step that an earlier start finished stays as it is.
+    """
+    try:
+        yield
+    except BaseException as error:
+        run.stopped(name, str(error) or type(error).__name__)
+        console.warn(going_on(run, name))
+        raise
+    if run.finished(name) is None:
+        run.finish(name)

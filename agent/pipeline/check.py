@@ -1,0 +1,164 @@
+"""`agent check`: everything that could stop a calibration, found without moving anything, told all at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.core.console import Console
+from agent.core.errors import AgentError, ControllerError
+from agent.recipe import Recipe, examine_recipe
+from agent.robot.torque_figures import not_judged_text
+
+#: Random loops that are run through the interpolator and the cell.
+LOOPS = 50
+#: Fewer feasible ones than this part of them, and a search will have a hard time.
+FEW = 0.2
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at: `subject`, what was found, and the exit code it asks for (0: fine)."""
+
+    subject: str
+    message: str
+    exit_code: int = 0
+
+    @property
+    def ok(self) -> bool:
+        """Whether this would stop nothing."""
+        return self.exit_code == 0
+
+
+@dataclass(frozen=True)
+class Findings:
+    """All that was looked at."""
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def exit_code(self) -> int:
+        """0, or the code of the first problem."""
+        return next((finding.exit_code for finding in self.findings if not finding.ok), 0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        rows = [{"subject": f.subject, "ok": f.ok, "message": f.message} for f in self.findings]
+        return {"schema": "check/1", "ok": self.exit_code == 0, "findings": rows}
+
+    def text(self) -> str:
+        """A line each."""
+        return "\n".join(f"{'ok     ' if f.ok else 'PROBLEM'} {f.subject}: {f.message}" for f in self.findings)
+
+
+def check_recipe(path: Path, console: Console) -> Findings:
+    """Recipe, reach, limits, cell and controller.
+
+    Where keys of the recipe are wrong that have a default, the rest is looked at with their defaults.
+
+    Raises:
+        InputError: no such file, or not YAML.
+    """
+    console.step(f"checking {path}")
+    recipe, faults = examine_recipe(path)
+    findings = [Finding("recipe", fault, 2) for fault in faults]
+    if recipe is None:
+        return Findings(tuple(findings))
+    looks: tuple[tuple[str, Callable[[Recipe, Console], str]], ...] = (
+        ("sub-region", _reach),
+        ("loops", _loops),
+        ("validation", _validation),
+        ("controller", _controller),
+    )
+    if not faults:
+        complete = f"{path} is complete; robot {recipe.robot.name}, {recipe.robot.dof} joints"
+        findings.append(Finding("recipe", complete))
+    if not_judged := not_judged_text(recipe.robot, recipe.gate.normalised_rmse):
+        findings.append(Finding("gate", not_judged))
+    for subject, look in looks:
+        console.step(f"looking at {subject}")
+        try:
+            findings.append(Finding(subject, look(recipe, console)))
+        except Exception as error:
+            code = getattr(error, "exit_code", None)
+            if code is None and not isinstance(error, AgentError):
+                raise
+            findings.append(Finding(subject, str(error), code or 2))
+    return Findings(tuple(findings))
+
+
+def _reach(recipe: Recipe, _: Console) -> str:
+    from agent.excitation import check_sub_region
+    from agent.pipeline.planning import loop_problem
+
+    missed = check_sub_region(loop_problem(recipe, recipe.motion.speed))
+    if not missed:
+        return "all corners and orientations asked can be reached"
+    return f"{len(missed)} places are out of reach and a search goes around them, the first: {missed[0]}"
+
+
+def _loops(recipe: Recipe, console: Console) -> str:
+    return _feasible(recipe, recipe.motion.speed, recipe.search.seed, console)
+
+
+def _validation(recipe: Recipe, console: Console) -> str:
+    return _feasible(recipe, recipe.validate.speed, recipe.validate.seed, console)
+
+
+def _feasible(recipe: Recipe, speed: float, seed: int, console: Console) -> str:
+    from agent.core.errors import InputError
+    from agent.excitation import Candidates
+    from agent.pipeline.planning import loop_problem
+
+    candidates = Candidates(loop_problem(recipe, speed))
+    rng = np.random.default_rng(seed)
+    scores = []
+    for number in range(LOOPS):
+        scores.append(candidates.score(rng.uniform(size=candidates.problem.genes)))
+        console.progress(f"{number + 1} of {LOOPS} random loops at {speed:g} m/s tried")
+    broken = [score for score in scores if not score.feasible]
+    text = f"{LOOPS - len(broken)} of {LOOPS} random loops at {speed:g} m/s keep all limits and clear of the cell"
+    if not broken:
+        return text
+    nearest = min(broken, key=lambda score: score.excess)
+    text += f"; one that does not: {nearest.reason}"
+    if len(broken) > (1 - FEW) * LOOPS:
+        raise InputError(f"{text}. Move or shrink motion.via_points, or lower the speed")
+    return text
+
+
+def _controller(recipe: Recipe, _: Console) -> str:
+    from agent.link.controller import answering
+    from agent.motion.frames import tool_frame
+    from agent.safety.frames import check_frames, frames_text
+    from agent.safety.motion import PlannedProgram
+    from drivers.protocol import TakesPoints, TellsFrames
+
+    address = recipe.controller.address
+    with answering(recipe) as (driver, identity):
+        status = driver.status()
+        frames = driver.frames() if isinstance(driver, TellsFrames) else {}
+        if isinstance(driver, TakesPoints):
+            points = PlannedProgram("of via-points", "", (), frames={"$TOOL": tool_frame(recipe.tool)})
+            check_frames(points, driver, address)
+    state = [
+        f"mode {status.mode}",
+        f"drives {'on' if status.drives_on else 'off'}",
+        f"override {100 * status.override:.0f} %" if status.override_known else "override not readable on this link",
+        f"cell {'closed' if status.cell_closed else 'open'}",
+        *(["emergency stop pressed"] if status.emergency_stop else []),
+        *(f"alarm {alarm}" for alarm in status.alarms),
+        *([identity.watch_only] if identity.watch_only else []),
+        *([frames_text(frames)] if frames else []),
+    ]
+    found = (
+        f"{identity.robot}, serial {identity.serial}, {identity.controller} {identity.version} at "
+        f"{address}, {1 / identity.period:g} Hz: {', '.join(state)}"
+    )
+    if identity.unguarded:
+        raise ControllerError(f"{found}; {identity.unguarded}")
+    return found

@@ -1,0 +1,224 @@
+"""From files, or from a robot, to a diagnosis, and what it says to people."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from agent.core.console import Console
+from agent.pipeline.identify import check_one_machine, check_output, check_plausible, read_logs, say_used
+from agent.robot import RobotDescription, load_robot
+
+if TYPE_CHECKING:
+    from agent.diagnosis import Diagnosis
+    from agent.diagnosis.forward import Simulated
+
+#: The model that was the simulator, as a run folder keeps it: the file that was named may be another one later.
+_SIMULATOR = "simulator.json"
+#: Slow motions beside the excitation loop: enough to hold one out, few enough to wait for.
+_VALIDATION_MOTIONS = 3
+
+_VERDICTS = {
+    "no_gap": "no gap: nothing of practical size beyond what the model's own prediction error allows",
+    "explained": "explained",
+    "ambiguous": "ambiguous: the data cannot tell the first cause from its equivalents",
+    "unknown": "unknown: there is a gap, and no effect of the catalogue closes it",
+}
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of logs: against which model (None: one fitted to them), what is left out, what is written.
+
+    `report` is the page, `out` the file of the model with the effects found; None: neither. `allow_mixed`: logs and
+    model may be of several machines or tools; `force`: go on although a log is implausible.
+    """
+
+    model: Path | None = None
+    cutoff: float | None = None
+    without: tuple[str, ...] = ()
+    report: Path | None = None
+    out: Path | None = None
+    allow_mixed: bool = False
+    force: bool = False
+
+
+def diagnose_files(robot: str, paths: Sequence[Path], question: Question, console: Console) -> dict[str, Any]:
+    """Diagnose logs; returns the result of CONTRACTS.md, 6, and writes what is asked for.
+
+    Raises:
+        InputError: a robot, model or log that cannot be used, an unknown effect, or an output that cannot be written.
+    """
+    return _diagnose(load_robot(robot), paths, question, console)
+
+
+def diagnose_recording(recipe: Path, question: Question, console: Console, runs: Path, yes: bool) -> dict[str, Any]:
+    """Record the recipe's motions into a run folder, then diagnose them; result and report are in the folder too.
+
+    Raises:
+        AgentError, DriverError: as in `agent calibrate`, before anything moves or after a controlled stop.
+    """
+    from agent.pipeline import planning
+    from agent.pipeline.calibrate import step
+    from agent.pipeline.ending import ending_text
+    from agent.pipeline.record_plan import record_plan
+    from agent.recipe import load_recipe
+    from agent.runs.approved import approve
+    from agent.runs.folder import RunFolder, write_atomically
+    from agent.runs.lock import robot_lock
+
+    _check(question, [])
+    loaded = load_recipe(recipe)
+    few = min(loaded.validate.motions, _VALIDATION_MOTIONS)
+    loaded = replace(loaded, validate=replace(loaded.validate, motions=few))
+    with robot_lock(loaded.controller.driver, loaded.controller.address):
+        run = RunFolder.create(runs, loaded.robot.name, loaded.path)
+        run.note(kind="diagnose", question={"cutoff": question.cutoff, "without": question.without})
+        approve(run, loaded)
+        if question.model is not None:
+            run.write_text(_SIMULATOR, question.model.read_text(encoding="utf-8"))
+        console.say(f"run {run.path}")
+        with step(run, "plan", console):
+            plan = planning.plan_once(loaded, run, console)
+        with step(run, "record", console):
+            recordings = record_plan(loaded, plan, run, console, runs, yes)
+        with step(run, "diagnose", console):
+            here = replace(question, report=run.file("report.html"))
+            result = _diagnose(loaded.robot, [recording.path for recording in recordings], here, console)
+            run.write_json("result.json", result)
+            if question.report is not None:
+                write_atomically(question.report, here.report.read_text(encoding="utf-8"))
+        run.complete(True)
+    console.say(ending_text(run, loaded))
+    return result
+
+
+def diagnose_again(run: Path, robot: RobotDescription, console: Console) -> str:
+    """HTML of the page of a recorded diagnosis, from the run's files.
+
+    Raises:
+        InputError: a log or the model cannot be read.
+        KeyError: the run does not say what was asked.
+    """
+    from agent.report.diagnosis_page import diagnosis_report
+
+    asked = json.loads((run / "state.json").read_text(encoding="utf-8"))["question"]
+    model = run / _SIMULATOR
+    question = Question(model if model.exists() else None, asked["cutoff"], tuple(asked["without"]))
+    logs = [run / "excitation.mcap", *sorted(run.glob("validation_[0-9][0-9].mcap"))]
+    return diagnosis_report(*_find(robot, logs, question, console))
+
+
+def _diagnose(robot: RobotDescription, paths: Sequence[Path], question: Question, console: Console) -> dict[str, Any]:
+    from agent.diagnosis import simulation_part
+
+    _check(question, paths)
+    found, simulated = _find(robot, paths, question, console)
+    for warning in found.warnings:
+        console.warn(warning)
+    result = {**found.result, "simulation": simulation_part(found, simulated)}
+    if question.report is not None:
+        from agent.report.diagnosis_page import diagnosis_report
+        from agent.runs.folder import write_atomically
+
+        write_atomically(question.report, diagnosis_report(found, simulated))
+    if question.out is not None:
+        _write_model(found, question.out, console)
+    return result
+
+
+def _find(
+    robot: RobotDescription, paths: Sequence[Path], question: Question, console: Console
+) -> tuple[Diagnosis, list[Simulated]]:
+    from agent.diagnosis import diagnose, simulate
+    from agent.estimation import IdentifiedModel
+
+    reference = None if question.model is None else IdentifiedModel.load(question.model)
+    console.step(f"reading {len(paths)} logs")
+    logs = read_logs(list(paths), robot, console)
+    check_one_machine(logs, reference, question.allow_mixed)
+    check_plausible(robot, logs, question.force, console)
+    console.step("searching for what model and robot disagree in")
+    found = diagnose(robot, logs, reference, question.cutoff, question.without, console.progress)
+    say_used(logs, found.dataset.cutoff, found.dataset.model.order, console)
+    console.step("simulating with and without it")
+    return found, simulate(found)
+
+
+def _check(question: Question, logs: Sequence[Path]) -> None:
+    """What makes no sense is refused before the work, and before anything moves.
+
+    Raises:
+        InputError: an output that cannot be written or would overwrite an input, an unknown effect, or no model.
+    """
+    from agent.diagnosis import check_effects
+    from agent.estimation import IdentifiedModel
+
+    check_effects(question.without)
+    if question.model is not None:
+        IdentifiedModel.load(question.model)
+    inputs = [*logs, *([question.model] if question.model else [])]
+    for out in (question.report, question.out):
+        if out is not None:
+            check_output(out, inputs)
+
+
+def _write_model(found: Diagnosis, out: Path, console: Console) -> None:
+    """The model with the effects found; what cannot be part of a model is said."""
+    from agent.diagnosis import extended_model
+
+    model = extended_model(found)
+    left_out = [c["effect"] for c in found.result["causes"] if c["effect"] not in {e.effect for e in model.effects}]
+    if left_out:
+        console.warn(
+            f"{out}: {' and '.join(left_out)} is left out of the model: it happens once, or in the set-points only"
+        )
+    if not found.finding.causes:
+        console.warn(f"{out}: no effect was found, so nothing is added to the model")
+        model = found.dataset.model
+    model.save(out)
+
+
+def diagnosis_text(result: dict[str, Any]) -> str:
+    """A diagnosis for people."""
+    from agent.diagnosis.labels import closes, torque_gap
+    from agent.robot.torque_figures import SHARE, figure_text
+
+    lines = [_VERDICTS[result["verdict"]]]
+    for cause in result["causes"]:
+        joints = ", ".join(cause["joints"]) or "the whole arm"
+        closed = f", {closes(cause)}" if closes(cause) else ""
+        lines.append(f"  {cause['effect']} on {joints}{closed}, probability {cause['probability']:.2f}")
+        parameters = "  ".join(f"{name} {value:.4g}" for name, value in cause["parameters"].items())
+        lines.append(f"    {parameters}")
+        for other in cause["equivalent_to"]:
+            lines.append(f"    as good: {other['effect']} on {', '.join(other['joints']) or 'the whole arm'}")
+    gap = result["gap"]
+    lines.append("torque error held out, in % of nominal torque where there is one; floor: what no cycle repeats")
+    lines.append(f"{'joint':12} {'before':>11} {'after':>11} {'floor':>11} {'share':>7}   mostly in")
+    shares = {entry["joint"]: entry for entry in result["where"]}
+    somewhere = torque_gap(result)
+    for k, name in enumerate(gap["joints"]):
+        before, after, floor = (
+            "-" if gap[side] is None else figure_text(gap[side][k], gap["units"][k])
+            for side in ("before", "after", "floor")
+        )
+        regimes = [r["name"] for r in shares[name]["regimes"] if somewhere and r["share"] > 1.5 * r["of_samples"]][:2]
+        share = f"{100 * shares[name]['share']:6.1f}%" if somewhere else f"{'-':>7}"
+        lines.append(f"{name:12} {before:>11} {after:>11} {floor:>11} {share}   {', '.join(regimes)}".rstrip())
+    if result["closure"] is not None and somewhere:
+        lines.append(f"closed: {100 * result['closure']:.1f} % of the gap in torque")
+    if result.get("simulation"):
+        torque, units = result["simulation"]["torque"], gap["units"]
+        worst = max(range(len(units)), key=lambda k: (units[k] == SHARE, torque["before"][k]))
+        before, after = (figure_text(torque[side][worst], units[worst]) for side in ("before", "after"))
+        lines.append(f"torque error of {gap['joints'][worst]} in forward simulation: {before}, then {after}")
+    if result["next_experiment"] is not None:
+        lines.append(f"run next: {result['next_experiment']['motion']}")
+    if result["not_testable"]:
+        names = sorted({entry["effect"] for entry in result["not_testable"]})
+        lines.append(f"not testable on some joints here: {', '.join(names)}")
+    return "\n".join(lines)

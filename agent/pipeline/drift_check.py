@@ -1,0 +1,67 @@
+"""Fresh data against the last accepted model: where it predicts worse than it did, the diagnosis runs by itself."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agent.core.console import Console
+from agent.core.errors import AgentError
+from agent.runs.folder import RunFolder
+
+if TYPE_CHECKING:
+    from agent.estimation import IdentifiedModel
+    from agent.recording.log import Log
+    from agent.validation import Prediction
+
+#: Error may be this much above that at the model's own calibration, and this part of the nominal torque more.
+WORSE = 1.25
+FLOOR = 1e-3
+#: Without a nominal torque the model's own error is the only scale there is, and it scatters from run to run.
+WORSE_UNSCALED = 1.5
+_STANDSTILL = 0.005  # of the highest speed of a joint: there its friction may be anything within stiction
+
+
+def worse_joints(model: IdentifiedModel, rmse: np.ndarray) -> list[str]:
+    """Joints whose error (n,) [N·m] is above that of the model on its own data."""
+    nominal = model.robot.nominal_torque
+    unscaled = WORSE_UNSCALED * model.held_out_rmse
+    limit = np.where(np.isnan(nominal), unscaled, WORSE * model.held_out_rmse + FLOOR * nominal)
+    return [name for name, above in zip(model.robot.joint_names, rmse > limit, strict=True) if above]
+
+
+def joint_moves(prediction: Prediction) -> np.ndarray:
+    """(S, n) bool."""
+    speed = np.abs(prediction.velocity)
+    return speed > _STANDSTILL * speed.max(axis=0)
+
+
+def moving_rmse(prediction: Prediction) -> np.ndarray:
+    """(n,) [N·m] over the samples in which each joint itself moves."""
+    moving = joint_moves(prediction)
+    return np.sqrt(np.sum(prediction.error**2 * moving, axis=0) / np.maximum(1, moving.sum(axis=0)))
+
+
+def diagnose_if_worse(
+    model: IdentifiedModel, worse: list[str], log: Log, run: RunFolder, console: Console
+) -> dict[str, Any] | None:
+    """Why the last accepted model predicts the joints `worse` worse than it did; None where there are none.
+
+    Returns:
+        `summary`, a sentence or two, and `result`, as in CONTRACTS.md, 6 (None where it could not be diagnosed), which
+        the run folder gets as `diagnosis.json`.
+    """
+    from agent.diagnosis import diagnose
+    from agent.report.gap_section import diagnosis_summary
+
+    if not worse:
+        return None
+    opening = f"The last model predicts {', '.join(worse)} worse than it did."
+    console.step(f"{opening} Diagnosing")
+    try:
+        found = diagnose(model.robot, [log], model).result
+    except AgentError as error:
+        return {"summary": f"{opening} It could not be diagnosed: {error}", "result": None}
+    run.write_json("diagnosis.json", found)
+    return {"summary": f"{opening} {diagnosis_summary(found)}", "result": found}

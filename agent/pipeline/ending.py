@@ -1,0 +1,78 @@
+"""How a run ends for whoever started it: the robot's current model, and the command that comes next."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from pathlib import Path
+from typing import Any
+
+from agent.core.errors import InputError
+from agent.recipe import Recipe
+from agent.runs.current_model import current_model
+from agent.runs.folder import RunFolder
+
+_LOGS = Path("logs")
+
+
+def current_run(logs: Path, robot: str, serial: str) -> str | None:
+    """Name of the run whose model is the robot's current one; None where there is none that can be read."""
+    try:
+        current = current_model(logs, robot, serial)
+    except InputError:  # said wherever somebody asks for the model itself
+        return None
+    return None if current is None else current.run
+
+
+def ending(run: RunFolder, recipe: Recipe) -> dict[str, Any]:
+    """Of a complete run: `current_model`, the run that the robot's current model is of, and `next`, a command."""
+    current = current_run(run.path.parent, run.state["robot"], run.state["serial"])
+    return {"current_model": current, "next": _next(run, recipe, current)}
+
+
+def ending_text(run: RunFolder, recipe: Recipe) -> str:
+    """The same as the last two lines of a summary."""
+    end = ending(run, recipe)
+    return f"{'current model':20}{whose(end['current_model'], run.path.name)}\n{'next':20}{end['next']}"
+
+
+def whose(current: str | None, run: str) -> str:
+    """The current model in words, beside one run."""
+    if current is None:
+        return "none yet: no accepted run of this robot"
+    return "that of this run" if current == run else f"that of {current}, not of this run"
+
+
+def _next(run: RunFolder, recipe: Recipe, current: str | None) -> str:
+    logs = run.path.parent
+    where = "" if logs == _LOGS else f" --logs {shlex.quote(str(logs))}"
+    name, path = run.path.name, shlex.quote(str(recipe.path))
+    kind, accepted = run.state["kind"], run.state["status"] == "finished"
+    if kind != "diagnose" and accepted and current == name:
+        return f"agent recalibrate {path}{where} when it is due; agent schedule {path}{where} sets up a timer"
+    if kind != "diagnose" and accepted and current is None:
+        return f"agent apply {name}{where}"
+    if kind != "diagnose" and accepted:
+        return f"agent compare {current} {name}{where}, then agent apply {name}{where} makes this model the current one"
+    if kind == "calibrate":
+        folder = shlex.quote(str(run.path))
+        robot = recipe.robot_source
+        return f"agent diagnose --robot {robot} --model {folder}/model.json {folder}/validation_*.mcap says why"
+    if kind == "recalibrate":
+        return f"mend what the report names, then agent calibrate {path}{where}"
+    return f"agent history{where}; agent calibrate {path}{where} after a repair"
+
+
+def going_on(run: RunFolder, step: str) -> str:
+    """What a run that stopped in a step has kept, and how it goes on."""
+    motions = [name for name in run.state["steps"] if name.endswith(".mcap")]
+    kept = f", {len(motions)} of its motions are recorded" if motions else ""
+    recipe = shlex.quote(os.path.relpath(run.state["recipe"]))
+    logs = run.path.parent
+    where = "" if logs == _LOGS else f" --logs {shlex.quote(str(logs))}"
+    again = {
+        "calibrate": f"go on with: agent calibrate {recipe}{where} --resume {run.path.name}",
+        "recalibrate": f"start again with: agent recalibrate {recipe}{where}",
+        "diagnose": f"start again with: agent diagnose --record {recipe}{where}",
+    }[run.state["kind"]]
+    return f"stopped in the step {step!r}; what was finished is kept in {run.path}{kept}; {again}"

@@ -1,0 +1,184 @@
+"""From files to files: import, estimate, validate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from agent.core.console import Console
+from agent.core.errors import InputError, RejectedError
+from agent.robot import load_robot
+
+
+def import_files(robot: str, mapping: Path, tables: list[Path], out: Path) -> list[str]:
+    """Turn columns of tables into a log; returns what there is to say about it.
+
+    Raises:
+        InputError: a table, the mapping or the output is not usable.
+    """
+    from agent.recording import import_log
+
+    if out.exists():
+        raise InputError(f"{out}: exists already; name another log, or move it away")
+    return [str(note) for note in import_log(load_robot(robot), mapping, tables, out)]
+
+
+def read_logs(paths: list[Path], robot: Any, console: Console) -> list[Any]:
+    """Read logs, saying what had to be repaired."""
+    from agent.recording import read_log
+
+    logs = []
+    for path in paths:
+        log = read_log(path, robot)
+        for repair in log.repairs:
+            console.warn(f"{log.name}: {repair}")
+        logs.append(log)
+    return logs
+
+
+def check_one_machine(logs: Sequence[Any], model: Any, allow_mixed: bool) -> None:
+    """Refuse logs of several machines or tools, or of another than the model's (None: no model).
+
+    Raises:
+        InputError: where two serials or two tools are known to differ; both are named.
+    """
+    if allow_mixed:
+        return
+    for key in ("serial", "tool"):
+        found = {value: log.name for log in reversed(logs) if (value := log.metadata.get(key))}
+        if model is not None:
+            found |= {value: "the model" for value in model.provenance.get(key, ())}
+        if len(found) > 1:
+            listed = " and ".join(f"{value} ({where})" for value, where in sorted(found.items()))
+            raise InputError(
+                f"the logs are not of one {'machine' if key == 'serial' else 'tool'}: {key} {listed}. "
+                "Name those of one, or mix them on purpose with --allow-mixed"
+            )
+
+
+def check_plausible(robot: Any, logs: Sequence[Any], force: bool, console: Console) -> None:
+    """Refuse logs that no motion of this robot can have made; with `force` only say so.
+
+    Raises:
+        RejectedError: with the likeliest reason first.
+    """
+    from agent.estimation.plausible import doubts
+
+    found = doubts(robot, logs)
+    if found and not force:
+        names = ", ".join(log.name for log in logs)
+        raise RejectedError(f"{names}: {'; '.join(found)}. Nothing is written; mend it, or go on with --force")
+    for doubt in found:
+        console.warn(doubt)
+
+
+def say_used(logs: Sequence[Any], cutoff: float, order: int, console: Console) -> None:
+    """Say how many samples of each log a filter left to work with; a warning where stretches are too short for it."""
+    from agent.estimation.filtering import FilterSettings, used_text
+
+    for log in logs:
+        text = used_text(log, FilterSettings(cutoff, order))
+        (console.warn if "left out" in text else console.say)(text)
+
+
+def estimate_files(
+    robot: str,
+    paths: list[Path],
+    out: Path,
+    cutoff: float | None,
+    method: str | None,
+    console: Console,
+    export: Path | None = None,
+    allow_mixed: bool = False,
+    force: bool = False,
+) -> tuple[dict[str, Any], str]:
+    """Fit a model to logs and write its file; returns its content and a table for people.
+
+    With a folder to `export` to, the links have to be bodies that could exist: the method is then `consistent` unless
+    another is named.
+    """
+    from agent.estimation import EstimationSettings, estimate
+
+    check_output(out, paths)
+    description = load_robot(robot)
+    logs = read_logs(paths, description, console)
+    check_one_machine(logs, None, allow_mixed)
+    check_plausible(description, logs, force, console)
+    # no fit looks at these, and twenty minutes of them are many
+    logs = [replace(log, velocity=None, planned_position=None) for log in logs]
+    if export is not None and method is None:
+        method = "consistent"
+    model = estimate(description, logs, EstimationSettings.create(cutoff=cutoff, method=method))
+    say_used(logs, model.cutoff, model.order, console)
+    model.save(out)
+    written = [out]
+    if export is not None:
+        from agent.model.export import export_model
+
+        written += export_model(model, export)
+    return model.to_dict(), "\n".join([model.text(), *(str(path) for path in written)])
+
+
+def check_output(out: Path, paths: Sequence[Path]) -> None:
+    """Refuse a file that cannot be written, before the work: a fit takes time, and a log that is overwritten is lost.
+
+    Raises:
+        InputError: a folder, a missing folder, or one of the inputs (`paths`).
+    """
+    if out.is_dir():
+        raise InputError(f"{out}: is a folder; name the file to write")
+    if not out.absolute().parent.is_dir():
+        raise InputError(f"{out}: there is no folder {out.parent} to write it in")
+    if out.exists() and any(path.exists() and path.samefile(out) for path in paths):
+        raise InputError(f"{out}: is one of the logs or models that are read; name another file to write")
+
+
+def validate_files(
+    model_path: Path, paths: list[Path], cutoff: float | None, console: Console, allow_mixed: bool = False
+) -> dict[str, Any]:
+    """Prediction of logs by a model, in the contract's schema."""
+    from agent.estimation import IdentifiedModel
+    from agent.validation import validate
+
+    model = IdentifiedModel.load(model_path)
+    logs = read_logs(paths, model.robot, console)
+    check_one_machine(logs, model, allow_mixed)
+    result = validate(model, logs, cutoff)
+    say_used(logs, result["cutoff_hz"], model.order, console)
+    for comment in _comments(model, logs, result):
+        console.warn(comment)
+    return result
+
+
+def _comments(model: Any, logs: Sequence[Any], result: dict[str, Any]) -> Iterator[str]:
+    """What a person should know before believing the figures of a validation."""
+    fitted = {entry.get("sha256") for entry in model.provenance.get("logs", ())} - {None, ""}
+    known = [log.name for log in logs if log.sha256 in fitted]
+    if known:
+        yield f"the model was fitted to {', '.join(known)}: its error there says little about other motions"
+    error = result["overall"]["relative_error_all_joints"]
+    if error is not None and error > 1:
+        from agent.estimation.plausible import doubts
+
+        reasons = doubts(model.robot, logs) or ["the model is of another robot, tool or unit than the logs"]
+        yield (
+            f"the error is {100 * error:.0f} % of the torque itself: predicting no torque at all would be better. "
+            f"Most likely: {'; '.join(reasons)}"
+        )
+
+
+def validation_text(result: dict[str, Any]) -> str:
+    """A validation as a table for people."""
+    overall = result["overall"]
+    lines = [f"{'joint':12} {'RMSE':>10} {'of nominal':>11} {'relative':>9}"]
+    for k, name in enumerate(result["joints"]):
+        nominal = overall["normalised_rmse"][k]
+        share = "-" if nominal is None else f"{100 * nominal:.2f} %"
+        lines.append(f"{name:12} {overall['rmse'][k]:10.4g} {share:>11} {100 * overall['relative_error'][k]:7.2f} %")
+    logs = ", ".join(log["log"] for log in result["logs"])
+    lines.append(
+        f"all joints: {100 * overall['relative_error_all_joints']:.2f} % at {result['cutoff_hz']:g} Hz ({logs})"
+    )
+    return "\n".join(lines)

@@ -1,0 +1,292 @@
+"""What will move, settled before anything moves: the excitation loop, the validation motions, and their programs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agent.core.console import Console
+from agent.core.documents import read_json
+from agent.core.errors import InputError
+from agent.link.planned import check_cell, plan_statements
+from agent.recipe import Recipe
+from agent.runs.folder import RunFolder, sha256_file, sha256_text
+
+if TYPE_CHECKING:
+    from agent.excitation import Loop, LoopProblem
+    from agent.motion.program import Target
+    from agent.motion.trajectory import Trajectory
+
+#: The arm goes to the first point at this share of its joint speeds.
+APPROACH_SPEED = 0.1
+#: A random validation motion that breaks a limit is drawn again, at most so often in all.
+_MAX_DRAWS = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedMotion:
+    """A loop that will be run `cycles` times at `speed` [m/s]. `kind` is `excitation` or `validation`."""
+
+    name: str
+    kind: str
+    loop: Loop
+    speed: float
+    cycles: int
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The excitation loop, how it was found (`fitness`, `evaluated`, `history`), and the validation motions."""
+
+    excitation: PlannedMotion
+    search: dict[str, Any]
+    validation: tuple[PlannedMotion, ...]
+
+
+def plan_once(recipe: Recipe, run: RunFolder, console: Console) -> Plan:
+    """Search, or take what an earlier start of this run found. Writes `plan.json` and `program.pdl`.
+
+    Raises:
+        InputError: the sub-region cannot be reached, or no loop in it keeps all limits.
+    """
+    if run.finished("plan"):
+        for name, key in {"plan.json": "plan", "program.pdl": "program"}.items():
+            run.check_file(name, run.state.get(key))
+        plan = replan(recipe, run.file("plan.json"))
+        if sha256_text(program_text(recipe, plan.excitation)) != run.state["program"]:
+            raise InputError(
+                f"{run.path}: plan.json does not lead to the program that was planned; was the agent updated since? "
+                "Start a new run"
+            )
+        return plan
+    plan = make_plan(recipe, console)
+    genomes = [motion.loop.genome.tolist() for motion in plan.validation]
+    planned = run.write_json("plan.json", {"schema": "plan/1", "search": plan.search, "validation": genomes})
+    program = run.write_text("program.pdl", program_text(recipe, plan.excitation))
+    run.note(
+        plan=sha256_file(planned),
+        program=sha256_file(program),
+        inputs_sha256={**run.state["inputs_sha256"], "program.pdl": sha256_file(program)},
+    )
+    return plan
+
+
+def make_plan(recipe: Recipe, console: Console) -> Plan:
+    """Search for the excitation loop and draw the validation motions.
+
+    Raises:
+        InputError: as in `plan_once`.
+    """
+    excitation, found = search_loop(recipe, console)
+    console.step(f"drawing {recipe.validate.motions} validation motions at {recipe.validate.speed:g} m/s")
+    return Plan(excitation, found, tuple(_draw_validation(recipe, console)))
+
+
+def search_loop(recipe: Recipe, console: Console) -> tuple[PlannedMotion, dict[str, Any]]:
+    """The excitation loop, and how it was found. The loop is kept for later.
+
+    Raises:
+        InputError: as in `plan_once`.
+    """
+    from agent.excitation import check_sub_region, keep_loop, search
+
+    problem = loop_problem(recipe, recipe.motion.speed)
+    for missed in check_sub_region(problem):
+        console.detail(f"out of reach, the search goes around it: {missed}")
+    settings = recipe.search
+    console.step(f"search: {settings.method}, {settings.population} candidates x {settings.generations} generations")
+    result = search(
+        problem,
+        method=settings.method,
+        population=settings.population,
+        generations=settings.generations,
+        seed=settings.seed,
+        progress=lambda g: console.progress(
+            f"generation {g.number + 1} of {settings.generations}: fitness {g.best:.2f}, "
+            f"{g.feasible} of {settings.population} keep all limits"
+        ),
+    )
+    loop = result.loop
+    duration = loop.trajectory.duration
+    console.say(f"  fitness {result.fitness:.2f} from {result.evaluated} candidates; a cycle takes {duration:.1f} s")
+    motion = PlannedMotion("excite", "excitation", loop, recipe.motion.speed, recipe.record.cycles)
+    text = program_text(recipe, motion)
+    keep_loop(recipe, loop.genome, loop.poses, loop.start, result.fitness, motion.name, text)
+    return motion, result.to_dict()
+
+
+def loop_problem(recipe: Recipe, speed: float) -> LoopProblem:
+    """What a search or a draw at this speed [m/s] has to keep to."""
+    from agent.excitation import LoopProblem
+
+    return LoopProblem(
+        robot=recipe.robot,
+        regions=via_regions(recipe),
+        settings=recipe.motion.settings_at(speed),
+        tool=recipe.tool,
+        keep_out=recipe.cell.keep_out,
+        joint_ranges=recipe.cell.joint_ranges,
+        interpolator=recipe.search.interpolator,
+        period=1.0 / recipe.record.rate,
+    )
+
+
+def program_text(recipe: Recipe, motion: PlannedMotion) -> str:
+    """PDL2 text of a planned motion; it sets every frame itself, so it means the same whatever ran before."""
+    from agent.motion.frames import with_frames
+    from agent.motion.pdl2 import write_loop_program
+    from agent.motion.program import JointTarget
+
+    settings = with_frames(recipe.motion.settings_at(motion.speed), recipe.tool)
+    approach = settings.changed(speed_override=APPROACH_SPEED)
+    points = _targets(recipe, motion.loop)
+    start = JointTarget(np.asarray(motion.loop.start, dtype=float))
+    return write_loop_program(motion.name, points, settings, motion.cycles, approach, recipe.robot, start)
+
+
+def programs(
+    recipe: Recipe, motions: Sequence[PlannedMotion], start: np.ndarray
+) -> list[tuple[str, list[Trajectory], float]]:
+    """Text, set-points from stop to stop, and duration [s] of motions that run one after the other from `start` (n,).
+
+    Every approach and every loop is checked against the cell before the first of them moves.
+
+    Raises:
+        InputError: an approach or a loop breaks a limit.
+    """
+    ready = []
+    checked: set[int] = set()
+    for motion in motions:
+        text = program_text(recipe, motion)
+        _, chains = plan_statements(recipe, text, f"{motion.name}.pdl", start)
+        for chain in chains:
+            if id(chain) not in checked:
+                check_cell(recipe, chain)
+                checked.add(id(chain))
+        start = chains[-1].q[-1]
+        ready.append((text, chains, float(sum(chain.duration for chain in chains))))
+    return ready
+
+
+def via_regions(recipe: Recipe) -> Any:
+    """The recipe's sub-region as the search needs it."""
+    from agent.motion import ViaRegions
+    from agent.motion.regions import pose_of
+    from agent.recipe import ViaBox, ViaPointList, ViaTube
+
+    via = recipe.motion.via_points
+    if isinstance(via, ViaBox):
+        return ViaRegions.from_box(via.count, via.centre, via.size, via.orientation, via.cone)
+    if isinstance(via, ViaPointList):
+        return ViaRegions.from_points([point.pose for point in via.points], [point.range for point in via.points])
+    if isinstance(via, ViaTube):
+        return ViaRegions.from_tube(via.count, [pose_of(pose) for pose in via.path], via.radius, via.cone)
+    return ViaRegions.from_envelope(via.count, _task_poses(recipe), via.around)
+
+
+def _task_poses(recipe: Recipe) -> np.ndarray:
+    """(S, 4, 4) poses of the job that the recipe's `like` names: a program or a log."""
+    from agent.robot.dynamics import Dynamics
+
+    path = recipe.motion.via_points.path
+    if path.suffix.lower() == ".mcap":
+        from agent.recording import read_log
+
+        q = read_log(path, recipe.robot).position
+        return Dynamics(recipe.robot, recipe.tool).tcp_pose(q[:: max(1, len(q) // 2000)])
+    from agent.robot.kinematics import kinematics_for
+
+    kinematics = kinematics_for(recipe.robot, recipe.tool)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from None
+    _, chains = plan_statements(recipe, text, str(path), kinematics.middle)
+    job = chains[1:] or chains  # the first leads from an arbitrary start to the job
+    return np.concatenate([kinematics.forward(chain.q[::25]) for chain in job])
+
+
+def replan(recipe: Recipe, path: Path) -> Plan:
+    """The plan that a run's `plan.json` holds.
+
+    Raises:
+        InputError: it is damaged, or no plan for this recipe.
+    """
+    stored = read_json(path)
+    try:
+        return _replanned(recipe, stored)
+    except (InputError, LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        what = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+        raise InputError(f"{path}: no plan for this recipe ({what}); start a new run") from None
+
+
+def _replanned(recipe: Recipe, stored: dict[str, Any]) -> Plan:
+    from agent.excitation import Candidates
+
+    fast = Candidates(loop_problem(recipe, recipe.motion.speed))
+    slow = Candidates(loop_problem(recipe, recipe.validate.speed))
+    loop = fast.loop(np.array(stored["search"]["genome"]))
+    excitation = PlannedMotion("excite", "excitation", loop, recipe.motion.speed, recipe.record.cycles)
+    validation = [
+        PlannedMotion(f"valid{k + 1:02d}", "validation", slow.loop(np.array(genome)), recipe.validate.speed, 1)
+        for k, genome in enumerate(stored["validation"])
+    ]
+    return Plan(excitation, stored["search"], tuple(validation))
+
+
+def _draw_validation(recipe: Recipe, console: Console) -> Iterator[PlannedMotion]:
+    from agent.excitation import Candidates
+
+    candidates = Candidates(loop_problem(recipe, recipe.validate.speed))
+    rng = np.random.default_rng(recipe.validate.seed)
+    found, reason = 0, ""
+    for draw in range(_MAX_DRAWS):
+        if found == recipe.validate.motions:
+            return
+        genome = rng.uniform(size=candidates.problem.genes)
+        score = candidates.score(genome)
+        if not score.feasible:
+            reason = score.reason
+            continue
+        loop = candidates.loop(genome)
+        try:
+            check_cell(recipe, loop.trajectory)
+        except InputError as error:
+            reason = str(error)
+            continue
+        found += 1
+        yield PlannedMotion(f"valid{found:02d}", "validation", loop, recipe.validate.speed, 1)
+        console.progress(f"{found} of {recipe.validate.motions} drawn, {draw + 1 - found} broke a limit")
+    if found < recipe.validate.motions:
+        raise InputError(
+            f"only {found} of {_MAX_DRAWS} random motions in the sub-region keep all limits at "
+            f"{recipe.validate.speed:g} m/s; the last one: {reason}. Move or shrink motion.via_points"
+        )
+
+
+def _targets(recipe: Recipe, loop: Loop) -> list[Target]:
+    """Via-points as a controller takes them: poses with flags where the arm has flags, joint positions elsewhere."""
+    from agent.motion.program import CartesianTarget, JointTarget
+    from agent.robot.kinematics import kinematics_for
+
+    if isinstance(loop.moves[0].target, JointTarget):
+        *flown, closing = (move.target for move in loop.moves)
+        return [closing, *flown]
+    kinematics = kinematics_for(recipe.robot, recipe.tool)
+    trajectory = loop.trajectory
+    passed = [loop.start]
+    for move, pose in enumerate(loop.poses[1:]):
+        there = trajectory.q[np.flatnonzero(trajectory.move == move)[-1]]
+        passed.append(kinematics.solve(pose, there))
+    if not hasattr(kinematics, "solve_configuration"):
+        return [JointTarget(position) for position in passed]
+    from agent.robot.configuration import configuration_of
+
+    return [
+        CartesianTarget(pose, configuration_of(kinematics, position))
+        for pose, position in zip(loop.poses, passed, strict=True)
+    ]

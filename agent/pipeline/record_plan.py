@@ -1,0 +1,69 @@
+"""Record what was planned into a run folder: the excitation loop, then the validation motions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from agent.core.console import Console
+from agent.core.errors import InputError
+from agent.link.record import Place, Recording, open_link, report_losses
+from agent.pipeline.planning import Plan, programs
+from agent.recipe import Recipe
+from agent.runs.folder import RunFolder, sha256_file
+
+EXCITATION = "excitation.mcap"
+
+
+def record_plan(recipe: Recipe, plan: Plan, run: RunFolder, console: Console, logs: Path, yes: bool) -> list[Recording]:
+    """One log a motion; a finished log is kept, one that was cut is moved aside and run again.
+
+    Raises:
+        InputError, ControllerError, SafetyError, DriverError: not ready to move, not allowed, or stopped while moving.
+    """
+    motions = {EXCITATION: plan.excitation}
+    motions |= {f"validation_{k + 1:02d}.mcap": motion for k, motion in enumerate(plan.validation)}
+    done = {name: found for name in motions if (found := _recorded(run, name))}
+    missing = {name: motion for name, motion in motions.items() if name not in done}
+    if missing:
+        with open_link(recipe, console, yes, logs) as link:
+            run.note(serial=link.identity.serial)
+            ready = programs(recipe, list(missing.values()), link.position())
+            console.step(f"recording {len(missing)} motions, {sum(total for *_, total in ready):.0f} s in all")
+            left = sum(total for *_, total in ready)
+            for (name, motion), (text, chains, total) in zip(missing.items(), ready, strict=True):
+                _set_aside(run.file(name))
+                left -= total
+                place = Place(f"motion {list(motions).index(name) + 1} of {len(motions)}, ", left)
+                recording = link.run(motion.name, text, run.file(name), motion.kind, chains, total, place)
+                report_losses(recording, console)
+                run.finish(name, **recording.to_dict(), sha256=sha256_file(recording.path))
+                done[name] = recording
+    return [done[name] for name in motions]
+
+
+def validation_logs(run: RunFolder) -> list[Path]:
+    """Logs of the validation motions of a run."""
+    return sorted(run.path.glob("validation_[0-9][0-9].mcap"))
+
+
+def _recorded(run: RunFolder, name: str) -> Recording | None:
+    entry = run.finished(name)
+    if not entry or not run.file(name).exists():
+        return None
+    run.check_file(name, entry.get("sha256"))
+    try:
+        return Recording.from_dict(run.file(name), entry)
+    except (KeyError, TypeError) as error:
+        raise InputError(
+            f"{run.path}/state.json: what it says of {name} is damaged ({error}); start a new run"
+        ) from None
+
+
+def _set_aside(log: Path) -> None:
+    """A log that a stopped run left is kept under another name: its data may be all there is of an incident."""
+    number = 1
+    while log.exists():
+        aside = log.with_suffix(f".stopped{number}.mcap")
+        if not aside.exists():
+            log.rename(aside)
+        number += 1

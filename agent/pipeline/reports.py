@@ -1,0 +1,187 @@
+"""Reports from what lies in run folders: further sections of a new one, the page over all runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agent.core.console import Console
+from agent.core.errors import InputError
+from agent.pipeline.drift_check import diagnose_if_worse, joint_moves, moving_rmse, worse_joints
+from agent.recipe import Recipe
+from agent.recording.log import AROUND
+from agent.runs.current_model import current_runs
+from agent.runs.folder import RunFolder, write_atomically
+from agent.runs.history import open_history
+
+if TYPE_CHECKING:
+    from agent.estimation import IdentifiedModel
+    from agent.recording.log import Log
+    from agent.report.page import Section
+    from agent.validation import Prediction
+    from agent.validation.compare import Comparison
+
+
+def further_sections(
+    run: Path, recipe: Recipe, model: IdentifiedModel, predictions: Sequence[Prediction]
+) -> list[Section]:
+    """Observation matrix, residuals, comparison with the last accepted run of the same loop, and health of the logs."""
+    from agent.estimation import IdentifiedModel
+    from agent.recording import read_log
+    from agent.report.comparison_sections import comparison_section
+    from agent.report.log_sections import log_section
+    from agent.report.residual_sections import residual_section
+    from agent.validation.compare import compare_models
+
+    log = read_log(run / "excitation.mcap", recipe.robot)
+    sections = [observation_part(model, log), residual_section(predictions)]
+    last = _last_accepted(run)
+    if last is not None:
+        before = IdentifiedModel.load(last / "model.json")
+        sections.append(comparison_section(compare_models(before, model, log, last.name, run.name)))
+    sections.append(log_section(_logs(run, recipe)))
+    return sections
+
+
+def observation_part(model: IdentifiedModel, log: Log) -> Section:
+    """What a model's own motion shows of its parameters."""
+    from agent.estimation import condition_text
+    from agent.report.observation_section import observation_section
+    from agent.validation.observability import observability
+
+    return observation_section(observability(model, log), condition_text(model.condition_number))
+
+
+def against_last(run: RunFolder, log: Log, console: Console) -> dict[str, Any]:
+    """The last accepted run of the same loop, and why its model predicts a fresh log worse than it did, if it does."""
+    from agent.estimation import IdentifiedModel
+    from agent.validation import predict_log
+
+    last = _last_accepted(run.path)
+    if last is None:
+        return {"reference": "", "diagnosis": None}
+    before = IdentifiedModel.load(last / "model.json")
+    worse = worse_joints(before, moving_rmse(predict_log(before, log)))
+    return {"reference": last.name, "diagnosis": diagnose_if_worse(before, worse, log, run, console)}
+
+
+def recalibration_page(
+    recipe: Recipe, program: str, result: dict[str, Any], comparison: Comparison, log: Log, prediction: Prediction
+) -> str:
+    """HTML of a recalibration's report; `program` is the text of the loop, `prediction` is of its `log`."""
+    from agent.link.planned import plan_statements
+    from agent.pipeline.plan import motion_data
+    from agent.report.comparison_sections import comparison_section
+    from agent.report.log_sections import log_section
+    from agent.report.recalibration_report import RecalibrationData, recalibration_report
+    from agent.report.residual_sections import residual_section
+
+    model = prediction.model
+    *_, cycle = plan_statements(recipe, program, "program.pdl", log.position[0])[1]
+    via_points = np.array(result["loop"]["via_points"])
+    sections = (
+        observation_part(model, log),
+        comparison_section(comparison),
+        residual_section([prediction]),
+        log_section([log]),
+    )
+    data = RecalibrationData(
+        result,
+        motion_data(recipe, cycle, via_points, len(log.cycle_starts)),
+        model.rows(),
+        _cycle_errors(log, prediction),
+        model.robot.nominal_torque,
+        _shown_cycle(log, prediction),
+        sections,
+    )
+    return recalibration_report(data)
+
+
+def write_index(logs: Path, robot: str | None = None, serial: str | None = None) -> Path:
+    """Write `index.html` over all runs of a folder, or of one robot in it; returns its path.
+
+    Raises:
+        InputError: there is no such folder, or nothing in it.
+    """
+    from agent.report.index import IndexData, index_page
+    from agent.runs.trends import parameter_trends, watch
+
+    with open_history(logs) as history:
+        runs = history.runs(robot, serial)
+        if not runs:
+            which = "no runs yet; `agent calibrate RECIPE` makes one"
+            if robot is not None or serial is not None:
+                which = "no runs of that robot; `agent history` lists what there is"
+            raise InputError(f"{logs}: {which}")
+        watched = watch(runs)
+        latest = {run for one in watched for trend in one.trends[:1] for run in trend.runs}
+        parameters = history.parameters(latest)
+    by_name = {run.run: run for run in runs}
+    courses = [
+        parameter_trends([by_name[name] for name in one.trends[0].runs], parameters) if one.trends else []
+        for one in watched
+    ]
+    return write_atomically(logs / "index.html", index_page(IndexData(runs, watched, courses, current_runs(logs)[0])))
+
+
+def watch_lines(logs: Path, robot: str, serial: str) -> list[str]:
+    """Alarms and warnings of one machine's history, a sentence each."""
+    from agent.runs.trends import watch
+
+    with open_history(logs) as history:
+        return [line for one in watch(history.runs(robot, serial)) for line in one.lines()]
+
+
+def _cycle_errors(log: Log, prediction: Prediction) -> np.ndarray:
+    """(cycles, n) RMSE [N·m] of a cycle, while the joint moves; of the whole log where none repeats."""
+    moving = joint_moves(prediction)
+    ends = [*log.cycle_starts, float(log.t[-1])] if log.cycle_starts else [0.0, float(log.t[-1])]
+    rows = []
+    for start, stop in pairwise(ends):
+        inside = slice(*np.searchsorted(prediction.time, (start, stop)))
+        energy = np.sum(prediction.error[inside] ** 2 * moving[inside], axis=0)
+        if moving[inside].any():
+            rows.append(np.sqrt(energy / np.maximum(1, moving[inside].sum(axis=0))))
+    return np.array(rows)
+
+
+def _shown_cycle(log: Log, prediction: Prediction) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Time (S,), measured, predicted and half width of the bounds (S, n) along one cycle, few enough to be drawn."""
+    from agent.validation import predict_log
+
+    start, stop = log.middle_cycle()
+    # bounds cost a regressor for every sample, so they are made for these alone
+    part = predict_log(prediction.model, log.between(start - AROUND, stop + AROUND))
+    chosen = np.flatnonzero((part.time >= start) & (part.time <= stop))
+    chosen = chosen[:: max(1, len(chosen) // 1500)]
+    return part.time[chosen], part.measured[chosen], part.predicted[chosen], part.half_width[chosen]
+
+
+def _last_accepted(run: Path) -> Path | None:
+    """The newest accepted run of the same machine and loop that is older than this one."""
+    with open_history(run.parent) as history:
+        runs = history.runs()
+    this = next((past for past in runs if past.run == run.name), None)
+    if this is None:
+        return None
+    older = [
+        past
+        for past in runs
+        if past.accepted
+        and (past.robot, past.serial, past.loop) == (this.robot, this.serial, this.loop)
+        and (past.started, past.run) < (this.started, this.run)
+        and (run.parent / past.run / "model.json").is_file()
+    ]
+    return run.parent / older[-1].run if older else None
+
+
+def _logs(run: Path, recipe: Recipe) -> Iterator[Log]:
+    """The run's logs, one at a time: thirty of them at once would be a lot of memory."""
+    from agent.recording import read_log
+
+    for path in [run / "excitation.mcap", *sorted(run.glob("validation_[0-9][0-9].mcap"))]:
+        yield read_log(path, recipe.robot)

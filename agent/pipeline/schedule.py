@@ -1,0 +1,139 @@
+"""What calls `agent recalibrate` by the clock: a systemd service with its timer, or a line for cron.
+
+A robot must never start to move because a computer was switched on. So the timer counts by the calendar alone
+(`OnCalendar`, no `OnBootSec`), and `Persistent=false`: a time that passed while the computer was off is passed, the
+next one counts. cron has the same rule; anacron has not, and must not be used. Whether a run is due is decided by
+`agent recalibrate` itself, so the clock may call more often than the recipe's interval.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from agent.core.errors import AgentError, InputError
+from agent.recipe import Recipe
+from agent.runs.folder import write_atomically
+
+_HOUR = 3600.0
+_DAY = 24 * _HOUR
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Texts of the units and the line for cron; `name` is the units' without their ending."""
+
+    name: str
+    service: str
+    timer: str
+    crontab: str
+
+    def text(self) -> str:
+        """All of it, for a terminal."""
+        return (
+            f"# {self.name}.service\n{self.service}\n# {self.name}.timer\n{self.timer}\n"
+            f"# or, without systemd, a line for crontab -e\n{self.crontab}\n"
+        )
+
+
+def make_schedule(recipe: Recipe, logs: Path, folder: Path, at: str, authorisation: Path | None) -> Schedule:
+    """Units and crontab line for a recipe.
+
+    Args:
+        logs: folder of the runs; folder: where the agent works, beside which `trajectories` lies.
+        at: time of day, HH:MM, local.
+        authorisation: file that allows the motion while nobody is there.
+
+    Raises:
+        InputError: not a time of day, or an interval below an hour.
+    """
+    match = re.fullmatch(r"([01]?\d|2[0-3]):([0-5]\d)", at)
+    if match is None:
+        raise InputError(f"--at {at}: a time of day is expected, as 02:30")
+    hour, minute = int(match[1]), int(match[2])
+    every = recipe.recalibrate.every
+    if every < _HOUR:
+        raise InputError(f"{recipe.path}: recalibrate.every is {every:g} s; a schedule is for an hour or more")
+    hourly = every < _DAY
+    words = [sys.executable, "-m", "agent", "recalibrate", str(recipe.path.resolve()), "--logs", str(logs.resolve())]
+    words += ["--quiet"]
+    if authorisation is not None:
+        words += ["--authorisation", str(authorisation.resolve())]
+    name = "calibration-agent-" + re.sub(r"[^A-Za-z0-9_.-]", "-", recipe.path.stem)
+    folder = folder.resolve()
+    service = _lines(
+        "[Unit]",
+        f"Description=Recalibration of {recipe.robot.name} ({_plain(recipe.path.name)})",
+        "",
+        "[Service]",
+        "Type=oneshot",
+        f"WorkingDirectory={_escaped(str(folder))}",
+        f"ExecStart={' '.join(_quoted(word) for word in words)}",
+        "# SIGTERM is a controlled stop of the arm; it is given time for it, and is never started again by itself",
+        "KillSignal=SIGTERM",
+        "TimeoutStopSec=60",
+        "Restart=no",
+    )
+    timer = _lines(
+        "[Unit]",
+        f"Description=Clock of {name}.service",
+        "",
+        "[Timer]",
+        f"OnCalendar={f'*-*-* *:{minute:02d}:00' if hourly else f'*-*-* {hour:02d}:{minute:02d}:00'}",
+        "# a time that passed while the computer was off is passed: no robot moves because of a boot",
+        "Persistent=false",
+        "AccuracySec=1min",
+        "",
+        "[Install]",
+        "WantedBy=timers.target",
+    )
+    when = f"{minute} * * * *" if hourly else f"{minute} {hour} * * *"
+    command = f"cd {shlex.quote(str(folder))} && {shlex.join(words)}".replace("%", r"\%")
+    return Schedule(name, service, timer, f"{when} {command}")
+
+
+def install(schedule: Schedule, folder: Path | None = None) -> list[Path]:
+    """Write the units where the user's systemd looks for them; nothing is started by that.
+
+    Raises:
+        AgentError: they cannot be written.
+    """
+    folder = folder or Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "systemd" / "user"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise AgentError(f"{folder}: cannot be made: {error.strerror}; rights?") from None
+    units = {f"{schedule.name}.service": schedule.service, f"{schedule.name}.timer": schedule.timer}
+    return [write_atomically(folder / name, text) for name, text in units.items()]
+
+
+def next_steps(schedule: Schedule) -> str:
+    """What a person does after `install`."""
+    return (
+        f"systemctl --user daemon-reload && systemctl --user enable --now {schedule.name}.timer\n"
+        "loginctl enable-linger    # so that it also runs while nobody is logged in"
+    )
+
+
+def _lines(*lines: str) -> str:
+    return "\n".join(lines) + "\n"
+
+
+def _plain(text: str) -> str:
+    return _escaped(re.sub(r"[\x00-\x1f]", "?", text))
+
+
+def _escaped(text: str) -> str:
+    """A value of a unit file: % introduces a specifier there."""
+    return text.replace("%", "%%")
+
+
+def _quoted(word: str) -> str:
+    """One word of ExecStart."""
+    if re.fullmatch(r"[A-Za-z0-9_./:=@+-]+", word):
+        return word
+    return '"' + _escaped(word.replace("\\", "\\\\").replace('"', '\\"').replace("$", "$$")) + '"'

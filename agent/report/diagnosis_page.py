@@ -1,0 +1,243 @@
+"""The page of a diagnosis: what a technician needs first, then the figures, then every step of the procedure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from agent.diagnosis.evidence import DRAWS
+from agent.diagnosis.finding import Step
+from agent.diagnosis.forward import Simulated, simulation_part
+from agent.diagnosis.labels import IN_WORDS, REGIMES, closes, how_sure, name, place, torque_gap
+from agent.diagnosis.result import Diagnosis
+from agent.model.effects import CATALOGUE
+from agent.report.diagnosis_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
+from agent.report.page import Page, Section, Table, render
+from agent.robot.torque_figures import figure_text
+
+_HEADLINES = {
+    "no_gap": "No gap: model and robot agree within what the model's own prediction error allows.",
+    "unknown": "There is a gap, and no effect of the catalogue closes it.",
+}
+_MOST_STEPS = 8
+_MOST_SCORES = 6
+
+
+def diagnosis_report(diagnosis: Diagnosis, simulated: Sequence[Simulated] = ()) -> str:
+    """HTML text of the report."""
+    verdict = diagnosis.result["verdict"]
+    sections = [
+        _cause_section(diagnosis),
+        _where_section(diagnosis),
+        _closure_section(diagnosis, simulated),
+        _steps_section(diagnosis),
+        _testability_section(diagnosis),
+    ]
+    colour = {"no_gap": "good", "explained": "bad"}.get(verdict, "plain")
+    title = f"Gap between model and {diagnosis.dataset.robot.name}"
+    return render(Page(title, headline(diagnosis.result), colour, sections))
+
+
+def headline(result: Mapping[str, Any]) -> str:
+    """The verdict in one sentence."""
+    if not result["causes"]:
+        text = _HEADLINES.get(result["verdict"], _HEADLINES["unknown"])
+        return text + (f" It is on {_worst_joints(result)}." if result["verdict"] == "unknown" else "")
+    cause = result["causes"][0]
+    sure = how_sure(result["verdict"], cause["probability"])
+    effect = cause["effect"]
+    text = f"{place(cause)}: {sure} {name(effect)}: {IN_WORDS[effect]} (probability {cause['probability']:.2f})."
+    if not torque_gap(result):
+        text += " In torque, model and robot agree."
+    return _sentence(text)
+
+
+def _sentence(text: str) -> str:
+    """Begun with a capital, unless with the name of a joint."""
+    return f"T{text[1:]}" if text.startswith("the ") else text
+
+
+def _worst_joints(result: Mapping[str, Any]) -> str:
+    largest = [entry["joint"] for entry in result["where"] if entry["share"] > 0.25]
+    return " and ".join(largest or [result["where"][0]["joint"]])
+
+
+def _cause_section(diagnosis: Diagnosis) -> Section:
+    result = diagnosis.result
+    text = [sentence for cause in result["causes"] for sentence in _about_cause(cause)]
+    if result["verdict"] == "unknown":
+        text += [f"{sentence}." for sentence in _where_sentences(result)]
+    if result["next_experiment"] is not None:
+        text.append(f"Run next: {result['next_experiment']['motion']}.")
+    text += [f"Mind: {warning}." for warning in diagnosis.warnings]
+    rows = [
+        (f"{name(cause['effect'])}, {place(cause)}", key.replace("_", " "), f"{value:.4g}")
+        for cause in result["causes"]
+        for key, value in cause["parameters"].items()
+    ]
+    tables = (Table("parameters", ("cause", "parameter", "value (SI)"), rows),) if rows else ()
+    return Section("What it is", text or ["Nothing to look for."], tables)
+
+
+def _about_cause(cause: Mapping[str, Any]) -> Iterator[str]:
+    effect = CATALOGUE[cause["effect"]]
+    closed = f" On motion that it was not fitted to: {closes(cause)}." if closes(cause) else ""
+    together = " for it and what cannot be told from it" if cause["equivalent_to"] else ""
+    opening = f"{place(cause)}, {name(effect.name)}: {IN_WORDS[effect.name]}. "
+    yield f"{_sentence(opening)}Probability {cause['probability']:.2f}{together}.{closed}"
+    yield f"Look at: {effect.look_at}."
+    yield f"It shows as: {effect.signature}."
+    if cause["equivalent_to"]:
+        others = "; ".join(
+            f"{name(other['effect'])} on {place(other)} ({IN_WORDS[other['effect']]})"
+            for other in cause["equivalent_to"]
+        )
+        yield f"These logs cannot tell it from: {others}."
+
+
+def _where_section(diagnosis: Diagnosis) -> Section:
+    result = diagnosis.result
+    gap = result["gap"]
+    share = {entry["joint"]: entry for entry in result["where"]}
+    floor = gap["floor"] or [float("nan")] * len(gap["joints"])
+    shown = _share if torque_gap(result) else lambda _: "-"
+    rows = [
+        (
+            joint,
+            *(figure_text(part[k], gap["units"][k]) for part in (gap["before"], gap["after"], floor)),
+            shown(share[joint]),
+        )
+        for k, joint in enumerate(gap["joints"])
+    ]
+    text = [f"{sentence}." for sentence in _where_sentences(result)]
+    text.append(
+        "Errors of torque are root mean squares on motion held out, in % of nominal joint torque where there is one."
+    )
+    header = ("joint", "before", "after", "floor", "share of the gap")
+    joint = diagnosis.dataset.robot.joint_names.index(result["where"][0]["joint"])
+    parts = (Table("gap", header, rows), regime_map(diagnosis), band_map(diagnosis), timeline(diagnosis, joint))
+    return Section("Where it is", text, parts)
+
+
+def _share(entry: Mapping[str, Any]) -> str:
+    text = f"{100 * entry['share']:.0f} %"
+    interval = entry.get("interval")
+    return text if interval is None else f"{text} ({100 * interval[0]:.0f} to {100 * interval[1]:.0f})"
+
+
+def _where_sentences(result: Mapping[str, Any]) -> Iterator[str]:
+    """The joints that carry the gap, each with the regimes in which more of it lies than time is spent there."""
+    if not torque_gap(result):
+        return
+    for entry in result["where"]:
+        if entry["share"] < 0.15:
+            continue
+        marked = [r for r in entry["regimes"] if r["name"] in REGIMES and r["share"] > 1.4 * r["of_samples"]]
+        marked += [r for r in entry["regimes"] if r["name"] == "motor_phase" and r["share"] > 0.3]
+        where = ", ".join(f"{REGIMES[r['name']]} ({_share(r)} of it)" for r in marked[:3])
+        yield f"{entry['joint']} has {_share(entry)} of the gap" + (f", mostly {where}" if where else "")
+
+
+def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Section:
+    result, robot = diagnosis.result, diagnosis.dataset.robot
+    text = []
+    if result["closure"] is not None and torque_gap(result):
+        text.append(f"{100 * result['closure']:.0f} % of the torque gap is closed, counted down to the floor.")
+    text += [f"Held out: {fold['held_out']}, fitted on {', '.join(fold['fitted_on'])}." for fold in result["folds"]]
+    parts: list[Any] = [before_and_after(diagnosis)]
+    motion = result["motion_gap"]
+    if diagnosis.motion is not None and diagnosis.motion.notable:
+        floor = motion["floor"] or [None] * robot.dof
+        parts_of = (motion["before"], motion["after"], floor)
+        rows = [
+            (joint, *("-" if part[k] is None else f"{1e3 * part[k]:.3f}" for part in parts_of))
+            for k, joint in enumerate(robot.joint_names)
+        ]
+        text.append("What was executed is not what was planned; torque is judged on the executed motion.")
+        parts.append(Table("motion-gap", ("joint", "before [mrad, mm]", "after", "floor"), rows))
+    figures = simulation_part(diagnosis, simulated)
+    if figures is None:
+        text.append("No log has set-points without a gap, so nothing was simulated.")
+    else:
+        parts += [_simulation_table(diagnosis, figures), simulated_torque(diagnosis, simulated)]
+        text.append(
+            "Forward simulation: the arm of the model runs the same set-points behind a servo as late as the measured "
+            "one, without the effects and with them, and is compared with what was measured. What is left of it on "
+            "every joint is the servo's, which is not known better."
+        )
+    return Section("How far it shrinks", text, parts)
+
+
+def _simulation_table(diagnosis: Diagnosis, figures: Mapping[str, Any]) -> Table:
+    torque, position, result = figures["torque"], figures["position"], diagnosis.result
+    rows = [
+        (
+            joint,
+            figure_text(torque["before"][k], result["gap"]["units"][k]),
+            figure_text(torque["after"][k], result["gap"]["units"][k]),
+            f"{1e3 * position['before'][k]:.3f}",
+            f"{1e3 * position['after'][k]:.3f}",
+        )
+        for k, joint in enumerate(diagnosis.dataset.robot.joint_names)
+    ]
+    header = ("joint", "torque, model", "with effects", "position, model [mrad, mm]", "with effects")
+    return Table("simulation", header, rows)
+
+
+def _steps_section(diagnosis: Diagnosis) -> Section:
+    rows = float(diagnosis.dataset.fit.count.sum())
+    names = diagnosis.dataset.robot.joint_names
+    steps = diagnosis.finding.steps[:_MOST_STEPS]
+    text = [
+        "Every effect is tried everywhere, beside what is chosen already: fitted together with the model, which may "
+        "move as far as its stored uncertainty allows, and scored on motion left out. Gain: squared error taken away, "
+        "in units of the model's own background.",
+    ]
+    finding = diagnosis.finding
+    text.append(
+        f"Over the signs of its background drawn anew {DRAWS} times, the highest gain of the whole search exceeds "
+        f"{finding.by_chance / rows:.3f} in one of a hundred; a cause needs {finding.least / rows:.3f}."
+    )
+    if finding.chance:
+        text.append(
+            "Share of the draws in which anything anywhere gains as much as a cause: "
+            + ", ".join(
+                f"{name(cause.effect.name)} {share:.3f}"
+                for cause, share in zip(finding.causes, finding.chance, strict=True)
+            )
+        )
+    tables = [_step_table(number, step, rows, names) for number, step in enumerate(steps)]
+    if len(diagnosis.finding.steps) > len(steps):
+        text.append(f"The first {len(steps)} of {len(diagnosis.finding.steps)} scans:")
+    return Section("Steps of the procedure", text, tables)
+
+
+def _step_table(number: int, step: Step, rows: float, names: tuple[str, ...]) -> Table:
+    chosen = " + ".join(name(c.effect.name) for c in step.chosen) or "model alone"
+    could = {id(score) for score in step.eligible}
+    lines = [
+        (
+            name(score.candidate.effect.name),
+            ", ".join(names[j] for j in score.candidate.joints) or "arm",
+            f"{score.gain / rows:.3f}",
+            "yes" if id(score) in could else "no",
+        )
+        for score in step.scores[:_MOST_SCORES]
+    ]
+    return Table(f"scan {number + 1}, beside {chosen}", ("effect", "where", "gain", "can be named"), lines)
+
+
+def _testability_section(diagnosis: Diagnosis) -> Section:
+    """Effect and reason, with all the joints it holds for in one line."""
+    where: dict[tuple[str, str], list[str]] = {}
+    for entry in diagnosis.result["not_testable"]:
+        where.setdefault((entry["effect"], entry["why"]), []).append(entry["joint"] or "arm")
+    rows = [(name(effect), ", ".join(joints), why) for (effect, why), joints in where.items()]
+    text = [
+        "An effect stands here where its smallest size that matters would not have been found on these motions. That "
+        "it was not named says nothing about it."
+        if rows
+        else "Every effect of the catalogue would have been found at the smallest size that matters."
+    ]
+    header = ("effect", "where", "why")
+    return Section("Not testable here", text, (Table("not-testable", header, rows),) if rows else ())

@@ -1,0 +1,208 @@
+"""What a motion was approved with: everything that decides where the arm goes, by part and as one digest.
+
+A plan, a stored loop, a run and an authorisation carry the digest. Whoever is about to move compares it with what the
+recipe and the files beside it say now, and names what differs. It protects against mistakes and changed files, not
+against somebody who may write all of them: docs/security.md says where that ends.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import asdict, is_dataclass
+from enum import Enum
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.core.documents import read_json
+from agent.core.errors import InputError
+from agent.recipe import Recipe
+from agent.runs.folder import RunFolder, sha256_text
+
+FILE = "approved.json"
+_SCHEMA = "approved/1"
+#: What the parts of a problem are called where a person reads them.
+_NAMES = {
+    "robot": "robot.yaml",
+    "tool": "the recipe's tool",
+    "cell": "the recipe's cell",
+    "sub_region": "the recipe's motion.via_points",
+    "settings": "the recipe's motion",
+    "rate": "the recipe's record.rate",
+    "interpolator": "the recipe's search.interpolator",
+}
+_MOST = 5  # differences that are listed; the others are counted
+_ABSENT = object()
+
+
+def problem(recipe: Recipe) -> dict[str, Any]:
+    """All that a loop is searched for, checked against and planned with, as plain data.
+
+    Files count by their content, not by where they lie.
+    """
+    via_points = recipe.motion.via_points
+    kind = type(via_points).__name__.removeprefix("Via").lower()
+    sub_region = {kind: _plain(via_points)}
+    like = getattr(via_points, "path", None)
+    if isinstance(like, Path):
+        sub_region[kind]["path"] = _file_digest(like)
+    parts = {
+        "robot": recipe.robot.to_dict(),
+        "tool": _plain(recipe.tool),
+        "cell": _plain(recipe.cell),
+        "sub_region": sub_region,
+        "settings": _plain(recipe.motion.settings),
+        "rate": recipe.record.rate,
+        "interpolator": _interpolator(recipe.search.interpolator),
+    }
+    return json.loads(json.dumps(parts))  # lists for tuples, as it comes back from a file
+
+
+def digest(parts: Any) -> str:
+    """SHA-256 (hex) of plain data."""
+    return sha256_text(json.dumps(parts, sort_keys=True))
+
+
+def approve(run: RunFolder, recipe: Recipe) -> None:
+    """Write what this run is planned with into its folder, and its digests into the state."""
+    parts = problem(recipe)
+    run.write_json(FILE, {"schema": _SCHEMA, "parts": parts})
+    robot = {key: value for key, value in parts["robot"].items() if key != "urdf"}
+    inputs = {
+        "robot.yaml": digest(robot),
+        "URDF": sha256_text(recipe.robot.urdf),
+        **{key: digest(parts[key]) for key in parts if key != "robot"},
+    }
+    run.note(approved=digest(parts), inputs_sha256={**run.state["inputs_sha256"], **inputs})
+
+
+def check_approved(run: RunFolder, recipe: Recipe) -> None:
+    """What a recipe means now is what a run was planned with.
+
+    Raises:
+        InputError: it is not; every part that differs is named, or its record is missing or was changed.
+    """
+    then, now = approved_parts(run.path, run.state), problem(recipe)
+    if digest(then) != digest(now):
+        raise InputError(f"{run.path}: {differences(then, now)}; start a new run without --resume")
+
+
+def approved_parts(run: Path, state: dict[str, Any]) -> dict[str, Any]:
+    """What a run was planned with.
+
+    Raises:
+        InputError: missing, damaged, or not what its state says.
+    """
+    path = run / FILE
+    if not path.is_file():
+        raise InputError(f"{run}: nothing says what this run was planned with ({FILE} is missing); start a new run")
+    data = read_json(path)
+    parts = data.get("parts") if isinstance(data, dict) and data.get("schema") == _SCHEMA else None
+    if not isinstance(parts, dict) or digest(parts) != state.get("approved"):
+        raise InputError(f"{path}: it was changed since the run was planned (SHA-256 differs); start a new run")
+    return parts
+
+
+def differences(then: dict[str, Any], now: dict[str, Any]) -> str:
+    """What differs between two problems, in one sentence for people."""
+    found: dict[str, list[str]] = {}
+    for place, before, after in _differing(then, now):
+        part, rest = _where(place)
+        found.setdefault(part, []).append(f"{rest} {_change(before, after)}".strip())
+    sentences = []
+    for part, changes in found.items():
+        more = f" and {len(changes) - _MOST} more" if len(changes) > _MOST else ""
+        sentences.append(f"{part} differs from the one this run was planned with: {', '.join(changes[:_MOST])}{more}")
+    return "; ".join(sentences)
+
+
+def _where(place: tuple[str, ...]) -> tuple[str, str]:
+    """The file or part, and the place in it."""
+    if place[:2] == ("robot", "urdf"):
+        return "the URDF", ""
+    if place[:2] == ("robot", "joints"):
+        inner = place[2:]
+        return ("the URDF" if inner[1:] and inner[1] in ("lower", "upper") else _NAMES["robot"]), " ".join(inner)
+    return _NAMES.get(place[0], place[0]), ".".join(place[1:])
+
+
+def _change(before: Any, after: Any) -> str:
+    if before is _ABSENT:
+        return f"is new ({_short(after)})"
+    if after is _ABSENT:
+        return f"is gone ({_short(before)})"
+    if isinstance(before, str) and len(before) > 40:
+        return "(another content)"
+    return f"was {_short(before)}, is {_short(after)}"
+
+
+def _short(value: Any) -> str:
+    text = f"{value:g}" if isinstance(value, float) else str(value)
+    return text if len(text) <= 40 else f"{text[:37]}…"
+
+
+def _differing(then: Any, now: Any, place: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
+    """(place, before, after) of every leaf that differs."""
+    if then == now:
+        return
+    mappings = [_by_name(value) for value in (then, now)]
+    if any(mapping is None for mapping in mappings):
+        yield place, then, now
+        return
+    before, after = mappings
+    for key in [*before, *(key for key in after if key not in before)]:
+        yield from _differing(before.get(key, _ABSENT), after.get(key, _ABSENT), (*place, key))
+
+
+def _by_name(value: Any) -> dict[str, Any] | None:
+    """Items of a mapping or a list by what a person calls them; None where it is neither."""
+    if isinstance(value, dict):
+        return value
+    if not isinstance(value, list) or not value:
+        return None
+    if all(isinstance(item, dict) and isinstance(item.get("name"), str) for item in value):
+        return {item["name"]: {key: inner for key, inner in item.items() if key != "name"} for item in value}
+    return {str(number + 1): item for number, item in enumerate(value)}
+
+
+def _interpolator(name: str) -> Any:
+    """Its name, with what tells one installed or licensed interpolator from another of that name."""
+    from agent.motion.interpolator import ENTRY_POINTS
+    from agent.motion.orl import LIBRARY
+
+    library = os.environ.get(LIBRARY) if name == "orl" else None
+    if library and os.path.isfile(library):
+        return {"name": name, "library": _file_digest(Path(library))}
+    for entry in entry_points(group=ENTRY_POINTS, name=name):
+        if entry.dist is not None and not entry.value.startswith("agent."):
+            return {"name": name, "package": f"{entry.dist.name} {entry.dist.version}"}
+    return name
+
+
+def _file_digest(path: Path) -> str:
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value) and not isinstance(value, type):
+        return {key: _plain(item) for key, item in asdict(value).items()}
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, Path):
+        return str(value)
+    return value

@@ -1,0 +1,209 @@
+"""The robot's current model: one place that names it, moved in one step, with every earlier one kept.
+
+`logs/models/<robot>_<serial>/versions/<number>/` holds `model.json` and `about.json` and is never changed again;
+`current` is a link to one of them, replaced in one rename. So `logs/models/<robot>_<serial>/current/model.json` is
+always a whole model. Nothing here writes to a controller.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from agent.core.console import Console
+from agent.core.documents import read_json
+from agent.core.errors import AgentError, InputError
+from agent.runs.folder import RunFolder, sha256_file, write_atomically
+from agent.runs.history import open_history
+from agent.runs.past_run import read_run
+
+if TYPE_CHECKING:
+    from agent.recipe import Recipe
+
+_FOLDER = "models"
+
+
+@dataclass(frozen=True)
+class Applied:
+    """A model that was made current: `model` its file, `run` where it comes from, `previous` the version before."""
+
+    model: Path
+    run: str
+    robot: str
+    serial: str
+    sha256: str
+    applied: str
+    previous: str | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return {"schema": "current/1", **self.__dict__, "model": str(self.model)}
+
+
+def current_model(logs: Path, robot: str, serial: str) -> Applied | None:
+    """The robot's current model, or None where nothing was applied yet.
+
+    Raises:
+        InputError: what is there is damaged.
+    """
+    place = _place(logs, robot, serial)
+    return _about(place / "current") if (place / "current").is_symlink() else None
+
+
+def apply_run(logs: Path, run: Path) -> Applied:
+    """Make the model of an accepted run the current one of its robot. Applying it again changes nothing.
+
+    Raises:
+        InputError: no model, not accepted, or no longer the file that was accepted.
+        AgentError: it cannot be written; the current model is what it was.
+    """
+    past, _ = read_run(run)
+    if past.kind == "diagnose":
+        raise InputError(f"{run}: this run is a diagnosis and made no model; apply a calibration or a recalibration")
+    if not past.accepted:
+        why = f" ({past.reason})" if past.reason else ""
+        raise InputError(f"{run}: this run is {past.status}{why}; only the model of an accepted run is made current")
+    model = run / "model.json"
+    if not model.is_file():
+        raise InputError(f"{model}: no such file; the run has lost its model")
+    sha256 = sha256_file(model)
+    accepted = read_json(run / "state.json").get("model_sha256", sha256)
+    if accepted != sha256:
+        raise InputError(f"{model}: this is not the model that was accepted (SHA-256 differs); it was changed since")
+    place = _place(logs, past.robot, past.serial)
+    try:
+        before = current_model(logs, past.robot, past.serial)
+    except InputError:  # damaged: to apply a run is what mends it
+        before = None
+    if before is not None and before.sha256 == sha256 and before.run == past.run:
+        return before
+    try:
+        version = _fresh(place / "versions")
+        shutil.copyfile(model, version / "model.json")
+        _flush(version / "model.json")
+        about = {
+            "schema": "current/1",
+            "run": past.run,
+            "robot": past.robot,
+            "serial": past.serial,
+            "sha256": sha256,
+            "applied": datetime.now(UTC).isoformat(timespec="seconds"),
+            "previous": os.path.basename(os.readlink(place / "current")) if before is not None else None,
+        }
+        write_atomically(version / "about.json", json.dumps(about, indent=2) + "\n")
+        _point(place, version.name)
+    except OSError as error:
+        raise AgentError(f"{place}: the model cannot be applied: {error.strerror}; free space or rights?") from None
+    return _about(place / "current")
+
+
+def current_runs(logs: Path) -> tuple[set[str], list[str]]:
+    """Names of the runs of a folder whose models are the current ones of their robots; and what is damaged."""
+    names, damaged = set(), []
+    for place in sorted((logs / _FOLDER).glob("*")):
+        try:
+            names |= {_about(place / "current").run} if (place / "current").is_symlink() else set()
+        except InputError as error:
+            damaged.append(str(error))
+    return names, damaged
+
+
+def apply_previous(logs: Path, robot: str | None = None, serial: str | None = None) -> Applied:
+    """Go back to the model that was current before; once more goes further back.
+
+    Raises:
+        InputError: nothing was applied before, or it is not clear on which robot.
+    """
+    places, damaged = [], []
+    for place in sorted((logs / _FOLDER).glob("*")):
+        try:
+            about = _about(place / "current") if (place / "current").is_symlink() else None
+        except InputError as error:
+            damaged.append(str(error))
+            continue
+        if about is not None and robot in (None, about.robot) and serial in (None, about.serial):
+            places.append((place, about))
+    if not places and damaged:
+        raise InputError("; ".join(damaged))
+    if not places:
+        raise InputError(f"{logs / _FOLDER}: no model was applied yet, so there is none to go back from")
+    if len(places) > 1:
+        names = ", ".join(f"{about.robot} {about.serial}".strip() for _, about in places)
+        raise InputError(f"several robots have a current model ({names}); say which with --robot and --serial")
+    place, about = places[0]
+    if about.previous is None:
+        raise InputError(f"{place}: {about.run} was the first model applied; there is none before it")
+    _about(place / "versions" / about.previous)  # a damaged one is not gone back to
+    try:
+        _point(place, about.previous)
+    except OSError as error:
+        raise AgentError(f"{place}: the model cannot be applied: {error.strerror}; free space or rights?") from None
+    return _about(place / "current")
+
+
+def origin(recipe: Recipe) -> dict[str, str]:
+    """Facts about a run by which later ones find it: its loop's key and its controller."""
+    from agent.runs.stored_loops import loop_key
+
+    return {"loop": loop_key(recipe), "controller": f"{recipe.controller.driver} {recipe.controller.address}"}
+
+
+def remember(run: RunFolder, console: Console) -> None:
+    """Take a complete run into the history; the first accepted model of a robot becomes its current one.
+
+    Later ones are made current by `agent apply`, or by a recalibration, which was told to.
+    """
+    logs = run.path.parent
+    try:
+        with open_history(logs):
+            pass
+        if run.state["status"] == "finished" and current_model(logs, run.state["robot"], run.state["serial"]) is None:
+            apply_run(logs, run.path)
+    except AgentError as error:  # the run itself is complete, and `agent history` finds it again
+        console.warn(str(error))
+
+
+def _about(version: Path) -> Applied:
+    try:
+        data = read_json(version / "about.json")
+        data.pop("schema")
+        applied = Applied(model=version / "model.json", **data)
+        for field in (applied.run, applied.robot, applied.serial, applied.sha256, applied.previous or ""):
+            if not isinstance(field, str):
+                raise ValueError("texts are expected in it")
+    except (InputError, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{version / 'about.json'}: cannot be read ({error}); apply a run again") from None
+    if not applied.model.is_file() or sha256_file(applied.model) != applied.sha256:
+        raise InputError(f"{applied.model}: missing or changed since it was applied; apply a run again")
+    return applied
+
+
+def _place(logs: Path, robot: str, serial: str) -> Path:
+    name = re.sub(r"[^A-Za-z0-9._-]", "_", f"{robot}_{serial}" if serial else robot)
+    return logs / _FOLDER / name
+
+
+def _fresh(versions: Path) -> Path:
+    versions.mkdir(parents=True, exist_ok=True)
+    number = 1 + max((int(entry.name) for entry in versions.iterdir() if entry.name.isdigit()), default=0)
+    path = versions / f"{number:06d}"
+    path.mkdir()
+    return path
+
+
+def _flush(path: Path) -> None:
+    with open(path, "rb+") as file:
+        os.fsync(file.fileno())
+
+
+def _point(place: Path, version: str) -> None:
+    beside = place / f".current.{os.getpid()}"
+    beside.unlink(missing_ok=True)
+    beside.symlink_to(Path("versions") / version)
+    os.replace(beside, place / "current")

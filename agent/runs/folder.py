@@ -1,0 +1,216 @@
+"""The run folder: what a run has finished, so that nothing is lost and it can go on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+from collections.abc import Callable
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from agent.core.console import finite, fit_to_show
+from agent.core.documents import read_json
+from agent.core.errors import AgentError, InputError
+from drivers.texts import hide
+
+_STATE = "state.json"
+
+
+class RunFolder:
+    """`logs/<UTC>_<robot>/`: files are written beside and renamed; an existing run is never overwritten.
+
+    `state.json` holds the finished steps with what they found, the status (`running`, `finished`, `rejected`,
+    `stopped`) and, for a stopped run, where and why.
+    """
+
+    def __init__(self, path: Path, state: dict[str, Any]):
+        self.path = path
+        self.state = state
+
+    @classmethod
+    def create(cls, root: Path, robot: str, recipe: Path, now: datetime | None = None) -> RunFolder:
+        """Make a new run folder with a copy of the recipe.
+
+        Raises:
+            AgentError: the folder cannot be written.
+        """
+        stamp = (now or datetime.now(UTC)).strftime("%Y%m%dT%H%M%SZ")
+        try:
+            root.mkdir(parents=True, exist_ok=True)
+            path = _fresh_folder(root, f"{stamp}_{robot}")
+        except OSError as error:
+            message = f"{root}: no run folder can be made there: {error.strerror}; free space or rights?"
+            raise AgentError(message) from None
+        text = recipe.read_text(encoding="utf-8")
+        state = {
+            "schema": "run/1",
+            "robot": robot,
+            "recipe": str(recipe.resolve()),
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+            "status": "running",
+            "steps": {},
+            "inputs_sha256": {"recipe.yaml": sha256_text(text)},
+            "versions": versions(),
+        }
+        run = cls(path, state)
+        run.write_text("recipe.yaml", text)
+        run._save()
+        return run
+
+    @classmethod
+    def open(cls, path: Path, recipe_sha256: str, check: Callable[[RunFolder], None] = lambda run: None) -> RunFolder:
+        """Open a calibration to go on with it; `check` may refuse it before anything is written.
+
+        Raises:
+            InputError: no such run or one of another kind, a damaged state, or the recipe changed since.
+        """
+        if not (path / _STATE).is_file():
+            raise InputError(f"{path}: not a run folder (it has no {_STATE})")
+        state = read_json(path / _STATE)
+        kind = state.get("kind") if isinstance(state, dict) else None
+        if kind in ("recalibrate", "diagnose"):
+            raise InputError(f"{path}: only calibrations are gone on with; start this one again: `agent {kind}`")
+        schema = state.get("schema") if isinstance(state, dict) else None
+        if schema != "run/1" or not _whole(state):
+            raise InputError(
+                f"{path / _STATE}: damaged, or of another version of the agent (schema {str(schema)[:20]!r}); start a "
+                "new run without --resume"
+            )
+        if state["inputs_sha256"].get("recipe.yaml") != recipe_sha256:
+            raise InputError(f"{path}: this run was started with another recipe; start a new run without --resume")
+        if state["status"] in ("finished", "rejected"):
+            raise InputError(f"{path}: this run is complete ({state['status']}); there is nothing to resume")
+        run = cls(path, state)
+        check(run)
+        run.state.pop("stopped", None)
+        run.state["status"] = "running"
+        run._save()
+        return run
+
+    def finished(self, step: str) -> dict[str, Any] | None:
+        """What a finished step noted, or None if it has not finished."""
+        return self.state["steps"].get(step)
+
+    def finish(self, step: str, **found: Any) -> dict[str, Any]:
+        """Note a step as finished, with what a resumed run needs to know of it."""
+        self.state["steps"][step] = {"finished": datetime.now(UTC).isoformat(timespec="seconds"), **finite(found)}
+        self._save()
+        return self.state["steps"][step]
+
+    def note(self, **facts: Any) -> None:
+        """Add facts about the whole run to its state, e.g. the robot's serial."""
+        self.state |= finite(facts)
+        self._save()
+
+    def stopped(self, step: str, reason: str) -> None:
+        """Note where and why the run ended before its end."""
+        self.state["status"] = "stopped"
+        reason = fit_to_show(reason)
+        self.state["stopped"] = {"step": step, "reason": reason, "at": datetime.now(UTC).isoformat(timespec="seconds")}
+        self._save()
+
+    def complete(self, accepted: bool) -> None:
+        """Note that the run reached its end."""
+        self.state["status"] = "finished" if accepted else "rejected"
+        self._save()
+
+    def file(self, name: str) -> Path:
+        """Path of a file of this run."""
+        return self.path / name
+
+    def check_file(self, name: str, sha256: str | None) -> None:
+        """A file of this run is what it was when it was finished.
+
+        Raises:
+            InputError: it is missing, it was changed, or nothing is known of it.
+        """
+        path = self.path / name
+        if not path.is_file() or sha256 is None or sha256_file(path) != sha256:
+            what = "it is gone" if not path.is_file() else "it was changed since, or by another version of the agent"
+            raise InputError(f"{path}: not the file that this run finished with ({what}); start a new run")
+
+    def write_text(self, name: str, text: str) -> Path:
+        """Write a file whole or not at all."""
+        return write_atomically(self.path / name, text)
+
+    def write_json(self, name: str, data: Any) -> Path:
+        """Write JSON whole or not at all."""
+        return self.write_text(name, json.dumps(finite(data), indent=2) + "\n")
+
+    def _save(self) -> None:
+        self.write_json(_STATE, self.state)
+
+
+def write_atomically(path: Path, text: str) -> Path:
+    """Write beside, flush to the disk and rename. A password that this process has read is left out.
+
+    A device or a pipe is written to as it is: a rename would put a file in its place.
+
+    Raises:
+        AgentError: disk full, read-only or no rights; the old file is untouched.
+    """
+    special = path.exists() and not path.is_file()
+    beside = path if special else path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with open(beside, "w", encoding="utf-8") as file:
+            file.write(hide(text))
+            file.flush()
+            if not special:
+                os.fsync(file.fileno())
+        if not special:
+            os.replace(beside, path)
+    except OSError as error:
+        if not special:
+            beside.unlink(missing_ok=True)
+        raise AgentError(f"{path}: cannot be written: {error.strerror}; free space or rights?") from None
+    return path
+
+
+def sha256_text(text: str) -> str:
+    """SHA-256 (hex) of the UTF-8 text."""
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def sha256_file(path: Path) -> str:
+    """SHA-256 (hex) of a file."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """Versions of the agent and of what its figures depend on."""
+    found = {"python": platform.python_version()}
+    for package in ("calibration-agent", "numpy", "scipy", "pin", "mcap"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def _whole(state: dict[str, Any]) -> bool:
+    """Whether a state has what every run's has."""
+    steps, inputs = state.get("steps"), state.get("inputs_sha256")
+    return (
+        isinstance(steps, dict)
+        and all(isinstance(step, dict) for step in steps.values())
+        and isinstance(inputs, dict)
+        and isinstance(state.get("versions"), dict)
+        and all(isinstance(value, str) for value in (*inputs.values(), *state["versions"].values()))
+        and all(isinstance(state.get(key), str) for key in ("robot", "started", "status"))
+    )
+
+
+def _fresh_folder(root: Path, name: str) -> Path:
+    for suffix in ("", *(f"_{k}" for k in range(2, 1000))):
+        path = root / f"{name}{suffix}"
+        try:
+            path.mkdir()
+        except FileExistsError:
+            continue
+        return path
+    raise AgentError(f"{root / name}: a thousand runs of this second already")

@@ -1,0 +1,240 @@
+"""A past run as its folder tells it, whoever wrote that folder: every value is looked at before anybody uses it."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from agent.core.errors import InputError
+from agent.robot.torque_figures import error_text
+
+#: Clocks differ by so much without being wrong.
+AHEAD = timedelta(minutes=5)
+
+
+@dataclass(frozen=True)
+class PastRun:
+    """One run folder.
+
+    `kind` is `calibrate`, `recalibrate` or `diagnose`; `status` that of the run folder (`finished` is accepted where
+    there is a gate, `rejected` is the gate's word); `loop` the key of its stored loop, `program` the SHA-256 of its
+    program, `reference` the run whose model it was compared with, `reason` why it was rejected or stopped; `worst` the
+    largest normalised RMSE of any axis. `data` holds joints, normalised_rmse, gate, the conditions of the run, the
+    `verdict` of a diagnosis, and `watch`: what the trends of this machine said after it, a sentence each.
+    """
+
+    run: str
+    robot: str
+    serial: str
+    kind: str
+    started: str
+    status: str
+    controller: str
+    loop: str
+    program: str
+    reference: str
+    reason: str
+    worst: float | None
+    data: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def time(self) -> datetime:
+        """When it was started."""
+        return datetime.fromisoformat(self.started)
+
+    def in_future(self, now: datetime | None = None) -> bool:
+        """Whether it was started later than now, by clocks of which one was wrong."""
+        return self.time > (now or datetime.now(UTC)) + AHEAD
+
+    @property
+    def complete(self) -> bool:
+        """Whether it reached its end."""
+        return self.status in ("finished", "rejected")
+
+    @property
+    def accepted(self) -> bool:
+        """Whether its gate let it through."""
+        return self.status == "finished" and self.kind != "diagnose"
+
+    @property
+    def worst_torque(self) -> float | None:
+        """Largest error of any axis [N·m]."""
+        return max((torque for torque in self.data["rmse"] if torque is not None), default=None)
+
+    @property
+    def worst_text(self) -> str:
+        """Largest error of any axis: of nominal torque, or in N·m where no axis has one; "-" where none is known."""
+        return error_text(self.worst, self.worst_torque)
+
+    @property
+    def outcome(self) -> str:
+        """What came of it, in a word or two: the gate's, or the diagnosis's."""
+        finished = "accepted" if self.accepted else self.data["verdict"].replace("_", " ")
+        if self.accepted and self.data["joints"] and len(self.data["not_judged"]) == len(self.data["joints"]):
+            finished = "not judged"
+        return finished if self.status == "finished" else self.status
+
+    def outcome_with(self, current: Collection[str]) -> str:
+        """The same, marked where its model is a current one."""
+        return f"{self.outcome}, current" if self.run in current else self.outcome
+
+
+@dataclass(frozen=True)
+class PastParameter:
+    """A parameter as one run found it."""
+
+    name: str
+    unit: str
+    value: float
+    deviation: float
+
+
+def read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
+    """What a run folder says.
+
+    Raises:
+        InputError: one of its files cannot be read.
+    """
+    with readable(path):
+        return _read_run(path)
+
+
+@contextlib.contextmanager
+def readable(run: Path) -> Iterator[None]:
+    """Turns what damaged files of a run, or those of another version, lead to into one message.
+
+    Raises:
+        InputError: with what is missing or wrong, and what there is to do.
+    """
+    try:
+        yield
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
+        what = f"{error} is missing in them" if isinstance(error, KeyError) else str(error)
+        page = run / "report.html"
+        advice = f"the page of its own time is {page}" if os.path.isfile(page) else "it has no page of its own time"
+        raise InputError(
+            f"{run}: files of this run are damaged, or another version of the agent wrote them ({what}); {advice}"
+        ) from error
+
+
+def _read_run(path: Path) -> tuple[PastRun, list[PastParameter]]:
+    state = read_object(path / "state.json")
+    result = read_object(path / "result.json") if os.path.lexists(path / "result.json") else {}
+    validation, gate = result.get("validation", {}), result.get("gate", {})
+    figures = _numbers(validation.get("normalised_rmse", []), "normalised_rmse")
+    known = [value for value in figures if value is not None]
+    limit = gate.get("normalised_rmse")
+    data = {
+        "joints": _texts(validation.get("joints", []), "joints"),
+        "normalised_rmse": figures,
+        "rmse": _numbers(validation.get("rmse", []), "rmse"),
+        "gate": None if limit is None else _number(limit, "gate"),
+        "not_judged": _texts(gate.get("not_judged", []), "not_judged"),
+        "conditions": _conditions(result.get("conditions", {}), validation.get("joints", [])),
+        "verdict": _text(result, "verdict"),
+        "watch": _texts(state.get("watch", []), "watch"),
+    }
+    run = PastRun(
+        run=_checked(path.name, "the name"),
+        robot=_checked(state["robot"], "robot"),
+        serial=_text(state, "serial"),
+        kind=_text(state, "kind", "calibrate"),
+        started=_in_utc(state["started"]),
+        status=_checked(state["status"], "status"),
+        controller=_text(state, "controller"),
+        loop=_text(state, "loop"),
+        program=_text(state, "program"),
+        reference=_text(state, "reference"),
+        reason=_one_line(result.get("reason", "") or state.get("stopped", {}).get("reason", "")),
+        worst=max(known, default=None),
+        data=data,
+    )
+    model = read_object(path / "model.json") if os.path.lexists(path / "model.json") else {}
+    rows = [*model.get("base_parameters", []), *model.get("friction", [])]
+    return run, [
+        PastParameter(
+            _checked(p["name"], "a parameter's name"),
+            _checked(p["unit"], "a parameter's unit"),
+            _number(p["value"], p["name"]),
+            _number(p["standard_deviation"], p["name"]),
+        )
+        for p in rows
+    ]
+
+
+def _conditions(found: dict[str, Any], joints: list[str]) -> dict[str, Any]:
+    """Those that the trends use are what they expect."""
+    for level in found.get("friction", []):
+        if level["joint"] not in joints:
+            raise ValueError(f"friction of {level['joint']!r}, which is none of the joints")
+        for key in ("speed", "value", "standard_deviation", "from_run_to_run"):
+            _number(level[key], key)
+    if found.get("friction") and len(_numbers(found["nominal_torque"], "nominal_torque")) != len(joints):
+        raise ValueError("nominal_torque is not one a joint")
+    for key in ("rate_per_s", "standard_deviation"):
+        _numbers(found.get("warm_up", {}).get(key, []), key)
+    return found
+
+
+def _one_line(text: str) -> str:
+    """A reason may be the words of a controller, or of several lines."""
+    return _checked(" ".join("".join(c if c.isprintable() else " " for c in text).split()), "reason")
+
+
+def _in_utc(stamp: str) -> str:
+    """The same time, in the one zone by which runs are put in order; without a zone it is that already."""
+    time = datetime.fromisoformat(stamp)
+    return (time if time.tzinfo else time.replace(tzinfo=UTC)).astimezone(UTC).isoformat(timespec="seconds")
+
+
+def read_object(path: Path) -> dict[str, Any]:
+    """A JSON file of a run, for use within `readable`.
+
+    Raises:
+        ValueError: it cannot be read, or holds no object.
+    """
+    from agent.core.documents import read_json
+
+    try:
+        data = read_json(path)
+    except InputError as error:
+        raise ValueError(str(error)) from None
+    if not isinstance(data, dict):
+        raise ValueError(f"{path.name} holds no object")
+    return data
+
+
+def _text(data: dict[str, Any], key: str, otherwise: str = "") -> str:
+    return _checked(data.get(key, otherwise), key)
+
+
+def _checked(value: Any, what: str) -> str:
+    """A text that the database, a terminal and a page can take."""
+    if not isinstance(value, str) or not value.isprintable():
+        raise ValueError(f"{what} is no text")
+    value.encode()  # half a character is none
+    return value
+
+
+def _numbers(values: Any, what: str) -> list[float | None]:
+    if not isinstance(values, list):
+        raise ValueError(f"{what} is no list")
+    return [None if value is None else _number(value, what) for value in values]
+
+
+def _number(value: Any, what: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ValueError(f"{what} is no number")
+    return float(value)
+
+
+def _texts(values: Any, what: str) -> list[str]:
+    if not isinstance(values, list):
+        raise ValueError(f"{what} is no list")
+    return [_checked(value, what) for value in values]

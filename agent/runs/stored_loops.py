@@ -1,0 +1,177 @@
+"""Loops that were found, kept for later: one JSON file each, by robot, tool, sub-region and checksum."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.core.documents import read_json
+from agent.core.errors import AgentError, InputError
+from agent.recipe import Recipe
+from agent.runs.approved import digest, problem
+from agent.runs.folder import sha256_text, write_atomically
+
+#: Where loops are kept unless told otherwise: beside the folder of the runs.
+FOLDER = Path("trajectories")
+_SCHEMA = "loop/1"
+
+
+@dataclass(frozen=True)
+class StoredLoop:
+    """A loop with the program that runs it.
+
+    `key` is the SHA-256 of all that the loop was searched for (robot, tool, sub-region, motion settings, period,
+    interpolator); `checksum` that of the program's text, as a controller reports it. `tool` and `sub_region` are plain
+    data; poses (K) (4, 4), start (n,) [rad]; `fitness` over all samples; `created` in UTC, ISO 8601.
+    """
+
+    key: str
+    robot: str
+    tool: dict[str, Any] | None
+    sub_region: dict[str, Any]
+    search: dict[str, Any]
+    fitness: float
+    genome: tuple[float, ...]
+    poses: tuple[tuple[tuple[float, ...], ...], ...]
+    start: tuple[float, ...]
+    program_name: str
+    program: str
+    checksum: str
+    created: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, as in the file."""
+        return {"schema": _SCHEMA, **asdict(self)}
+
+    def line(self) -> str:
+        """One line for a list."""
+        kind = next(iter(self.sub_region))
+        tool = "no tool" if self.tool is None else f"tool {self.tool['mass']:g} kg"
+        return (
+            f"{self.created}  {self.robot}  {tool}  {len(self.poses)} points in {kind} {self.key[:8]}  "
+            f"fitness {self.fitness:.2f}  program {self.program_name} {self.checksum[:12]}"
+        )
+
+
+def keep_loop(
+    recipe: Recipe,
+    genome: np.ndarray,
+    poses: np.ndarray,
+    start: np.ndarray,
+    fitness: float,
+    program_name: str,
+    program: str,
+    folder: Path = FOLDER,
+    now: datetime | None = None,
+) -> StoredLoop:
+    """Keep a loop; the same loop found again replaces its file.
+
+    Raises:
+        AgentError: the folder cannot be written.
+    """
+    purpose = problem(recipe)
+    loop = StoredLoop(
+        key=digest(purpose),
+        robot=recipe.robot.name,
+        tool=purpose["tool"],
+        sub_region=purpose["sub_region"],
+        search=asdict(recipe.search),
+        fitness=float(fitness),
+        genome=_tuples(genome),
+        poses=_tuples(poses),
+        start=_tuples(start),
+        program_name=program_name,
+        program=program,
+        checksum=sha256_text(program),
+        created=(now or datetime.now(UTC)).isoformat(timespec="seconds"),
+    )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise AgentError(f"{folder}: loops cannot be kept there: {error.strerror}; free space or rights?") from None
+    name = f"{loop.robot}_{loop.key[:12]}_{loop.checksum[:12]}.json"
+    write_atomically(folder / name, json.dumps(loop.to_dict(), indent=2) + "\n")
+    return loop
+
+
+def stored_loops(folder: Path = FOLDER, damaged: list[str] | None = None) -> list[StoredLoop]:
+    """All loops in a folder, by robot, sub-region and age, newest first; none where there is no folder.
+
+    Args:
+        damaged: takes what is to be said of files that cannot be read; without it, they are an error.
+
+    Raises:
+        InputError: a file that is damaged, or whose program is not the one of its checksum.
+    """
+    loops = []
+    for path in sorted(folder.glob("*.json")) if folder.is_dir() else []:
+        try:
+            loops.append(_read(path))
+        except InputError as error:
+            if damaged is None:
+                raise
+            damaged.append(str(error))
+    loops.sort(key=lambda loop: loop.created, reverse=True)
+    return sorted(loops, key=lambda loop: (loop.robot, loop.key))
+
+
+def find_loop(recipe: Recipe, folder: Path = FOLDER, program: str | None = None) -> StoredLoop | None:
+    """The newest loop kept for a recipe's robot, tool, sub-region and motion settings, or None.
+
+    Args:
+        program: SHA-256 (hex) of the program's text, where it has to be a certain one.
+
+    Raises:
+        InputError: there is none among those that can be read, and some cannot; or what the file says of the tool and
+            the sub-region is not the recipe's.
+    """
+    parts = problem(recipe)
+    key = digest(parts)
+    damaged: list[str] = []
+    for loop in stored_loops(folder, damaged):
+        if loop.key == key and program in (None, loop.checksum):
+            for name in ("tool", "sub_region"):
+                if getattr(loop, name) != parts[name]:
+                    raise InputError(
+                        f"{folder}: the stored loop {loop.checksum[:12]} was changed: its {name} is not the one that "
+                        "its key stands for; move it away and calibrate again"
+                    )
+            return loop
+    if damaged:
+        raise InputError("; ".join(damaged))
+    return None
+
+
+def loop_key(recipe: Recipe) -> str:
+    """SHA-256 (hex) of what a loop depends on: robot, tool, cell, sub-region, motion settings, period, interpolator."""
+    return digest(problem(recipe))
+
+
+def _read(path: Path) -> StoredLoop:
+    try:
+        data = read_json(path)
+        if data.pop("schema") != _SCHEMA:
+            raise ValueError("another schema")
+        for key in ("genome", "poses", "start"):
+            data[key] = _tuples(np.array(data[key], dtype=float))
+        loop = StoredLoop(**data)
+        for key in ("key", "robot", "created", "program", "program_name", "checksum"):
+            if not isinstance(data[key], str):
+                raise ValueError(f"{key} is no text")
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+        raise InputError(f"{path}: not a stored loop ({error}); move it away") from None
+    if sha256_text(loop.program) != loop.checksum:
+        raise InputError(f"{path}: its program is not the one that was stored (checksum differs); move it away")
+    return loop
+
+
+def _tuples(array: np.ndarray) -> Any:
+    def nested(value: Any) -> Any:
+        return tuple(nested(item) for item in value) if isinstance(value, list) else value
+
+    return nested(np.asarray(array, dtype=float).tolist())

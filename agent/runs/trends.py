@@ -1,0 +1,365 @@
+"""What changes from run to run: wear told from warm-up, step from drift, and how long until a limit.
+
+One series is the friction of an axle at one speed, as runs of the same program found it. With y its logarithm,
+
+    y_r = a + b c_r + change_r + noise,
+
+c is what the other axles' friction did at the same time (their median): warm-up is common to all, wear is not. How
+strongly this axle warms, b, is known from within the runs: a cold arm warms up while it moves, the colder the faster,
+so b is how its relative rate of change follows the others' from run to run; about 1 (deviation 1) where nothing tells.
+Without that, a warm-up that goes along with time could not be told from wear. Arms of fewer axles have the rate itself
+in place of c.
+
+What is left is tested as a drift, linear in time or in the number of runs, and as a step after run k. Each is a t-test
+against no change (`agent.runs.changes`); alternatives pay for their number, and all series of a machine share
+`FALSE_ALARMS` (Bonferroni). An alarm is a change that is no chance and of practical size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from agent.runs.changes import Background, fit_course, line, size_of_change
+from agent.runs.past_run import PastParameter, PastRun
+
+#: Probability of an alarm of any series of a machine without change.
+FALSE_ALARMS = 1e-3
+#: Relative change of an axle's friction that matters.
+PRACTICAL = 0.03
+#: Fewest runs that say anything, and how many of the latest are looked at.
+FEWEST, WINDOW = 8, 40
+_SEGMENT = 3  # runs on either side of a step
+_UNKNOWN_RESPONSE = 1.0  # deviation of how an axle warms, as a multiple of the others
+_CLEAR = 4.0  # deviations by which a warm-up in the rates must stand out from their noise to tell anything
+_SPEEDS_DIFFER = 0.15  # of it: at one speed friction may answer so much more or less than along the whole motion
+_DAY = 86_400.0
+
+
+@dataclass(frozen=True, eq=False)
+class Trend:
+    """One series over the runs looked at, and what was found in it.
+
+    times (R,) [days since the first], values (R,), deviations (R,); `expected` (R,) is the fitted course. `kind` is
+    `none`, `drift` or `step`; `change` is over the whole window (relative for friction) with its `deviation`; `since`
+    the run after which a step came; `probability` that chance does as much; `common` the part of the course (R,) that
+    warm-up explains.
+    """
+
+    name: str
+    joint: str
+    unit: str
+    runs: tuple[str, ...]
+    times: np.ndarray
+    values: np.ndarray
+    deviations: np.ndarray
+    expected: np.ndarray
+    common: np.ndarray
+    kind: str
+    change: float
+    deviation: float
+    probability: float
+    since: str
+    alarm: bool
+
+    def text(self) -> str:
+        """One sentence."""
+        if self.kind == "none":
+            return f"{self.name}: no change"
+        what = f"drifts: {100 * self.change:+.1f} % over {len(self.runs)} runs"
+        if self.kind == "step":
+            what = f"stepped by {100 * self.change:+.1f} % after {self.since}"
+        return f"{self.name} {what} (chance: {self.probability:.1g}); warm-up is taken out"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, without the series."""
+        return {
+            "name": self.name,
+            "joint": self.joint,
+            "kind": self.kind,
+            "change": self.change,
+            "standard_deviation": self.deviation if np.isfinite(self.deviation) else None,
+            "probability_by_chance": self.probability,
+            "since": self.since or None,
+            "alarm": self.alarm,
+        }
+
+
+@dataclass(frozen=True)
+class Warning:
+    """A limit that comes near: in how many days, or already beyond it (0)."""
+
+    joint: str
+    days: float
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class Watch:
+    """What the history of one machine's loop says: friction trends, warnings, and the warm-up covariate (R,) [1/s]."""
+
+    robot: str
+    serial: str
+    program: str
+    trends: tuple[Trend, ...]
+    warnings: tuple[Warning, ...]
+    warm_up: np.ndarray
+
+    @property
+    def alarms(self) -> tuple[Trend, ...]:
+        """Trends that are no chance and of practical size; the strongest of each joint."""
+        best: dict[str, Trend] = {}
+        for trend in self.trends:
+            if trend.alarm and (trend.joint not in best or abs(trend.change) > abs(best[trend.joint].change)):
+                best[trend.joint] = trend
+        return tuple(best.values())
+
+    def lines(self) -> list[str]:
+        """Alarms and warnings, a sentence each."""
+        return [trend.text() for trend in self.alarms] + [warning.text for warning in self.warnings]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "robot": self.robot,
+            "serial": self.serial,
+            "program_sha256": self.program,
+            "alarms": [trend.to_dict() for trend in self.alarms],
+            "warnings": [{"joint": w.joint, "days": w.days, "text": w.text} for w in self.warnings],
+            "trends": [trend.to_dict() for trend in self.trends],
+        }
+
+
+def watch(runs: Sequence[PastRun]) -> list[Watch]:
+    """Look at the latest runs of every machine and program; those with too few runs are left out, and so are runs
+    dated in the future, whose place in time nobody knows."""
+    groups: dict[tuple[str, str, str], list[PastRun]] = {}
+    for run in runs:
+        if run.complete and run.data["conditions"].get("friction") and not run.in_future():
+            groups.setdefault((run.robot, run.serial, run.program), []).append(run)
+    return [_watch(key, group[-WINDOW:]) for key, group in groups.items() if len(group) >= FEWEST]
+
+
+def parameter_trends(
+    runs: Sequence[PastRun], parameters: dict[str, list[PastParameter]], joints: dict[str, str] | None = None
+) -> list[Trend]:
+    """Course of every parameter that all of these runs have; never an alarm, friction levels decide.
+
+    `runs` are of one machine and program, as the trends of a `Watch` are.
+    """
+    runs = list(runs)[-WINDOW:]
+    if len(runs) < FEWEST:
+        return []
+    tables = [{p.name: p for p in parameters.get(run.run, [])} for run in runs]
+    names = [name for name in tables[-1] if all(name in table for table in tables)]
+    times, rate = _times(runs), Background(_common_rate(*_rates(runs)))
+    found = []
+    for name in names:
+        values = np.array([table[name].value for table in tables])
+        if np.ptp(values) <= 1e-12 * np.abs(values).max():
+            continue  # kept from run to run, not estimated
+        deviations = np.array([table[name].deviation for table in tables])
+        scale = max(float(np.median(np.abs(values))), 1e-300)
+        found.append(_trend(name, "", tables[-1][name].unit, runs, times, values, deviations, scale, rate, len(names)))
+    return found
+
+
+def _watch(key: tuple[str, str, str], runs: list[PastRun]) -> Watch:
+    robot, serial, program = key
+    keys = [(level["joint"], k) for k, level in enumerate(runs[-1].data["conditions"]["friction"])]
+    runs = [run for run in runs if len(run.data["conditions"]["friction"]) == len(keys)]
+    times, (rates, doubts) = _times(runs), _rates(runs)
+    axles = list(runs[-1].data["joints"])
+    values = _column(runs, "value")
+    deviations = _column(runs, "from_run_to_run")
+    usable = np.all(values > 0, axis=0)
+    logs = np.log(np.where(values > 0, values, 1.0))
+    centred = logs - np.median(logs, axis=0)
+    trends = []
+    for (joint, k), level in zip(keys, runs[-1].data["conditions"]["friction"], strict=True):
+        if not usable[k]:
+            continue
+        others = [m for (other, m) in keys if other != joint and usable[m]]
+        background = Background(_common_rate(rates, doubts))
+        if len({keys[m][0] for m in others}) >= 3:  # with fewer, wear of one axle would be half of the others' median
+            scatter = np.median(deviations[:, others] / values[:, others])
+            noise = np.pi / 2 * float(scatter) ** 2 / len(others)  # of a median
+            answer = _response(rates, axles.index(joint))
+            background = Background(np.median(centred[:, others], axis=1), *answer, noise)
+        name = f"friction of {joint} at {level['speed']:.2g} rad/s"
+        trends.append(
+            _trend(name, joint, "N·m", runs, times, values[:, k], deviations[:, k], None, background, len(keys))
+        )
+    warnings = tuple(_warnings(runs, times, trends))
+    return Watch(robot, serial, program, tuple(trends), warnings, _common_rate(rates, doubts))
+
+
+def _trend(
+    name: str,
+    joint: str,
+    unit: str,
+    runs: Sequence[PastRun],
+    times: np.ndarray,
+    values: np.ndarray,
+    deviations: np.ndarray,
+    scale: float | None,
+    background: Background,
+    series: int,
+) -> Trend:
+    """Test one series (R,) for a drift and for steps, beside what all axles share.
+
+    It is looked at as its logarithm, where `scale` is None, or as a multiple of `scale`.
+    """
+    y = np.log(values) if scale is None else values / scale
+    number = np.arange(len(y))
+    shapes = [("drift", line(times), 1), ("drift", line(number), 1)]  # age wears, and so does use
+    places = range(_SEGMENT, len(y) - _SEGMENT + 1)
+    shapes += [("step", (number >= k) - 0.5, k) for k in places]
+    tests = [size_of_change(y, background, shape) for _, shape, _ in shapes]
+    alike = {"drift": 2, "step": len(places)}
+    paid = [test[2] * 2 * alike[kind] for (kind, _, _), test in zip(shapes, tests, strict=True)]
+    best = int(np.argmin(paid))
+    kind, shape, place = shapes[best]
+    change, deviation, _ = tests[best]
+    probability = min(1.0, paid[best])
+    significant = probability < FALSE_ALARMS / series
+    fit, design = fit_course(y, background, shape if significant else None)
+    common = design[:, 1] * fit[1] if background.varies else np.zeros(len(y))
+    expected = np.exp(design @ fit) if scale is None else design @ fit * scale
+    return Trend(
+        name=name,
+        joint=joint,
+        unit=unit,
+        runs=tuple(run.run for run in runs),
+        times=times,
+        values=values,
+        deviations=deviations,
+        expected=expected,
+        common=common,
+        kind=kind if significant else "none",
+        change=float(np.expm1(change) if joint else change) if significant else 0.0,
+        deviation=deviation,
+        probability=probability,
+        since=runs[place - 1].run if significant and kind == "step" else "",
+        alarm=bool(joint and significant and abs(change) >= PRACTICAL),
+    )
+
+
+def _response(rates: np.ndarray, axle: int) -> tuple[float, float]:
+    """How an axle's friction answers to warm-up, as a multiple of the others, from rates (R, n); and its deviation.
+
+    It is the slope of the axle's rate over what the others' rates share, from run to run. What all runs of a loop have
+    alike is no warm-up: bristles that settle in the first cycle, what the model lacks. Both coordinates are noisy, so
+    the power of what is shared is taken without its noise.
+    """
+    known = rates[np.isfinite(rates).all(axis=1)]
+    if len(known) < FEWEST:
+        return 1.0, _UNKNOWN_RESPONSE
+    known = known - known.mean(axis=0)
+    common, noise = _shared(np.delete(known, axle, axis=1))
+    power = float(common @ common) - len(known) * noise
+    if power < _CLEAR * noise * (2 * len(known)) ** 0.5:  # what noise alone makes of it scatters by that root
+        return 1.0, _UNKNOWN_RESPONSE
+    ratio = float(common @ known[:, axle]) / power
+    left = known[:, axle] - ratio * common
+    precision = power / max(float(left @ left) / (len(known) - 2) + ratio**2 * noise, 1e-300)
+    total = precision + _UNKNOWN_RESPONSE**-2
+    ratio = (precision * ratio + _UNKNOWN_RESPONSE**-2) / total
+    return ratio, float(np.hypot(total**-0.5, _SPEEDS_DIFFER * abs(ratio)))
+
+
+def _shared(rates: np.ndarray) -> tuple[np.ndarray, float]:
+    """What centred rates (R, n) of several axles share, (R,), scaled like the median axle; the variance of its noise.
+
+    One common factor: each axle is a multiple of it and noise of its own, by turns fitted and averaged.
+    """
+    common = np.median(rates, axis=1)
+    for _ in range(10):
+        size = max(float(common @ common), 1e-300)
+        multiples = rates.T @ common / size
+        multiples = multiples / (np.median(multiples) or 1.0)
+        noise = np.mean((rates - np.outer(common, multiples)) ** 2, axis=0)
+        weights = multiples / np.maximum(noise, 1e-3 * noise.mean() + 1e-300)
+        common = rates @ weights / (weights @ multiples)
+    return common, float(1 / np.sum(multiples * weights))
+
+
+def _warnings(runs: Sequence[PastRun], times: np.ndarray, trends: Sequence[Trend]) -> list[Warning]:
+    """Drifts that carry an axle's friction, or the prediction error, to the gate within as long as was looked at."""
+    found = []
+    span = max(float(np.ptp(times)), 1e-9)
+    latest = runs[-1].data
+    for joint, figures in _errors(runs).items():
+        gate = latest["gate"]
+        if gate is None or not np.isfinite(figures).all():
+            continue
+        size, deviation, probability = size_of_change(figures, Background(np.zeros(len(figures))), line(times))
+        if size <= 0 or probability * len(latest["joints"]) > FALSE_ALARMS or not np.isfinite(deviation):
+            continue
+        days = max(0.0, (gate - figures[-3:].mean()) / size * span)
+        if days <= span:
+            text = f"{joint}: the prediction error grows and reaches the gate of {100 * gate:.1f} % in {_in(days)}"
+            found.append(Warning(joint, days, text))
+    for trend in trends:
+        nominal = latest["conditions"]["nominal_torque"][latest["joints"].index(trend.joint)]
+        if trend.kind != "drift" or not trend.alarm or latest["gate"] is None or nominal is None:
+            continue
+        limit = latest["gate"] * nominal
+        rate = (np.exp(trend.change) - 1) * np.median(trend.values) / span
+        gone = trend.expected[-1] - trend.expected[0]
+        days = max(0.0, (limit - abs(gone)) / max(abs(rate), 1e-300))
+        if days <= span and all(w.joint != trend.joint for w in found):
+            text = (
+                f"{trend.joint}: friction will have changed by {limit:.3g} N·m, the gate's share of nominal torque, in "
+                f"{_in(days)}; a simulation with the first model is then outside the gate"
+            )
+            found.append(Warning(trend.joint, days, text))
+    return found
+
+
+def _errors(runs: Sequence[PastRun]) -> dict[str, np.ndarray]:
+    """Normalised prediction error over the runs (R,), by joint; NaN where a run has none."""
+    joints = runs[-1].data["joints"]
+    table = [dict(zip(run.data["joints"], run.data["normalised_rmse"], strict=True)) for run in runs]
+    values = {joint: [row.get(joint) for row in table] for joint in joints}
+    return {joint: np.array([np.nan if v is None else v for v in column]) for joint, column in values.items()}
+
+
+def _column(runs: Sequence[PastRun], key: str) -> np.ndarray:
+    """(R, levels)."""
+    return np.array([[level[key] for level in run.data["conditions"]["friction"]] for run in runs], dtype=float)
+
+
+def _rates(runs: Sequence[PastRun]) -> tuple[np.ndarray, np.ndarray]:
+    """(R, n) relative change of friction per second while a run lasted, and its deviation; NaN where unknown."""
+    n = len(runs[-1].data["joints"])
+    tables = []
+    for key in ("rate_per_s", "standard_deviation"):
+        table = np.full((len(runs), n), np.nan)
+        for r, run in enumerate(runs):
+            found = run.data["conditions"].get("warm_up", {}).get(key, [])
+            if len(found) == n:
+                table[r] = [np.nan if value is None else value for value in found]
+        tables.append(table)
+    return tables[0], tables[1]
+
+
+def _common_rate(rates: np.ndarray, doubts: np.ndarray) -> np.ndarray:
+    """(R,) median over the axles, 0 where nothing is known."""
+    known = np.isfinite(rates) & np.isfinite(doubts)
+    return np.array([np.median(row[good]) if good.any() else 0.0 for row, good in zip(rates, known, strict=True)])
+
+
+def _times(runs: Sequence[PastRun]) -> np.ndarray:
+    """(R,) days since the first; run numbers where all carry one time."""
+    stamps = np.array([run.time.timestamp() for run in runs]) / _DAY
+    return stamps - stamps[0] if np.ptp(stamps) > 0 else np.arange(len(runs), dtype=float)
+
+
+def _in(days: float) -> str:
+    if days <= 0:
+        return "no time: it is there"
+    return f"about {days:.0f} days" if days >= 1 else f"about {24 * days:.1f} hours"
