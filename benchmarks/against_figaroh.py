@@ -29,7 +29,7 @@ VERSION = "1.0.2"
 CUTOFF = 20.0
 CANDIDATES = 20
 #: figaroh's settings: low-pass of positions and torque [Hz], decimation of regressor and torque. First its defaults,
-#: then the best of those tried (20 to 100 Hz, every 1st to 100th) on the held-out stretch itself, which flatters it.
+#: then the best of those tried (20 to 100 Hz, every 1st to 100th) on the held-out segment itself, which flatters it.
 SETTINGS = {"defaults (100 Hz, every 10th)": (100.0, 10), "best tried (100 Hz, every 50th)": (100.0, 50)}
 #: The agent's sub-region on the TX40, and as many points as figaroh's spline.
 POINTS = 6
@@ -89,7 +89,7 @@ def run_worker(python: Path, folder: Path) -> dict | None:
 
 
 def export_data(folder: Path) -> dict:
-    """Logs of both stretches, and the same numbers for figaroh."""
+    """Logs of both segments, and the same numbers for figaroh."""
     from agent.recording import import_log, read_log
     from agent.robot import load_robot
 
@@ -149,7 +149,7 @@ def agent_side(logs: dict, folder: Path) -> dict:
 
 def table(ours: dict, theirs: dict | None) -> None:
     """Print both."""
-    print(f"TX40, held-out stretch, {CUTOFF:g} Hz, relative torque error [%]; CPU time of the fit, one thread")
+    print(f"TX40, held-out segment, {CUTOFF:g} Hz, relative torque error [%]; CPU time of the fit, one thread")
     print(f"{'':42} {'all':>6}  {'per joint':36} {'fit':>8}")
     for label, total, joints, seconds in ours["rows"]:
         cells = " ".join(f"{100 * value:5.1f}" for value in joints)
@@ -179,15 +179,15 @@ def figaroh_side(folder: Path) -> None:
     flags = ("has_friction", "has_actuator_inertia", "has_joint_offset", "is_joint_torques")
 
     class Tx40(BaseIdentification):
-        """One stretch; `load_param` takes a ready dictionary instead of a file."""
+        """One segment; `load_param` takes a ready dictionary instead of a file."""
 
-        stretch = "fit"
+        segment = "fit"
 
         def load_param(self, config_file: dict, setting_type: str = "identification") -> None:
             self.identif_config = config_file
 
         def load_trajectory_data(self, data_source: str | None = None) -> dict:
-            data = np.load(folder / f"{self.stretch}.npz")
+            data = np.load(folder / f"{self.segment}.npz")
             return {
                 "timestamps": data["t"],
                 "positions": data["q"],
@@ -215,7 +215,7 @@ def figaroh_side(folder: Path) -> None:
             """An in-sample report that does not know the added columns, and would count as time of the fit."""
 
     class HeldOut(Tx40):
-        stretch = "held_out"
+        segment = "held_out"
 
     def settings_of(cutoff: float) -> dict:
         filters = {"nbutter": 4, "f_butter": cutoff, "med_fil": 5, "f_sample": 5000.0}

@@ -3,7 +3,7 @@
     python benchmarks/few_data.py [MACHINES]
 
 On the emulated COMAU NS16, in this process; about three minutes of one core a machine. A loop of six points is searched
-for (small search) and recorded once at 1 m/s. Its first pass is cut into five stretches of equal length, each with what
+for (small search) and recorded once at 1 m/s. Its first pass is cut into five segments of equal length, each with what
 the filter's edges take (0.25 s on either side), and each is fitted alone: nothing of the other four fifths is known.
 Three fits of the same columns: the paper's weighted least squares with nothing else, the same with the prior, and the
 physically consistent one. Ten unseen motions at 0.1 m/s judge: RMSE over nominal torque, mean of joints.
@@ -27,10 +27,10 @@ from agent.estimation import FilterSettings  # noqa: E402
 from agent.estimation.blocks import partition  # noqa: E402
 from agent.estimation.consistent import consistent  # noqa: E402
 from agent.estimation.filtering import Motion, motions  # noqa: E402
+from agent.estimation.friction_selection import ladder  # noqa: E402
 from agent.estimation.least_squares import weighted  # noqa: E402
 from agent.estimation.observation import observe  # noqa: E402
 from agent.estimation.problem import Estimate, Problem  # noqa: E402
-from agent.estimation.selection import ladder  # noqa: E402
 from agent.estimation.summary import build_model  # noqa: E402
 from agent.excitation import Criterion  # noqa: E402
 from agent.excitation.criterion import one_blas_thread  # noqa: E402
@@ -43,12 +43,12 @@ from fake_controller.plant import Plant  # noqa: E402
 
 EDGE = 0.25
 VALIDATIONS = 10
-_NO_PRIOR = 1e-7  # of its usual trust: enough for round-off, nothing else
+_NO_PRIOR = 1e-7  # of its usual prior_weight: enough for round-off, nothing else
 
 
 def plain(problem: Problem) -> Estimate:
     """The paper's weighted least squares alone."""
-    return weighted(replace(problem, trust=_NO_PRIOR))
+    return weighted(replace(problem, prior_weight=_NO_PRIOR))
 
 
 FITS: dict[str, Callable[[Problem], Estimate]] = {
@@ -90,7 +90,7 @@ def errors(seed: int) -> dict[str, tuple[list[float], float]]:
 
 
 def fifths_of(log: Log) -> Iterator[Log]:
-    """The five stretches."""
+    """The five segments."""
     length, edge = len(log.t) // 5, round(EDGE * log.sample_rate)
     for k in range(5):
         first = min(max(k * length - edge, 0), len(log.t) - length - 2 * edge)
@@ -112,7 +112,7 @@ def fitted(log: Log, unseen: list[Motion]) -> dict[str, float]:
     robot = local_vs_global.load_recipe(ROOT / "recipes/ns16_quickstart.yaml").robot
     rigid, names, combinations = rigid_bodies(robot)
     observation = observe(rigid, [log], FilterSettings(30.0))
-    problem = ladder(observation, partition(observation.stretches)).with_own_trust()
+    problem = ladder(observation, partition(observation.segments)).with_own_prior_weight()
     return {
         name: error(build_model(problem, fit(problem), name, names, combinations, [log]), unseen)
         for name, fit in FITS.items()

@@ -183,7 +183,7 @@ class CnrDriver:
         )
 
     def frames(self) -> dict[str, np.ndarray]:
-        """`TellsFrames`: as the last feedback has them."""
+        """`ReportsFrames`: as the last feedback has them."""
         feedback = self._connected().feedback()
         told = {"$BASE": feedback.base, "$TOOL": feedback.tool, "$UFRAME": feedback.user}
         return {name: pose_of_frame(fields) for name, fields in told.items()}

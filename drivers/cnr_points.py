@@ -26,7 +26,7 @@ _LINGER = 0.05  # s between two looks whether a trajectory is over
 
 
 class PointDriver(CnrDriver):
-    """`drivers.protocol.Driver` and `TakesPoints` on CNR's open programs, nearly as they are published.
+    """`drivers.protocol.Driver` and `AcceptsViaPoints` on CNR's open programs, nearly as they are published.
 
     A *stop* only holds the trajectory there, and the next start would go on with it; *cancel* ends it.
     """

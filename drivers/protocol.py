@@ -192,7 +192,7 @@ class MeasuresCurrents(Protocol):
 
 
 @runtime_checkable
-class TellsTemperatures(Protocol):
+class ReportsTemperatures(Protocol):
     """A driver whose wire has temperatures of the motors."""
 
     def temperatures(self) -> np.ndarray | None:
@@ -200,7 +200,7 @@ class TellsTemperatures(Protocol):
 
 
 @runtime_checkable
-class TellsFrames(Protocol):
+class ReportsFrames(Protocol):
     """A driver whose wire has the frames that are in force at the controller."""
 
     def frames(self) -> Mapping[str, np.ndarray]:
@@ -208,7 +208,7 @@ class TellsFrames(Protocol):
 
 
 @runtime_checkable
-class TakesPoints(Protocol):
+class AcceptsViaPoints(Protocol):
     """A driver that is given via-points instead of a program. The last of them is a stop."""
 
     def load(self, name: str, checksum: str, points: Sequence[ViaPoint]) -> None:
@@ -216,14 +216,14 @@ class TakesPoints(Protocol):
 
 
 @runtime_checkable
-class NeedsAPerson(Protocol):
+class RequiresOperator(Protocol):
     """A driver whose `start` waits for somebody at the controller; `tell` says to them what to do."""
 
     tell: Callable[[str], None]
 
 
 @runtime_checkable
-class TellsFacts(Protocol):
+class ReportsDiagnostics(Protocol):
     """A driver that knows more of the last motion than its samples say."""
 
     @property

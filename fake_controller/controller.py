@@ -179,7 +179,7 @@ class Controller:
         A server says `connect` as it greets a client, before it answers; the other phases are the controller's own.
         """
         for fault in self.faults.strike(phase, motion_time):
-            self._suffer(fault)
+            self._apply_fault(fault)
 
     def check_upload(self, name: str, size: int) -> None:
         """Raises:
@@ -274,7 +274,7 @@ class Controller:
         self.stop(EndReason.SHUTDOWN, "the controller is switched off")
         self.wait(10.0)
 
-    def _suffer(self, fault: Fault) -> None:
+    def _apply_fault(self, fault: Fault) -> None:
         state = self.state
         match fault.name:
             case "emergency_stop":

@@ -63,7 +63,7 @@ def reference_closures(
         if found is None:
             return {}
         chosen.append(found)
-    freedom = max(1, trial.freedom(chosen))
+    freedom = max(1, trial.n_parameters(chosen))
     joint = next((effect["joints"][0] for effect in effects if effect["joints"]), trial.worst_joint)
     name = _wrong(trial.freedoms(joint), {effect["effect"] for effect in effects}, freedom, seed)
     wrong = trial.best(name, [joint]) if name else None

@@ -16,11 +16,11 @@ from agent.estimation.filtering import FilterSettings
 from agent.estimation.observation import Observation, observe
 from agent.estimation.prior import physical_prior
 from agent.model.identified import EFFECTS, IdentifiedModel
-from agent.model.signals import Reference, Signals
+from agent.model.signals import MotionSignals, NominalModel
 from agent.recording.log import Log
 from agent.robot import RobotDescription
 
-#: Stretches of a motion [s] that are drawn as one wherever chance is asked.
+#: Segments of a motion [s] that are drawn as one wherever chance is asked.
 BLOCK = 1.0
 
 _PARITY = 0.1  # s
@@ -70,7 +70,7 @@ def assemble(
             f"the model is of a robot with joints {', '.join(model.robot.joint_names)}; "
             f"{robot.name} has {', '.join(robot.joint_names)}"
         )
-    reference = Reference(model)
+    reference = NominalModel(model)
     settings = FilterSettings(model.cutoff if cutoff is None else cutoff, model.order)
     observation = observe(model.rigid, logs, settings)
     n = robot.dof
@@ -78,18 +78,18 @@ def assemble(
     background = np.maximum(_moving_error(model), _LEAST_BACKGROUND * scale)
     if not given:
         background = _expected_error(robot, observation)
-    signals: list[Signals] = []
+    signals: list[MotionSignals] = []
     rows: list[list[np.ndarray]] = [[] for _ in range(n)]
     index: list[np.ndarray] = []
-    for stretch in observation.stretches:
-        motion = stretch.motion
-        started = logs[stretch.log_index].stamp - min(entry.stamp for entry in logs)
-        signals.append(FilteredSignals(reference, motion, stretch.log_index, started))
+    for segment in observation.segments:
+        motion = segment.motion
+        started = logs[segment.log_index].stamp - min(entry.stamp for entry in logs)
+        signals.append(FilteredSignals(reference, motion, segment.log_index, started))
         extra = _known_effects(model, signals[-1])
-        per_joint = observation.joint_columns(stretch, model.terms, model.base_values)
+        per_joint = observation.joint_columns(segment, model.terms, model.base_values)
         index = [places for places, _ in per_joint]
         for joint, (places, columns) in enumerate(per_joint):
-            left = stretch.torque[:, joint] - columns @ model.values[places] - extra[:, joint]
+            left = segment.torque[:, joint] - columns @ model.values[places] - extra[:, joint]
             rows[joint].append(np.column_stack([columns, left]))
     speed = np.concatenate([s.qd[s.kept] for s in signals])
     sigma = _background(reference, background, speed, signals)
@@ -107,13 +107,13 @@ def assemble(
     fit = Fit(reference, signals, joined, index, sigma, precision, shift, cell, block, folds, single)
     rate = 1 / float(np.median(np.diff(time)))
     return Dataset(
-        robot, model, given, fit, residual, speed, time, log, tuple(logs), rate, observation.stretches[0].motion.cutoff
+        robot, model, given, fit, residual, speed, time, log, tuple(logs), rate, observation.segments[0].motion.cutoff
     )
 
 
 def _expected_error(robot: RobotDescription, observation: Observation) -> np.ndarray:
     """(n,) [N·m] what a model of these logs usually leaves, where no other logs tell: 4 % of the torque."""
-    torque = np.concatenate([stretch.torque for stretch in observation.stretches])
+    torque = np.concatenate([segment.torque for segment in observation.segments])
     usual = _USUAL_ERROR * np.std(torque, axis=0)
     least = np.where(np.isfinite(robot.nominal_torque), 0.5 * _USUAL_ERROR / 4 * robot.nominal_torque, 0.0)
     return np.maximum(np.maximum(usual, least), 1e-9)
@@ -127,7 +127,9 @@ def _moving_error(model: IdentifiedModel) -> np.ndarray:
     return model.held_out_rmse * np.clip(ratio, 0.15, 1.0)
 
 
-def _background(reference: Reference, moving: np.ndarray, speed: np.ndarray, signals: Sequence[Signals]) -> np.ndarray:
+def _background(
+    reference: NominalModel, moving: np.ndarray, speed: np.ndarray, signals: Sequence[MotionSignals]
+) -> np.ndarray:
     """(S', n) [N·m] what the model itself gets wrong: its held-out error (n,), more within 0.1 s of standing still.
 
     There stiction leaves the torque anywhere below the Coulomb level.
@@ -150,8 +152,8 @@ def _background(reference: Reference, moving: np.ndarray, speed: np.ndarray, sig
     return np.where(near, still, moving)
 
 
-class FilteredSignals(Signals):
-    """Signals of a motion that knows its filter."""
+class FilteredSignals(MotionSignals):
+    """MotionSignals of a motion that knows its filter."""
 
     def __init__(self, reference, motion, log_index, started):
         time, q, qd, qdd = motion.time, motion.q, motion.qd, motion.qdd
@@ -159,7 +161,7 @@ class FilteredSignals(Signals):
         object.__setattr__(self, "low_pass", motion.low_pass)
 
 
-def _known_effects(model: IdentifiedModel, signals: Signals) -> np.ndarray:
+def _known_effects(model: IdentifiedModel, signals: MotionSignals) -> np.ndarray:
     """(S', n) filtered torque of the effects that the model has already."""
     total = np.zeros(signals.q.shape)
     motion = {"time": signals.time, "q": signals.q, "qd": signals.qd, "qdd": signals.qdd}
@@ -195,7 +197,7 @@ def plain_model(robot: RobotDescription, logs: Sequence[Log], cutoff: float | No
 
 
 def _folds(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np.ndarray, list[Fold], list[Fold]]:
-    """Cells of rows, folds that leave out a motion, and folds that leave out every other stretch of a motion too."""
+    """Cells of rows, folds that leave out a motion, and folds that leave out every other segment of a motion too."""
     parity = (time / _PARITY).astype(int) % 2
     if len(logs) > 1:
         group = log.copy()
@@ -216,7 +218,7 @@ def _folds(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np.n
 
 
 def _stretches(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> np.ndarray:
-    """(S',) stretch of BLOCK seconds that a row lies in, counted over all logs, the same in every cycle of one."""
+    """(S',) segment of BLOCK seconds that a row lies in, counted over all logs, the same in every cycle of one."""
     found = np.zeros(len(time), dtype=int)
     for number, entry in enumerate(logs):
         here = log == number
@@ -224,8 +226,8 @@ def _stretches(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> np.nda
         since = time[here]
         if len(starts) > 1:
             since = since - starts[np.maximum(np.searchsorted(starts, since, side="right") - 1, 0)]
-        stretch = np.maximum(since // BLOCK, -1).astype(int) + 1
-        found[here] = stretch + (found.max() + 1 if number else 0)
+        segment = np.maximum(since // BLOCK, -1).astype(int) + 1
+        found[here] = segment + (found.max() + 1 if number else 0)
     return np.unique(found, return_inverse=True)[1]
 
 

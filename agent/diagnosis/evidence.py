@@ -1,7 +1,7 @@
 """What forms gain where there is nothing to gain, and the smallest effect that stands out against it.
 
 The background is the model's own error. It is no noise: it follows the motion, comes back with every cycle, and is
-correlated over whole moves. So its signs are drawn anew for stretches of a second of the motion, the same for all
+correlated over whole moves. So its signs are drawn anew for segments of a second of the motion, the same for all
 cycles of it: size, correlation and repetition stay, and any likeness to an effect is chance (wild bootstrap: Liu,
 Annals of Statistics 16, 1988; by blocks: Shao, J. American Statistical Association 105, 2010). Every form is then
 fitted and scored out of fold as on the real residual. The highest gain of all forms in all places, over all values of
@@ -41,11 +41,11 @@ class Null:
         """Gain that the search as a whole exceeds in one of a hundred cases where there is nothing."""
         return float(np.quantile(self.highest, 1 - FALSE_ALARMS))
 
-    def chance(self, gain: float) -> float:
+    def p_value(self, gain: float) -> float:
         """Share of draws in which anything anywhere gains as much, at least 1 / (DRAWS + 1)."""
         return float((1 + np.sum(self.highest >= gain)) / (DRAWS + 1))
 
-    def smallest(self, candidate: Candidate, threshold: float) -> float:
+    def minimum_detectable_size(self, candidate: Candidate, threshold: float) -> float:
         """Size, in practical sizes, from which on POWER of the draws gain more than a threshold."""
         a, b, c = self.square[candidate], self.cross[candidate], self.own[candidate] - threshold
         if a <= 0:

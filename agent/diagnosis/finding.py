@@ -39,8 +39,8 @@ class Finding:
     fit: Fit
     causes: tuple[Candidate, ...]
     rivals: tuple[tuple[tuple[str, tuple[int, ...]], ...], ...]
-    chance: tuple[float, ...]
-    lead: tuple[float, ...]
+    p_value: tuple[float, ...]
+    margin_ratio: tuple[float, ...]
     closed: float
     steps: tuple[Step, ...]
     least: float
@@ -53,26 +53,30 @@ class Finding:
 
     def only(self, kept: Sequence[int], fit: Fit) -> Finding:
         """The same with some of its causes, by number; `fit` is the one without effects."""
-        causes, rivals, chance, lead = (
-            tuple(part[k] for k in kept) for part in (self.causes, self.rivals, self.chance, self.lead)
+        causes, rivals, p_value, margin_ratio = (
+            tuple(part[k] for k in kept) for part in (self.causes, self.rivals, self.p_value, self.margin_ratio)
         )
-        return replace(self, fit=fit.with_chosen(causes), causes=causes, rivals=rivals, chance=chance, lead=lead)
+        return replace(
+            self, fit=fit.with_chosen(causes), causes=causes, rivals=rivals, p_value=p_value, margin_ratio=margin_ratio
+        )
 
     def without_causes(self, verdict: str, fit: Fit) -> Finding:
         """The same search with nothing named, and the fit that has no effects."""
-        return replace(self, verdict=verdict, fit=fit, causes=(), rivals=(), chance=(), lead=())
+        return replace(self, verdict=verdict, fit=fit, causes=(), rivals=(), p_value=(), margin_ratio=())
 
     @property
     def probability(self) -> tuple[float, ...]:
         """Of each cause's class."""
-        return tuple(class_probability(lead, self.closed) for lead in self.lead)
+        return tuple(class_probability(margin_ratio, self.closed) for margin_ratio in self.margin_ratio)
 
 
-def class_probability(lead: float, closed: float) -> float:
-    """Of a cause's class, from its lead and the part of the excess that is closed: a logistic with three coefficients.
+def class_probability(margin_ratio: float, closed: float) -> float:
+    """Of a cause's class, from its margin ratio and the part of the excess closed: a logistic, three coefficients.
 
     They were fitted to runs of another simulation (docs/decisions/diagnosis-probability.md).
     """
     constant, by_lead, by_closed = _COEFFICIENTS
-    score = constant + by_lead * np.log1p(min(lead, _MOST_LEAD)) - by_closed * np.log(max(1 - closed, _LEAST_OPEN))
+    score = (
+        constant + by_lead * np.log1p(min(margin_ratio, _MOST_LEAD)) - by_closed * np.log(max(1 - closed, _LEAST_OPEN))
+    )
     return float(1 / (1 + np.exp(-score)))

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from agent.model.effects import Effect
-from agent.model.signals import Reference, Signals
+from agent.model.signals import MotionSignals, NominalModel
 
 _INDEPENDENT = 0.1  # s between independent rows
 
@@ -34,7 +34,7 @@ class Candidate:
     settings: Mapping[str, float]
     names: tuple[str, ...]
     blocks: dict[int, np.ndarray]
-    doubt: np.ndarray | None
+    prior_std: np.ndarray | None
 
     @property
     def place(self) -> tuple[str, tuple[int, ...]]:
@@ -65,14 +65,14 @@ class Fit:
     """The residual of a model on some logs, ready to try candidates on.
 
     rows[j] (S', p_j + 1): columns of the model's parameters index[j] and the residual of joint j, over `sigma` (S', n);
-    `cell` (S',) of every row (-1: guard); `block` (S',) stretch of the motion, the same in all of its cycles; `folds`
+    `cell` (S',) of every row (-1: guard); `block` (S',) segment of the motion, the same in all of its cycles; `folds`
     for what repeats, `single` folds for what happens once.
     """
 
     def __init__(
         self,
-        reference: Reference,
-        signals: Sequence[Signals],
+        reference: NominalModel,
+        signals: Sequence[MotionSignals],
         rows: Sequence[np.ndarray],
         index: Sequence[np.ndarray],
         sigma: np.ndarray,
@@ -157,7 +157,7 @@ class Fit:
     def ridge(self, candidate: Candidate, energy: np.ndarray) -> np.ndarray:
         """(k,) prior precision of a candidate's parameters, from the energy (k,) of its columns."""
         weak = 1e-7 * energy / self.repeat + 1e-12
-        return weak if candidate.doubt is None else weak + 1 / candidate.doubt**2
+        return weak if candidate.prior_std is None else weak + 1 / candidate.prior_std**2
 
     def with_chosen(self, chosen: Sequence[Candidate]) -> Fit:
         """The same data with these effects as part of the model."""
@@ -275,8 +275,8 @@ class Fit:
         result = []
         for (effect, joints, settings), found in zip(wanted, parts, strict=True):
             blocks = {joint: np.concatenate(block) for joint, block in found.items()}
-            doubt = effect.doubt(self, joints, settings)
-            result.append(Candidate(effect, joints, dict(settings), effect.names(settings), blocks, doubt))
+            prior_std = effect.prior_std(self, joints, settings)
+            result.append(Candidate(effect, joints, dict(settings), effect.names(settings), blocks, prior_std))
         return result
 
     def fit(self, effect: Effect, joints: tuple[int, ...], settings: Mapping[str, float]) -> np.ndarray:

@@ -20,7 +20,7 @@ from agent.diagnosis.extended_model import extended_model
 from agent.estimation.filtering import FilterSettings, Motion, motions, smooth_and_differentiate
 from agent.model.friction_terms import AxleMotion, axle_columns
 from agent.model.identified import IdentifiedModel
-from agent.model.signals import Reference
+from agent.model.signals import NominalModel
 from agent.model.with_effects import effect_torque
 from agent.simulation import ForwardSimulation, RigidActuation, ServoGains
 
@@ -52,7 +52,7 @@ class Simulated:
 
 
 def simulate(diagnosis: Diagnosis) -> list[Simulated]:
-    """Simulate every log that has set-points, its longest stretch without a gap, at most `LONGEST` seconds of it."""
+    """Simulate every log that has set-points, its longest segment without a gap, at most `LONGEST` seconds of it."""
     dataset = diagnosis.dataset
     found = []
     for number, log in enumerate(dataset.logs):
@@ -131,7 +131,7 @@ class _Arm:
 
     def __init__(self, model: IdentifiedModel, motion: Motion, number: int):
         self._model, self._motion, self._number = model, motion, number
-        self._reference = Reference(model)
+        self._reference = NominalModel(model)
         robot = model.robot
         self._coupling = robot.coupling
         self._rotors = np.maximum(self._reference.rotors, 0.0)

@@ -34,11 +34,11 @@ def plausible(score: Score) -> bool:
     return candidate.effect.plausible(candidate.settings, dict(zip(candidate.names, score.values, strict=True)))
 
 
-def twins(candidate: Candidate, score: Score) -> bool:
+def structurally_equivalent(candidate: Candidate, score: Score) -> bool:
     """Whether a score is of a form that equals a cause's unless the data tell them apart, and possible."""
     other = score.candidate
     there = other.joints == candidate.joints or () in (other.joints, candidate.joints)
-    return there and other.effect.name in candidate.effect.twins and plausible(score)
+    return there and other.effect.name in candidate.effect.structurally_equivalent and plausible(score)
 
 
 def imitates(chosen: Sequence[Candidate], score: Score) -> bool:
@@ -63,4 +63,4 @@ def best_by_place(scores: Sequence[Score]) -> dict[tuple[str, tuple[int, ...]], 
 def complexity(candidate: Candidate) -> int:
     """Number of parameters, with a surcharge for what could be anything."""
     effect: Effect = candidate.effect
-    return effect.freedom(candidate.settings) + _PLAIN_FIRST.get(effect.name, 0)
+    return effect.n_parameters(candidate.settings) + _PLAIN_FIRST.get(effect.name, 0)

@@ -10,7 +10,7 @@ import numpy as np
 from agent.diagnosis.evidence import Null, null_gains
 from agent.diagnosis.finding import Finding, Step
 from agent.diagnosis.fit import Candidate, Fit, Score
-from agent.diagnosis.isolability import best_by_place, complexity, imitates, plausible, twins
+from agent.diagnosis.isolability import best_by_place, complexity, imitates, plausible, structurally_equivalent
 from agent.diagnosis.standstill import at_rest
 from agent.diagnosis.verdict import CLOSES
 from agent.model.effects import CATALOGUE
@@ -187,7 +187,7 @@ class Search:
             joints = list(score.candidate.blocks)
             if repeats and (not np.any(noticed[joints]) or np.sum(over[joints]) < STANDS_OUT * score.gain):
                 continue  # a model that was fitted with it would look the same
-            if any(self._as_good(score, limit, best) for limit in effect.limits):
+            if any(self._as_good(score, limit, best) for limit in effect.special_cases):
                 continue
             result.append(score)
         return tuple(sorted(result, key=lambda s: -s.gain))
@@ -233,7 +233,7 @@ class Search:
         return [leader.candidate, *(s.candidate for s in rest[: _FIRSTS - 1])]
 
     def _near(self, step: Step) -> list[Score]:
-        """Forms that do as well as the best, as far as that one fits: what it leaves on its joints is its own doubt."""
+        """Forms that do as well as the best, as far as that one fits: what it leaves is its own doubt."""
         best = step.eligible[0]
         left = self._excess(self.fit.with_chosen((*step.chosen, best.candidate)), tuple(best.candidate.blocks))
         margin = max(NEAR_FLOOR * self.rows, min(NEAR * best.gain, max(ALIKE * best.gain, left)))
@@ -294,7 +294,11 @@ class Search:
             lost = self._total(without) - total
             margin = max(NEAR_FLOOR * self.rows, ALIKE * lost, self._excess(fit, tuple(candidate.blocks)))
             rivals, runners, behind = [], [], np.inf
-            equals = [s.candidate.place for s in step.scores if twins(candidate, s) and lost - s.gain <= margin]
+            equals = [
+                s.candidate.place
+                for s in step.scores
+                if structurally_equivalent(candidate, s) and lost - s.gain <= margin
+            ]
             for score in step.eligible:
                 if score.candidate.place == candidate.place:
                     continue
@@ -318,19 +322,20 @@ class Search:
             at = next(k for k, c in enumerate(causes) if imitates((c,), odd))
             rivals[at] = tuple(dict.fromkeys((odd.candidate.place, *rivals[at])))[:2]
         assert self.null is not None
-        chance = tuple(self.null.chance(entry[0]) for entry in ranked)
-        lead = tuple(float(entry[3]) for entry in ranked)
+        p_value = tuple(self.null.p_value(entry[0]) for entry in ranked)
+        margin_ratio = tuple(float(entry[3]) for entry in ranked)
         doubtful = closed < FITS[len(causes) - 1]
         if doubtful and not rivals[0]:
             rivals[0] = ranked[0][5]
-        verdict = "ambiguous" if rivals[0] or ranked[0][4] or doubtful else "explained"
+        # A form that fits doubtfully, with nothing near it, is less probable but not equal to anything.
+        verdict = "ambiguous" if rivals[0] or ranked[0][4] else "explained"
         return Finding(
             verdict,
             self.fit.with_chosen(causes),
             causes,
             tuple(rivals),
-            chance,
-            lead,
+            p_value,
+            margin_ratio,
             closed,
             tuple(steps),
             *self._bounds,

@@ -178,7 +178,7 @@ def not_testable(dataset: Dataset, search: Search) -> list[dict[str, Any]]:
                 continue
             if effect.once:
                 continue
-            size = min(search.null.smallest(candidate, search.least) for candidate in candidates)
+            size = min(search.null.minimum_detectable_size(candidate, search.least) for candidate in candidates)
             if size > 1:
                 result.append({"effect": name, "joint": where, "why": _why_small(effect, size, dataset.given)})
     if all(log.planned_position is None or log.reference_position is None for log in dataset.logs):

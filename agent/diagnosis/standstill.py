@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.model.signals import Signals
+from agent.model.signals import MotionSignals
 
 #: Of the highest speed: a joint that is no faster stands.
 STANDING = 0.004
@@ -14,7 +14,7 @@ _LONG = 0.1  # s, or it only passes through a reversal
 _NEAR = 0.05  # s around it, over which the filter carries the torque
 
 
-def at_rest(signals: Sequence[Signals]) -> np.ndarray:
+def at_rest(signals: Sequence[MotionSignals]) -> np.ndarray:
     """(S', n) bool, all motions in a row: whether a joint stands there for a while, or close by."""
     from scipy.ndimage import binary_dilation, binary_opening
 

@@ -37,7 +37,7 @@ class Trial:
             if effect.scope == "joint" and not effect.once and place in effect.places(self._dataset.robot):
                 settings = effect.settings(self._fit, place)
                 if settings:
-                    found[name] = effect.freedom(settings[0])
+                    found[name] = effect.n_parameters(settings[0])
         return found
 
     def best(self, effect: str | Effect, joints: Sequence[str], beside: Sequence[Candidate] = ()) -> Candidate | None:
@@ -62,9 +62,9 @@ class Trial:
             best = max([best, *fit.score(fit.candidates(finer))], key=lambda score: score.gain)
         return best.candidate
 
-    def freedom(self, chosen: Sequence[Candidate]) -> int:
+    def n_parameters(self, chosen: Sequence[Candidate]) -> int:
         """Number of parameters of what `best` found."""
-        return sum(candidate.effect.freedom(candidate.settings) for candidate in chosen)
+        return sum(candidate.effect.n_parameters(candidate.settings) for candidate in chosen)
 
     def closure(self, chosen: Sequence[Candidate]) -> float | None:
         """(B² − A²) / (B² − F²) with A of these effects, and B and F as the diagnosis reports them."""

@@ -1,7 +1,7 @@
 """How rows are held out together: clusters for resampling, folds for cross-validation, guards between folds.
 
 Samples near in time are not independent, and cycles of one motion are copies of each other. So rows are cut by
-where they are in a motion, all its cycles together: leaving such a stretch out tells how a model does where it has not
+where they are in a motion, all its cycles together: leaving such a segment out tells how a model does where it has not
 been, which leaving a cycle out does not. With three motions or more the folds are whole motions.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.estimation.observation import Stretch
+from agent.estimation.observation import Segment
 
 _CLUSTERS = 40  # enough to see the scatter of a fit, long enough to be independent
 _SHORTEST = 6.0  # of a cluster, in periods of the cut-off
@@ -21,7 +21,7 @@ _GUARD = 2.0  # likewise
 
 @dataclass(frozen=True, eq=False)
 class Partition:
-    """`labels[s]` (S',) gives each row of stretch s its cell; a cell has one cluster, fold and guarded fold (-1: none).
+    """`labels[s]` (S',) gives each row of segment s its cell; a cell has one cluster, fold and guarded fold (-1: none).
 
     A row that guards fold k is near enough to it to know it: it is not trained on when k is held out.
     """
@@ -46,13 +46,13 @@ class Partition:
         return (self.fold != fold) & (self.guards != fold)
 
 
-def partition(stretches: Sequence[Stretch]) -> Partition:
-    """Cut filtered stretches into cells."""
-    logs = sorted({stretch.log_index for stretch in stretches})
+def partition(segments: Sequence[Segment]) -> Partition:
+    """Cut filtered segments into cells."""
+    logs = sorted({segment.log_index for segment in segments})
     parts = {1: 5, 2: 3}.get(len(logs), 1)
-    spans = {index: _span([s for s in stretches if s.log_index == index]) for index in logs}
+    spans = {index: _span([s for s in segments if s.log_index == index]) for index in logs}
     total = sum(length for _, length, _ in spans.values())
-    period_of_cutoff = 1 / stretches[0].motion.cutoff
+    period_of_cutoff = 1 / segments[0].motion.cutoff
     rows: list[np.ndarray] = []
     clusters_before = {}
     clusters = 0
@@ -63,28 +63,28 @@ def partition(stretches: Sequence[Stretch]) -> Partition:
             int(np.clip(min(_CLUSTERS * length / total, length / period_of_cutoff / _SHORTEST), 1, None)),
         )
         clusters += parts * clusters_before[index][1]
-    for stretch in stretches:
-        start, length, cycle = spans[stretch.log_index]
-        since = stretch.time - start
+    for segment in segments:
+        start, length, cycle = spans[segment.log_index]
+        since = segment.time - start
         phase = np.clip((since if cycle is None else since % cycle) / length, 0, 1 - 1e-9) * parts
         part = phase.astype(int)
-        place = logs.index(stretch.log_index)
+        place = logs.index(segment.log_index)
         fold = place * parts + part if parts > 1 else np.full(len(phase), place % 6)
         width = _GUARD * period_of_cutoff / length * parts
         guards = np.full(len(phase), -1)
         after, before = (phase - part < width) & (part > 0), (phase - part > 1 - width) & (part < parts - 1)
         guards[after], guards[before] = fold[after] - 1, fold[before] + 1
-        first, per_part = clusters_before[stretch.log_index]
+        first, per_part = clusters_before[segment.log_index]
         rows.append(np.stack([first + (phase * per_part).astype(int), fold, guards], axis=1))
     cells, labels = np.unique(np.concatenate(rows), axis=0, return_inverse=True)
     cuts = np.cumsum([len(row) for row in rows])[:-1]
     return Partition(tuple(np.split(labels.ravel(), cuts)), cells[:, 0], cells[:, 1], cells[:, 2])
 
 
-def _span(stretches: Sequence[Stretch]) -> tuple[float, float, float | None]:
+def _span(segments: Sequence[Segment]) -> tuple[float, float, float | None]:
     """Start, length and period (None without cycles) of a log [s]."""
-    start, end = float(stretches[0].time[0]), float(stretches[-1].time[-1])
-    cycles = np.asarray(stretches[0].motion.cycle_starts)
+    start, end = float(segments[0].time[0]), float(segments[-1].time[-1])
+    cycles = np.asarray(segments[0].motion.cycle_starts)
     if len(cycles) < 2:
         return start, max(end - start, 1e-9), None
     period = float(np.median(np.diff(cycles)))

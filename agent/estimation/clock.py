@@ -1,4 +1,4 @@
-"""The even grid on which a stretch of a log was sampled, and its signals there, a part at a time.
+"""The even grid on which a segment of a log was sampled, and its signals there, a part at a time.
 
 Uneven stamps mean either an uneven sampling or a late stamp on an even one. The position tells: sampled evenly it is
 smooth in the sample number, else it is smooth in the stamps.
@@ -34,7 +34,7 @@ class Clock:
 
     @classmethod
     def of(cls, log: Log, start: int, stop: int) -> Clock:
-        """The clock of one stretch without gaps."""
+        """The clock of one segment without gaps."""
         stamps = log.t[start:stop]
         number = sample_numbers(stamps, log.sample_rate)
         slope, intercept = line(number, stamps)

@@ -22,38 +22,38 @@ from agent.estimation.prior import link_prior
 from agent.estimation.problem import Estimate, Problem, cross_validate
 from agent.estimation.solving import clear_gain, iterate_weights, solve_sum
 
-_TRUSTS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of the trust against noise alone
+_TRUSTS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of the prior_weight against noise alone
 _SOLIDITY = 1e-4  # smallest eigenvalue of a pseudo-inertia, in units of the link's own scale
 
 
 def consistent(problem: Problem) -> Estimate:
     """Weighted least squares on the set of physical robots."""
-    problem = trust_prior(problem)
+    problem = weigh_prior(problem)
     programme = _Programme(problem)
     moments = problem.moments
-    weights = iterate_weights(moments, problem.prior, problem.trust)
+    weights = iterate_weights(moments, problem.prior, problem.prior_weight)
     total = moments.weighted(weights)
     unknowns = programme.solve(total)
     held_out = cross_validate(problem, moments, weights, programme.parameters)
     note = "Every link has a physical mass distribution; rotor inertias and friction are not negative."
     standard = unknowns[: programme.standard]
     parameters = programme.to_parameters @ unknowns
-    return Estimate(parameters, weights, moments, held_out, programme.parameters, problem.trust, note, standard)
+    return Estimate(parameters, weights, moments, held_out, programme.parameters, problem.prior_weight, note, standard)
 
 
-def trust_prior(problem: Problem) -> Problem:
-    """The same problem with more trust in the prior, where held-out error clearly gains by it."""
-    weights = iterate_weights(problem.moments, problem.prior, problem.trust)
+def weigh_prior(problem: Problem) -> Problem:
+    """The same problem with more prior_weight in the prior, where held-out error clearly gains by it."""
+    weights = iterate_weights(problem.moments, problem.prior, problem.prior_weight)
     errors = {}
     for factor in _TRUSTS:
 
-        def solver(total: np.ndarray, trust: float = factor * problem.trust) -> np.ndarray:
-            return solve_sum(total, problem.prior, trust)
+        def solver(total: np.ndarray, prior_weight: float = factor * problem.prior_weight) -> np.ndarray:
+            return solve_sum(total, problem.prior, prior_weight)
 
         errors[factor] = np.sum(weights * cross_validate(problem, problem.moments, weights, solver), axis=(1, 2))
     best = min(errors, key=lambda factor: errors[factor].sum())
     gain = errors[_TRUSTS[0]] - errors[best]
-    return replace(problem, trust=problem.trust * (best if clear_gain(gain) else _TRUSTS[0]))
+    return replace(problem, prior_weight=problem.prior_weight * (best if clear_gain(gain) else _TRUSTS[0]))
 
 
 class _Programme:
@@ -70,7 +70,7 @@ class _Programme:
         friction = 1 / np.sqrt(np.diag(problem.prior.precision)[count:])
         self.mean = np.append(mean, np.zeros(len(terms)))
         self.scale = np.append(deviation, friction)
-        self.trust = problem.trust
+        self.prior_weight = problem.prior_weight
         self._constraints(problem)
 
     def _constraints(self, problem: Problem) -> None:
@@ -111,7 +111,7 @@ class _Programme:
 
         columns = self.to_parameters * self.scale
         offset = self.to_parameters @ self.mean
-        cost = columns.T @ total[:-1, :-1] @ columns + self.trust * np.eye(len(self.scale))
+        cost = columns.T @ total[:-1, :-1] @ columns + self.prior_weight * np.eye(len(self.scale))
         slope = columns.T @ (total[:-1, :-1] @ offset - total[:-1, -1])
         size = np.sqrt(np.max(np.diag(cost)))
         settings = clarabel.DefaultSettings()

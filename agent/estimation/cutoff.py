@@ -28,9 +28,9 @@ def predictive_cutoff(problem: Problem, parameters: np.ndarray) -> tuple[float, 
 
     `parameters` (p,) are those of a first fit with the same terms.
     """
-    motion = problem.observation.stretches[0].motion
+    motion = problem.observation.segments[0].motion
     residuals = problem.residuals(parameters)
-    torques = [stretch.torque for stretch in problem.observation.stretches]
+    torques = [segment.torque for segment in problem.observation.segments]
     length = min(max(len(torque) for torque in torques), int(_PIECE * motion.rate / motion.step))
     frequency = np.fft.rfftfreq(length, motion.step / motion.rate)
     band = frequency <= motion.cutoff
@@ -48,7 +48,7 @@ def predictive_cutoff(problem: Problem, parameters: np.ndarray) -> tuple[float, 
 
 
 def _power(signals: list[np.ndarray], length: int) -> np.ndarray:
-    """(F, n) power over frequency of signals (S', n), Welch's mean over pieces; shorter stretches are padded."""
+    """(F, n) power over frequency of signals (S', n), Welch's mean over pieces; shorter segments are padded."""
     total: np.ndarray | float = 0.0
     for signal in signals:
         size = min(len(signal), length)

@@ -18,7 +18,7 @@ _TOLERANCE = 1e-3  # a reduced model may be this much worse than the best one me
 def essential(problem: Problem) -> Estimate:
     """Weighted least squares on the parameters that matter."""
     moments, prior = problem.moments, problem.prior
-    weights = iterate_weights(moments, prior, problem.trust)
+    weights = iterate_weights(moments, prior, problem.prior_weight)
     total = moments.weighted(weights)
     kept = np.arange(moments.parameters)
     best, chosen = np.inf, kept
@@ -29,14 +29,14 @@ def essential(problem: Problem) -> Estimate:
             chosen = kept
         elif error > 1.05 * best:
             break
-        matrix = total[np.ix_(kept, kept)] + problem.trust * prior.precision[np.ix_(kept, kept)]
+        matrix = total[np.ix_(kept, kept)] + problem.prior_weight * prior.precision[np.ix_(kept, kept)]
         parameters = _on(problem, kept)(total)[kept]
         significance = np.abs(parameters) / np.sqrt(np.diag(np.linalg.inv(matrix)))
         kept = np.delete(kept, np.argmin(significance))
     solver = _on(problem, chosen)
     note = f"{len(chosen)} of {moments.parameters} parameters are essential; the others are zero."
     held_out = cross_validate(problem, moments, weights, solver)
-    return Estimate(solver(total), weights, moments, held_out, solver, problem.trust, note)
+    return Estimate(solver(total), weights, moments, held_out, solver, problem.prior_weight, note)
 
 
 def _on(problem: Problem, kept: np.ndarray) -> Solver:
@@ -46,7 +46,7 @@ def _on(problem: Problem, kept: np.ndarray) -> Solver:
 
     def solver(total: np.ndarray) -> np.ndarray:
         parameters = np.zeros(len(total) - 1)
-        parameters[kept] = solve_sum(total[np.ix_(place, place)], prior, problem.trust)
+        parameters[kept] = solve_sum(total[np.ix_(place, place)], prior, problem.prior_weight)
         return parameters
 
     return solver

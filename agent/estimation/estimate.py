@@ -11,14 +11,14 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.estimation.blocks import partition
-from agent.estimation.choice import choose
 from agent.estimation.cutoff import LOWEST, predictive_cutoff
 from agent.estimation.filtering import FilterSettings
+from agent.estimation.friction_selection import paper_terms, select_friction_terms
 from agent.estimation.least_squares import ordinary, reweighted, weighted
+from agent.estimation.method_selection import choose
 from agent.estimation.observation import Observation, observe
 from agent.estimation.prior_choice import choose_links
 from agent.estimation.problem import Estimate, Problem
-from agent.estimation.selection import ladder, paper_terms
 from agent.estimation.solving import iterate_weights, solve
 from agent.estimation.summary import build_model
 from agent.model.friction_terms import Reversal
@@ -74,17 +74,21 @@ _KEPT = 0.8  # of the filtered time, by a lower cut-off
 class EstimationSettings:
     """How to estimate.
 
-    method: one of METHODS; "auto" is decided by held-out error. friction: "ladder" (terms by held-out error) or
+    method: one of METHODS; "auto" is decided by held-out error. friction: "selected" (terms by held-out error) or
     "paper" (its three terms, nothing else).
     """
 
     filter: FilterSettings = field(default_factory=FilterSettings)
     method: str = "auto"
-    friction: str = "ladder"
+    friction: str = "selected"
 
     @classmethod
     def create(
-        cls, cutoff: float | None = None, method: str | None = None, order: int = 8, friction: str = "ladder"
+        cls,
+        cutoff: float | None = None,
+        method: str | None = None,
+        order: int = 8,
+        friction: str = "selected",
     ) -> EstimationSettings:
         """Settings from what a user named; None is the default.
 
@@ -93,8 +97,8 @@ class EstimationSettings:
         """
         if method is not None and method not in METHODS:
             raise InputError(f"method {method!r} is not known; choose one of {', '.join(METHODS)}")
-        if friction not in ("ladder", "paper"):
-            raise InputError(f"friction {friction!r} is not known; choose ladder or paper")
+        if friction not in ("selected", "paper"):
+            raise InputError(f"friction {friction!r} is not known; choose selected or paper")
         return cls(FilterSettings(cutoff, order), method or METHODS[0], friction)
 
 
@@ -113,12 +117,12 @@ def estimate(
     settings = settings or EstimationSettings()
     rigid, names, texts = rigid_bodies(robot, tool)
     observation = observe_predictable(rigid, logs, settings.filter)
-    cells = partition(observation.stretches)
-    if settings.friction == "ladder":
-        problem = ladder(observation, cells)
+    cells = partition(observation.segments)
+    if settings.friction == "selected":
+        problem = select_friction_terms(observation, cells)
     else:
         problem = Problem.pose(observation, cells, paper_terms([Reversal()] * robot.dof))
-    problem = problem.with_own_trust()
+    problem = problem.with_own_prior_weight()
     if settings.method == "auto":
         method, found = choose(problem, {name: ESTIMATORS[name] for name in _AUTO})
     else:
@@ -129,13 +133,13 @@ def estimate(
 def observe_predictable(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -> Observation:
     """Logs filtered with the cut-off asked for, or with one up to which a first fit predicts their torque.
 
-    A lower cut-off needs longer stretches; one that would lose much of the logs is not taken.
+    A lower cut-off needs longer segments; one that would lose much of the logs is not taken.
 
     Raises:
         InputError: as `observe`.
     """
     observation = observe(rigid, logs, settings)
-    highest = observation.stretches[0].motion.cutoff
+    highest = observation.segments[0].motion.cutoff
     if settings.cutoff is not None or highest <= LOWEST:
         return observation
     lowest = _lower(observation, logs, settings, LOWEST)
@@ -143,7 +147,7 @@ def observe_predictable(rigid: RigidBodies, logs: Sequence[Log], settings: Filte
         return observation
     first = choose_links(_first_problem(lowest))
     parameters = solve(
-        first.moments, iterate_weights(first.moments, first.prior, first.trust), first.prior, first.trust
+        first.moments, iterate_weights(first.moments, first.prior, first.prior_weight), first.prior, first.prior_weight
     )
     better = predictive_cutoff(_first_problem(observation), parameters)
     if better is None:
@@ -166,11 +170,11 @@ def _lower(
 
 def _first_problem(observation: Observation) -> Problem:
     terms = paper_terms([Reversal()] * observation.robot.dof)
-    return Problem.pose(observation, partition(observation.stretches), terms)
+    return Problem.pose(observation, partition(observation.segments), terms)
 
 
 def _seconds(observation: Observation) -> float:
-    return sum(len(s.time) * s.motion.step / s.motion.rate for s in observation.stretches)
+    return sum(len(s.time) * s.motion.step / s.motion.rate for s in observation.segments)
 
 
 def _check_motion(logs: Sequence[Log]) -> None:

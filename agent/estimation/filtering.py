@@ -49,7 +49,7 @@ class FilterSettings:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """One stretch of a log without gaps, on an even grid. S samples, n joints, joint side, SI.
+    """One segment of a log without gaps, on an even grid. S samples, n joints, joint side, SI.
 
     time (S,) [s] of the log; q, qd, qdd (S, n) smoothed up to `pass_edge` [Hz]; torque (S, n) before the filter, or
     None; set_points (S, n) of the controller, smoothed alike, or None; `cutoff` [Hz], `order`, `edge` (samples dropped
@@ -103,23 +103,23 @@ class Motion:
 
 
 def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator[Motion]:
-    """Smooth motion of every stretch of a log that is long enough to filter.
+    """Smooth motion of every segment of a log that is long enough to filter.
 
     With `reduce`, the rates before and after the filter are cut to what the cut-off needs; else every sample is kept.
 
     Raises:
-        InputError: no stretch is longer than the filter's edges, or the sampling rate is too low for the cut-off.
+        InputError: no segment is longer than the filter's edges, or the sampling rate is too low for the cut-off.
     """
     cutoff = resolve_cutoff(log, settings)
     flat, stop = _bands(log, cutoff, settings)
     edge = _edge_time(cutoff, flat, stop)
     needed = _needed(cutoff, edge)
-    stretches = log.bridged(_BRIDGED / cutoff)
-    long_enough = [(a, b) for a, b in stretches if log.t[b - 1] - log.t[a] > needed]
+    segments = log.bridged(_BRIDGED / cutoff)
+    long_enough = [(a, b) for a, b in segments if log.t[b - 1] - log.t[a] > needed]
     if not long_enough:
-        longest = max((log.t[b - 1] - log.t[a] for a, b in stretches), default=0.0)
+        longest = max((log.t[b - 1] - log.t[a] for a, b in segments), default=0.0)
         raise InputError(
-            f"{log.path}: the longest stretch without a gap is {longest:.2f} s; a cut-off of {cutoff:g} Hz "
+            f"{log.path}: the longest segment without a gap is {longest:.2f} s; a cut-off of {cutoff:g} Hz "
             f"needs {needed:.2f} s. Record longer, or raise the cut-off"
         )
     for first, last in long_enough:
@@ -159,35 +159,35 @@ def used_text(log: Log, settings: FilterSettings) -> str:
     """How many samples of a log a filter leaves to work with, and what is left out, for people."""
     cutoff = resolve_cutoff(log, settings)
     edge = _edge_time(cutoff, *_bands(log, cutoff, settings))
-    stretches = log.bridged(_BRIDGED / cutoff)
-    short = [(a, b) for a, b in stretches if not log.t[b - 1] - log.t[a] > _needed(cutoff, edge)]
+    segments = log.bridged(_BRIDGED / cutoff)
+    short = [(a, b) for a, b in segments if not log.t[b - 1] - log.t[a] > _needed(cutoff, edge)]
     used = sum(
         int(
             np.count_nonzero(np.abs(log.t[a:b] - (log.t[a] + log.t[b - 1]) / 2) <= (log.t[b - 1] - log.t[a]) / 2 - edge)
         )
-        for a, b in stretches
+        for a, b in segments
         if (a, b) not in short
     )
     text = f"{log.name}: {used} of {len(log.t)} samples used"
-    if len(short) or len(stretches) > 1:
-        text += f", of {len(stretches) - len(short)} of {len(stretches)} stretches between gaps"
+    if len(short) or len(segments) > 1:
+        text += f", of {len(segments) - len(short)} of {len(segments)} segments between gaps"
     if short:
         longest = max(float(log.t[b - 1] - log.t[a]) for a, b in short)
         first = float(log.t[short[0][0]])
         text += (
-            f"; {sum(b - a for a, b in short)} samples are in stretches too short to be filtered at {cutoff:g} Hz "
+            f"; {sum(b - a for a, b in short)} samples are in segments too short to be filtered at {cutoff:g} Hz "
             f"(the first at {first:.3f} s, the longest of {longest:.2f} s) and left out"
         )
     return text
 
 
 def _needed(cutoff: float, edge: float) -> float:
-    """Shortest stretch [s] that is filtered."""
+    """Shortest segment [s] that is filtered."""
     return 2 * edge + 3 / cutoff
 
 
 def _pieces(size: int, margin: int, step: int) -> Iterator[slice]:
-    """Cut a long stretch for the sake of memory, overlapping by the edges so that every sample is kept once."""
+    """Cut a long segment for the sake of memory, overlapping by the edges so that every sample is kept once."""
     count = -(-(size - 2 * margin) // _PIECE)
     length = -(-(size - 2 * margin) // (count * step)) * step
     for first in range(0, size - 2 * margin, length):

@@ -31,13 +31,13 @@ def instrumental(problem: Problem) -> Estimate:
     """Weighted instrumental variables."""
     start = consistent(problem)
     observation = problem.observation
-    scratch = observation.stretches.scratch
+    scratch = observation.segments.scratch
     instruments = []
-    for stretch in observation.stretches:
-        simulated = _simulate(problem, start, stretch.motion)
-        instruments.append(replace(stretch, rigid=rigid_columns(observation.rigid, simulated, scratch)))
+    for segment in observation.segments:
+        simulated = _simulate(problem, start, segment.motion)
+        instruments.append(replace(segment, rigid=rigid_columns(observation.rigid, simulated, scratch)))
     moments = collect(observation, problem.partition, problem.terms, problem.friction(), instruments=instruments)
-    given = all(stretch.motion.set_points is not None for stretch in observation.stretches)
+    given = all(segment.motion.set_points is not None for segment in observation.segments)
     source = "the controller's set-points" if given else "smoothed measured positions, as set-points are missing"
     return finish(problem, moments, start.weights, f"Instruments: the motion simulated along {source}.")
 

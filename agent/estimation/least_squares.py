@@ -21,21 +21,21 @@ from agent.estimation.solving import iterate_weights, solve, solve_scaled, solve
 
 def weighted(problem: Problem) -> Estimate:
     """The paper's estimator: weights from residuals, after a first fit in which every joint counts alike."""
-    weights = iterate_weights(problem.moments, problem.prior, problem.trust)
+    weights = iterate_weights(problem.moments, problem.prior, problem.prior_weight)
     return refined(problem, finish(problem, problem.moments, weights, ""))
 
 
 def reweighted(problem: Problem) -> Estimate:
     """Weights that agree with the residuals they leave."""
-    weights = iterate_weights(problem.moments, problem.prior, problem.trust, 20)
+    weights = iterate_weights(problem.moments, problem.prior, problem.prior_weight, 20)
     return refined(problem, finish(problem, problem.moments, weights, ""))
 
 
 def ordinary(problem: Problem) -> Estimate:
     """Every row of every joint with the same weight."""
     rows = problem.moments.rows.sum(axis=0)
-    weights = iterate_weights(problem.moments, problem.prior, problem.trust)
-    parameters = solve(problem.moments, weights, problem.prior, problem.trust)
+    weights = iterate_weights(problem.moments, problem.prior, problem.prior_weight)
+    parameters = solve(problem.moments, weights, problem.prior, problem.prior_weight)
     variance = problem.moments.energy(parameters).sum() / rows.sum()
     return refined(problem, finish(problem, problem.moments, np.full(rows.shape, 1 / variance), ""))
 
@@ -44,11 +44,11 @@ def finish(problem: Problem, moments: Moments, weights: np.ndarray, note: str) -
     """Solve for given moments and weights (2, n), and cross-validate just that."""
 
     def solver(total: np.ndarray) -> np.ndarray:
-        return solve_sum(total, problem.prior, problem.trust)
+        return solve_sum(total, problem.prior, problem.prior_weight)
 
     held_out = cross_validate(problem, moments, weights, solver)
     parameters = solver(moments.weighted(weights))
-    return Estimate(parameters, weights, moments, held_out, solver, problem.trust, note)
+    return Estimate(parameters, weights, moments, held_out, solver, problem.prior_weight, note)
 
 
 def refined(problem: Problem, found: Estimate) -> Estimate:
@@ -58,6 +58,6 @@ def refined(problem: Problem, found: Estimate) -> Estimate:
         residual * found.weights[still.astype(int), joints]
         for residual, still in zip(problem.residuals(found.parameters), standstill(problem.observation), strict=True)
     ]
-    slope = problem.correlation(rows) + problem.trust * prior.precision @ (prior.mean - found.parameters)
-    matrix = found.moments.weighted(found.weights)[:-1, :-1] + problem.trust * prior.precision
+    slope = problem.correlation(rows) + problem.prior_weight * prior.precision @ (prior.mean - found.parameters)
+    matrix = found.moments.weighted(found.weights)[:-1, :-1] + problem.prior_weight * prior.precision
     return replace(found, parameters=found.parameters + solve_scaled(matrix, slope))

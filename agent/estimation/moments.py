@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from agent.estimation.blocks import Partition
-from agent.estimation.observation import Observation, Stretch
+from agent.estimation.observation import Observation, Segment
 from agent.model.friction_terms import FrictionTerm
 
 _STANDSTILL = 0.005  # of the highest speed seen on the joint
@@ -85,12 +85,12 @@ def collect(
     terms: tuple[FrictionTerm, ...],
     friction: Iterable[np.ndarray],
     trusted: Sequence[np.ndarray] | None = None,
-    instruments: Sequence[Stretch] | None = None,
+    instruments: Sequence[Segment] | None = None,
 ) -> Moments:
-    """Moments of the base parameters and these terms, whose columns `friction` (S', T) gives stretch by stretch.
+    """Moments of the base parameters and these terms, whose columns `friction` (S', T) gives segment by segment.
 
-    `trusted`, per stretch (S', n), weights single rows between 0 and 1. With `instruments` the sums are Wᵀ Z, W the
-    rigid-body columns of other stretches: what instrumental variables solve with, but no squares for `energy`.
+    `trusted`, per segment (S', n), weights single rows between 0 and 1. With `instruments` the sums are Wᵀ Z, W the
+    rigid-body columns of other segments: what instrumental variables solve with, but no squares for `energy`.
     """
     n = observation.robot.dof
     cells = len(partition.cluster)
@@ -98,10 +98,10 @@ def collect(
     sums: list[np.ndarray] = []
     rows = np.zeros((cells, 2, n), dtype=int)
     still = standstill(observation)
-    for number, (stretch, columns) in enumerate(zip(observation.stretches, friction, strict=True)):
+    for number, (segment, columns) in enumerate(zip(observation.segments, friction, strict=True)):
         labels, stopped = partition.labels[number], still[number]
         others = None if instruments is None else observation.joint_rows(instruments[number], terms, columns)
-        for joint, (acting, block) in enumerate(observation.joint_rows(stretch, terms, columns)):
+        for joint, (acting, block) in enumerate(observation.joint_rows(segment, terms, columns)):
             if len(sums) == joint:
                 index.append(acting)
                 sums.append(np.zeros((cells, 2, block.shape[1], block.shape[1])))
@@ -118,12 +118,12 @@ def collect(
 
 
 def standstill(observation: Observation) -> list[np.ndarray]:
-    """Per stretch (S', n) bool: where a joint stands still, so that its friction is anything within stiction."""
+    """Per segment (S', n) bool: where a joint stands still, so that its friction is anything within stiction."""
     slowest = standstill_speed(observation)
-    return [np.abs(stretch.speed) <= slowest for stretch in observation.stretches]
+    return [np.abs(segment.speed) <= slowest for segment in observation.segments]
 
 
 def standstill_speed(observation: Observation) -> np.ndarray:
     """(n,) [rad/s] up to which a joint counts as standing still."""
-    fastest = np.max([np.abs(stretch.speed).max(axis=0) for stretch in observation.stretches], axis=0)
+    fastest = np.max([np.abs(segment.speed).max(axis=0) for segment in observation.segments], axis=0)
     return np.maximum(_STANDSTILL * fastest, _RESTING * observation.robot.max_velocity)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class Segment:
     """One motion, filtered: S' samples. torque (S', n); rigid: per joint (S', b_i) of its base-parameter columns.
 
     `log_index` counts logs, `speed` (S', n) is the joints' speed at the same samples.
@@ -40,10 +40,10 @@ class Stretch:
 
 
 @dataclass(frozen=True, eq=False)
-class Stretches(Sequence[Stretch]):
-    """Stretches whose arrays lie in `scratch`: going over them gives the memory of each back."""
+class Segments(Sequence[Segment]):
+    """Segments whose arrays lie in `scratch`: going over them gives the memory of each back."""
 
-    items: tuple[Stretch, ...]
+    items: tuple[Segment, ...]
     scratch: Scratch = field(default_factory=Scratch)
 
     def __len__(self) -> int:
@@ -52,9 +52,9 @@ class Stretches(Sequence[Stretch]):
     def __getitem__(self, index: Any) -> Any:
         return self.items[index]
 
-    def __iter__(self) -> Iterator[Stretch]:
-        for stretch in self.items:
-            yield stretch
+    def __iter__(self) -> Iterator[Segment]:
+        for segment in self.items:
+            yield segment
             self.scratch.release()
 
 
@@ -67,26 +67,26 @@ class Observation:
 
     robot: RobotDescription
     rigid: RigidBodies
-    stretches: Stretches
+    segments: Segments
     noisy: int | None = None
 
     def joint_columns(
-        self, stretch: Stretch, terms: tuple[FrictionTerm, ...], rigid_parameters: np.ndarray | None = None
+        self, segment: Segment, terms: tuple[FrictionTerm, ...], rigid_parameters: np.ndarray | None = None
     ) -> list[tuple[np.ndarray, np.ndarray]]:
         """Per joint: indices into [base parameters, terms] and the filtered columns (S', len(indices)).
 
         `rigid_parameters` (b,) give the load where a term needs it.
         """
-        friction = self.friction(stretch, terms, rigid_parameters)
-        return [(index, rows[:, :-1]) for index, rows in self.joint_rows(stretch, terms, friction)]
+        friction = self.friction(segment, terms, rigid_parameters)
+        return [(index, rows[:, :-1]) for index, rows in self.joint_rows(segment, terms, friction)]
 
     def friction(
-        self, stretch: Stretch, terms: tuple[FrictionTerm, ...], rigid_parameters: np.ndarray | None = None
+        self, segment: Segment, terms: tuple[FrictionTerm, ...], rigid_parameters: np.ndarray | None = None
     ) -> np.ndarray:
         """(S', T) each term's torque on its own axle, filtered; `rigid_parameters` as in `joint_columns`."""
-        motion = stretch.motion
+        motion = segment.motion
         if not terms:
-            return np.empty((len(stretch.torque), 0))
+            return np.empty((len(segment.torque), 0))
         load = None
         if any(term.form == "load" for term in terms):
             assert rigid_parameters is not None
@@ -94,7 +94,7 @@ class Observation:
         return motion.low_pass(axle_columns(terms, AxleMotion.of(self.robot, motion.q, motion.qd, load)))
 
     def joint_rows(
-        self, stretch: Stretch, terms: tuple[FrictionTerm, ...], friction: np.ndarray
+        self, segment: Segment, terms: tuple[FrictionTerm, ...], friction: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Joint after joint: indices (c,) into [base parameters, terms], and (S', c + 1): these columns, the torque.
 
@@ -106,10 +106,10 @@ class Observation:
             share = coupling[axles, joint]
             felt = np.flatnonzero(share)
             base = len(support)
-            rows = np.empty((base + len(felt) + 1, len(stretch.torque))).T
-            rows[:, :base] = stretch.rigid[joint]
+            rows = np.empty((base + len(felt) + 1, len(segment.torque))).T
+            rows[:, :base] = segment.rigid[joint]
             np.multiply(friction[:, felt], share[felt], out=rows[:, base:-1])
-            rows[:, -1] = stretch.torque[:, joint]
+            rows[:, -1] = segment.torque[:, joint]
             yield np.concatenate([support, self.rigid.count + felt]), rows
 
 
@@ -123,22 +123,22 @@ def observe(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -
         check_log(rigid.robot, log)
     settings = replace(settings, cutoff=min(resolve_cutoff(log, settings) for log in logs))
     scratch = Scratch()
-    stretches = []
+    segments = []
     for index, log in enumerate(logs):
         for motion in motions(log, settings):
-            stretches.append(filtered(rigid, index, motion, scratch))
+            segments.append(filtered(rigid, index, motion, scratch))
             scratch.release()
-    return Observation(rigid.robot, rigid, Stretches(tuple(stretches), scratch))
+    return Observation(rigid.robot, rigid, Segments(tuple(segments), scratch))
 
 
-def filtered(rigid: RigidBodies, log_index: int, motion: Motion, scratch: Scratch) -> Stretch:
+def filtered(rigid: RigidBodies, log_index: int, motion: Motion, scratch: Scratch) -> Segment:
     """Regressor columns of one motion and its torque, through the same filter; unfiltered torque is not kept."""
     assert motion.torque is not None
     signals = scratch.keep(motion.low_pass(np.hstack([motion.torque, motion.qd])))
     torque, speed = np.split(signals, 2, axis=1)
     q, qd, qdd = (scratch.keep(values) for values in (motion.q, motion.qd, motion.qdd))
     set_points = None if motion.set_points is None else scratch.keep(motion.set_points)
-    return Stretch(
+    return Segment(
         log_index=log_index,
         motion=replace(motion, q=q, qd=qd, qdd=qdd, set_points=set_points, torque=None),
         time=motion.time[motion.kept],

@@ -77,7 +77,7 @@ def link_prior(observation: Observation, source: str = DESCRIPTION) -> tuple[np.
     scale = mass[:, None] * np.stack([np.ones_like(mass), *[radius] * 3, *[radius**2] * 6], axis=1)
 
     rotors = np.array([joint.rotor_inertia or 0.0 for joint in robot.joints])
-    acceleration = np.max([np.abs(stretch.motion.qdd).max(axis=0) for stretch in observation.stretches], axis=0)
+    acceleration = np.max([np.abs(segment.motion.qdd).max(axis=0) for segment in observation.segments], axis=0)
     largest = torque / np.maximum(acceleration, 0.01 * robot.max_acceleration) / robot.gear_ratios**2
     return np.append(links.ravel(), rotors), np.append(
         (_FREE_DOUBT if source == SIZE else _LINK_DOUBT) * scale.ravel(), np.maximum(largest, rotors)
@@ -85,4 +85,4 @@ def link_prior(observation: Observation, source: str = DESCRIPTION) -> tuple[np.
 
 
 def _largest_torque(observation: Observation) -> np.ndarray:
-    return np.maximum(np.max([np.abs(stretch.torque).max(axis=0) for stretch in observation.stretches], axis=0), 1e-9)
+    return np.maximum(np.max([np.abs(segment.torque).max(axis=0) for segment in observation.segments], axis=0), 1e-9)

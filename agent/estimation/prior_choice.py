@@ -2,7 +2,7 @@
 
 Public descriptions often hold placeholders, every link of 1 kg or 3 kg, and a prior that is wrong and sure of itself
 spoils the estimate in silence. So there are two hypotheses: links near the description's, and links of which nothing is
-known but what the torques could hold. The description is believed where stretches held out are clearly predicted better
+known but what the torques could hold. The description is believed where segments held out are clearly predicted better
 with it (empirical Bayes with held-out error in place of the evidence, since rows are not independent): where the motion
 tells all, it adds nothing, and a placeholder that hardly shows on these motions would show on others. Links that most
 have the mass of another one are placeholders beyond doubt.
@@ -21,19 +21,19 @@ _ALIKE = 1e-6  # relative difference of masses that are the same
 
 
 def choose_links(problem: Problem) -> Problem:
-    """The same problem with the prior of the links that predicts held-out stretches, and the trust that goes with it.
+    """The same problem with the prior of the links that predicts held-out segments, and the weight it has then.
 
-    Both are compared under the weights and the trust of the open hypothesis: residuals of a wrong prior would hide it.
+    Both are compared under the weights of the open hypothesis: residuals of a wrong prior would hide it.
     """
-    opened = problem.with_links(SIZE).with_own_trust()
+    opened = problem.with_links(SIZE).with_own_prior_weight()
     if placeholders(problem.observation.rigid.dynamics.standard_parameters()):
         return opened
-    weights = iterate_weights(opened.moments, opened.prior, opened.trust)
+    weights = iterate_weights(opened.moments, opened.prior, opened.prior_weight)
     described = opened.with_links(DESCRIPTION)
     error = _held_out(opened, weights)
     gain = error - _held_out(described, weights)
     if gain.sum() > _LEAST_GAIN * error.sum() and clear_gain(gain):
-        return described.with_own_trust()
+        return described.with_own_prior_weight()
     return opened
 
 
@@ -51,6 +51,6 @@ def _held_out(problem: Problem, weights: np.ndarray) -> np.ndarray:
     """(folds,) weighted squared error on rows left out."""
 
     def solver(total: np.ndarray) -> np.ndarray:
-        return solve_sum(total, problem.prior, problem.trust)
+        return solve_sum(total, problem.prior, problem.prior_weight)
 
     return np.sum(weights * cross_validate(problem, problem.moments, weights, solver), axis=(1, 2))

@@ -20,7 +20,7 @@ Solver = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Data and columns. The prior's precision counts `trust` times: rows are not independent, the prior is one fact.
+    """Data and columns. The prior's precision counts `prior_weight` times, as rows are not independent.
 
     `load` (b,) are base parameters of an earlier fit, for the terms that depend on the transmitted torque.
     """
@@ -31,7 +31,7 @@ class Problem:
     load: np.ndarray
     moments: Moments
     prior: Prior
-    trust: float
+    prior_weight: float
     links: str = DESCRIPTION
     _friction: list[np.ndarray] = field(default_factory=list)
 
@@ -42,17 +42,17 @@ class Problem:
         partition: Partition,
         terms: tuple[FrictionTerm, ...],
         load: np.ndarray | None = None,
-        trust: float = 1.0,
+        prior_weight: float = 1.0,
         keep: bool = False,
         links: str = DESCRIPTION,
     ) -> Problem:
         """Of fitting these terms; without `load`, it is that of the URDF's links. `keep` the columns of friction."""
         prior = physical_prior(observation, terms, links)
         load = prior.mean[: observation.rigid.count] if load is None else load
-        friction = (observation.friction(stretch, terms, load) for stretch in observation.stretches)
+        friction = (observation.friction(segment, terms, load) for segment in observation.segments)
         kept = _kept(observation, friction) if keep else []
         moments = collect(observation, partition, terms, kept or friction)
-        return cls(observation, partition, terms, load, moments, prior, trust, links, kept)
+        return cls(observation, partition, terms, load, moments, prior, prior_weight, links, kept)
 
     def select(self, chosen: np.ndarray) -> Problem:
         """The same with some of the terms, by index."""
@@ -71,41 +71,41 @@ class Problem:
         return replace(self, links=links, prior=physical_prior(self.observation, self.terms, links))
 
     def friction(self) -> list[np.ndarray]:
-        """Per stretch (S', T): the terms' filtered columns, worked out once."""
+        """Per segment (S', T): the terms' filtered columns, worked out once."""
         if not self._friction:
             friction = (
-                self.observation.friction(stretch, self.terms, self.load) for stretch in self.observation.stretches
+                self.observation.friction(segment, self.terms, self.load) for segment in self.observation.segments
             )
             self._friction.extend(_kept(self.observation, friction))
         return self._friction
 
-    def with_own_trust(self) -> Problem:
-        """The same with the trust that the autocorrelation of its own residuals asks for, the joints' median."""
-        weights = iterate_weights(self.moments, self.prior, self.trust)
-        times = autocorrelation_time(self.residuals(solve(self.moments, weights, self.prior, self.trust)))
-        return replace(self, trust=float(np.median(times)))
+    def with_own_prior_weight(self) -> Problem:
+        """The same with the prior_weight that the autocorrelation of its own residuals asks for, the joints' median."""
+        weights = iterate_weights(self.moments, self.prior, self.prior_weight)
+        times = autocorrelation_time(self.residuals(solve(self.moments, weights, self.prior, self.prior_weight)))
+        return replace(self, prior_weight=float(np.median(times)))
 
     def residuals(self, parameters: np.ndarray) -> list[np.ndarray]:
-        """Per stretch (S', n) [N·m]: filtered measured torque minus what parameters (p,) explain."""
+        """Per segment (S', n) [N·m]: filtered measured torque minus what parameters (p,) explain."""
         result = []
-        for stretch, friction in zip(self.observation.stretches, self.friction(), strict=True):
-            error = np.empty(stretch.torque.shape)
-            for joint, (index, rows) in enumerate(self.observation.joint_rows(stretch, self.terms, friction)):
+        for segment, friction in zip(self.observation.segments, self.friction(), strict=True):
+            error = np.empty(segment.torque.shape)
+            for joint, (index, rows) in enumerate(self.observation.joint_rows(segment, self.terms, friction)):
                 error[:, joint] = rows @ np.append(-parameters[index], 1.0)
             result.append(error)
         return result
 
     def correlation(self, rows: list[np.ndarray]) -> np.ndarray:
-        """(p,) Xᵀ r for r given stretch by stretch (S', n)."""
+        """(p,) Xᵀ r for r given segment by segment (S', n)."""
         total = np.zeros(self.moments.parameters)
-        for stretch, friction, given in zip(self.observation.stretches, self.friction(), rows, strict=True):
-            for joint, (index, block) in enumerate(self.observation.joint_rows(stretch, self.terms, friction)):
+        for segment, friction, given in zip(self.observation.segments, self.friction(), rows, strict=True):
+            for joint, (index, block) in enumerate(self.observation.joint_rows(segment, self.terms, friction)):
                 total[index] += block[:, :-1].T @ given[:, joint]
         return total
 
 
 def _kept(observation: Observation, columns: Iterable[np.ndarray]) -> list[np.ndarray]:
-    scratch = observation.stretches.scratch
+    scratch = observation.segments.scratch
     kept = []
     for block in columns:
         kept.append(scratch.keep(block))
@@ -116,7 +116,7 @@ def _kept(observation: Observation, columns: Iterable[np.ndarray]) -> list[np.nd
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """parameters (p,); `weights` (2, n), `moments` and `solver` that lead to them; `held_out` (folds, 2, n) squared
-    error on rows left out; `trust` in the prior that went into them; `standard` (10 n + n,) the inertial parameters
+    error on rows left out; `prior_weight` that went into them; `standard` (10 n + n,) the inertial parameters
     behind the base parameters, where there are.
     """
 
@@ -125,7 +125,7 @@ class Estimate:
     moments: Moments
     held_out: np.ndarray
     solver: Solver
-    trust: float
+    prior_weight: float
     note: str
     standard: np.ndarray | None = None
 

@@ -62,14 +62,14 @@ def refit(model: IdentifiedModel, logs: Sequence[Log], parameters: str = "fricti
         raise InputError("the earlier model has other base parameters than this version identifies; calibrate anew")
     observation = observe(rigid, logs, FilterSettings(model.cutoff, model.order))
     observation = _without_effects(observation, model)
-    cells = partition(observation.stretches)
+    cells = partition(observation.segments)
     problem = Problem.pose(observation, cells, model.terms, model.base_values)
     if parameters == "all":
-        problem = problem.with_own_trust()
+        problem = problem.with_own_prior_weight()
         found = ESTIMATORS[model.method](problem)
         fresh = build_model(problem, found, model.method, names, combinations, logs)
         return _judged(problem, found, replace(fresh, effects=model.effects), model)
-    problem = replace(problem, trust=float(np.median(_times(problem, _friction(problem, model).parameters))))
+    problem = replace(problem, prior_weight=float(np.median(_times(problem, _friction(problem, model).parameters))))
     found = _friction(problem, model)
     fresh = build_model(problem, found, model.method, names, combinations, logs)
     notes = (fresh.notes[0], "Friction estimated again; base parameters are those of the model before.")
@@ -97,7 +97,7 @@ def conditional_covariance(model: IdentifiedModel) -> np.ndarray:
 
 def _friction(problem: Problem, model: IdentifiedModel) -> Estimate:
     base = len(model.independent)
-    moments, precision = problem.moments, problem.trust * problem.prior.precision[base:, base:]
+    moments, precision = problem.moments, problem.prior_weight * problem.prior.precision[base:, base:]
 
     def solver(total: np.ndarray) -> np.ndarray:
         right = total[base:-1, -1] - total[base:-1, :base] @ model.base_values
@@ -109,7 +109,7 @@ def _friction(problem: Problem, model: IdentifiedModel) -> Estimate:
         weights = reweight(moments, parameters)
         parameters = solver(moments.weighted(weights))
     held_out = cross_validate(problem, moments, weights, solver)
-    return Estimate(parameters, weights, moments, held_out, solver, problem.trust, "", model.standard)
+    return Estimate(parameters, weights, moments, held_out, solver, problem.prior_weight, "", model.standard)
 
 
 def _covariance(problem: Problem, found: Estimate, model: IdentifiedModel) -> np.ndarray:
@@ -129,7 +129,7 @@ def _covariance(problem: Problem, found: Estimate, model: IdentifiedModel) -> np
     jackknife = (count - 1) / count * np.sum((estimates - estimates.mean(axis=0)) ** 2, axis=0)
     widen = np.sqrt(np.maximum(1.0, jackknife / np.diag(stationary))) if count > 1 else np.ones(len(stationary))
     own = stationary * np.outer(widen, widen)
-    gain = -np.linalg.solve(total[base:-1, base:-1] + problem.trust * precision, total[base:-1, :base])
+    gain = -np.linalg.solve(total[base:-1, base:-1] + problem.prior_weight * precision, total[base:-1, :base])
     of_base = model.covariance[:base, :base]
     passed_on = gain @ of_base
     return np.block([[of_base, passed_on.T], [passed_on, own + passed_on @ gain.T]])
@@ -151,9 +151,9 @@ def _without_effects(observation: Observation, model: IdentifiedModel) -> Observ
     if not model.effects:
         return observation
     bare = replace(model, effects=())
-    stretches = []
-    for stretch in observation.stretches:
-        m = stretch.motion
+    segments = []
+    for segment in observation.segments:
+        m = segment.motion
         added = model.predict(m.q, m.qd, m.qdd, m.time) - bare.predict(m.q, m.qd, m.qdd, m.time)
-        stretches.append(replace(stretch, torque=stretch.torque - m.low_pass(added)))
-    return replace(observation, stretches=replace(observation.stretches, items=tuple(stretches)))
+        segments.append(replace(segment, torque=segment.torque - m.low_pass(added)))
+    return replace(observation, segments=replace(observation.segments, items=tuple(segments)))

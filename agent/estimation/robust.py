@@ -22,8 +22,8 @@ def huber(problem: Problem) -> Estimate:
     """Huber's M-estimate with a scale per joint."""
     observation = problem.observation
     still = standstill(observation)
-    moments, weights = problem.moments, iterate_weights(problem.moments, problem.prior, problem.trust)
-    parameters = solve(moments, weights, problem.prior, problem.trust)
+    moments, weights = problem.moments, iterate_weights(problem.moments, problem.prior, problem.prior_weight)
+    parameters = solve(moments, weights, problem.prior, problem.prior_weight)
     share = 0.0
     for _ in range(_ROUNDS):
         rows = problem.residuals(parameters)
@@ -34,7 +34,7 @@ def huber(problem: Problem) -> Estimate:
         ]
         moments = collect(observation, problem.partition, problem.terms, problem.friction(), trusted)
         weights = 1 / scale**2
-        parameters = solve(moments, weights, problem.prior, problem.trust)
+        parameters = solve(moments, weights, problem.prior, problem.prior_weight)
         share = float(np.mean(np.concatenate(trusted) < 1))
     return finish(problem, moments, weights, f"Huber weights below 1 on {100 * share:.0f} % of the rows.")
 

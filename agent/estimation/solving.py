@@ -10,15 +10,17 @@ from agent.estimation.moments import ALL_CELLS, Cells, Moments
 from agent.estimation.prior import Prior
 
 
-def solve(moments: Moments, weights: np.ndarray, prior: Prior, trust: float, cells: Cells = ALL_CELLS) -> np.ndarray:
-    """(p,) estimate from moments, with weights (2, n) and the prior's precision times `trust`."""
-    return solve_sum(moments.weighted(weights, cells), prior, trust)
+def solve(
+    moments: Moments, weights: np.ndarray, prior: Prior, prior_weight: float, cells: Cells = ALL_CELLS
+) -> np.ndarray:
+    """(p,) estimate from moments, with weights (2, n) and the prior's precision times `prior_weight`."""
+    return solve_sum(moments.weighted(weights, cells), prior, prior_weight)
 
 
-def solve_sum(total: np.ndarray, prior: Prior, trust: float) -> np.ndarray:
+def solve_sum(total: np.ndarray, prior: Prior, prior_weight: float) -> np.ndarray:
     """(p,) estimate from a weighted sum (p + 1, p + 1)."""
-    matrix = total[:-1, :-1] + trust * prior.precision
-    right = total[:-1, -1] + trust * prior.precision @ prior.mean
+    matrix = total[:-1, :-1] + prior_weight * prior.precision
+    right = total[:-1, -1] + prior_weight * prior.precision @ prior.mean
     return solve_scaled(matrix, right)
 
 
@@ -46,17 +48,17 @@ def reweight(moments: Moments, parameters: np.ndarray) -> np.ndarray:
     return 1 / np.maximum(np.stack([moving, still]), floor)
 
 
-def iterate_weights(moments: Moments, prior: Prior, trust: float, rounds: int = 4) -> np.ndarray:
+def iterate_weights(moments: Moments, prior: Prior, prior_weight: float, rounds: int = 4) -> np.ndarray:
     """(2, n) weights from the residuals that the weights before leave, starting from equal ones."""
     variance = moments.torque_energy().sum() / moments.rows.sum()
     weights = np.full((2, len(moments.index)), 1 / max(variance, 1e-30))
     for _ in range(rounds):
-        weights = reweight(moments, solve(moments, weights, prior, trust))
+        weights = reweight(moments, solve(moments, weights, prior, prior_weight))
     return weights
 
 
 def autocorrelation_time(residuals: Sequence[np.ndarray]) -> np.ndarray:
-    """(n,) samples per independent one, at least 1, of residuals given stretch by stretch (S', n).
+    """(n,) samples per independent one, at least 1, of residuals given segment by segment (S', n).
 
     1 + 2 Σ ρ_k up to where the sum of two neighbours turns negative (Geyer, Statistical Science 7, 1992).
     """

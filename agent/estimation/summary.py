@@ -36,7 +36,7 @@ def build_model(
     observation, moments = problem.observation, problem.moments
     rows = moments.rows.sum(axis=(0, 1))
     times = autocorrelation_time(problem.residuals(found.parameters))
-    first = observation.stretches[0].motion
+    first = observation.segments[0].motion
     model = IdentifiedModel(
         robot=observation.robot,
         independent=observation.rigid.independent,
@@ -79,7 +79,7 @@ def condition_number(total: np.ndarray) -> float:
 
 
 def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.ndarray, logs: int) -> Iterator[str]:
-    kind = "whole motions" if logs > 2 else "stretches of the motion, all cycles together, with a guard between them"
+    kind = "whole motions" if logs > 2 else "segments of the motion, all cycles together, with a guard between them"
     yield f"Held-out errors: {problem.partition.folds} folds of {kind}."
     if found.note:
         yield found.note
@@ -127,7 +127,7 @@ def _described_links(model: IdentifiedModel, problem: Problem) -> Iterator[str]:
         return
     if problem.links == DESCRIPTION:
         return
-    q = np.concatenate([s.motion.q[:: max(len(s.motion.q) // 200, 1)] for s in problem.observation.stretches])
+    q = np.concatenate([s.motion.q[:: max(len(s.motion.q) // 200, 1)] for s in problem.observation.segments])
     still = np.zeros_like(q)
     ours, theirs = (
         np.sqrt(np.mean(rigid.torque(q, still, still, base) ** 2, axis=0)) for base in (model.base_values, described)
@@ -136,7 +136,7 @@ def _described_links(model: IdentifiedModel, problem: Problem) -> Iterator[str]:
         f"{name} {a:.3g} and {b:.3g}" for name, a, b in zip(model.robot.joint_names, ours, theirs, strict=True) if a > 0
     ]
     yield (
-        "The link inertials of the description are left out of the prior: stretches held out are predicted no better "
+        "The link inertials of the description are left out of the prior: segments held out are predicted no better "
         "with them. Gravity torque, root mean square over these postures, by this fit and "
         f"by the description [N·m]: {', '.join(rows)}."
     )
@@ -145,7 +145,7 @@ def _described_links(model: IdentifiedModel, problem: Problem) -> Iterator[str]:
 def _doubts(observation: Observation) -> Iterator[str]:
     """What in the motion itself speaks for a channel that is dead or of another unit."""
     robot = observation.robot
-    motions = (stretch.motion for stretch in observation.stretches)
+    motions = (segment.motion for segment in observation.segments)
     extremes = np.array([(m.q.min(axis=0), m.q.max(axis=0), np.abs(m.qd).max(axis=0)) for m in motions])
     travelled = extremes[:, 1].max(axis=0) - extremes[:, 0].min(axis=0)
     resting = np.flatnonzero(travelled <= _RESTING * robot.max_velocity)
@@ -175,12 +175,12 @@ def _leading_names(names: Sequence[str], directions: np.ndarray, most: int = 8) 
 
 
 def _provenance(observation: Observation, logs: Sequence[Log]) -> dict[str, Any]:
-    rows = [sum(len(s.time) for s in observation.stretches if s.log_index == k) for k in range(len(logs))]
+    rows = [sum(len(s.time) for s in observation.segments if s.log_index == k) for k in range(len(logs))]
     machine = {key: sorted({log.metadata[key] for log in logs if log.metadata.get(key)}) for key in MACHINE}
     return {
         **{key: found for key, found in machine.items() if found},
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "smoothing_hz": float(observation.stretches[0].motion.pass_edge),
+        "smoothing_hz": float(observation.segments[0].motion.pass_edge),
         "logs": [
             {
                 "log": log.name,

@@ -7,7 +7,7 @@ M = Xᵀ W E[e eᵀ] W X: the second term is what the prior may be wrong by, M w
   the noise at the frequencies its column has. A fit has eaten part of the noise in its own residuals and adds as much
   on rows held out, so S is scaled by the geometric mean of both over the former.
 * What the model gets wrong repeats with the place in the motion rather than with time. The delete-one jackknife over
-  clusters (stretches of the motion, all cycles together) sees it: (C - 1) / C Σ (θ₍c₎ - θ̄)², whatever the form of the
+  clusters (segments of the motion, all cycles together) sees it: (C - 1) / C Σ (θ₍c₎ - θ̄)², whatever the form of the
   residuals (Efron and Stein, Annals of Statistics 9, 1981). Deviations are widened to it where it is larger by more
   than its own scatter.
 """
@@ -28,8 +28,8 @@ def covariance(problem: Problem, found: Estimate) -> np.ndarray:
     """(p, p) covariance of an estimate."""
     prior, partition = problem.prior, problem.partition
     total = found.moments.weighted(found.weights)
-    bread = inverse(total[:-1, :-1] + found.trust * prior.precision)
-    stationary = bread @ (_noise(problem, found) + found.trust**2 * prior.precision) @ bread.T
+    bread = inverse(total[:-1, :-1] + found.prior_weight * prior.precision)
+    stationary = bread @ (_noise(problem, found) + found.prior_weight**2 * prior.precision) @ bread.T
     estimates = np.array(
         [
             found.solver(total - found.moments.weighted(found.weights, partition.cluster == cluster))
@@ -56,10 +56,10 @@ def _noise(problem: Problem, found: Estimate) -> np.ndarray:
     without = np.sum(found.weights * found.held_out.sum(axis=0), axis=0)
     spectra = spectra * np.sqrt(np.maximum(without / np.maximum(within, 1e-300), 1.0))
     total = np.zeros((problem.moments.parameters,) * 2)
-    for stretch, friction, scale in zip(observation.stretches, problem.friction(), root, strict=True):
-        size = len(stretch.time)
+    for segment, friction, scale in zip(observation.segments, problem.friction(), root, strict=True):
+        size = len(segment.time)
         grid = np.linspace(0, len(spectra) - 1, size // 2 + 1)
-        for joint, (index, rows) in enumerate(observation.joint_rows(stretch, problem.terms, friction)):
+        for joint, (index, rows) in enumerate(observation.joint_rows(segment, problem.terms, friction)):
             density = np.interp(grid, np.arange(len(spectra)), spectra[:, joint])
             spectrum = np.fft.rfft(rows[:, :-1] * scale[:, joint, None], axis=0) * np.sqrt(density)[:, None]
             coloured = np.fft.irfft(spectrum, size, axis=0)

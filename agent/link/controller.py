@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from agent.recipe import Recipe
-from drivers.protocol import Driver, Identity, MeasuresCurrents, NeedsAPerson
+from drivers.protocol import Driver, Identity, MeasuresCurrents, RequiresOperator
 
 
 def create_driver(recipe: Recipe, tell: Callable[[str], None]) -> Driver:
@@ -23,7 +23,7 @@ def create_driver(recipe: Recipe, tell: Callable[[str], None]) -> Driver:
     driver = create(recipe.controller.driver, recipe.controller.address)
     if isinstance(driver, MeasuresCurrents):
         driver.torque_per_ampere = torque_per_ampere(recipe.robot)
-    if isinstance(driver, NeedsAPerson):
+    if isinstance(driver, RequiresOperator):
         driver.tell = tell
     return driver
 

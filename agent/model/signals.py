@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 _MASS_STEP = 10  # mass matrices change slowly: one in ten samples is computed
 
 
-class Reference:
+class NominalModel:
     """The model that is diagnosed against, with its base parameters spread over links and rotors.
 
     Base parameters β = P π fix only combinations of the standard parameters π. Of all π with P π = β the one nearest
-    to the description's is taken, distances counted in the doubt D about each parameter:
+    to the description's is taken, distances counted in the prior deviation D of each parameter:
     π = π₀ + D² Pᵀ (P D² Pᵀ)⁻¹ (β − P π₀).
     """
 
@@ -32,11 +32,11 @@ class Reference:
         self.model, self.robot = model, model.robot
         nominal = Dynamics(self.robot)
         links = nominal.standard_parameters()
-        mean, doubt = _doubt(self.robot, nominal, links)
-        spread = (model.projection * doubt**2) @ model.projection.T
+        mean, prior_std = _doubt(self.robot, nominal, links)
+        spread = (model.projection * prior_std**2) @ model.projection.T
         correction = np.linalg.solve(spread, model.base_values - model.projection @ mean)
-        standard = mean + doubt**2 * (model.projection.T @ correction)
-        self.doubt = doubt
+        standard = mean + prior_std**2 * (model.projection.T @ correction)
+        self.prior_std = prior_std
         self.links: Dynamics = nominal.with_parameters(standard[: 10 * self.robot.dof])
         #: links whose mass matrix is sound: those of the description where the spread ones could not be bodies
         self.solid = self.links if _sound(self.links, nominal) else nominal
@@ -65,7 +65,7 @@ def _sound(links: Dynamics, nominal: Dynamics) -> bool:
 
 
 def _doubt(robot: RobotDescription, nominal: Dynamics, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and doubt (10 n + n,) of the standard parameters: half a link, and any rotor the drive could turn."""
+    """Mean and prior deviation (10 n + n,) of the standard parameters: half a link, any rotor that the drive turns."""
     rng = np.random.default_rng(0)
     tips = nominal.tip_pose(rng.uniform(-3, 3, (50, robot.dof)))[:, :3, 3]
     reach = max(float(np.linalg.norm(tips, axis=1).max()), 0.1)
@@ -81,7 +81,7 @@ def _doubt(robot: RobotDescription, nominal: Dynamics, links: np.ndarray) -> tup
 
 
 @dataclass(frozen=True, eq=False)
-class Signals:
+class MotionSignals:
     """One motion without gaps. S samples, n joints: time (S,) [s] of the log, q, qd, qdd (S, n) smoothed.
 
     `log_index` counts logs (-1 where unknown), `cycle_starts` [s] are those of its log and `started` [s] is when that
@@ -89,7 +89,7 @@ class Signals:
     returns.
     """
 
-    reference: Reference
+    reference: NominalModel
     time: np.ndarray
     q: np.ndarray
     qd: np.ndarray

@@ -9,7 +9,7 @@ import numpy as np
 from agent.core.errors import InputError
 from agent.model.effects import CATALOGUE
 from agent.model.identified import EFFECTS, IdentifiedModel, ModelEffect
-from agent.model.signals import Reference, Signals
+from agent.model.signals import MotionSignals, NominalModel
 
 
 def effect_torque(model: IdentifiedModel, entry: ModelEffect, motion: dict[str, Any], torque: np.ndarray) -> np.ndarray:
@@ -29,7 +29,9 @@ def effect_torque(model: IdentifiedModel, entry: ModelEffect, motion: dict[str, 
     if motion["time"] is None:
         raise InputError(f"the model's effect {entry.effect} needs the times of the samples")
     settings = {key: value for key, value in entry.parameters.items() if key not in names}
-    signals = Signals(Reference(model), motion["time"], motion["q"], motion["qd"], motion["qdd"], motion.get("log", -1))
+    signals = MotionSignals(
+        NominalModel(model), motion["time"], motion["q"], motion["qd"], motion["qdd"], motion.get("log", -1)
+    )
     total = np.zeros_like(torque)
     for joint, columns in effect.columns(signals, joints, settings).items():
         total[:, joint] += columns @ values

@@ -18,7 +18,7 @@ from agent.pipeline.result import build_result, provenance, run_data, typical_mo
 from agent.recipe import Recipe
 from agent.robot.torque_figures import error_text, not_judged_text, outcome_text
 from agent.runs.approved import approve, check_approved
-from agent.runs.current_model import origin, remember
+from agent.runs.current_model import register_run, run_key
 from agent.runs.folder import RunFolder, sha256_file
 from agent.runs.lock import robot_lock
 from agent.safety.preconditions import check_period
@@ -76,7 +76,7 @@ def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None,
     with robot_lock(recipe.controller.driver, recipe.controller.address):
         if resume is None:
             run = RunFolder.create(logs, recipe.robot.name, recipe.path)
-            run.note(kind="calibrate", **origin(recipe))
+            run.note(kind="calibrate", **run_key(recipe))
             approve(run, recipe)
         else:
             run = RunFolder.open(resume, recipe.sha256, check=lambda opened: check_approved(opened, recipe))
@@ -96,7 +96,7 @@ def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None,
             validation = _validate(recipe, run, model, console)
         with step(run, "report", console):
             outcome = _report(recipe, plan, run, recordings, model, validation, console)
-        remember(run, console)
+        register_run(run, console)
         return replace(outcome, ending=ending_text(run, recipe))
 
 

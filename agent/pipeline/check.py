@@ -136,13 +136,13 @@ def _controller(recipe: Recipe, _: Console) -> str:
     from agent.motion.frames import tool_frame
     from agent.safety.frames import check_frames, frames_text
     from agent.safety.motion import PlannedProgram
-    from drivers.protocol import TakesPoints, TellsFrames
+    from drivers.protocol import AcceptsViaPoints, ReportsFrames
 
     address = recipe.controller.address
     with answering(recipe) as (driver, identity):
         status = driver.status()
-        frames = driver.frames() if isinstance(driver, TellsFrames) else {}
-        if isinstance(driver, TakesPoints):
+        frames = driver.frames() if isinstance(driver, ReportsFrames) else {}
+        if isinstance(driver, AcceptsViaPoints):
             points = PlannedProgram("of via-points", "", (), frames={"$TOOL": tool_frame(recipe.tool)})
             check_frames(points, driver, address)
     state = [

@@ -75,7 +75,7 @@ def check_plausible(robot: Any, logs: Sequence[Any], force: bool, console: Conso
 
 
 def say_used(logs: Sequence[Any], cutoff: float, order: int, console: Console) -> None:
-    """Say how many samples of each log a filter left to work with; a warning where stretches are too short for it."""
+    """Say how many samples of each log a filter left to work with; a warning where segments are too short for it."""
     from agent.estimation.filtering import FilterSettings, used_text
 
     for log in logs:

@@ -23,7 +23,7 @@ from agent.pipeline.result import provenance
 from agent.recipe import Recipe
 from agent.robot.torque_figures import error_text, not_judged_text, outcome_text, torque_units, without_nominal
 from agent.runs.approved import approve
-from agent.runs.current_model import apply_run, origin, remember
+from agent.runs.current_model import apply_run, register_run, run_key
 from agent.runs.due import too_early, wrong_clock
 from agent.runs.folder import RunFolder, sha256_file
 from agent.runs.lock import robot_lock
@@ -105,7 +105,7 @@ def recalibrate(
             authorisation.check_problem(reference.loop.key)
         run = RunFolder.create(logs, recipe.robot.name, recipe.path)
         facts = {"reference": reference.run, "program": reference.loop.checksum, "serial": past.serial}
-        run.note(kind="recalibrate", **facts, **origin(recipe))
+        run.note(kind="recalibrate", **facts, **run_key(recipe))
         approve(run, recipe)
         console.say(f"run {run.path}")
         if not_judged := not_judged_text(recipe.robot, recipe.gate.normalised_rmse):
@@ -127,7 +127,7 @@ def recalibrate(
             result["current_model"] = run.path.name if result["accepted"] else current
         with step(run, "report", console):
             _report(recipe, reference.loop, run, result, comparison, log, prediction)
-        remember(run, console)
+        register_run(run, console)
         if result["accepted"]:
             apply_run(logs, run.path)
         watched = watch_lines(logs, recipe.robot.name, run.state["serial"])

@@ -15,7 +15,7 @@ from agent.core.errors import InputError
 from agent.pipeline import planning
 from agent.recipe import Recipe
 from agent.runs.approved import approved_parts, differences, problem
-from agent.runs.current_model import current_model, origin
+from agent.runs.current_model import current_model, run_key
 from agent.runs.history import open_history
 from agent.runs.past_run import PastRun
 
@@ -44,7 +44,7 @@ def last_accepted(recipe: Recipe, logs: Path, now: datetime) -> PastRun:
     Raises:
         InputError: there is none; what differs from the newest of this robot is named.
     """
-    key = origin(recipe)
+    key = run_key(recipe)
     others: list[PastRun] = []
     if logs.is_dir():
         with open_history(logs) as history:

@@ -198,12 +198,12 @@ def _steps_section(diagnosis: Diagnosis) -> Section:
         f"Over the signs of its background drawn anew {DRAWS} times, the highest gain of the whole search exceeds "
         f"{finding.by_chance / rows:.3f} in one of a hundred; a cause needs {finding.least / rows:.3f}."
     )
-    if finding.chance:
+    if finding.p_value:
         text.append(
             "Share of the draws in which anything anywhere gains as much as a cause: "
             + ", ".join(
                 f"{name(cause.effect.name)} {share:.3f}"
-                for cause, share in zip(finding.causes, finding.chance, strict=True)
+                for cause, share in zip(finding.causes, finding.p_value, strict=True)
             )
         )
     tables = [_step_table(number, step, rows, names) for number, step in enumerate(steps)]

@@ -147,14 +147,14 @@ def apply_previous(logs: Path, robot: str | None = None, serial: str | None = No
     return _about(place / "current")
 
 
-def origin(recipe: Recipe) -> dict[str, str]:
+def run_key(recipe: Recipe) -> dict[str, str]:
     """Facts about a run by which later ones find it: its loop's key and its controller."""
     from agent.runs.stored_loops import loop_key
 
     return {"loop": loop_key(recipe), "controller": f"{recipe.controller.driver} {recipe.controller.address}"}
 
 
-def remember(run: RunFolder, console: Console) -> None:
+def register_run(run: RunFolder, console: Console) -> None:
     """Take a complete run into the history; the first accepted model of a robot becomes its current one.
 
     Later ones are made current by `agent apply`, or by a recalibration, which was told to.

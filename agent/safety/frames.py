@@ -8,7 +8,7 @@ import numpy as np
 
 from agent.core.errors import ControllerError, InputError
 from agent.safety.motion import PlannedProgram
-from drivers.protocol import Driver, TellsFrames
+from drivers.protocol import Driver, ReportsFrames
 
 #: Frames this near are the same [m, and of the rotation's entries]: what a four-byte number keeps of millimetres.
 SAME_FRAME = 1e-5
@@ -23,7 +23,7 @@ def check_frames(program: PlannedProgram, driver: Driver, address: str) -> None:
     """
     if not program.frames:
         return
-    if not isinstance(driver, TellsFrames):
+    if not isinstance(driver, ReportsFrames):
         missing = " and ".join(program.frames)
         lines = "; ".join(f"{name} := {pos_text(frame)}" for name, frame in program.frames.items())
         raise InputError(

@@ -35,7 +35,15 @@ from agent.safety.preconditions import (
     unsafe_in_motion,
 )
 from drivers.errors import DriverError, MotionStopped, RefusedError
-from drivers.protocol import Driver, Identity, SampleBlock, Status, TakesPoints, TellsFacts, TellsTemperatures
+from drivers.protocol import (
+    AcceptsViaPoints,
+    Driver,
+    Identity,
+    ReportsDiagnostics,
+    ReportsTemperatures,
+    SampleBlock,
+    Status,
+)
 
 if TYPE_CHECKING:
     from agent.robot.dynamics import Tool
@@ -112,7 +120,7 @@ class GuardedLink:
     @property
     def takes_points(self) -> bool:
         """Whether programs go to this controller as via-points."""
-        return isinstance(self._driver, TakesPoints)
+        return isinstance(self._driver, AcceptsViaPoints)
 
     def open(self) -> None:
         """Connect, see who is there, and have a person's word where one is needed.
@@ -242,7 +250,7 @@ class GuardedLink:
     @property
     def facts(self) -> dict[str, str]:
         """What the driver knows of the last motion beyond its samples."""
-        return self._driver.facts if isinstance(self._driver, TellsFacts) else {}
+        return self._driver.facts if isinstance(self._driver, ReportsDiagnostics) else {}
 
     def close(self) -> None:
         """Close the link; the arm is stopped first, where something has kept that from happening. Never raises."""
@@ -252,7 +260,7 @@ class GuardedLink:
 
     def _hand_over(self, program: PlannedProgram) -> str:
         """The checksum (SHA-256, hex) of what the controller would run."""
-        if not isinstance(self._driver, TakesPoints):
+        if not isinstance(self._driver, AcceptsViaPoints):
             return self._driver.upload(program.name, program.text)
         self._driver.load(program.name, program.checksum, program.points)
         return program.checksum
@@ -298,7 +306,7 @@ class GuardedLink:
                 now = float(block.time[-1])
                 recently = now - looked < WATCH_INTERVAL and self._clock() - looked_at < WATCH_INTERVAL
                 if fault is None and not recently:
-                    fault = self._look(now)
+                    fault = self._poll_status(now)
                     looked, looked_at = now, self._clock()
                     if fault is not None:
                         self._stop()
@@ -314,7 +322,7 @@ class GuardedLink:
         if fault is not None:
             raise fault
         with suppress(DriverError):  # the motion is over and recorded
-            self._feel(now, 0.0)
+            self._read_temperatures(now, 0.0)
 
     def _overdue(self, block: SampleBlock, began: float, longest: float) -> str | None:
         """Why to stop, where the motion has lasted too long: by the stamps of its samples, or by their number."""
@@ -326,19 +334,19 @@ class GuardedLink:
             "program that runs there, then run the command again"
         )
 
-    def _feel(self, now: float, interval: float = TEMPERATURE_INTERVAL) -> None:
+    def _read_temperatures(self, now: float, interval: float = TEMPERATURE_INTERVAL) -> None:
         """Ask for temperatures where that was not done within the interval [s] of controller time `now`."""
-        if not isinstance(self._driver, TellsTemperatures):
+        if not isinstance(self._driver, ReportsTemperatures):
             return
         if not self.temperatures or not now - self.temperatures[-1][0] <= interval:
             values = self._driver.temperatures()
             if values is not None:
                 self.temperatures.append((now, values))
 
-    def _look(self, now: float) -> AgentError | None:
+    def _poll_status(self, now: float) -> AgentError | None:
         try:
             status: Status = self._driver.status()
-            self._feel(now)
+            self._read_temperatures(now)
         except DriverError as error:
             return ControllerError(
                 f"{self.address}: the controller's state cannot be read any more while the arm moves, so it was "

@@ -70,9 +70,9 @@ def predict_log(model: IdentifiedModel, log: Log, cutoff: float | None = None) -
     """
     check_log(model.robot, log)
     settings = FilterSettings(model.cutoff if cutoff is None else cutoff, model.order)
-    stretches = tuple(motions(log, settings, reduce=False))
+    segments = tuple(motions(log, settings, reduce=False))
     time, torques, moving = [], [], []
-    for motion in stretches:
+    for motion in segments:
         parts = model.predict_parts(motion.q, motion.qd, motion.qdd, motion.time)
         time.append(motion.time[motion.kept])
         torques.append(motion.low_pass(np.hstack([motion.torque, *parts])))
@@ -87,7 +87,7 @@ def predict_log(model: IdentifiedModel, log: Log, cutoff: float | None = None) -
         predicted=predicted,
         friction=friction,
         moving=np.concatenate(moving),
-        _motions=stretches,
+        _motions=segments,
     )
 
 

@@ -57,7 +57,7 @@ def test_a_gain_under_drawn_signs_is_the_gain_that_a_fit_to_them_has(fit, candid
 
 def test_chance_falls_with_the_gain_and_never_reaches_nought(fit, candidates):
     null = null_gains(fit, candidates)
-    chances = [null.chance(gain) for gain in (-np.inf, 0.5 * null.threshold, null.threshold, 1e9)]
+    chances = [null.p_value(gain) for gain in (-np.inf, 0.5 * null.threshold, null.threshold, 1e9)]
     assert chances[0] == 1.0
     assert chances == sorted(chances, reverse=True)
     assert 0 < chances[-1] <= FALSE_ALARMS
@@ -67,7 +67,7 @@ def test_chance_falls_with_the_gain_and_never_reaches_nought(fit, candidates):
 def test_a_smaller_threshold_is_passed_by_a_smaller_effect(fit, candidates):
     null = null_gains(fit, candidates)
     for candidate in candidates:
-        sizes = [null.smallest(candidate, factor * null.threshold) for factor in (1, 4, 16)]
+        sizes = [null.minimum_detectable_size(candidate, factor * null.threshold) for factor in (1, 4, 16)]
         assert sizes == sorted(sizes)
         assert sizes[2] == pytest.approx(4 * sizes[0], rel=0.8)
 
@@ -89,8 +89,8 @@ def test_the_smallest_size_is_found_as_often_as_is_said(fit, candidates, measure
     rng = np.random.default_rng(8)
     for name, joints in WATCHED:
         mine = [c for c in candidates if c.place == (name, joints)]
-        candidate = min(mine, key=lambda c: null.smallest(c, null.threshold))
-        values = null.smallest(candidate, null.threshold) * fit.practical(candidate)
+        candidate = min(mine, key=lambda c: null.minimum_detectable_size(c, null.threshold))
+        values = null.minimum_detectable_size(candidate, null.threshold) * fit.practical(candidate)
         draws = 60
         found = 0
         for _ in range(draws):

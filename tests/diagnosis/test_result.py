@@ -43,7 +43,9 @@ def test_the_catalogue_is_the_vocabulary():
     assert list(CATALOGUE) == VOCABULARY
     for effect in CATALOGUE.values():
         assert all((effect.formula, effect.source, effect.signature, effect.look_at))
-        assert set(effect.confused_with) | set(effect.limits) | set(effect.twins) <= set(VOCABULARY)
+        assert set(effect.confused_with) | set(effect.special_cases) | set(effect.structurally_equivalent) <= set(
+            VOCABULARY
+        )
 
 
 @pytest.mark.parametrize("case", [0, 1])
@@ -114,7 +116,7 @@ def test_bad_input_is_said_plainly(arm, baseline, runs):
     with pytest.raises(InputError, match="its joints are"):
         diagnose(arm, other, baseline)
     short = [replace(runs(0)[0], segments=((0, 60),))]
-    with pytest.raises(InputError, match="longest stretch"):
+    with pytest.raises(InputError, match="longest segment"):
         diagnose(arm, short, baseline)
 
 

@@ -37,8 +37,8 @@ def bodies(robot: RobotDescription, seed: int = 0, spread: float = 0.1) -> np.nd
     rng = np.random.default_rng(seed)
     links = Dynamics(robot).standard_parameters().reshape(-1, 10).copy()
     for block in links:
-        stretch = 1 + rng.uniform(-spread, spread)
-        block *= np.array([1, *[stretch] * 3, *[stretch**2] * 6]) * (1 + rng.uniform(-spread, spread))
+        segment = 1 + rng.uniform(-spread, spread)
+        block *= np.array([1, *[segment] * 3, *[segment**2] * 6]) * (1 + rng.uniform(-spread, spread))
     rotors = np.array([joint.rotor_inertia or 1e-4 for joint in robot.joints])
     return np.append(links.ravel(), rotors * (1 + rng.uniform(-spread, spread, robot.dof)))
 

@@ -199,7 +199,7 @@ def test_noise_of_the_positions_lowers_the_cutoff_unless_it_is_given(arm, multis
     def chosen(position, cutoff=None, description=robot):
         bodies, _, _ = rigid_bodies(description)
         log = make_log(robot, t, position, torque)
-        return observe_predictable(bodies, [log], FilterSettings(cutoff)).stretches[0].motion
+        return observe_predictable(bodies, [log], FilterSettings(cutoff)).segments[0].motion
 
     assert chosen(q).cutoff == 30
     assert chosen(noisy, 30.0).cutoff == 30

@@ -1,4 +1,4 @@
-"""Friction: its forms, how reversals are learned, and which terms the ladder takes."""
+"""Friction: its forms, how reversals are learned, and which terms the select_friction_terms takes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.estimation import EstimationSettings, estimate
-from agent.estimation.selection import paper_terms
+from agent.estimation.friction_selection import paper_terms
 from agent.model.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns, dahl
 from agent.robot.rigid_bodies import rigid_bodies
 from agent.validation import predict_log

@@ -13,11 +13,11 @@ from agent.core.errors import InputError
 from agent.estimation import EstimationSettings, estimate
 from agent.estimation.blocks import partition
 from agent.estimation.filtering import FilterSettings
+from agent.estimation.friction_selection import paper_terms
 from agent.estimation.least_squares import weighted
 from agent.estimation.observation import observe
 from agent.estimation.prior import link_prior
 from agent.estimation.problem import Problem
-from agent.estimation.selection import paper_terms
 from agent.model.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns
 from agent.robot.rigid_bodies import rigid_bodies
 
@@ -54,7 +54,7 @@ def test_any_parameters_are_recovered(arm, multisine, make_log, dof, seed, slide
     values = np.append(rigid.projection @ standard, rng.normal(size=len(terms)))
     log = make_log(robot, t, q, torque_of(robot, rigid, terms, values, q, qd, qdd))
     observation = observe(rigid, [log], FilterSettings())
-    found = weighted(Problem.pose(observation, partition(observation.stretches), terms))
+    found = weighted(Problem.pose(observation, partition(observation.segments), terms))
     scale = np.abs(values) + np.append(np.full(rigid.count, 1e-3), np.ones(len(terms)))
     assert np.max(np.abs(found.parameters - values) / scale) < 2e-6
 

@@ -10,11 +10,11 @@ import pytest
 from agent.estimation import EstimationSettings, estimate
 from agent.estimation.blocks import partition
 from agent.estimation.filtering import FilterSettings
+from agent.estimation.friction_selection import paper_terms
 from agent.estimation.least_squares import weighted
 from agent.estimation.observation import observe
 from agent.estimation.prior import link_prior
 from agent.estimation.problem import Problem
-from agent.estimation.selection import paper_terms
 from agent.estimation.solving import autocorrelation_time
 from agent.estimation.uncertainty import covariance
 from agent.model.friction_terms import AxleMotion, Reversal, axle_columns
@@ -63,7 +63,7 @@ def test_intervals_cover_in_correlated_noise(arm, multisine, make_log):
 
 
 @pytest.mark.verify
-@pytest.mark.parametrize(("memory", "friction"), [(0.0, "paper"), (0.96, "paper"), (0.99, "paper"), (0.96, "ladder")])
+@pytest.mark.parametrize(("memory", "friction"), [(0.0, "paper"), (0.96, "paper"), (0.99, "paper"), (0.96, "selected")])
 def test_intervals_cover_over_two_hundred_runs(arm, multisine, make_log, measured, memory, friction):
     hits, shares = _covered(arm, multisine, make_log, range(200), 3, 20, memory, friction)
     for what, share in (("parameters", hits.mean()), ("predictions", shares.mean())):
@@ -86,8 +86,8 @@ def test_intervals_cover_with_more_trust_in_the_prior(arm, multisine, make_log):
         truth = rigid.projection @ rng.normal(mean, deviation)
         torque = rigid.torque(q, qd, qdd, truth) + rng.normal(size=q.shape)
         observation = observe(rigid, [make_log(robot, t, q, torque)], FilterSettings())
-        problem = Problem.pose(observation, partition(observation.stretches), paper_terms([Reversal()] * 2))
-        found = weighted(replace(problem, trust=1000 * problem.with_own_trust().trust))
+        problem = Problem.pose(observation, partition(observation.segments), paper_terms([Reversal()] * 2))
+        found = weighted(replace(problem, prior_weight=1000 * problem.with_own_prior_weight().prior_weight))
         deviations = np.sqrt(np.diag(covariance(problem, found)))
         error = np.abs(found.parameters - np.append(truth, np.zeros(6)))[: len(truth)]
         hits.append(error < 1.96 * deviations[: len(truth)])

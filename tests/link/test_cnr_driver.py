@@ -13,7 +13,7 @@ from drivers.cnr_address import CnrAddress, parse_address
 from drivers.cnr_points import _Feeder, trajectories
 from drivers.cnr_sockets import Sockets
 from drivers.errors import ConfigurationError, DriverError, ProtocolError, RefusedError
-from drivers.protocol import Driver, MeasuresCurrents, NeedsAPerson, TakesPoints, TellsFacts, ViaPoint
+from drivers.protocol import AcceptsViaPoints, Driver, MeasuresCurrents, ReportsDiagnostics, RequiresOperator, ViaPoint
 from drivers.registry import create
 from drivers.wire import cnr
 from drivers.wire.cnr import MessageType, Point, QueueStatus
@@ -66,10 +66,10 @@ def test_what_the_driver_offers_goes_by_its_address():
     for driver in (programs, points):
         assert isinstance(driver, Driver)
         assert isinstance(driver, MeasuresCurrents)
-        assert isinstance(driver, NeedsAPerson)
-        assert isinstance(driver, TellsFacts)
-    assert isinstance(points, TakesPoints)
-    assert not isinstance(programs, TakesPoints)
+        assert isinstance(driver, RequiresOperator)
+        assert isinstance(driver, ReportsDiagnostics)
+    assert isinstance(points, AcceptsViaPoints)
+    assert not isinstance(programs, AcceptsViaPoints)
 
 
 # --- the sockets

@@ -14,7 +14,7 @@ class AsymmetricFriction(Effect):
     signature = "residual of one sign while the joint moves either way, gone at standstill or growing with speed"
     confused_with = ("torque_offset",)
     look_at = "one-sided bearing load, seals, preload of a screw or belt"
-    limits = ("torque_offset",)
+    special_cases = ("torque_offset",)
 
     def settings(self, survey, joints):
         return [{"coulomb": 1.0}, {"viscous": 1.0}, {"coulomb": 1.0, "viscous": 1.0}]
@@ -27,5 +27,5 @@ class AsymmetricFriction(Effect):
         parts = {"coulomb": np.abs(signals.direction(axle)), "viscous": signals.axles.magnitude[:, axle]}
         return on_axle(signals.reference, axle, *(parts[kind] for kind in parts if kind in settings))
 
-    def freedom(self, settings):
+    def n_parameters(self, settings):
         return len(settings)

@@ -19,7 +19,7 @@ class Backlash(TwoMass):
     confused_with = ("presliding", "joint_elasticity")
     look_at = "play of the gear: turn the link by hand with the motor braked"
     refined = ("gap", "stiffness", "damping")
-    limits = ("joint_elasticity",)
+    special_cases = ("joint_elasticity",)
     grid = tuple((float(frequency), _DAMPING, float(gap)) for frequency in _FREQUENCIES for gap in _GAPS)
     few = tuple((frequency, _DAMPING, gap) for frequency in (22.0, 45.0) for gap in (8e-4, 3e-3))
 

@@ -1,4 +1,4 @@
-"""External force over a stretch of time."""
+"""External force over a segment of time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.model.effects.effect import Effect
-from agent.model.signals import Signals
+from agent.model.signals import MotionSignals
 
 _DURATIONS = (0.3, 0.4, 0.55, 0.75, 1.0, 1.35, 1.8, 2.4, 3.2, 4.2)  # s
 _STARTS = 0.05  # s
@@ -17,13 +17,13 @@ _ALONE = 2.0  # times the window at the same place of another cycle
 
 
 class Contact(Effect):
-    """τ = −Jᵀ F over one stretch of time in each of some logs, F constant but for its edges: a force on the tip."""
+    """τ = −Jᵀ F over one segment of time in each of some logs, F constant but for its edges: a force on the tip."""
 
     name = "contact"
     scope = "arm"
     formula = "−J(q)ᵀ · F · window(t)"
     source = "Haddadin, De Luca, Albu-Schäffer, IEEE Trans. Robotics 33 (2017)"
-    signature = "residual in one stretch of time that does not come back with the next cycle"
+    signature = "residual in one segment of time that does not come back with the next cycle"
     confused_with = ()
     look_at = "what the arm touched at that time: a person, a fixture, a caught hose"
     once = True
@@ -31,7 +31,7 @@ class Contact(Effect):
     def settings(self, survey, joints):
         """Where three force components leave least: single windows, then one in each of several logs.
 
-        A model's own error makes windows too. A contact stands out from the other stretches of its length, and does
+        A model's own error makes windows too. A contact stands out from the other segments of its length, and does
         not come back at the same place of the next cycle.
         """
         sums = [_Sums.of(*parts) for parts in zip(survey.signals, survey.residuals, survey.sigmas, strict=True)]
@@ -86,7 +86,7 @@ class _Sums:
     side: np.ndarray
 
     @classmethod
-    def of(cls, signals: Signals, residual: np.ndarray, sigma: np.ndarray) -> _Sums:
+    def of(cls, signals: MotionSignals, residual: np.ndarray, sigma: np.ndarray) -> _Sums:
         columns = -signals.jacobian[signals.kept] / sigma[:, None]
         gram = np.cumsum(np.einsum("san,sbn->sab", columns, columns), axis=0)
         side = np.cumsum(np.einsum("san,sn->sa", columns, residual / sigma), axis=0)

@@ -21,9 +21,9 @@ class DressPack(Effect):
     source = "hose as a spring with inner friction (Dahl, AIAA J. 14, 1976); natural splines (de Boor, 1978)"
     signature = "residual that depends on the joint's own position, without the shape of gravity"
     confused_with = ("gravity_spring", "torque_offset", "friction_change")
-    twins = ("gravity_spring",)
+    structurally_equivalent = ("gravity_spring",)
     look_at = "hoses and cables at this joint: stiff, caught or too short"
-    limits = ("torque_offset",)
+    special_cases = ("torque_offset",)
 
     def settings(self, survey, joints):
         low = float(min(s.q[:, joints[0]].min() for s in survey.signals))
@@ -42,7 +42,7 @@ class DressPack(Effect):
             parts = [*parts, dahl(q, np.array([settings["travel"]]))[:, 0]]
         return {joints[0]: np.column_stack(parts)}
 
-    def freedom(self, settings):
+    def n_parameters(self, settings):
         return len(self.names(settings))
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
-from agent.model.signals import Reference, Signals
+from agent.model.signals import MotionSignals, NominalModel
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 Columns = dict[int, np.ndarray]
 
 
-class Survey(Protocol):
+class FitContext(Protocol):
     """What an effect may look at to choose where its nonlinear parameters are tried."""
 
-    reference: Reference
-    signals: Sequence[Signals]
+    reference: NominalModel
+    signals: Sequence[MotionSignals]
     residuals: Sequence[np.ndarray]
     sigmas: Sequence[np.ndarray]
 
@@ -35,11 +35,12 @@ class Survey(Protocol):
 class Effect(ABC):
     """One effect of the vocabulary.
 
-    `scope` is joint, pair, arm or base. `limits` are the simpler forms that it turns into at the border of its
-    parameters: it has to do better than they do to be named. `twins` are forms that equal it by definition unless the
-    data tell them apart: where they do as well it is not named with confidence, in the catalogue or not. `practical`
-    is the smallest torque that matters, root mean square over nominal. `once` marks an effect that happens once, so
-    that another log tells nothing about it; `refined` are the nonlinear parameters worth a finer search.
+    `scope` is joint, pair, arm or base. `special_cases` are the simpler forms that it turns into at the border of its
+    parameters: it has to do better than they do to be named. `structurally_equivalent` are forms that equal it by
+    definition unless the data tell them apart: where they do as well it is not named with confidence, in the
+    catalogue or not. `practical` is the smallest torque that matters, root mean square over nominal. `once` marks an
+    effect that happens once, so that another log tells nothing about it; `refined` are the nonlinear parameters worth
+    a finer search.
     """
 
     name: ClassVar[str]
@@ -50,8 +51,8 @@ class Effect(ABC):
     confused_with: ClassVar[tuple[str, ...]] = ()
     practical: ClassVar[float] = 0.01
     look_at: ClassVar[str]
-    limits: ClassVar[tuple[str, ...]] = ()
-    twins: ClassVar[tuple[str, ...]] = ()
+    special_cases: ClassVar[tuple[str, ...]] = ()
+    structurally_equivalent: ClassVar[tuple[str, ...]] = ()
     once: ClassVar[bool] = False
     refined: ClassVar[tuple[str, ...]] = ()
 
@@ -59,7 +60,7 @@ class Effect(ABC):
         """Joints (from 0) it may sit on."""
         return [(k,) for k in range(robot.dof)] if self.scope == "joint" else [()]
 
-    def settings(self, survey: Survey, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         """Nonlinear parameters to try; one empty dictionary where there are none."""
         return [{}]
 
@@ -73,16 +74,18 @@ class Effect(ABC):
         """(k,) names of the linear parameters."""
 
     def prepare(
-        self, motions: Sequence[Signals], wanted: Sequence[tuple[tuple[int, ...], Mapping[str, float]]]
+        self, motions: Sequence[MotionSignals], wanted: Sequence[tuple[tuple[int, ...], Mapping[str, float]]]
     ) -> None:
         """Work out together what several (joints, settings) need of all motions, where that saves time."""
         return
 
     @abstractmethod
-    def columns(self, signals: Signals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         """Torque per unit of each linear parameter."""
 
-    def doubt(self, survey: Survey, joints: tuple[int, ...], settings: Mapping[str, float]) -> np.ndarray | None:
+    def prior_std(
+        self, survey: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
+    ) -> np.ndarray | None:
         """(k,) what the parameters may be at most, roughly; None: anything."""
         return None
 
@@ -90,25 +93,25 @@ class Effect(ABC):
         """Whether fitted parameters can be true."""
         return True
 
-    def freedom(self, settings: Mapping[str, float]) -> int:
+    def n_parameters(self, settings: Mapping[str, float]) -> int:
         """Number of parameters, nonlinear ones included."""
         return len(self.names(settings)) + len(settings)
 
 
-def on_axle(reference: Reference, axle: int, *columns: np.ndarray) -> Columns:
+def on_axle(reference: NominalModel, axle: int, *columns: np.ndarray) -> Columns:
     """Torques (S,) on one axle as the joints feel them, Cᵀ f."""
     block = np.column_stack(columns)
     share = reference.coupling[axle]
     return {int(joint): share[joint] * block for joint in np.flatnonzero(share)}
 
 
-def highest_speed(survey: Survey, axle: int) -> float:
+def highest_speed(survey: FitContext, axle: int) -> float:
     """Of an axle over all motions [rad/s], not below a millionth of what the joint could."""
     seen = max(float(np.abs(s.axles.speed[:, axle]).max()) for s in survey.signals)
     return max(seen, 1e-6 * float(survey.reference.robot.max_velocity[axle]))
 
 
-def travelled(survey: Survey, axle: int) -> tuple[float, float]:
+def travelled(survey: FitContext, axle: int) -> tuple[float, float]:
     """Lowest and highest position of an axle over all motions [rad]."""
     low = min(float(s.axles.position[:, axle].min()) for s in survey.signals)
     high = max(float(s.axles.position[:, axle].max()) for s in survey.signals)

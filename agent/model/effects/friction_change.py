@@ -24,5 +24,5 @@ class FrictionChange(Effect):
         parts = {"coulomb": signals.direction(axle), "viscous": signals.axles.speed[:, axle]}
         return on_axle(signals.reference, axle, *(parts[kind] for kind in parts if kind in settings))
 
-    def freedom(self, settings):
+    def n_parameters(self, settings):
         return len(settings)

@@ -13,9 +13,9 @@ class GravitySpring(Effect):
     source = "two pivots and a spring: Klimchik, Wu, Caro, Dumas, Furet, Pashkevich, arXiv:1311.6674 (2013)"
     signature = "residual that is a smooth function of the joint's own angle, like a pendulum's"
     confused_with = ("dress_pack", "inertial_mismatch", "torque_offset")
-    twins = ("dress_pack",)
+    structurally_equivalent = ("dress_pack",)
     look_at = "balancer: spring, gas pressure of the cylinder, its pivots"
-    limits = ("torque_offset",)
+    special_cases = ("torque_offset",)
 
     def settings(self, survey, joints):
         if survey.reference.robot.joints[joints[0]].prismatic:
@@ -30,5 +30,5 @@ class GravitySpring(Effect):
         parts = [f(h * q) for h in range(1, int(settings["harmonics"]) + 1) for f in (np.cos, np.sin)]
         return {joints[0]: np.column_stack(parts)}
 
-    def freedom(self, settings):
+    def n_parameters(self, settings):
         return 2 * int(settings["harmonics"])

@@ -8,7 +8,7 @@ _NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 
 
 class InertialMismatch(Effect):
-    """τ = Y_k a: ten parameters of one link, or those of all links, each within its doubt."""
+    """τ = Y_k a: ten parameters of one link, or those of all links, each within its prior deviation."""
 
     name = "inertial_mismatch"
     scope = "arm"
@@ -16,9 +16,9 @@ class InertialMismatch(Effect):
     source = "Atkeson, An, Hollerbach, Int. J. Robotics Research 5 (1986)"
     signature = "residual of weight and inertia on the joints from the base up to one link"
     confused_with = ("payload", "gravity_spring", "encoder_offset", "torque_constant")
-    twins = ("encoder_offset", "payload", "base_tilt", "gravity_spring")
+    structurally_equivalent = ("encoder_offset", "payload", "base_tilt", "gravity_spring")
     look_at = "what was bolted to or taken off this link; link data of the robot description"
-    limits = ("payload",)
+    special_cases = ("payload",)
 
     def settings(self, survey, joints):
         return [{"link": float(k + 1)} for k in range(survey.reference.robot.dof)]
@@ -30,9 +30,9 @@ class InertialMismatch(Effect):
         last = int(settings["link"])
         return {joint: signals.standard[:, joint, 10 * (last - 1) : 10 * last] for joint in range(last)}
 
-    def doubt(self, survey, joints, settings):
+    def prior_std(self, survey, joints, settings):
         last = int(settings["link"])
-        return np.asarray(survey.reference.doubt[10 * (last - 1) : 10 * last])
+        return np.asarray(survey.reference.prior_std[10 * (last - 1) : 10 * last])
 
-    def freedom(self, settings):
+    def n_parameters(self, settings):
         return 10

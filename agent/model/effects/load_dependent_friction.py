@@ -14,7 +14,7 @@ class LoadDependentFriction(Effect):
     signature = "residual with the sign of the speed, larger where the arm reaches out or accelerates"
     confused_with = ("friction_change", "torque_constant")
     look_at = "gear efficiency: tooth or wave-generator wear, overload"
-    limits = ("friction_change",)
+    special_cases = ("friction_change",)
 
     def names(self, settings):
         return ("coefficient",)

@@ -54,14 +54,14 @@ class Payload(Effect):
             link = link @ change
         return {joint: link[:, joint] for joint in range(n)}
 
-    def doubt(self, survey, joints, settings):
+    def prior_std(self, survey, joints, settings):
         return np.array([20.0, 5.0, 5.0, 5.0, *([0.5] if settings else [2.0] * 6)])
 
     def plausible(self, settings, values):
         moment = np.array([values["moment_x"], values["moment_y"], values["moment_z"]])
         return values["mass"] > 0.01 and bool(np.linalg.norm(moment) < 1.0 * values["mass"])
 
-    def freedom(self, settings):
+    def n_parameters(self, settings):
         return 4
 
 

@@ -14,7 +14,7 @@ class Presliding(Effect):
     confused_with = ("stribeck", "backlash")
     look_at = "gear wind-up and preloaded bearings; flexspline and seals that give way before they slide"
     refined = ("travel",)
-    limits = ("friction_change",)
+    special_cases = ("friction_change",)
 
     def settings(self, survey, joints):
         low, high = travelled(survey, joints[0])

@@ -18,7 +18,7 @@ class Stribeck(Effect):
     confused_with = ("friction_change", "presliding", "viscous_nonlinearity")
     look_at = "lubrication and seals of the gear: starved or cold grease lets friction rise at low speed"
     refined = ("speed",)
-    limits = ("friction_change",)
+    special_cases = ("friction_change",)
 
     def settings(self, survey, joints):
         fastest = highest_speed(survey, joints[0])

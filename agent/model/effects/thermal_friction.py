@@ -17,7 +17,7 @@ class ThermalFriction(Effect):
     confused_with = ("friction_change", "torque_constant")
     look_at = "temperature of gear and motor: let the arm warm up, or compare a cold and a warm run"
     refined = ("time_constant",)
-    limits = ("friction_change",)
+    special_cases = ("friction_change",)
 
     def settings(self, survey, joints):
         longest = max(float(s.time[-1]) for s in survey.signals)
@@ -37,5 +37,5 @@ class ThermalFriction(Effect):
         slide, speed = signals.direction(axle), signals.axles.speed[:, axle]
         return on_axle(signals.reference, axle, slide, slide * fading, speed, speed * fading)
 
-    def freedom(self, settings):
+    def n_parameters(self, settings):
         return 5

@@ -40,5 +40,5 @@ class TimeDelay(Effect):
     def plausible(self, settings, values):
         return 0.5 < values["share"] < 1.5
 
-    def freedom(self, settings):
+    def n_parameters(self, settings):
         return 1

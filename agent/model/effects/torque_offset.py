@@ -13,7 +13,7 @@ class TorqueOffset(Effect):
     source = "by definition: a constant added to the torque channel"
     signature = "constant residual"
     confused_with = ("asymmetric_friction", "gravity_spring", "dress_pack")
-    twins = ("asymmetric_friction",)
+    structurally_equivalent = ("asymmetric_friction",)
     look_at = "zero of the current sensor of this drive; a constant force such as a hose or a balancer"
 
     def names(self, settings):

@@ -60,5 +60,5 @@ class TorqueRipple(Effect):
         parts = [f(h * phase) for h in range(1, int(settings["harmonics"]) + 1) for f in (np.cos, np.sin)]
         return on_axle(signals.reference, joints[0], *parts)
 
-    def freedom(self, settings):
+    def n_parameters(self, settings):
         return 1 + 2 * int(settings["harmonics"])

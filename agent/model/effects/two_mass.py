@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from agent.model.effects.effect import Effect, Survey
-from agent.model.signals import Signals
+from agent.model.effects.effect import Effect, FitContext
+from agent.model.signals import MotionSignals
 
 _RATE = 1500.0  # Hz of the integration, at least
 _TRIED = 2  # of a joint's grid, in full
@@ -19,7 +19,7 @@ _NEIGHBOURS = (1.12, 1.05)  # factors of frequency and play, finer with every ro
 
 
 def leads(
-    motions: Sequence[Signals], joints: np.ndarray, stiffness: np.ndarray, gap: np.ndarray, damping: np.ndarray
+    motions: Sequence[MotionSignals], joints: np.ndarray, stiffness: np.ndarray, gap: np.ndarray, damping: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Per motion ṗ [N·m] and d̈ [rad/s²] of the motor's lead d over the link, (S, K) float32, K of each argument (K,).
 
@@ -91,7 +91,7 @@ class TwoMass(Effect):
         return best
 
     def _best(
-        self, survey: Survey, k: int, tried: Sequence[dict[str, float]], columns: np.ndarray
+        self, survey: FitContext, k: int, tried: Sequence[dict[str, float]], columns: np.ndarray
     ) -> tuple[list[dict[str, float]], float]:
         """The ones that gain most, possible ones first, and the first one's gain."""
         gain, share = survey.gains_alone(k, columns)
@@ -105,7 +105,7 @@ class TwoMass(Effect):
         values = [[entry[name] * steps[name] ** power for power in (-1, 0, 1)] for name in entry]
         return [dict(zip(entry, combination, strict=True)) for combination in product(*values)]
 
-    def _alone(self, survey: Survey) -> dict[int, tuple[list[dict[str, float]], np.ndarray]]:
+    def _alone(self, survey: FitContext) -> dict[int, tuple[list[dict[str, float]], np.ndarray]]:
         """Per joint: what is tried, and (S', len(tried)) torque on that joint alone, all motions in a row."""
         known = survey.signals[0].__dict__.setdefault("_alone", {})
         if self.name not in known:
@@ -114,7 +114,7 @@ class TwoMass(Effect):
             known[self.name] = {k: (entries, self._on_joint(survey, k, entries)) for k, entries in tried.items()}
         return known[self.name]
 
-    def _tried(self, survey: Survey, k: int) -> list[dict[str, float]]:
+    def _tried(self, survey: FitContext, k: int) -> list[dict[str, float]]:
         inertia = float(np.mean([s.mass[:, k, k].mean() for s in survey.signals]))
         energy = _energy(survey)
         grid = self.grid if energy[k] > min(_SUSPECT, 0.5 * energy.max()) else self.few
@@ -123,7 +123,7 @@ class TwoMass(Effect):
             for frequency, damping, gap in grid
         ]
 
-    def _on_joint(self, survey: Survey, k: int, tried: Sequence[Mapping[str, float]]) -> np.ndarray:
+    def _on_joint(self, survey: FitContext, k: int, tried: Sequence[Mapping[str, float]]) -> np.ndarray:
         parts = []
         for signals in survey.signals:
             parts.append(signals.low_pass(-np.stack([self._lead(signals, k, entry)[0] for entry in tried], axis=1)))
@@ -142,7 +142,7 @@ class TwoMass(Effect):
         for of_motion, (torque, second) in zip(known, leads(motions, joints, stiffness, gap, damping), strict=True):
             of_motion.update(zip(new, zip(torque.T, second.T, strict=True), strict=True))
 
-    def _lead(self, signals: Signals, k: int, settings: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    def _lead(self, signals: MotionSignals, k: int, settings: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         return signals.__dict__["_leads"][_key(k, settings)]
 
     def columns(self, signals, joints, settings):
@@ -152,11 +152,11 @@ class TwoMass(Effect):
         others = {j: -(signals.mass[:, j, k] * second)[:, None] for j in range(signals.q.shape[1])}
         return {**others, k: -torque[:, None].astype(float)}
 
-    def freedom(self, settings):
+    def n_parameters(self, settings):
         return 2
 
 
-def _energy(survey: Survey) -> np.ndarray:
+def _energy(survey: FitContext) -> np.ndarray:
     """(n,) mean of (e / σ)² of what is left."""
     parts = zip(survey.residuals, survey.sigmas, strict=True)
     return np.mean(np.concatenate([(left / sigma) ** 2 for left, sigma in parts]), axis=0)

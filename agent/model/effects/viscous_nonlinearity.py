@@ -14,7 +14,7 @@ class ViscousNonlinearity(Effect):
     signature = "residual with the sign of the speed, bent at high speed"
     confused_with = ("friction_change", "stribeck")
     look_at = "grease: viscosity, fill level, churning at high speed"
-    limits = ("friction_change",)
+    special_cases = ("friction_change",)
 
     def settings(self, survey, joints):
         fastest = highest_speed(survey, joints[0])

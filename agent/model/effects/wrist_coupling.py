@@ -4,7 +4,7 @@ import numpy as np
 
 from agent.model.effects.effect import Effect
 from agent.model.friction_terms import AxleMotion, axle_columns
-from agent.model.signals import Signals
+from agent.model.signals import MotionSignals
 
 _RATIOS = (0.05, 0.068, 0.09, 0.12, 0.16, 0.22, 0.3, 0.4, 0.55, 0.74, 1.0)
 _FREE_RATIOS = (0.1, 0.3, 0.6, 1.0)
@@ -28,7 +28,7 @@ class WristCoupling(Effect):
     signature = "residual on two wrist axes, each with the speed and acceleration of the other"
     confused_with = ("friction_change",)
     look_at = "motor_coupling in the robot description; coupling compensation of the controller"
-    limits = ("friction_change",)
+    special_cases = ("friction_change",)
     refined = ("ratio",)
 
     def places(self, robot):
@@ -79,11 +79,11 @@ class WristCoupling(Effect):
     def plausible(self, settings, values):
         return values["rotor"] > 0 and 0.3 < values.get("share", 1.0) < 1.7 and values.get("transmission", -1.0) < 0
 
-    def freedom(self, settings):
+    def n_parameters(self, settings):
         return 1 + len(self.names(settings))
 
 
-def _friction(signals: Signals, axle: int, joint: int, ratio: float, free: bool) -> np.ndarray:
+def _friction(signals: MotionSignals, axle: int, joint: int, ratio: float, free: bool) -> np.ndarray:
     """(S, 1) of the model, or (S, 2) parts of its own, remembered: both sides ask for the same."""
     known = signals.__dict__.setdefault("_turning", {})
     key = (axle, joint if ratio else axle, ratio, free)
@@ -92,7 +92,7 @@ def _friction(signals: Signals, axle: int, joint: int, ratio: float, free: bool)
     return known[key]
 
 
-def _model_friction(signals: Signals, axle: int, joint: int, ratio: float) -> np.ndarray:
+def _model_friction(signals: MotionSignals, axle: int, joint: int, ratio: float) -> np.ndarray:
     """(S, 1) friction of the model on an axle that also turns with a joint."""
     model, seen = signals.reference.model, signals.axles
     position, speed = seen.position.copy(), seen.speed.copy()
@@ -103,7 +103,7 @@ def _model_friction(signals: Signals, axle: int, joint: int, ratio: float) -> np
     return columns @ model.values[[k for k, _ in terms], None]
 
 
-def _viscous_and_coulomb(signals: Signals, axle: int, joint: int, ratio: float) -> np.ndarray:
+def _viscous_and_coulomb(signals: MotionSignals, axle: int, joint: int, ratio: float) -> np.ndarray:
     """(S, 2) speed and direction of an axle that also turns with a joint."""
     reversal = signals.reference.reversals[axle]
     scale = reversal.scale if reversal.kind == "speed" else 0.0

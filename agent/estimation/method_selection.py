@@ -34,9 +34,9 @@ def choose(problem: Problem, estimators: dict[str, Callable[[Problem], Estimate]
     best = max(better, key=lambda name: better[name]) if better else first
     table = ", ".join(f"{name} {np.sqrt(error.sum() / errors[first].sum()):.3f}" for name, error in errors.items())
     reason = (
-        f"{best} predicts held-out stretches better than {first}, by more than the scatter between them"
+        f"{best} predicts held-out segments better than {first}, by more than the scatter between them"
         if better
-        else f"no other is better than {first} by more than the scatter between held-out stretches"
+        else f"no other is better than {first} by more than the scatter between held-out segments"
     )
     notes = [f"Method: {best}; {reason} (held-out error over that of {first}: {table}).", found[best].note]
     if errors["consistent"].sum() > _NOT_PHYSICAL**2 * errors[first].sum():

@@ -1,4 +1,4 @@
-"""The friction ladder: which terms each axle gets, decided by held-out error.
+"""The friction select_friction_terms: which terms each axle gets, decided by held-out error.
 
 Every axle starts with the paper's three terms. How its sliding reverses is learned: from a grid of transition speeds
 and of presliding travels, then from two finer ones around the best. Further terms come one at a time per axle, where
@@ -44,13 +44,13 @@ def paper_terms(reversals: Sequence[Reversal]) -> tuple[FrictionTerm, ...]:
     )
 
 
-def ladder(observation: Observation, partition: Partition) -> Problem:
-    """Climb the ladder; the problem of fitting the terms it ends with."""
+def select_friction_terms(observation: Observation, partition: Partition) -> Problem:
+    """Climb the select_friction_terms; the problem of fitting the terms it ends with."""
     n = observation.robot.dof
     coupling = observation.robot.coupling
-    fastest = np.max([np.abs(s.motion.qd @ coupling.T).max(axis=0) for s in observation.stretches], axis=0)
+    fastest = np.max([np.abs(s.motion.qd @ coupling.T).max(axis=0) for s in observation.segments], axis=0)
     fastest = np.maximum(fastest, 1e-6 * observation.robot.max_velocity)
-    axles = (stretch.motion.q @ coupling.T for stretch in observation.stretches)
+    axles = (segment.motion.q @ coupling.T for segment in observation.segments)
     ends = np.array([(positions.min(axis=0), positions.max(axis=0)) for positions in axles])
     travelled = np.maximum(ends[:, 1].max(axis=0) - ends[:, 0].min(axis=0), 1e-6)
     grids = [
@@ -65,18 +65,20 @@ def ladder(observation: Observation, partition: Partition) -> Problem:
     sharp = np.array([k for k, term in enumerate(wide.terms) if term.reversal in (None, Reversal())])
     links = choose_links(wide.select(sharp)).links
     problem, reversals = _best_reversals(wide.with_links(links))
-    problem = problem.with_own_trust()
+    problem = problem.with_own_prior_weight()
     for factors in _FINER:
         grids = [[replace(r, scale=r.scale * factor) for factor in factors] if r.scale else [r] for r in reversals]
-        finer = replace(_with_reversals(observation, partition, grids).with_links(links), trust=problem.trust)
+        finer = replace(
+            _with_reversals(observation, partition, grids).with_links(links), prior_weight=problem.prior_weight
+        )
         problem, reversals = _best_reversals(finer)
 
-    weights = iterate_weights(problem.moments, problem.prior, problem.trust)
-    load = solve(problem.moments, weights, problem.prior, problem.trust)[: observation.rigid.count]
+    weights = iterate_weights(problem.moments, problem.prior, problem.prior_weight)
+    load = solve(problem.moments, weights, problem.prior, problem.prior_weight)[: observation.rigid.count]
     candidates = (term for axle in range(n) for term in _candidates(axle, reversals[axle], float(fastest[axle])))
     terms = (*paper_terms(reversals), *candidates)
-    wide = Problem.pose(observation, partition, terms, load, problem.trust, keep=True, links=links)
-    return wide.select(_climb(wide, weights, len(problem.terms)))
+    wide = Problem.pose(observation, partition, terms, load, problem.prior_weight, keep=True, links=links)
+    return wide.select(_forward_selection(wide, weights, len(problem.terms)))
 
 
 def _candidates(axle: int, reversal: Reversal, fastest: float) -> list[FrictionTerm]:
@@ -119,11 +121,11 @@ def _best_reversals(problem: Problem) -> tuple[Problem, list[Reversal]]:
     reversals = {}
     for _ in range(2):
         fit = problem.select(np.array(sorted([*fixed, *choice.values()])))
-        total = problem.moments.weighted(iterate_weights(fit.moments, fit.prior, fit.trust))
+        total = problem.moments.weighted(iterate_weights(fit.moments, fit.prior, fit.prior_weight))
         for axle, found in options.items():
             others = [*fixed, *(k for a, k in choice.items() if a != axle)]
             others = np.concatenate([np.arange(base), base + np.array(others)])
-            error = _trial(total, total, problem.prior, fit.trust, others, base + found)[1]
+            error = _trial(total, total, problem.prior, fit.prior_weight, others, base + found)[1]
             choice[axle] = int(found[np.argmin(error)])
             reversals[axle] = _between([problem.terms[k].reversal or Reversal() for k in found], error)
     return problem.select(np.array(sorted([*fixed, *choice.values()]))), list(reversals.values())
@@ -143,11 +145,11 @@ def _between(grid: list[Reversal], error: np.ndarray) -> Reversal:
 
 
 def _trial(
-    train: np.ndarray, test: np.ndarray, prior: Prior, trust: float, taken: np.ndarray, candidates: np.ndarray
+    train: np.ndarray, test: np.ndarray, prior: Prior, prior_weight: float, taken: np.ndarray, candidates: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """Squared error on `test` of the taken columns fitted on `train`, and with each candidate (c,) besides."""
-    matrix = train[:-1, :-1] + trust * prior.precision
-    right = train[:-1, -1] + trust * prior.precision @ prior.mean
+    matrix = train[:-1, :-1] + prior_weight * prior.precision
+    right = train[:-1, -1] + prior_weight * prior.precision @ prior.mean
     scale = 1 / np.sqrt(np.diag(matrix))
     a = matrix[np.ix_(taken, taken)] * np.outer(scale[taken], scale[taken])
     b = np.column_stack([matrix[np.ix_(taken, candidates)], right[taken]]) * scale[taken][:, None]
@@ -166,9 +168,9 @@ def _trial(
     return float(error), error + 2 * step * lean + step**2 * bend
 
 
-def _climb(problem: Problem, weights: np.ndarray, count: int) -> np.ndarray:
+def _forward_selection(problem: Problem, weights: np.ndarray, count: int) -> np.ndarray:
     """The first `count` terms and what else lowers held-out error; at most one per axle and round, each form once."""
-    partition, prior, trust = problem.partition, problem.prior, problem.trust
+    partition, prior, prior_weight = problem.partition, problem.prior, problem.prior_weight
     base, axles = problem.observation.rigid.count, np.array([term.axle for term in problem.terms])
     names = [term.name for term in problem.terms]
     folds = range(partition.folds)
@@ -179,7 +181,7 @@ def _climb(problem: Problem, weights: np.ndarray, count: int) -> np.ndarray:
         present = {names[k] for k in taken}
         free = np.array([k for k, name in enumerate(names) if name not in present], dtype=int)
         columns = np.concatenate([np.arange(base), base + np.array(taken)])
-        trials = [_trial(a, b, prior, trust, columns, base + free) for a, b in zip(train, test, strict=True)]
+        trials = [_trial(a, b, prior, prior_weight, columns, base + free) for a, b in zip(train, test, strict=True)]
         gains = np.array([before - after for before, after in trials])
         mean = gains.sum(axis=0)
         least = _LEAST_GAIN * sum(before for before, _ in trials) / (1 + axles.max())
