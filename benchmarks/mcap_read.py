@@ -87,7 +87,7 @@ def write_ours(path: Path, blocks: list[SampleBlock]) -> None:
 def write_theirs(path: Path, blocks: list[SampleBlock]) -> None:
     from mcap_ros2.writer import Writer
 
-    from agent.recording.joint_state import SCHEMA_NAME, SCHEMA_TEXT
+    from agent.recording.mcap.joint_state import SCHEMA_NAME, SCHEMA_TEXT
 
     with open(path, "wb") as file, Writer(file, chunk_size=64 * 1024) as writer:
         schema = writer.register_msgdef(SCHEMA_NAME, SCHEMA_TEXT)

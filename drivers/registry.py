@@ -18,10 +18,10 @@ GROUP = "calibration_agent.drivers"
 
 # Named here too, so that a source tree that was never installed has them.
 _BUILT_IN = {
-    "tcp": "drivers.tcp:TcpDriver",
-    "modbus": "drivers.modbus:ModbusDriver",
-    "serial": "drivers.serial:create",
-    "cnr_comau": "drivers.cnr_comau:create",
+    "tcp": "drivers.transports.tcp:TcpDriver",
+    "modbus": "drivers.transports.modbus.driver:ModbusDriver",
+    "serial": "drivers.transports.serial:create",
+    "cnr_comau": "drivers.transports.cnr:create",
 }
 
 _log = logging.getLogger(__name__)

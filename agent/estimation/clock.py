@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.recording.grid import line, sample_numbers, settled
 from agent.recording.log import Log
+from agent.recording.repair.grid import line, sample_numbers, settled
 from agent.recording.scratch import parts
 
 _HALO = 100  # samples at either side of a part, beyond which a spline does not feel its knots

@@ -17,7 +17,7 @@ from agent.robot import RobotDescription
 from agent.robot.drivetrain import rotor_regressor
 from agent.robot.dynamics import Dynamics, Tool
 from agent.robot.kinematics import Kinematics, KinematicsError, kinematics_for
-from agent.robot.numerical_kinematics import NumericalKinematics
+from agent.robot.kinematics.numerical import NumericalKinematics
 from agent.safety.cell import Cell, CellReport
 
 if TYPE_CHECKING:

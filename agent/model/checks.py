@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from agent.model.data import ModelData
 from agent.model.friction_terms import FORMS, FrictionTerm
 from agent.robot import RobotDescription
-
-if TYPE_CHECKING:
-    from agent.model.identified import IdentifiedModel
 
 _REVERSING = ("coulomb", "stribeck", "load")
 
 
-def check_model(model: IdentifiedModel) -> None:
+def check_model(model: ModelData) -> None:
     """Raise ValueError where a model read from a file cannot be used."""
     robot = model.robot
     check_robot(robot)

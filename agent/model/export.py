@@ -95,7 +95,7 @@ def urdf_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -
 
 def mujoco_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -> str:
     """The same as a MuJoCo model, without geometry."""
-    from agent.robot.kinematic_chain import joint_axes
+    from agent.robot.kinematics.chain import joint_axes
 
     robot, dynamics = model.robot, model.rigid.dynamics
     root = Element("mujoco", model=robot.name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -14,20 +14,12 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.model.checks import check_model
+from agent.model.data import ModelData, ModelEffect
 from agent.model.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns
 from agent.robot import RobotDescription
 from agent.robot.rigid_bodies import RigidBodies
 
 SCHEMA = "model/1"
-
-
-@dataclass(frozen=True)
-class ModelEffect:
-    """Something beyond rigid bodies and friction that adds torque: an effect's name, its joints and parameters."""
-
-    effect: str
-    joints: tuple[str, ...]
-    parameters: dict[str, float]
 
 
 #: Torque (S, n) an effect adds: (model, entry, motion with keys time, q, qd, qdd, torque predicted so far) → (S, n).
@@ -36,39 +28,8 @@ EFFECTS: dict[str, EffectTorque] = {}
 
 
 @dataclass(frozen=True, eq=False)
-class IdentifiedModel:
-    """A fitted model of one robot, self-contained.
-
-    Its p parameters are b base parameters (rotor inertias among them), then the friction terms: values (p,) and
-    covariance (p, p). `independent`, `projection` and `combinations` are those of `agent.robot.base_parameters`;
-    `residual_rmse` and `held_out_rmse` (n,) [N·m] are of the fit and of its cross-validation, standstill included;
-    `weights` (2, n) are the fit's, in motion and at standstill; `group_rmse` (2, n) is the held-out RMSE of the same
-    groups, and `standstill_speed` (n,) up to which a joint stands still (None in older files); `cutoff` [Hz] and
-    `order` are the filter's; `standard` (10 n + n,) are physical inertial parameters behind the base parameters, where
-    the method found them.
-    """
-
-    robot: RobotDescription
-    independent: np.ndarray
-    projection: np.ndarray
-    standard_names: tuple[str, ...]
-    combinations: tuple[str, ...]
-    terms: tuple[FrictionTerm, ...]
-    values: np.ndarray
-    covariance: np.ndarray
-    cutoff: float
-    order: int
-    method: str
-    weights: np.ndarray
-    residual_rmse: np.ndarray
-    held_out_rmse: np.ndarray
-    condition_number: float
-    standard: np.ndarray | None = None
-    group_rmse: np.ndarray | None = None
-    standstill_speed: np.ndarray | None = None
-    notes: tuple[str, ...] = ()
-    effects: tuple[ModelEffect, ...] = ()
-    provenance: dict[str, Any] = field(default_factory=dict)
+class IdentifiedModel(ModelData):
+    """A fitted model of one robot, self-contained: its data, and what can be asked of them."""
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core.errors import InputError
-from agent.motion import path_rotation as rotation
 from agent.motion.interpolator import MotionError
+from agent.motion.path import rotation
 from agent.motion.program import (
     CartesianTarget,
     Delay,

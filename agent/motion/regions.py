@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from agent.core.errors import InputError
-from agent.motion import path_rotation as rotation
+from agent.motion.path import rotation
 
 #: Slack of `contains`, in genes.
 _SLACK = 1e-6

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.recording.foxglove import FILTERED, PREDICTED, RESIDUAL
 from agent.recording.log import Log
-from agent.recording.log_file import LogFile, as_samples
+from agent.recording.mcap.foxglove import FILTERED, PREDICTED, RESIDUAL
+from agent.recording.mcap.log_file import LogFile, as_samples
 
 if TYPE_CHECKING:
     from agent.validation import Prediction

@@ -284,9 +284,8 @@ def _targets(recipe: Recipe, loop: Loop) -> list[Target]:
         passed.append(kinematics.solve(pose, there))
     if not hasattr(kinematics, "solve_configuration"):
         return [JointTarget(position) for position in passed]
-    from agent.robot.configuration import configuration_of
 
     return [
-        CartesianTarget(pose, configuration_of(kinematics, position))
+        CartesianTarget(pose, kinematics.configuration_text(position))
         for pose, position in zip(loop.poses, passed, strict=True)
     ]

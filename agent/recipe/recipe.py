@@ -273,7 +273,7 @@ def _contradictions(
     path: Path, document: RecipeDocument, robot: RobotDescription
 ) -> Iterator[tuple[tuple[str, ...], str]]:
     """What is wrong between values that are each right by themselves."""
-    from agent.motion.interpolator import interpolator_names
+    from agent.motion import interpolator_names
     from drivers.errors import ConfigurationError
     from drivers.registry import available, create
 

@@ -12,12 +12,12 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.core.units import Dimension, parse_quantity
-from agent.recording.limits import LIMITS, impossible
 from agent.recording.log import MACHINE, Log
-from agent.recording.log_file import nanoseconds, write_log
 from agent.recording.mapping import CURRENT, Columns, EffortColumns, Mapping, PositionColumns, load_mapping, units_of
+from agent.recording.mcap.log_file import nanoseconds, write_log
+from agent.recording.repair.limits import LIMITS, impossible
+from agent.recording.repair.stamps import put_in_order, spacing_of
 from agent.recording.resampling import resampled
-from agent.recording.stamps import put_in_order, spacing_of
 from agent.recording.tables import Table, read_table
 
 if TYPE_CHECKING:

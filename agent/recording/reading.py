@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core.errors import InputError
-from agent.recording.jumps import Mended, mend_jumps
-from agent.recording.limits import impossible
 from agent.recording.log import Log, Repair
-from agent.recording.log_file import PLANNED, REFERENCES, RUN, STATES
-from agent.recording.scan import Messages, Scan, scan
+from agent.recording.mcap.log_file import PLANNED, REFERENCES, RUN, STATES
+from agent.recording.mcap.scan import Messages, Scan, scan
+from agent.recording.repair.jumps import Mended, mend_jumps
+from agent.recording.repair.limits import impossible
+from agent.recording.repair.spikes import find_spikes
+from agent.recording.repair.stamps import BRIDGED, far_off, match, put_in_order, spacing_of
 from agent.recording.scratch import Scratch, parts
-from agent.recording.spikes import find_spikes
-from agent.recording.stamps import BRIDGED, far_off, match, put_in_order, spacing_of
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription

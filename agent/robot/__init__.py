@@ -4,7 +4,6 @@
 `agent.robot.base_parameters`, whose function has its name.
 """
 
-from agent.robot.configuration import configuration_of
 from agent.robot.description import (
     Capsule,
     CartesianLimits,
@@ -24,7 +23,6 @@ __all__ = [
     "KinematicsError",
     "RobotDescription",
     "builtin_robots",
-    "configuration_of",
     "kinematics_for",
     "load_robot",
 ]

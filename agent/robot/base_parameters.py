@@ -15,7 +15,7 @@ import numpy as np
 
 from agent.robot.description import RobotDescription
 from agent.robot.drivetrain import rotor_regressor
-from agent.robot.kinematic_chain import joint_axes
+from agent.robot.kinematics.chain import joint_axes
 
 #: A column of unit length is dependent when less than this is left of it. Of an independent one a quarter or more is
 #: left on the arms tried, of a dependent one round-off, or 5e-6 where the URDF has pi with four digits.

@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from agent.robot.description import Capsule, RobotDescription
 from agent.robot.dynamics import frame_id, pinocchio_model
-from agent.robot.kinematic_chain import joint_axes
+from agent.robot.kinematics.chain import joint_axes
 
 #: Name of a box in a pair: this and the box's own name.
 KEEP_OUT = "keep-out "

@@ -172,8 +172,8 @@ def _by_name(value: Any) -> dict[str, Any] | None:
 
 def _interpolator(name: str) -> Any:
     """Its name, with what tells one installed or licensed interpolator from another of that name."""
-    from agent.motion.interpolator import ENTRY_POINTS
     from agent.motion.orl import LIBRARY
+    from agent.motion.registry import ENTRY_POINTS
 
     library = os.environ.get(LIBRARY) if name == "orl" else None
     if library and os.path.isfile(library):

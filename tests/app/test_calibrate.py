@@ -14,7 +14,7 @@ from agent.estimation import FilterSettings, IdentifiedModel
 from agent.estimation.filtering import motions
 from agent.recording import read_log
 from agent.robot import load_robot
-from drivers.tcp import TcpDriver
+from drivers.transports.tcp import TcpDriver
 from fake_controller.plant import Plant
 
 

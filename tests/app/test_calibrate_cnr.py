@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fake_controller.build import build_controller
-from fake_controller.server_cnr import CnrServer
+from fake_controller.servers.cnr.server import CnrServer
 
 AWAY = """PROGRAM elsewhere HOLD, PROG_ARM=1
 BEGIN

@@ -17,7 +17,7 @@ from agent.estimation import IdentifiedModel
 from agent.pipeline.diagnose import Question, diagnose_files
 from agent.pipeline.identify import estimate_files, import_files, validate_files
 from agent.recording import read_log
-from agent.recording.log_file import STATES, LogFile
+from agent.recording.mcap.log_file import STATES, LogFile
 from agent.robot import load_robot
 from agent.robot.dynamics import Dynamics
 

@@ -20,7 +20,6 @@ from agent.motion.program import (
     Termination,
 )
 from agent.robot import load_robot
-from agent.robot.configuration import configuration_of
 from agent.robot.kinematics import kinematics_for
 from agent.safety.first_run import stop_to_stop
 from agent.safety.motion import PlannedProgram
@@ -56,7 +55,7 @@ def loop(request):
     targets = [JointTarget(corner) for corner in CORNERS]
     if request.param == "poses":
         targets = [
-            CartesianTarget(kinematics.forward(corner[None])[0], configuration_of(kinematics, corner))
+            CartesianTarget(kinematics.forward(corner[None])[0], kinematics.configuration_text(corner))
             for corner in CORNERS
         ]
     return planned(write_loop_program("p", targets, FLY, 2, robot=ROBOT))

@@ -298,7 +298,7 @@ def test_memory_that_runs_out_ends_in_a_stop(bench, assert_at_rest, monkeypatch)
 
 
 def test_a_disk_that_takes_nothing_ends_in_a_stop(bench, assert_at_rest, monkeypatch):
-    from agent.recording import writer as module
+    from agent.recording.mcap import writer as module
 
     awake = threading.Event()
 

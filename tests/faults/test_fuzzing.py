@@ -22,8 +22,8 @@ from drivers.registry import create
 from drivers.wire import modbus, tcp
 from drivers.wire.serial import LeanSamples
 from fake_controller.build import build_controller
-from fake_controller.cable import Cable
 from fake_controller.servers import WIRES, open_server
+from fake_controller.servers.cable import Cable
 
 FRAMES = [pytest.param(300, id="some"), pytest.param(100_000, id="all", marks=pytest.mark.verify)]
 GROWTH = 100  # MiB

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fake_controller.build import build_controller
-from fake_controller.server_cnr import CnrServer
+from fake_controller.servers.cnr.server import CnrServer
 
 FRAMES = [pytest.param(2_000), pytest.param(100_000, marks=pytest.mark.verify)]
 GROWTH = 100  # MiB

@@ -13,7 +13,7 @@ from paho.mqtt.client import CallbackAPIVersion, Client
 
 from fake_controller.build import build_controller
 from fake_controller.execution import Slice
-from fake_controller.server_cnr import CnrServer
+from fake_controller.servers.cnr.server import CnrServer
 from tests.conftest import patience
 
 CLOCK_OFFSET = 1_234_567_890  # µs of the topics' clock before the controller's

@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drivers.cnr_address import CnrAddress
-from drivers.cnr_motion import Arm, CnrMotion
+from drivers.transports.cnr.address import CnrAddress
+from drivers.transports.cnr.motion import Arm, CnrMotion
 from drivers.wire import cnr
 from drivers.wire.cnr import Message, MessageType, Point, QueueStatus
 

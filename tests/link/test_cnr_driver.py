@@ -9,12 +9,12 @@ import threading
 import numpy as np
 import pytest
 
-from drivers.cnr_address import CnrAddress, parse_address
-from drivers.cnr_points import _Feeder, trajectories
-from drivers.cnr_sockets import Sockets
 from drivers.errors import ConfigurationError, DriverError, ProtocolError, RefusedError
 from drivers.protocol import AcceptsViaPoints, Driver, MeasuresCurrents, ReportsDiagnostics, RequiresOperator, ViaPoint
 from drivers.registry import create
+from drivers.transports.cnr.address import CnrAddress, parse_address
+from drivers.transports.cnr.points import _Feeder, trajectories
+from drivers.transports.cnr.sockets import Sockets
 from drivers.wire import cnr
 from drivers.wire.cnr import MessageType, Point, QueueStatus
 from tests.conftest import patience

@@ -21,8 +21,8 @@ from drivers.registry import create
 from drivers.wire.cnr import IDENTITY_FILE, MessageType
 from drivers.wire.reasons import EndReason
 from fake_controller.build import build_controller
-from fake_controller.server_cnr import CnrServer
-from fake_controller.server_cnr_ftp import ProgramFolder
+from fake_controller.servers.cnr.ftp import ProgramFolder
+from fake_controller.servers.cnr.server import CnrServer
 from tests.conftest import end_with_tests, patience
 from tests.faults.conftest import RECIPE
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from drivers.cnr_clock import ClockMatch
-from drivers.cnr_motion import stop_reason
-from drivers.cnr_samples import Joiner
 from drivers.errors import DriverError, MotionStopped
+from drivers.transports.cnr.clock import ClockMatch
+from drivers.transports.cnr.motion import stop_reason
+from drivers.transports.cnr.samples import Joiner
 from drivers.wire import cnr
 from tests.link.cnr_script import READY, feedback, motion
 

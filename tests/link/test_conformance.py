@@ -11,11 +11,11 @@ import serial
 from drivers.conformance import DriverConformance
 from drivers.registry import create
 from fake_controller.build import build_controller
-from fake_controller.cable import Cable
-from fake_controller.server_cnr import CnrServer
-from fake_controller.server_modbus import ModbusRtuServer, ModbusServer
-from fake_controller.server_serial import SerialServer
-from fake_controller.server_tcp import TcpServer
+from fake_controller.servers.cable import Cable
+from fake_controller.servers.cnr.server import CnrServer
+from fake_controller.servers.modbus.server import ModbusRtuServer, ModbusServer
+from fake_controller.servers.serial import SerialServer
+from fake_controller.servers.tcp import TcpServer
 from tests.conftest import free_port, patience
 from tests.link.conftest import LONG, SHORT
 

@@ -8,8 +8,8 @@ import pytest
 from drivers.wire.reasons import EndReason
 from fake_controller.build import build_controller
 from fake_controller.faults import Fault
-from fake_controller.server_cnr import CnrServer
 from fake_controller.servers import NoBrokerError
+from fake_controller.servers.cnr.server import CnrServer
 from tests.conftest import free_port
 from tests.link.cnr_peer import (
     CLOCK_OFFSET,

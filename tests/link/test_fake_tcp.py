@@ -12,11 +12,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import DriverError, RefusedError
-from drivers.tcp import TcpDriver
+from drivers.transports.tcp import TcpDriver
 from drivers.wire import tcp
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.build import build_controller
-from fake_controller.server_tcp import TcpServer
+from fake_controller.servers.tcp import TcpServer
 from tests.conftest import patience
 from tests.link.conftest import LONG, program
 

@@ -16,9 +16,9 @@ from agent.robot.dynamics import Tool
 from agent.safety.frames import check_frames
 from agent.safety.motion import PlannedProgram
 from drivers.registry import create
-from drivers.tcp import TcpDriver
+from drivers.transports.tcp import TcpDriver
 from fake_controller.build import build_controller
-from fake_controller.server_cnr import CnrServer
+from fake_controller.servers.cnr.server import CnrServer
 
 MOUNTED = pos_to_pose(np.array([0, 0, 120, 0, 0, 0]))
 SET = """PROGRAM p

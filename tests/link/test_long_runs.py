@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.recording import LogWriter, read_log, writer
-from agent.recording.log_file import LogFile
+from agent.recording import LogWriter, read_log
+from agent.recording.mcap import writer
+from agent.recording.mcap.log_file import LogFile
 from drivers.registry import create
 from tests.conftest import end_with_tests, patience
 

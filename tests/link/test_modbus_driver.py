@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from pymodbus.client import ModbusTcpClient
 
 from drivers.errors import ConfigurationError, DriverError, MotionStopped, ProtocolError, RefusedError
-from drivers.modbus import ModbusDriver
 from drivers.protocol import Gap
+from drivers.transports.modbus.driver import ModbusDriver
 from drivers.wire import modbus as wire
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.build import build_controller
-from fake_controller.server_modbus import ModbusServer
+from fake_controller.servers.modbus.server import ModbusServer
 from tests.conftest import patience
 from tests.link.conftest import LONG, SHORT, program
 
@@ -49,8 +49,8 @@ def sequence(blocks):
 
 def test_what_tcp_and_modbus_tell_is_the_same(arm):
     """The same machine with the same seed on both wires, but for single precision."""
-    from drivers.tcp import TcpDriver
-    from fake_controller.server_tcp import TcpServer
+    from drivers.transports.tcp import TcpDriver
+    from fake_controller.servers.tcp import TcpServer
 
     runs = []
     for server_class, driver_class in ((TcpServer, TcpDriver), (ModbusServer, ModbusDriver)):

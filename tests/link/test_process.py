@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import DriverError
-from drivers.tcp import TcpDriver
+from drivers.transports.tcp import TcpDriver
 from tests.conftest import end_with_tests
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,7 +9,7 @@ import pytest
 
 from drivers import registry
 from drivers.errors import ConfigurationError
-from drivers.tcp import TcpDriver
+from drivers.transports.tcp import TcpDriver
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -41,12 +41,12 @@ def test_an_unknown_name_lists_what_there_is():
 
 
 def test_nothing_is_loaded_before_it_is_asked_for():
-    script = "import sys, drivers.registry as r; r.available(); sys.exit('drivers.tcp' in sys.modules)"
+    script = "import sys, drivers.registry as r; r.available(); sys.exit('drivers.transports.tcp' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=False).returncode == 0
 
 
 def test_a_third_party_driver(plug_in):
-    plug_in("mine", "from drivers.tcp import TcpDriver\nclass Plugged(TcpDriver): pass\n")
+    plug_in("mine", "from drivers.transports.tcp import TcpDriver\nclass Plugged(TcpDriver): pass\n")
     assert "mine" in registry.available()
     assert type(registry.create("mine", "127.0.0.1:9100")).__name__ == "Plugged"
 

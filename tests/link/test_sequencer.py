@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import ProtocolError
 from drivers.protocol import Gap, SampleBlock
-from drivers.sequencer import Sequencer
+from drivers.transports.sequencer import Sequencer
 
 PERIOD = 0.002
 

@@ -12,14 +12,14 @@ from pymodbus.pdu import DecodePDU
 
 from drivers.errors import ConfigurationError, DriverError, ProtocolError
 from drivers.registry import create
-from drivers.serial import RtuDriver, SerialDriver
+from drivers.transports.serial import RtuDriver, SerialDriver
 from drivers.wire import tcp
 from drivers.wire.rtu import without_strays
 from drivers.wire.serial import HuntingDecoder
 from fake_controller.build import build_controller
-from fake_controller.cable import Cable
-from fake_controller.server_modbus import ModbusRtuServer
-from fake_controller.server_serial import SerialServer
+from fake_controller.servers.cable import Cable
+from fake_controller.servers.modbus.server import ModbusRtuServer
+from fake_controller.servers.serial import SerialServer
 from tests.conftest import patience
 from tests.link.conftest import LONG, SHORT, program
 

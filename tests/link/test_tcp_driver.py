@@ -7,7 +7,7 @@ import pytest
 
 from drivers.errors import ConfigurationError, DriverError, ProtocolError, RefusedError
 from drivers.protocol import Driver
-from drivers.tcp import TcpDriver
+from drivers.transports.tcp import TcpDriver
 from drivers.wire import tcp
 from drivers.wire.reasons import Refusal
 from tests.conftest import free_port

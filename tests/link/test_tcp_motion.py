@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import DriverError, MotionStopped, ProtocolError, RefusedError
 from drivers.protocol import Gap
-from drivers.tcp import TcpDriver
+from drivers.transports.tcp import TcpDriver
 from drivers.wire import tcp
 from drivers.wire.reasons import EndReason, Refusal
 from tests.conftest import patience

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from drivers.tcp import TcpDriver
+from drivers.transports.tcp import TcpDriver
 from drivers.wire import tcp
 from drivers.wire.reasons import EndReason
 

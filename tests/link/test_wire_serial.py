@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.serial_port import parse_port
+from drivers.transports.serial_port import parse_port
 from drivers.wire import serial as wire
 from drivers.wire import tcp
 

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from agent.motion import FlyInterpolator, MotionError, Trajectory
 from agent.motion.program import FlyTrajectory, FlyType, Move, MoveType
-from agent.robot.configuration import configuration_of
 
 PERIOD = 0.002
 SEEDS = st.integers(0, 2**32 - 1)
@@ -120,7 +119,7 @@ def check_flight(fly: FlyInterpolator, trajectory: Trajectory, program: list, st
     moving = moving[np.flatnonzero(moving)[0] : np.flatnonzero(moving)[-1]]
     if np.all(cosines > np.cos(fly.parameters.stop_angle)):
         assert np.all(moving)
-    flags = {configuration_of(kinematics, q).split("T")[0] for q in trajectory.q[::20]}
+    flags = {kinematics.configuration_text(q).split("T")[0] for q in trajectory.q[::20]}
     assert len(flags) == 1
 
 

@@ -121,7 +121,7 @@ def test_a_stamp_of_another_clock_is_dropped(log_at):
     st.lists(st.tuples(st.integers(1, 1999), st.floats(1, 300)), max_size=4, unique_by=lambda gap: gap[0]),
 )
 def test_segments_cover_the_log_and_hold_no_gap(rate, gaps):
-    from agent.recording.stamps import spacing_of
+    from agent.recording.repair.stamps import spacing_of
 
     interval = np.full(1999, 1 / rate)
     for place, factor in gaps:
@@ -180,7 +180,7 @@ def test_gaps_that_are_short_for_the_filter_are_bridged(log_at):
     (motion,) = motions(log, FilterSettings(10.0), reduce=False)
     assert np.abs(motion.qd[motion.kept, 0] - np.cos(motion.time[motion.kept])).max() < 1e-3
     assert used_text(log, FilterSettings(10.0)).startswith("log.mcap: 26")
-    with pytest.raises(InputError, match="longest stretch"):
+    with pytest.raises(InputError, match="longest segment"):
         next(motions(log, FilterSettings(25.0)))
 
 

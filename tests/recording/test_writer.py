@@ -17,7 +17,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from agent.core.errors import InputError
 from agent.recording import LogWriter, RecordingError, read_log
-from agent.recording.joint_state import layout_for
+from agent.recording.mcap.joint_state import layout_for
 
 names = st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12), min_size=1, max_size=7)
 
@@ -33,7 +33,7 @@ def test_messages_are_what_the_support_library_writes(tools, names, velocity, ef
     ours = np.empty((1, len(layout.template)), np.uint8)
     layout.fill(ours, np.array([seconds * 10**9 + nanoseconds]), arrays)
 
-    from agent.recording.joint_state import SCHEMA_NAME, SCHEMA_TEXT
+    from agent.recording.mcap.joint_state import SCHEMA_NAME, SCHEMA_TEXT
 
     theirs = serialize_dynamic(SCHEMA_NAME, SCHEMA_TEXT)[SCHEMA_NAME](
         {
@@ -262,7 +262,7 @@ def test_a_folder_that_is_not_there(tools, tmp_path):
 @pytest.fixture
 def slow_disk(monkeypatch):
     """A disk that takes nothing until this is set; `begun` is set once it was given something."""
-    from agent.recording import writer as module
+    from agent.recording.mcap import writer as module
 
     awake = threading.Event()
     awake.begun = threading.Event()

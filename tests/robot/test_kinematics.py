@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.core.errors import InputError
-from agent.robot import KinematicsError, RobotDescription, configuration_of, kinematics_for, load_robot
-from agent.robot.configuration import Configuration, parse_configuration
+from agent.robot import KinematicsError, RobotDescription, kinematics_for, load_robot
 from agent.robot.dynamics import Dynamics, Tool
 from agent.robot.kinematics import SINGULAR_DISTANCE, pose_error
-from agent.robot.numerical_kinematics import NumericalKinematics
-from agent.robot.spherical_wrist import SphericalWristKinematics
+from agent.robot.kinematics.configuration import Configuration, parse_configuration
+from agent.robot.kinematics.numerical import NumericalKinematics
+from agent.robot.kinematics.spherical_wrist import SphericalWristKinematics
 
 seeds = st.integers(0, 2**31)
 signs = st.tuples(*[st.sampled_from((-1, 1))] * 6)
@@ -292,7 +292,7 @@ def test_configuration_brings_back_the_joints(ns16: RobotDescription, seed: int)
     q = np.random.default_rng(seed).uniform(kinematics.lower, kinematics.upper, 6)
     if kinematics.singularity(q[None]).smallest[0] < 0.01:
         return
-    text = configuration_of(kinematics, q)
+    text = kinematics.configuration_text(q)
     np.testing.assert_allclose(kinematics.solve_configuration(kinematics.forward(q[None])[0], text), q, atol=1e-8)
 
 
@@ -311,7 +311,7 @@ def test_configuration_brings_back_the_joints(ns16: RobotDescription, seed: int)
 def test_flags_and_turns_of_known_postures(ns16: RobotDescription, degrees: tuple, text: str) -> None:
     kinematics = kinematics_for(ns16)
     q = np.radians(np.array(degrees, dtype=float))
-    assert configuration_of(kinematics, q) == text
+    assert kinematics.configuration_text(q) == text
     # On the border of a turn, the pose's round-off must not add one.
     np.testing.assert_allclose(kinematics.solve_configuration(kinematics.forward(q[None])[0], text), q, atol=1e-8)
 

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.core.errors import InputError
-from agent.robot import KinematicsError, RobotDescription, configuration_of, kinematics_for
-from agent.robot.kinematic_chain import chain_of
-from agent.robot.numerical_kinematics import NumericalKinematics
+from agent.robot import KinematicsError, RobotDescription, kinematics_for
+from agent.robot.kinematics.chain import chain_of
+from agent.robot.kinematics.numerical import NumericalKinematics
 
 NUMERICAL = ("slide", "planar", "anthropomorphic", "gantry", "scara", "skew", "seven axes")
 
@@ -118,7 +118,7 @@ def test_turns_are_taken_into_limits(make_arm: Callable) -> None:
 def test_such_an_arm_has_no_configuration_flags(arms: dict[str, RobotDescription]) -> None:
     kinematics = kinematics_for(arms["scara"])
     q = np.array([0.4, 0.5, 0.2, -0.3])
-    assert configuration_of(kinematics, q) == ""
+    assert kinematics.configuration_text(q) == ""
     pose = kinematics.forward(q[None])[0]
     solved = kinematics.solve_configuration(pose, "")
     np.testing.assert_allclose(kinematics.forward(solved[None])[0], pose, atol=1e-9)

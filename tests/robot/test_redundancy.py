@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from agent.excitation.candidates import posture
 from agent.motion import FlyInterpolator, ViaRegions, loop_moves
-from agent.motion import path_rotation as rotation
+from agent.motion.path import rotation
 from agent.motion.program import CartesianTarget, FlyTrajectory, FlyType, JointTarget, MotionSettings, Move, MoveType
 from agent.robot import RobotDescription, kinematics_for
 

@@ -20,7 +20,7 @@ from agent.safety.authorisation import Authorisation
 from agent.safety.checked import CheckedPrograms
 from agent.safety.guard import GuardedLink
 from agent.safety.motion import PlannedProgram
-from drivers.tcp import TcpDriver
+from drivers.transports.tcp import TcpDriver
 from drivers.wire import tcp
 from drivers.wire.reasons import EndReason, Refusal
 from tests.conftest import patience

@@ -44,7 +44,7 @@ HEAVY = (
     "agent.recipe.schema",
     "agent.robot.dynamics",
     "agent.runs.folder",
-    "drivers.tcp",
+    "drivers.transports.tcp",
 )
 LIMIT = 120.0  # s; a change that hangs is noticed
 #: Calls that build a message or move a loop on, and check nothing.

@@ -15,7 +15,7 @@ import pytest
 
 from agent.core.errors import ControllerError, InputError, SafetyError
 from agent.safety.motion import PlannedProgram
-from drivers.tcp import TcpDriver
+from drivers.transports.tcp import TcpDriver
 
 HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
 

@@ -15,7 +15,7 @@ from agent.safety.adherence import ALLOWANCE, SHARE, Adherence
 from agent.safety.motion import rest_at
 from agent.safety.preconditions import is_loopback
 from drivers.protocol import SampleBlock, ViaPoint
-from drivers.tcp import TcpDriver
+from drivers.transports.tcp import TcpDriver
 
 PERIOD = 0.002
 HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])

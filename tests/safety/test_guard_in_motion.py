@@ -13,7 +13,7 @@ from agent.safety.guard import GuardedLink
 from agent.safety.motion import SETTLING, PlannedProgram, pauses
 from agent.safety.patience import Patience
 from drivers.errors import DriverError, MotionStopped, RefusedError
-from drivers.tcp import TcpDriver
+from drivers.transports.tcp import TcpDriver
 from drivers.wire.reasons import EndReason, Refusal
 
 HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])

@@ -15,8 +15,8 @@ from pyftpdlib.handlers import FTPHandler
 from pyftpdlib.ioloop import IOLoop
 from pyftpdlib.servers import FTPServer
 
-from drivers.cnr_address import parse_address
-from drivers.cnr_files import ProgramFolder
+from drivers.transports.cnr.address import parse_address
+from drivers.transports.cnr.files import ProgramFolder
 
 
 @pytest.fixture

@@ -21,14 +21,14 @@ from agent.core.documents import LARGEST_JSON, read_json, read_yaml
 from agent.core.errors import InputError
 from agent.recipe import examine_recipe, template
 from agent.recording import LogWriter, read_log
-from drivers.cnr_address import parse_address
-from drivers.cnr_files import ProgramFolder
 from drivers.errors import DriverError, ProtocolError
-from drivers.frames import to_block
-from drivers.motion import Motion
 from drivers.protocol import Identity, SampleBlock, Status
-from drivers.sequencer import Sequencer
 from drivers.texts import ALARM, MANY, NAME, printable
+from drivers.transports.cnr.address import parse_address
+from drivers.transports.cnr.files import ProgramFolder
+from drivers.transports.frames import to_block
+from drivers.transports.motion import Motion
+from drivers.transports.sequencer import Sequencer
 from drivers.wire.cnr import decode_joints
 from drivers.wire.tcp import Samples
 

@@ -16,14 +16,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.runs.folder import write_atomically
-from drivers.cnr_address import parse_address
-from drivers.cnr_files import ProgramFolder
 from drivers.errors import ConfigurationError, DriverError
 from drivers.registry import available, create
 from drivers.secrets import read_secret
 from drivers.texts import hidden_forms, hide, hide_all
+from drivers.transports.cnr.address import parse_address
+from drivers.transports.cnr.files import ProgramFolder
 from fake_controller.build import build_controller
-from fake_controller.server_cnr import CnrServer
+from fake_controller.servers.cnr.server import CnrServer
 
 ROOT = Path(__file__).resolve().parents[2]
 PLANTED = "hunter<2>&'zwölf"

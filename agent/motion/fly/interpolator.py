@@ -1,0 +1,146 @@
+"""The built-in interpolator: COMAU's FLY motion in every mode (`docs/decisions/fly-*.md`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.core.errors import InputError
+from agent.motion.fly.binding import binding_limits
+from agent.motion.fly.profile import ArmLimits
+from agent.motion.fly.runs import RunPlanner
+from agent.motion.fly.segments import SegmentMaker
+from agent.motion.fly.setpoints import Run
+from agent.motion.fly_parameters import FlyParameters
+from agent.motion.interpolator import MotionError
+from agent.motion.path.segments import Segment
+from agent.motion.path.solve import matrices
+from agent.motion.program import Delay, Statement
+from agent.motion.trajectory import BindingLimit, Trajectory
+from agent.robot.description import RobotDescription
+
+if TYPE_CHECKING:
+    from agent.robot.dynamics import Tool
+
+
+class FlyInterpolator:
+    """Plans MOVE and MOVEFLY programs at the controller's period.
+
+    `tool` is the TCP of moves that name no $TOOL; `period` [s]; `parameters` are what public sources leave open.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        tool: Tool | None = None,
+        period: float = 0.002,
+        parameters: FlyParameters | None = None,
+    ):
+        if not 0.0 < period <= 0.1:
+            raise InputError(f"period: {period} s; give the controller's period, more than 0 and at most 0.1 s")
+        self.robot = robot
+        self.period = period
+        self.parameters = parameters or FlyParameters()
+        self._planner = RunPlanner(robot, ArmLimits.of(robot, self.parameters), period, self.parameters)
+        self._maker = SegmentMaker(robot, tool)
+
+    def plan(self, statements: Sequence[Statement], start: np.ndarray) -> Trajectory:
+        """Set-points of the program from rest at `start` (n,) [rad] to rest; the first sample is `start` at t = 0.
+
+        A move that does not fly, a DELAY, a change of $TOOL and a corner that turns back on itself are standstills.
+
+        Raises:
+            MotionError: out of reach, through a singularity, beyond a joint limit: names move, limit and amount.
+            InputError: settings or points that make no sense.
+        """
+        plan = _Plan(self, self._maker.checked_start(start))
+        for index, statement in enumerate(statements):
+            if isinstance(statement, Delay):
+                plan.run_pending()
+                plan.rest(index, statement.seconds)
+                continue
+            segment = self._maker.segment(index, statement, plan.pending, plan.q)
+            if segment is not None:
+                plan.pending.append(segment)
+            if not statement.fly:
+                plan.run_pending()
+        plan.run_pending()
+        return plan.trajectory()
+
+
+class _Plan:
+    """A trajectory in the making: where the arm rests, the moves not yet planned, and the samples so far."""
+
+    def __init__(self, interpolator: FlyInterpolator, q: np.ndarray):
+        self.q = q
+        self.pending: list[Segment] = []
+        self._of = interpolator
+        self._samples = 0
+        self._binding: list[BindingLimit] = []
+        self._parts: list[tuple[np.ndarray, ...]] = []
+        self._add_rest(0, 1)
+
+    def rest(self, index: int, seconds: float) -> None:
+        """A DELAY."""
+        longest = self._of.parameters.longest
+        if not 0.0 <= seconds <= longest:
+            excess = seconds / longest if seconds > longest else 1.0
+            message = f"statement {index + 1}: a DELAY of {seconds} s; it has to be 0 to {longest:g} s"
+            raise MotionError(message, index, "duration", excess)
+        self._add_rest(index, round(seconds / self._of.period))
+
+    def run_pending(self) -> None:
+        """Plan the pending moves up to standstill."""
+        if self.pending:
+            for run in self._of._planner.plan(self.pending, self.q):
+                self._add(run)
+            self.pending = []
+
+    def trajectory(self) -> Trajectory:
+        """All samples so far."""
+        q, qd, qdd, pose, speed, move = (np.concatenate(column) for column in zip(*self._parts, strict=True))
+        return Trajectory(
+            np.arange(len(q)) * self._of.period,
+            q,
+            qd,
+            qdd,
+            matrices(pose[:, :3], pose[:, 3:]),
+            speed,
+            move,
+            tuple(self._binding),
+        )
+
+    def _add_rest(self, index: int, count: int) -> None:
+        pose = self._of._maker.pose_at(self.q)
+        still = np.zeros((count, len(self.q)))
+        self._parts.append(
+            (
+                np.tile(self.q, (count, 1)),
+                still,
+                still,
+                np.tile(pose, (count, 1)),
+                np.zeros(count),
+                np.full(count, index),
+            )
+        )
+        self._count(count, index)
+
+    def _add(self, run: Run) -> None:
+        of, samples, path = self._of, run.samples, run.path
+        begin = (self._samples - 1) * of.period
+        self._binding += binding_limits(run, of._planner.limits, of.robot.joint_names, begin, of.period)
+        knot = np.minimum(np.searchsorted(path.s, samples.s + path.s[0]), len(path.s) - 1)
+        speed = np.sqrt(np.einsum("si,si->s", samples.pose_rate[:, :3], samples.pose_rate[:, :3]))
+        columns = (samples.q, samples.qd, samples.qdd, samples.pose, speed, path.move[knot])
+        self._parts.append(tuple(column[1:] for column in columns))
+        self._count(len(samples.s) - 1, int(path.move[-1]))
+        self.q = path.q[-1]
+
+    def _count(self, samples: int, index: int) -> None:
+        self._samples += samples
+        seconds, longest = self._samples * self._of.period, self._of.parameters.longest
+        if seconds > longest:
+            message = f"statement {index + 1}: the program takes more than {longest:g} s up to here; run it in parts"
+            raise MotionError(message, index, "duration", seconds / longest - 1.0)

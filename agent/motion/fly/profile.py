@@ -1,0 +1,209 @@
+"""How fast along the path: the largest speed that keeps joint and Cartesian limits, without jerk limits.
+
+With z = ṡ², every acceleration along the path is q̈ = q' z'/2 + q'' z, and d(q'² z)/ds = 2 q' q̈. So a joint's limit
+|q̈| ≤ a says that y = q'² z, the square of its speed, changes by at most 2 a |Δq| from knot to knot. Given y at the
+knots, the largest y that nowhere rises faster is a running minimum, min over i ≤ k of y_i + (C_k − C_i) with C the sum
+of the allowed changes: one `minimum.accumulate` forwards and one backwards, for all knots at once. Every pass only
+lowers z, the constraints are monotone, and so passes over all joints converge to the largest feasible z from above.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+
+import numpy as np
+
+from agent.motion.fly_parameters import FlyParameters
+from agent.motion.path import rotation, rules
+from agent.motion.path.geometry import Path
+from agent.robot.description import CartesianLimits, RobotDescription
+
+_PASSES = 20
+#: The part of every limit that is planned for. The rest is for what a sample may be over at the end of all repairs.
+_KEPT = 0.998
+#: [rad, m] of error between two knots of the path.
+_TOLERATED = 3e-6
+#: A joint slower than this part of its limit, a TCP slower than this [m/s, rad/s] stands still: round-off moves it.
+_STILL = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class ArmLimits:
+    """What is planned for: joint speed, acceleration, jerk (n,) and the TCP's limits (inf where there are none)."""
+
+    speed: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+    cartesian: CartesianLimits
+
+    @classmethod
+    def of(cls, robot: RobotDescription, parameters: FlyParameters) -> ArmLimits:
+        """Limits of a robot; a joint without jerk limit gets one from `parameters.jerk_time`."""
+        jerk = [
+            joint.max_acceleration / parameters.jerk_time if joint.max_jerk is None else joint.max_jerk
+            for joint in robot.joints
+        ]
+        tcp = robot.cartesian_limits or CartesianLimits(np.inf, np.inf, np.inf, np.inf)
+        cartesian = CartesianLimits(*(_KEPT * limit for limit in astuple(tcp)))
+        return cls(_KEPT * robot.max_velocity, _KEPT * robot.max_acceleration, _KEPT * np.array(jerk), cartesian)
+
+
+@dataclass(frozen=True, eq=False)
+class PathShape:
+    """The path as a cubic spline over s, and its derivatives at the knots.
+
+    coefficients (K - 1, 4, n + 7): of the cell from each knot on, highest power first, columns q, p and the quaternion.
+    Knots last: q1, q2, q3 (n, K); `travel` (K,) = |dp/ds| and `bend` (K,), the part of d²p/ds² across the path; `turn`
+    and `turn_bend` (K,) the same for the rotation.
+    """
+
+    coefficients: np.ndarray
+    q1: np.ndarray
+    q2: np.ndarray
+    q3: np.ndarray
+    travel: np.ndarray
+    bend: np.ndarray
+    turn: np.ndarray
+    turn_bend: np.ndarray
+
+    def roughness(self, path: Path) -> float:
+        """How far joints and TCP may be from the true path between knots, in units of what is tolerated.
+
+        A cubic spline errs by h⁴/384 times the fourth derivative, which is the change of the third over h.
+        """
+        return float(np.max(self._errors(path), initial=0.0)) / _TOLERATED
+
+    def roughest(self, path: Path) -> int:
+        """The knot where that error is largest."""
+        return 1 + int(np.argmax(self._errors(path)))
+
+    def _errors(self, path: Path) -> np.ndarray:
+        change = 6.0 * np.abs(np.diff(self.coefficients[:, 0], axis=0)).max(axis=1)
+        step = np.diff(path.s)
+        errors = change * np.maximum(step[1:], step[:-1]) ** 3 / 384.0
+        # At its ends the spline has one cubic for two cells, and errs about ten times as much.
+        errors[[0, 1, -2, -1]] *= 10.0
+        return errors
+
+
+def shape_of(path: Path) -> PathShape:
+    """The spline of a path and its derivatives at the knots."""
+    from scipy.interpolate import CubicSpline  # heavy to import, needed only once something is planned
+
+    n = path.q.shape[1]
+    columns = np.concatenate((path.q, path.position, path.orientation), axis=1)
+    coefficients = np.ascontiguousarray(CubicSpline(path.s, columns).c.transpose(1, 0, 2))
+    step = path.s[-1] - path.s[-2]
+    end = coefficients[-1]
+    third = np.empty_like(columns)
+    third[:-1], third[-1] = 6.0 * coefficients[:, 0], 6.0 * end[0]
+    second = np.empty_like(columns)
+    second[:-1], second[-1] = 2.0 * coefficients[:, 1], 2.0 * end[1] + 6.0 * step * end[0]
+    first = np.empty_like(columns)
+    first[:-1], first[-1] = coefficients[:, 2], end[2] + step * (2.0 * end[1] + 3.0 * step * end[0])
+    third[1:-1] = np.where(np.abs(third[1:-1]) > np.abs(third[:-2]), third[1:-1], third[:-2])
+    travel, bend = _along_and_across(first[:, n : n + 3], second[:, n : n + 3])
+    # The angular velocity over s is 2 Q' Q*, its derivative 2 Q'' Q* but for a scalar part; Q' is across Q.
+    inverse = rotation.conjugate(path.orientation)
+    turning = 2.0 * rotation.multiply(first[:, n + 3 :], inverse)[:, 1:]
+    turn, turn_bend = _along_and_across(turning, 2.0 * rotation.multiply(second[:, n + 3 :], inverse)[:, 1:])
+    joints = [np.ascontiguousarray(part[:, :n].T) for part in (first, second, third)]
+    return PathShape(coefficients, *joints, travel, bend, turn, turn_bend)
+
+
+def _along_and_across(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    size = np.sqrt(np.einsum("ki,ki->k", first, first))
+    along = np.einsum("ki,ki->k", first, second) / np.maximum(size, 1e-9)
+    return size, np.sqrt(np.maximum(np.einsum("ki,ki->k", second, second) - along**2, 0.0))
+
+
+def speed_ceiling(path: Path, shape: PathShape, limits: ArmLimits, parameters: FlyParameters) -> np.ndarray:
+    """(K,) largest z = ṡ² that each knot allows by itself [1/s² times the square of s's unit]."""
+    rule = path.rules
+    with np.errstate(divide="ignore"):
+        linear = np.minimum(rule[:, rules.LINEAR], limits.cartesian.linear_speed * rule[:, rules.CARTESIAN])
+        rotational = np.minimum(rule[:, rules.ROTATIONAL], limits.cartesian.rotational_speed * rule[:, rules.CARTESIAN])
+        speed = np.minimum(linear / np.maximum(shape.travel, 1e-12), rotational / np.maximum(shape.turn, 1e-12))
+        joint = np.min(limits.speed[:, None] / np.maximum(np.abs(shape.q1), 1e-12), axis=0)
+        speed = np.minimum(speed, joint * rule[:, rules.JOINT]) * path.overlap
+        jerk = np.min(parameters.curve_share * limits.jerk[:, None] / np.maximum(np.abs(shape.q3), 1e-12), axis=0)
+        ceiling = np.minimum(speed**2, jerk ** (2.0 / 3.0))
+        bend = np.min(limits.acceleration[:, None] / np.maximum(np.abs(shape.q2), 1e-12), axis=0)
+        ceiling = np.minimum(ceiling, bend * rule[:, rules.STRESS] * _override(rule))
+        share = parameters.curve_share * rule[:, rules.CARTESIAN] * _override(rule)
+        ceiling = np.minimum(ceiling, share * limits.cartesian.linear_acceleration / np.maximum(shape.bend, 1e-12))
+        return np.minimum(
+            ceiling, share * limits.cartesian.rotational_acceleration / np.maximum(shape.turn_bend, 1e-12)
+        )
+
+
+def widened(path: Path, ceiling: np.ndarray, window: float) -> np.ndarray:
+    """(K,) the ceiling with every dip held for `window` [s], so that an average over the window reaches its bottom."""
+    wide = ceiling.copy()
+    bottom = 1 + np.flatnonzero((ceiling[1:-1] <= ceiling[:-2]) & (ceiling[1:-1] < ceiling[2:]))
+    half = 0.5 * window * np.sqrt(ceiling[bottom])
+    first = np.searchsorted(path.s, path.s[bottom] - half)
+    last = np.searchsorted(path.s, path.s[bottom] + half)
+    for k, a, b in zip(bottom, first, last, strict=True):
+        np.minimum(wide[a:b], ceiling[k], out=wide[a:b])
+    return wide
+
+
+def _override(rule: np.ndarray) -> np.ndarray:
+    return np.maximum(rule[:, rules.ACCELERATION], rule[:, rules.DECELERATION])
+
+
+def fastest(path: Path, shape: PathShape, limits: ArmLimits, ceiling: np.ndarray) -> np.ndarray:
+    """(K,) the largest z = ṡ² under `ceiling` (K,) that keeps all acceleration limits, standstill to standstill."""
+    weight, growth, least = _changes(path, shape, limits, ceiling)
+    rule = path.rules
+    rise = np.minimum(rule[:-1, rules.ACCELERATION], rule[1:, rules.ACCELERATION])
+    fall = np.minimum(rule[:-1, rules.DECELERATION], rule[1:, rules.DECELERATION])
+    start = np.zeros((len(growth), 1))
+    rising = np.concatenate((start, np.cumsum(growth * rise, axis=1)), axis=1)
+    falling = np.concatenate((start, np.cumsum(growth * fall, axis=1)), axis=1)
+    used = weight * ceiling > least[:, None]
+    inverse = 1.0 / np.where(used, weight, 1.0)
+    z = ceiling.copy()
+    z[[0, -1]] = 0.0
+    for _ in range(_PASSES):
+        before = z
+        y = rising + np.minimum.accumulate(weight * z - rising, axis=1)
+        z = np.minimum(z, np.min(_lifted(y, inverse, used), axis=0))
+        y = np.minimum.accumulate((weight * z + falling)[:, ::-1], axis=1)[:, ::-1] - falling
+        z = np.minimum(z, np.min(_lifted(y, inverse, used), axis=0))
+        if np.max(before - z) <= 1e-4 * np.max(z):
+            break
+    # Standstill belongs to the ends alone: a knot between them may not hold the arm for ever.
+    z[1:-1] = np.maximum(z[1:-1], 1e-9 * np.max(ceiling[1:-1]))
+    return z
+
+
+def _lifted(y: np.ndarray, inverse: np.ndarray, used: np.ndarray) -> np.ndarray:
+    return np.where(used, np.maximum(y, 0.0) * inverse, np.inf)
+
+
+def _changes(
+    path: Path, shape: PathShape, limits: ArmLimits, ceiling: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weights w (m, K) in y = w z, largest changes (m, K - 1) of y from knot to knot, and the y (m,) of standstill.
+
+    For the joints, and the TCP's travel and turn where they are limited.
+    """
+    rule = path.rules
+    stress = np.minimum(rule[:-1, rules.STRESS], rule[1:, rules.STRESS])
+    weights, least = [shape.q1**2], [(_STILL * limits.speed) ** 2]
+    changes = [2.0 * limits.acceleration[:, None] * stress * np.abs(np.diff(path.q, axis=0)).T]
+    for size, across, limit in (
+        (shape.travel, shape.bend, limits.cartesian.linear_acceleration),
+        (shape.turn, shape.turn_bend, limits.cartesian.rotational_acceleration),
+    ):
+        if np.isfinite(limit) and np.isfinite(rule[:, rules.CARTESIAN]).any():
+            # What the curve takes at the ceiling is not there to change the speed: the sum of squares is the limit's.
+            left = np.sqrt(np.maximum(1.0 - (across * ceiling / (limit * rule[:, rules.CARTESIAN])) ** 2, 0.0))
+            left = left * limit * np.minimum(rule[:, rules.CARTESIAN], 1e3)
+            step = 0.5 * (size[1:] + size[:-1]) * np.diff(path.s)
+            weights.append(size[None] ** 2)
+            least.append(np.array([_STILL**2]))
+            changes.append((2.0 * np.minimum(left[1:], left[:-1]) * step)[None])
+    return np.concatenate(weights), np.concatenate(changes), np.concatenate(least)

@@ -1,0 +1,283 @@
+"""From the statements of a program to segments: frames, targets and curves resolved, settings checked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agent.core.errors import InputError
+from agent.motion.frames import tool_frame
+from agent.motion.interpolator import MotionError
+from agent.motion.path import rotation
+from agent.motion.path.segments import (
+    Arc,
+    CartesianSegment,
+    JointSegment,
+    Line,
+    Segment,
+    arc_through,
+    euler_angles,
+    single_axis,
+)
+from agent.motion.path.solve import motion_error, solve_cartesian, wrist_segment
+from agent.motion.program import (
+    CartesianTarget,
+    JointTarget,
+    MotionSettings,
+    Move,
+    MoveType,
+    OrientationType,
+    Target,
+)
+from agent.robot.description import RobotDescription
+from agent.robot.kinematics import Kinematics, KinematicsError, kinematics_for
+
+if TYPE_CHECKING:
+    from agent.robot.dynamics import Tool
+
+#: Moves shorter than this in every respect [m, rad] are no motion.
+_NOTHING = 1e-9
+#: Step of the sweep that finds the arm's joints at the end of moves not yet planned [m, rad].
+_SWEEP = 0.02
+
+_PERCENTAGES = ("fly_percent", "stress_percent")
+_OVERRIDES = ("speed_override", "acceleration_override", "deceleration_override", "arm_override")
+_SPEEDS = ("linear_speed", "rotational_speed")
+
+
+class SegmentMaker:
+    """Makes segments for one arm; keeps the kinematics of every tool it has met."""
+
+    def __init__(self, robot: RobotDescription, tool: Tool | None):
+        self.robot = robot
+        self._speeds = robot.max_velocity
+        lower, upper = robot.position_limits
+        prismatic = np.array([joint.prismatic for joint in robot.joints])
+        self._turning = ~prismatic & (upper - lower > 2 * np.pi)
+        self.kinematics = kinematics_for(robot, tool)
+        own = tool_frame(tool)
+        self._of_tool: dict[Any, Kinematics] = {None: self.kinematics, _key(own): self.kinematics}
+
+    def checked_start(self, start: np.ndarray) -> np.ndarray:
+        """The start (n,) as floats.
+
+        Raises:
+            InputError: not n finite numbers.
+        """
+        q = np.asarray(start, dtype=float)
+        if q.shape != (self.robot.dof,) or not np.isfinite(q).all():
+            raise InputError(f"start of the motion: {self.robot.dof} finite joint positions are needed, not {start}")
+        return q
+
+    def pose_at(self, q: np.ndarray) -> np.ndarray:
+        """(7,) position [m] and orientation (unit quaternion) of the interpolator's own TCP at joints (n,)."""
+        pose = self.kinematics.forward(q[None])[0]
+        return np.concatenate((pose[:3, 3], rotation.from_matrix(pose[:3, :3])))
+
+    def segment(self, index: int, move: Move, pending: Sequence[Segment], rest: np.ndarray) -> Segment | None:
+        """The segment of a move that follows `pending` ones, which started at `rest` (n,); None where it moves nothing.
+
+        Raises:
+            MotionError: a target out of reach or beyond a joint limit, three points that make no circle.
+            InputError: settings that make no sense.
+        """
+        label = _label(index, move)
+        _check(move.settings, label)
+        kinematics = self._with_tool(move.settings)
+        if move.type is MoveType.JOINT:
+            start = _end_joints(pending, rest)
+            end = self._joints(index, label, move, kinematics, start)
+            if not move.settings.multi_turn:
+                end = np.where(self._turning, start + (end - start + np.pi) % (2 * np.pi) - np.pi, end)
+            if np.max(np.abs(end - start)) < _NOTHING:
+                return None
+            duration = float(np.max(np.abs(end - start) / self._speeds))
+            return JointSegment(index, label, move.settings, kinematics, start, end, duration)
+        return self._cartesian(index, label, move, kinematics, pending, rest)
+
+    def _cartesian(
+        self, index: int, label: str, move: Move, kinematics: Kinematics, pending: Sequence[Segment], rest: np.ndarray
+    ) -> Segment | None:
+        start, start_turn = _end_pose(pending, rest, kinematics)
+        end, end_turn = self._pose(label, move.target, move.settings, kinematics)
+        curve: Line | Arc = Line(start, end)
+        if move.type is MoveType.CIRCULAR:
+            curve = self._arc(index, label, move, kinematics, start, end)
+        style = move.settings.orientation
+        if style is OrientationType.WRIST_JNT:
+            return self._wrist(index, label, move, kinematics, curve, _end_joints(pending, rest), end, end_turn)
+        if style is OrientationType.EUL_WORLD:
+            turn: Any = euler_angles(start_turn, end_turn, rotation.from_matrix(_matrix(move.settings.base)[:3, :3]))
+        else:
+            along = isinstance(curve, Arc) and style is OrientationType.RS_TRAJ
+            turn = single_axis(start_turn, end_turn, curve if along else None)
+        careful = move.settings.configuration_care or move.settings.turn_care
+        flags = move.target.configuration if careful and isinstance(move.target, CartesianTarget) else ""
+        segment = CartesianSegment(index, label, move.settings, kinematics, curve, turn, flags)
+        if self.robot.dof > 6:
+            segment = replace(segment, ends=self._ends(segment, move.target, _end_joints(pending, rest)))
+        return None if segment.length < _NOTHING and segment.angle < _NOTHING else segment
+
+    def _ends(self, segment: CartesianSegment, target: Target, start: np.ndarray) -> np.ndarray:
+        """(2, n) joints at start and target; where the target is a pose, those that the least motion leads to."""
+        if isinstance(target, JointTarget):
+            return np.array([start, self._joint_target(segment.label, target)])
+        return np.array([start, _end_of_sweep(segment, start)])
+
+    def _arc(
+        self, index: int, label: str, move: Move, kinematics: Kinematics, start: np.ndarray, end: np.ndarray
+    ) -> Arc:
+        if move.via is None:
+            raise InputError(f"{label}: a CIRCULAR move needs a VIA point")
+        via = self._pose(label, move.via, move.settings, kinematics)[0]
+        arc = arc_through(start, via, end)
+        if arc is None:
+            raise MotionError(
+                f"{label}: start, VIA and target lie on one line or coincide, so they give no circle; "
+                "move the VIA point or use LINEAR",
+                index,
+                "circle",
+                1.0,
+            )
+        return arc
+
+    def _wrist(
+        self,
+        index: int,
+        label: str,
+        move: Move,
+        kinematics: Kinematics,
+        curve: Line | Arc,
+        start: np.ndarray,
+        end: np.ndarray,
+        end_turn: np.ndarray,
+    ) -> Segment | None:
+        if self.robot.dof != 6:
+            raise InputError(f"{label}: $ORNT_TYPE WRIST_JNT needs an arm of 6 joints; {self.robot.name} has another")
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = rotation.to_matrix(end_turn), end
+        flags = move.target.configuration if isinstance(move.target, CartesianTarget) else ""
+        try:
+            target = kinematics.solve_configuration(pose, flags) if flags else kinematics.solve(pose, start)
+        except KinematicsError as error:
+            raise motion_error(error, index, label) from None
+        if curve.length < _NOTHING and np.max(np.abs(target - start)) < _NOTHING:
+            return None
+        return wrist_segment(index, label, move.settings, kinematics, curve, np.array([start, target]))
+
+    def _joints(self, index: int, label: str, move: Move, kinematics: Kinematics, start: np.ndarray) -> np.ndarray:
+        if isinstance(move.target, JointTarget):
+            return self._joint_target(label, move.target)
+        pose = np.eye(4)
+        position, turn = self._pose(label, move.target, move.settings, kinematics)
+        pose[:3, :3], pose[:3, 3] = rotation.to_matrix(turn), position
+        try:
+            if move.target.configuration:
+                return kinematics.solve_configuration(pose, move.target.configuration)
+            return kinematics.solve(pose, start)
+        except KinematicsError as error:
+            raise motion_error(error, index, label) from None
+
+    def _joint_target(self, label: str, target: JointTarget) -> np.ndarray:
+        q = np.asarray(target.position, dtype=float)
+        if q.shape != (self.robot.dof,) or not np.isfinite(q).all():
+            raise InputError(
+                f"{label}: a JOINTPOS of this arm has {self.robot.dof} finite values, not {target.position}"
+            )
+        return q
+
+    def _pose(
+        self, label: str, target: Target, settings: MotionSettings, kinematics: Kinematics
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Position (3,) [m] and orientation (4,) of the TCP in the robot's base."""
+        if isinstance(target, JointTarget):
+            pose = kinematics.forward(self._joint_target(label, target)[None])[0]
+        else:
+            given = np.asarray(target.pose, dtype=float)
+            if given.shape != (4, 4) or not np.isfinite(given).all():
+                raise InputError(f"{label}: the target is not a pose of finite numbers")
+            turn = given[:3, :3]
+            if np.max(np.abs(turn @ turn.T - np.eye(3))) > 1e-6 or np.linalg.det(turn) < 0:
+                raise InputError(f"{label}: the target's orientation is not a rotation")
+            pose = given
+            if settings.base is not None or settings.uframe is not None:
+                pose = np.linalg.solve(_matrix(settings.base), _matrix(settings.uframe) @ given)
+        return pose[:3, 3].copy(), rotation.from_matrix(pose[:3, :3])
+
+    def _with_tool(self, settings: MotionSettings) -> Kinematics:
+        key = None if settings.tool is None else _key(np.array(settings.tool, dtype=float))
+        if key not in self._of_tool:
+            from agent.robot.dynamics import Tool  # loads Pinocchio
+
+            self._of_tool[key] = kinematics_for(self.robot, Tool(frame=np.array(settings.tool, dtype=float)))
+        return self._of_tool[key]
+
+
+def _end_pose(pending: Sequence[Segment], rest: np.ndarray, kinematics: Kinematics) -> tuple[np.ndarray, np.ndarray]:
+    """Where the TCP of `kinematics` is after the pending moves: exactly the last target where it is the same TCP."""
+    if pending and isinstance(pending[-1], CartesianSegment) and pending[-1].kinematics is kinematics:
+        one = np.ones(1)
+        return pending[-1].curve.position(one)[0], pending[-1].turn.orientation(one)[0]
+    pose = kinematics.forward(_end_joints(pending, rest)[None])[0]
+    return pose[:3, 3].copy(), rotation.from_matrix(pose[:3, :3])
+
+
+def _end_joints(pending: Sequence[Segment], rest: np.ndarray) -> np.ndarray:
+    """Joints (n,) at the end of the pending moves: given by the last one, or found by sweeping the Cartesian ones."""
+    trailing: list[CartesianSegment] = []
+    for segment in reversed(pending):
+        if not isinstance(segment, CartesianSegment):
+            break
+        trailing.insert(0, segment)
+    first = len(pending) - len(trailing)
+    q = rest if first == 0 else pending[first - 1].end  # type: ignore[union-attr]
+    for segment in trailing:
+        q = _end_of_sweep(segment, q) if segment.ends is None else segment.ends[1]
+    return q
+
+
+def _end_of_sweep(segment: CartesianSegment, q: np.ndarray) -> np.ndarray:
+    try:
+        return _swept(segment, q, _SWEEP)
+    except MotionError as error:
+        if error.limit != "branch":
+            raise
+        return _swept(segment, q, 0.1 * _SWEEP)  # joints may turn fast near a singularity without crossing it
+
+
+def _swept(segment: CartesianSegment, q: np.ndarray, step: float) -> np.ndarray:
+    count = int(np.clip((segment.length + segment.angle) / step, 2, 5000)) + 1
+    sigma = np.linspace(0.0, 1.0, count)
+    move = np.full(count, segment.move)
+    return solve_cartesian([segment], move, segment.curve.position(sigma), segment.turn.orientation(sigma), q)[-1]
+
+
+def _label(index: int, move: Move) -> str:
+    place = [part for part in (move.name, f"line {move.line}" if move.line else "") if part]
+    return f"statement {index + 1}" + (f" ({', '.join(place)})" if place else "")
+
+
+def _check(settings: MotionSettings, label: str) -> None:
+    for name in _SPEEDS:
+        if not 0.0 < getattr(settings, name) < np.inf:
+            raise InputError(f"{label}: {name} is {getattr(settings, name)}; it has to be positive")
+    for name in _PERCENTAGES:
+        if not 1.0 <= getattr(settings, name) <= 100.0:
+            raise InputError(f"{label}: {name} is {getattr(settings, name)}; it has to be 1 to 100 percent")
+    for name in _OVERRIDES:
+        if not 0.0 < getattr(settings, name) <= 1.0:
+            raise InputError(f"{label}: {name} is {getattr(settings, name)}; it has to be more than 0 and at most 1")
+    if not 0.0 <= settings.fly_distance < np.inf:
+        raise InputError(f"{label}: fly_distance is {settings.fly_distance} m; it cannot be negative")
+
+
+def _key(frame: np.ndarray) -> tuple[float, ...]:
+    """A frame but for the digits that are lost between millimetres and metres."""
+    return tuple((np.asarray(frame, dtype=float).round(10) + 0.0).ravel())
+
+
+def _matrix(frame: tuple[tuple[float, ...], ...] | None) -> np.ndarray:
+    return np.eye(4) if frame is None else np.array(frame, dtype=float)

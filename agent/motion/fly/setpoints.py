@@ -1,0 +1,211 @@
+"""From the path of one run to its set-points: profile, time law, limits checked at every sample.
+
+Limits are kept by construction up to the width of the averaging window (`profile_time`). What is left is repaired: the
+speed ceiling is lowered around every sample that breaks a limit, a bounded number of times; whatever then remains is
+taken out by stretching the time of the run, which divides speed, acceleration and jerk by the factor, its square, cube.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agent.motion.fly.profile import ArmLimits, PathShape, fastest, speed_ceiling, widened
+from agent.motion.fly.time_law import TimeLaw, time_law
+from agent.motion.fly_parameters import FlyParameters
+from agent.motion.interpolator import MotionError
+from agent.motion.path import rules
+from agent.motion.path.geometry import Path
+from agent.motion.path.segments import Segment
+
+_REPAIRS, _STRETCHES = 7, 6
+#: Repairs look at every so many samples, until those are right; then at all of them.
+_COARSE = 4
+_BLOCK = 300
+#: [rad/s] what a tool turns at most where the robot has no limit, to tell a singularity from a quick turn.
+_TURNING = 6.0
+#: A stretch of this part is left alone: speed 0.05 %, acceleration 0.1 %, jerk 0.15 % over what is planned for, which
+#: itself is 0.2 % below the arm's limits.
+_TOLERANCE = 5e-4
+
+
+@dataclass(frozen=True, eq=False)
+class SetPoints:
+    """Samples of one run, the first at rest at its start: q, qd, qdd (S, n); the path parameter s and its speed (S,).
+
+    pose (S, 7): position [m] and orientation (unit quaternion) of the TCP; pose_rate, pose_acceleration: its
+    derivatives by time.
+    """
+
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    s: np.ndarray
+    speed: np.ndarray
+    pose: np.ndarray
+    pose_rate: np.ndarray
+    pose_acceleration: np.ndarray
+
+
+def cartesian_rates(samples: SetPoints, pick: slice = slice(None)) -> np.ndarray:
+    """(4, S) linear [m/s] and rotational speed [rad/s], linear and rotational acceleration of the TCP."""
+    pose, rate, change = samples.pose[pick], samples.pose_rate[pick], samples.pose_acceleration[pick]
+
+    def squares(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return np.einsum("si,si->s", one, other)
+
+    turn_change = squares(change[:, 3:], change[:, 3:]) - squares(pose[:, 3:], change[:, 3:]) ** 2
+    linear, turn = squares(rate[:, :3], rate[:, :3]), 4.0 * squares(rate[:, 3:], rate[:, 3:])
+    linear_change = squares(change[:, :3], change[:, :3])
+    return np.sqrt(np.stack((linear, turn, linear_change, 4.0 * np.maximum(turn_change, 0.0))))
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What was planned between two standstills: the path, its spline, the time law and the samples."""
+
+    path: Path
+    shape: PathShape
+    law: TimeLaw
+    samples: SetPoints
+
+
+def plan_run(
+    path: Path,
+    shape: PathShape,
+    segments: Sequence[Segment],
+    limits: ArmLimits,
+    period: float,
+    parameters: FlyParameters,
+) -> Run:
+    """The fastest samples along `path` that its rules and the arm's limits allow, from rest to rest.
+
+    Raises:
+        MotionError: it would take too long, or the arm would all but stop near a singularity; names one of `segments`.
+    """
+    _refuse_crawling(path, shape, segments, limits, parameters)
+    ramp = parameters.ramp * float(np.max(limits.acceleration / limits.jerk))
+    window = max(round(ramp / period), 1) * period
+    ceiling = widened(path, speed_ceiling(path, shape, limits, parameters), window)
+    step = _COARSE * period
+    for _ in range(_REPAIRS):
+        law = time_law(path, fastest(path, shape, limits, ceiling), window)
+        _refuse_long(path, law, segments, parameters)
+        samples = _sampled(path, shape, law, step)
+        stretch = _stretch(path, samples, limits, step)
+        if step > period and stretch.max() <= 1.0 + _TOLERANCE:
+            step = period
+            samples = _sampled(path, shape, law, step)
+            stretch = _stretch(path, samples, limits, step)
+        if stretch.max() <= 1.0 + _TOLERANCE:
+            return Run(path, shape, law, samples)
+        ceiling = _lowered(ceiling, path, samples, stretch, round(window / step))
+    for _ in range(_STRETCHES):
+        samples = _sampled(path, shape, law, period)
+        stretch = _stretch(path, samples, limits, period)
+        if stretch.max() <= 1.0 + _TOLERANCE:
+            break
+        law = replace(law, stretch=law.stretch * float(stretch.max()))
+    return Run(path, shape, law, samples)
+
+
+def _refuse_crawling(
+    path: Path, shape: PathShape, segments: Sequence[Segment], limits: ArmLimits, parameters: FlyParameters
+) -> None:
+    linear = np.minimum(path.rules[:, rules.LINEAR], limits.cartesian.linear_speed)
+    turning = min(limits.cartesian.rotational_speed, _TURNING)
+    with np.errstate(divide="ignore"):
+        programmed = np.minimum(linear / shape.travel, turning / shape.turn)
+    programmed[~np.isfinite(path.rules[:, rules.CARTESIAN]) | ~np.isfinite(programmed)] = 0.0
+    turns = np.abs(shape.q1) / limits.speed[:, None] * programmed
+    joint, knot = np.unravel_index(int(np.argmax(turns)), turns.shape)
+    slowdown = float(turns[joint, knot]) * parameters.singular_slowdown
+    if slowdown <= 1.0:
+        return
+    move = int(path.move[knot])
+    x, y, z = 1e3 * path.position[knot]
+    raise MotionError(
+        f"{_label(segments, move)}: joint {joint + 1} would have to turn {turns[joint, knot]:.0f} times faster than it "
+        f"can at x {x:.0f}, y {y:.0f}, z {z:.0f} mm: the path passes a singularity; move the point or turn the tool",
+        move,
+        "singularity",
+        float(np.log10(slowdown)),
+    )
+
+
+def _refuse_long(path: Path, law: TimeLaw, segments: Sequence[Segment], parameters: FlyParameters) -> None:
+    if law.duration <= parameters.longest:
+        return
+    move = int(path.move[int(np.argmax(np.diff(law.t)))])
+    raise MotionError(
+        f"{_label(segments, move)}: the motion would take {law.duration:.3g} s, and {parameters.longest:g} s are "
+        "allowed; raise the speed or the overrides",
+        move,
+        "duration",
+        float(np.log10(law.duration / parameters.longest)),
+    )
+
+
+def _label(segments: Sequence[Segment], move: int) -> str:
+    return next((segment.label for segment in segments if segment.move == move), segments[0].label)
+
+
+def _sampled(path: Path, shape: PathShape, law: TimeLaw, period: float) -> SetPoints:
+    n = path.q.shape[1]
+    t = np.arange(int(np.ceil(law.duration / period - 1e-9)) + 1) * period
+    s, speed, acceleration = law.sample(t)
+    at = s + path.s[0]
+    cell = np.clip(np.searchsorted(path.s, at, side="right") - 1, 0, len(path.s) - 2)
+    x = (at - path.s[cell])[:, None]
+    value, rate, change = (np.empty((len(t), n + 7)) for _ in range(3))
+    # In blocks whose intermediate arrays stay in the processor's cache.
+    for begin in range(0, len(t), _BLOCK):
+        block = slice(begin, begin + _BLOCK)
+        cubic, square, linear, constant = shape.coefficients[cell[block]].transpose(1, 0, 2)
+        dx, v = x[block], speed[block, None]
+        bent = cubic * dx
+        chord = square + bent
+        first = linear + dx * (2.0 * chord + bent)
+        value[block] = constant + dx * (linear + dx * chord)
+        rate[block] = first * v
+        change[block] = first * acceleration[block, None] + (chord + 2.0 * bent) * (2.0 * v * v)
+    value[:, n + 3 :] /= np.sqrt(np.einsum("si,si->s", value[:, n + 3 :], value[:, n + 3 :]))[:, None]
+    return SetPoints(value[:, :n], rate[:, :n], change[:, :n], s, speed, value[:, n:], rate[:, n:], change[:, n:])
+
+
+def _stretch(path: Path, samples: SetPoints, limits: ArmLimits, period: float) -> np.ndarray:
+    """(S,) the factor by which time would have to be stretched at each sample for every limit to hold there.
+
+    Programmed speeds of the TCP count as limits: a change of speed from move to move may not come late.
+    """
+    knot = np.minimum(np.searchsorted(path.s, samples.s + path.s[0]), len(path.s) - 1)
+    linear, turn, linear_change, turn_change = cartesian_rates(samples)
+    rule, cartesian = path.rules[knot], limits.cartesian
+    limited = rule[:, rules.CARTESIAN]
+    speed = linear / np.minimum(cartesian.linear_speed * limited, rule[:, rules.LINEAR])
+    np.maximum(speed, turn / np.minimum(cartesian.rotational_speed * limited, rule[:, rules.ROTATIONAL]), out=speed)
+    acceleration = linear_change / (cartesian.linear_acceleration * limited)
+    np.maximum(acceleration, turn_change / (cartesian.rotational_acceleration * limited), out=acceleration)
+    jerk = np.zeros(len(speed))
+    # Joint by joint: reducing over the short axis of (S, n) costs five times as much.
+    for k in range(len(limits.speed)):
+        np.maximum(speed, np.abs(samples.qd[:, k]) / limits.speed[k], out=speed)
+        np.maximum(acceleration, np.abs(samples.qdd[:, k]) / limits.acceleration[k], out=acceleration)
+        np.maximum(jerk, np.abs(np.diff(samples.qdd[:, k], prepend=0.0)) / (limits.jerk[k] * period), out=jerk)
+        # The mean over three periods is another mean than that over one: servos may see either.
+        over_three = np.abs(np.diff(samples.q[:, k], 3)) / (limits.jerk[k] * period**3)
+        np.maximum(jerk[2:-1], over_three, out=jerk[2:-1])
+    return np.maximum(np.maximum(speed, np.sqrt(acceleration)), np.cbrt(jerk))
+
+
+def _lowered(ceiling: np.ndarray, path: Path, samples: SetPoints, stretch: np.ndarray, window: int) -> np.ndarray:
+    """The ceiling (K,) lowered to what the broken samples need, for a whole window (in samples) around each of them."""
+    needed = np.where(stretch > 1.0 + _TOLERANCE, (samples.speed / (1.002 * np.maximum(stretch, 1.0))) ** 2, np.inf)
+    edge = np.full(window // 2, np.inf)
+    around = np.lib.stride_tricks.sliding_window_view(np.concatenate((edge, needed, edge)), 2 * (window // 2) + 1)
+    lowest = around.min(axis=1)
+    k = np.clip(np.searchsorted(samples.s, path.s - path.s[0]), 1, len(lowest) - 1)
+    # A sample that breaks a limit as the arm sets off says nothing about the speed; the floor keeps the arm moving.
+    return np.minimum(ceiling, np.maximum(np.minimum(lowest[k], lowest[k - 1]), 1e-6 * np.max(ceiling)))

@@ -1,0 +1,67 @@
+"""From speed along the path to set-points in time, with jerk-limited ramps.
+
+The speed profile of `profile` changes its acceleration in steps. Averaged over a window of T seconds,
+
+    s_T(t) = 1/T ∫ s from t − T to t,
+
+position, speed and acceleration along the path are averages of allowed ones, and the jerk is at most the step of the
+acceleration over T. The path itself is untouched: only the way it is run through is smoothed. Because the window also
+moves along the path, limits can be broken a little; then the ceiling is lowered where that happens, and at last the
+time of the run is stretched by what is left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.motion.path.geometry import Path
+
+
+@dataclass(frozen=True, eq=False)
+class TimeLaw:
+    """s over time. Knots: t, s, speed (K,), acceleration per cell (K - 1,), integral of s (K,); window and stretch."""
+
+    t: np.ndarray
+    s: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    integral: np.ndarray
+    window: float
+    stretch: float = 1.0
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return float((self.t[-1] + self.window) * self.stretch)
+
+    def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """s, ṡ, s̈ (S,) at times t (S,) [s] since the start of the run; at rest outside of it."""
+        t = t / self.stretch
+        late, early = self._raw(t), self._raw(t - self.window)
+        s, speed, acceleration = ((one - other) / self.window for one, other in zip(late, early, strict=True))
+        return s, speed / self.stretch, acceleration / self.stretch**2
+
+    def _raw(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Integral of s, s and ṡ before the averaging."""
+        k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.acceleration) - 1)
+        dt = np.clip(t, 0.0, self.t[-1]) - self.t[k]
+        a, v = self.acceleration[k], self.speed[k]
+        speed = v + a * dt
+        s = self.s[k] + dt * (v + 0.5 * a * dt)
+        integral = self.integral[k] + dt * (self.s[k] + dt * (0.5 * v + a * dt / 6.0))
+        after = np.maximum(t - self.t[-1], 0.0)
+        return integral + after * self.s[-1], s, speed
+
+
+def time_law(path: Path, z: np.ndarray, window: float) -> TimeLaw:
+    """The run through `path` with z = ṡ² (K,) at the knots, linear in between, averaged over `window` [s]."""
+    speed = np.sqrt(z)
+    ds = np.diff(path.s)
+    dt = 2.0 * ds / (speed[1:] + speed[:-1])
+    t = np.concatenate(([0.0], np.cumsum(dt)))
+    acceleration = (speed[1:] - speed[:-1]) / dt
+    s = path.s - path.s[0]
+    integral = np.concatenate(([0.0], np.cumsum(dt * (s[:-1] + dt * (0.5 * speed[:-1] + acceleration * dt / 6.0)))))
+    return TimeLaw(t, s, speed, acceleration, integral, window)

@@ -1,0 +1,256 @@
+"""FLY corners: the end of one move and the start of the next, superposed.
+
+Over the blend's own parameter τ in [0, 1] the first move runs out, dσ₁/dτ = 2 e₁ (1 − h(τ)), while the second runs in,
+dσ₂/dτ = 2 e₂ h(τ), with e the part of the move given to the blend and h a polynomial step. What is blended is the sum
+
+    p = p₁(σ₁) + p₂(σ₂) − p_corner,   R = R₁(σ₁) R_cornerᵀ R₂(σ₂),   q = q₁(σ₁) + q₂(σ₂) − q_corner
+
+so one law serves lines, arcs, orientations and joints. Because h and h' vanish at τ = 0 and h' at τ = 1, the path is
+curvature-continuous. Nothing here knows about speed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agent.motion.fly_parameters import FlyParameters
+from agent.motion.path import rotation
+from agent.motion.path.segments import CartesianSegment, JointSegment, Line, Segment
+from agent.motion.program import FlyTrajectory, FlyType, MotionSettings
+
+_CELLS, _MOST_CELLS = 24, 256
+#: [m] Blends smaller than this are stops.
+_SMALLEST = 1e-4
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
+
+
+@dataclass(frozen=True)
+class BlendStep:
+    """The polynomial step h of a blend: a cubic, a quintic or a mixture of both (`shape` 0..1)."""
+
+    shape: float = 0.0
+
+    def value(self, tau: np.ndarray) -> np.ndarray:
+        """h(τ)"""
+        cubic = tau * tau * (3.0 - 2.0 * tau)
+        quintic = tau**3 * (10.0 + tau * (6.0 * tau - 15.0))
+        return (1.0 - self.shape) * cubic + self.shape * quintic
+
+    def integral(self, tau: np.ndarray) -> np.ndarray:
+        """∫h from 0 to τ; one half at τ = 1."""
+        cubic = tau**3 * (1.0 - 0.5 * tau)
+        quintic = tau**4 * (2.5 + tau * (tau - 3.0))
+        return (1.0 - self.shape) * cubic + self.shape * quintic
+
+
+@dataclass(frozen=True, eq=False)
+class Corner:
+    """A blend between two moves: the parts e₁ and e₂ (at most ½) that it takes, and how finely it is sampled.
+
+    `joint` blends in joint space (where a JOINT or WRIST_JNT move takes part), `through` passes the point (FLY_PASS),
+    `overlap` lets the speed dip as the superposed moves do (FLY_NORM). `allowed` [m] is $FLY_DIST where it bounds.
+    """
+
+    before: float
+    after: float
+    joint: bool
+    through: bool
+    overlap: bool
+    cells: int
+    step: BlendStep
+    allowed: float = np.inf
+
+    def tau(self) -> np.ndarray:
+        """(cells + 1,) samples of the blend's parameter."""
+        return np.linspace(0.0, 1.0, self.cells + 1)
+
+    def sigma(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters of the move before and the move after."""
+        integral = self.step.integral(tau)
+        return 1.0 - self.before + 2.0 * self.before * (tau - integral), 2.0 * self.after * integral
+
+    def scaled(self, factor: float) -> Corner:
+        """The same blend, smaller."""
+        return replace(self, before=factor * self.before, after=factor * self.after)
+
+    def refined(self, fineness: float) -> Corner:
+        """The same blend, sampled so many times finer."""
+        return replace(self, cells=2 * round(0.5 * fineness * self.cells))
+
+    def rate(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Their derivatives by τ."""
+        value = self.step.value(tau)
+        return 2.0 * self.before * (1.0 - value), 2.0 * self.after * value
+
+
+def bump(tau: np.ndarray) -> np.ndarray:
+    """1 in the middle of a blend, 0 with two derivatives at its ends: what pulls a FLY_PASS blend through the point."""
+    return 64.0 * (tau * (1.0 - tau)) ** 3
+
+
+def bump_rate(tau: np.ndarray) -> np.ndarray:
+    """d bump / dτ"""
+    return 192.0 * (tau * (1.0 - tau)) ** 2 * (1.0 - 2.0 * tau)
+
+
+def corner_between(before: Segment, after: Segment, parameters: FlyParameters) -> Corner | None:
+    """The FLY corner at the end of `before`, or None where the arm has to stop.
+
+    It stops where the path turns back on itself, where the tool changes, and where no blend worth the name is left.
+    A joint-space blend is measured only once it is built (`path.build_path`), and may then be `scaled` down.
+    """
+    settings = before.settings
+    if before.kinematics is not after.kinematics:
+        return None
+    joint = not (isinstance(before, CartesianSegment) and isinstance(after, CartesianSegment))
+    step = BlendStep(parameters.blend_shape)
+    sizes = before.extent, after.extent
+    half = 0.5 * min(sizes)
+    overlap = settings.fly_type is FlyType.FLY_NORM
+    through = settings.fly_trajectory is FlyTrajectory.FLY_PASS
+    turn = 0.5 * np.pi if joint else _deflection(before, after)
+    if turn > parameters.stop_angle:
+        return None
+    size = min(half, _reach(settings, half, before, parameters))
+    fineness = max(1.0, 0.5 / np.cos(0.5 * turn), 2.0 * size / parameters.spacing / _CELLS)
+    cells = 2 * int(min(_MOST_CELLS, _CELLS * fineness) / 2)
+
+    bounded = settings.fly_trajectory in (FlyTrajectory.FLY_TOL, FlyTrajectory.FLY_PASS)
+    allowed = settings.fly_distance if bounded else np.inf
+
+    def corner(size: float) -> Corner:
+        return Corner(size / sizes[0], size / sizes[1], joint, through, overlap, cells, step, allowed)
+
+    if bounded:
+        if joint:
+            # Where directions are not known before the arm's joints are: the widest the sum of two moves can be.
+            size = min(size, allowed / (4.0 * float(step.integral(np.array(0.5)))))
+        else:
+            for _ in range(12):
+                deviation = _deviation(corner(size), before, after)
+                if deviation <= allowed * (1.0 + 1e-9):
+                    break
+                size *= 0.9999 * allowed / deviation
+    return corner(size) if size >= _SMALLEST else None
+
+
+def _reach(settings: MotionSettings, half: float, before: Segment, parameters: FlyParameters) -> float:
+    """[m] how far before the corner the blend may start, by $FLY_TYPE and $FLY_TRAJ."""
+    if settings.fly_trajectory is FlyTrajectory.FLY_FROM:
+        size = settings.fly_distance
+    elif settings.fly_trajectory is FlyTrajectory.FLY_AUTO:
+        size = half * (1.0 - parameters.auto_tightness * settings.stress_percent / 100.0)
+    else:
+        size = half
+    if settings.fly_type is FlyType.FLY_NORM:
+        speed = settings.linear_speed * settings.speed_override * settings.arm_override
+        if isinstance(before, JointSegment):
+            speed = 2.0 * half * settings.speed_override * settings.arm_override
+        size = min(size, settings.fly_percent / 100.0 * speed**2 / (2.0 * parameters.norm_acceleration))
+    return size
+
+
+def _deflection(before: CartesianSegment, after: CartesianSegment) -> float:
+    one = before.curve.derivative(np.ones(1))[0]
+    two = after.curve.derivative(np.zeros(1))[0]
+    sizes = np.linalg.norm(one) * np.linalg.norm(two)
+    if sizes < 1e-12:
+        return 0.0
+    return float(np.arccos(np.clip(np.dot(one, two) / sizes, -1.0, 1.0)))
+
+
+def _deviation(corner: Corner, before: CartesianSegment, after: CartesianSegment) -> float:
+    """[m] of the path from the corner point, or for FLY_PASS of the path from the two moves."""
+    if isinstance(before.curve, Line) and isinstance(after.curve, Line) and not corner.through:
+        sides = corner.after * (after.curve.end - after.curve.start) - corner.before * (
+            before.curve.end - before.curve.start
+        )
+        return float(2.0 * corner.step.integral(np.array(0.5)) * np.linalg.norm(sides))
+    tau = np.linspace(0.0, 1.0, 33)
+    points = blended_position(corner, before, after, tau)
+    if not corner.through:
+        return float(np.min(np.linalg.norm(points - before.curve.position(np.ones(1)), axis=1)))
+    fine = np.linspace(0.0, 1.0, 65)
+    sides = np.concatenate(
+        (
+            before.curve.position(1.0 - 1.2 * corner.before * fine),
+            after.curve.position(1.2 * corner.after * fine),
+        )
+    )
+    return float(np.max(np.min(np.linalg.norm(points[:, None] - sides[None], axis=2), axis=1)))
+
+
+def blended_position(corner: Corner, before: CartesianSegment, after: CartesianSegment, tau: np.ndarray) -> np.ndarray:
+    """(S, 3) TCP in the blend [m]."""
+    point = after.curve.position(np.zeros(1))
+    one, two = corner.sigma(tau)
+    positions = before.curve.position(one) + after.curve.position(two) - point
+    if corner.through:
+        positions = positions + bump(tau)[:, None] * _pull(corner, before, after)
+    return positions
+
+
+def blended_near(
+    corner: Corner, before: CartesianSegment, after: CartesianSegment, tau: np.ndarray
+) -> np.ndarray | None:
+    """(S, n) the straight ways in joint space in the blend; None where the pose alone says what the joints are."""
+    one, two = corner.sigma(tau)
+    leaving, arriving = before.near(one), after.near(two)
+    return None if leaving is None or arriving is None else leaving + arriving - after.ends[0]
+
+
+def _pull(corner: Corner, before: CartesianSegment, after: CartesianSegment) -> np.ndarray:
+    one, two = corner.sigma(np.array([0.5]))
+    point = after.curve.position(np.zeros(1))
+    return 2.0 * point - before.curve.position(one) - after.curve.position(two)
+
+
+def blended_orientation(
+    corner: Corner, before: CartesianSegment, after: CartesianSegment, tau: np.ndarray
+) -> np.ndarray:
+    """(S, 4) orientation in the blend."""
+
+    def blend(tau: np.ndarray) -> np.ndarray:
+        one, two = corner.sigma(tau)
+        since_corner = rotation.multiply(rotation.conjugate(at_corner), after.turn.orientation(two))
+        return rotation.multiply(before.turn.orientation(one), since_corner)
+
+    at_corner = after.turn.orientation(np.zeros(1))
+    blended = blend(tau)
+    if corner.through:
+        missing = rotation.multiply(at_corner, rotation.conjugate(blend(np.array([0.5]))))[0]
+        pull = rotation.from_rotation_vector(bump(tau)[:, None] * rotation.rotation_vector(missing))
+        blended = rotation.multiply(pull, blended)
+    return blended
+
+
+def blended_length(
+    corner: Corner, before: CartesianSegment, after: CartesianSegment, tau: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lengths of the blend's cells (S - 1,) [m], and at the samples how far the superposed moves add up (S,), 0..1."""
+    cells = np.diff(tau)
+    nodes = (tau[:-1, None] + cells[:, None] * 0.5 * (1.0 + _NODES)).ravel()
+    along, apart = _rates(corner, before, after, np.concatenate((nodes, tau)))
+    lengths = (along[: len(nodes)].reshape(-1, 3) @ _WEIGHTS) * 0.5 * cells
+    return lengths, np.minimum(along[len(nodes) :] / apart[len(nodes) :], 1.0)
+
+
+def _rates(
+    corner: Corner, before: CartesianSegment, after: CartesianSegment, tau: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """ds/dτ (S,) of the blend, and of its two moves one after the other."""
+    rate_one, rate_two = corner.rate(tau)
+    if isinstance(before.curve, Line) and isinstance(after.curve, Line) and not corner.through:
+        one, two = before.curve.end - before.curve.start, after.curve.end - after.curve.start
+        squares = rate_one * (rate_one * (one @ one) + rate_two * (2.0 * (one @ two))) + rate_two**2 * (two @ two)
+    else:
+        sigma_one, sigma_two = corner.sigma(tau)
+        velocity = rate_one[:, None] * before.curve.derivative(sigma_one)
+        velocity = velocity + rate_two[:, None] * after.curve.derivative(sigma_two)
+        if corner.through:
+            velocity = velocity + bump_rate(tau)[:, None] * _pull(corner, before, after)
+        squares = np.einsum("si,si->s", velocity, velocity)
+    turned = before.turning * rate_one + after.turning * rate_two
+    return np.sqrt(np.maximum(squares, 0.0) + turned**2), before.extent * rate_one + after.extent * rate_two

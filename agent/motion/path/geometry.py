@@ -1,0 +1,282 @@
+"""The way of the arm between two standstills, on a grid of knots: geometry only, no speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.motion.fly_parameters import FlyParameters
+from agent.motion.path import rotation
+from agent.motion.path.blend import Corner, blended_length, blended_near, blended_orientation, blended_position, bump
+from agent.motion.path.rules import corner_rules, segment_rules
+from agent.motion.path.segments import Arc, CartesianSegment, JointSegment, Segment, WristSegment
+from agent.motion.path.solve import solve_cartesian, solve_wrist
+
+#: Largest turn of the orientation, of an arc or of a joint between two knots [rad].
+_TURN = 0.04
+#: No move is cut into more cells, and none into fewer.
+_MOST_CELLS, _FEWEST_CELLS = 4000, 8
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """K knots of one run. `s` is the length of the TCP's way [m] wherever the TCP travels.
+
+    s (K,); q (K, n); position (K, 3) [m] and orientation (K, 4) of the TCP; move (K,) statement index;
+    rules (K, 7) as in `path_rules`; overlap (K,) the part of the speed that FLY_NORM leaves, 1 elsewhere;
+    deviations: by corner, how many times $FLY_DIST a joint-space blend is away from it (0 for other blends).
+    """
+
+    s: np.ndarray
+    q: np.ndarray
+    position: np.ndarray
+    orientation: np.ndarray
+    move: np.ndarray
+    rules: np.ndarray
+    overlap: np.ndarray
+    deviations: tuple[float, ...]
+
+
+@dataclass(eq=False)
+class _Stretch:
+    """Knots in a row: `steps` (k,) of s, each from the knot before, and what is known of the knots so far."""
+
+    steps: np.ndarray
+    move: np.ndarray
+    rules: np.ndarray
+    overlap: np.ndarray
+    position: np.ndarray | None = None
+    orientation: np.ndarray | None = None
+    q: np.ndarray | None = None
+    near: np.ndarray | None = None
+
+
+def build_path(
+    segments: Sequence[Segment],
+    corners: Sequence[Corner],
+    start: np.ndarray,
+    speeds: np.ndarray,
+    parameters: FlyParameters,
+    fineness: float = 1.0,
+) -> Path:
+    """The path over `segments` blended at `corners` (one fewer), from `start` (n,) at standstill to standstill.
+
+    `speeds` (n,) are the joint speed limits; `fineness` takes so many times more knots.
+
+    Raises:
+        MotionError: out of reach, through a singularity, or not on one branch of the arm.
+    """
+    corners = [corner.refined(fineness) for corner in corners]
+    stretches: list[_Stretch] = []
+    deviations = [0.0] * len(corners)
+    q, first = np.asarray(start, dtype=float), 0
+    running_out = q[None]
+    while first < len(segments):
+        last = first
+        while last < len(corners) and not corners[last].joint:
+            last += 1
+        lead = corners[first - 1] if first > 0 else None
+        trail = corners[last] if last < len(corners) else None
+        unit = segments[first : last + 1]
+        body = _body(unit, corners[first:last], lead, trail, parameters, fineness)
+        head, solved, tail = _solve(unit, body, lead, trail, q)
+        if lead is not None:
+            stretches.append(_joint_corner(segments[first - 1], unit[0], lead, running_out, head, speeds, parameters))
+            deviations[first - 1] = _deviation(lead, unit[0], running_out, head, stretches[-1])
+            body[0].steps[0] = stretches[-1].steps[-1]
+            stretches[-1].steps = stretches[-1].steps[:-1]
+        stretches += solved
+        running_out = tail
+        q, first = tail[-1], last + 1
+    return _assemble(stretches, segments[0], tuple(deviations))
+
+
+def _body(
+    unit: Sequence[Segment],
+    inner: Sequence[Corner],
+    lead: Corner | None,
+    trail: Corner | None,
+    parameters: FlyParameters,
+    fineness: float,
+) -> list[_Stretch]:
+    """Knots of the moves of one unit outside joint-space corners; the first stretch has the first knot, step 0."""
+    corners = (lead, *inner, trail)
+    body: list[_Stretch] = []
+    for k, segment in enumerate(unit):
+        before, after = corners[k], corners[k + 1]
+        begin = 0.0 if before is None else before.after
+        end = 1.0 if after is None else 1.0 - after.before
+        edges = [
+            None if corner is None else 2.0 * part * segment.metric / corner.cells
+            for corner, part in ((before, begin), (after, 1.0 - end))
+        ]
+        travel = _cells((end - begin) * segment.metric, edges[0], edges[1], _spacing(segment, parameters) / fineness)
+        sigma = begin + travel / segment.metric
+        skip = 0 if k == 0 else 1
+        body.append(_on_segment(segment, sigma[skip:], np.diff(travel, prepend=0.0)[skip:]))
+        if k < len(inner):
+            body.append(_on_corner(inner[k], segment, unit[k + 1], parameters))
+    return body
+
+
+def _on_segment(segment: Segment, sigma: np.ndarray, steps: np.ndarray) -> _Stretch:
+    count = len(sigma)
+    stretch = _Stretch(
+        steps, np.full(count, segment.move), np.broadcast_to(segment_rules(segment), (count, 7)), np.ones(count)
+    )
+    if isinstance(segment, JointSegment):
+        stretch.q = segment.start + sigma[:, None] * (segment.end - segment.start)
+    else:
+        stretch.position = segment.curve.position(sigma)
+        if isinstance(segment, CartesianSegment):
+            stretch.orientation = segment.turn.orientation(sigma)
+            stretch.near = segment.near(sigma)
+        else:
+            stretch.q = solve_wrist(segment, sigma, stretch.position)
+    return stretch
+
+
+def _on_corner(corner: Corner, before: Segment, after: Segment, parameters: FlyParameters) -> _Stretch:
+    assert isinstance(before, CartesianSegment)
+    assert isinstance(after, CartesianSegment)
+    tau = corner.tau()
+    lengths, along = blended_length(corner, before, after, tau)
+    return _Stretch(
+        lengths,
+        np.where(tau[1:] < 0.5, before.move, after.move),
+        np.broadcast_to(corner_rules(before, after, parameters), (corner.cells, 7)),
+        along[1:] if corner.overlap else np.ones(corner.cells),
+        blended_position(corner, before, after, tau[1:]),
+        blended_orientation(corner, before, after, tau[1:]),
+        near=blended_near(corner, before, after, tau[1:]),
+    )
+
+
+def _solve(
+    unit: Sequence[Segment], body: list[_Stretch], lead: Corner | None, trail: Corner | None, start: np.ndarray
+) -> tuple[np.ndarray, list[_Stretch], np.ndarray]:
+    """Joints of a unit from `start` (n,): on the way in (lead.cells + 1, n), its knots, on the way out."""
+    into = np.empty(0) if lead is None else lead.sigma(lead.tau())[1][:-1]
+    out = np.empty(0) if trail is None else trail.sigma(trail.tau())[0][1:]
+    ways = [_on_segment(unit[0], into, into), *body, _on_segment(unit[-1], out, out)]
+    if isinstance(unit[0], CartesianSegment):
+        position, orientation = (
+            np.concatenate([getattr(way, name) for way in ways]) for name in ("position", "orientation")
+        )
+        near = None if ways[0].near is None else np.concatenate([way.near for way in ways])
+        q = solve_cartesian(unit, np.concatenate([way.move for way in ways]), position, orientation, start, near)
+        cuts = np.cumsum([len(way.move) for way in ways])[:-1]
+        for way, part in zip(ways, np.split(q, cuts), strict=True):
+            way.q = part
+    else:
+        q = np.concatenate([way.q for way in ways if way.q is not None])
+    return q[: len(into) + 1], body, q[len(q) - len(out) - 1 :]
+
+
+def _joint_corner(
+    before: Segment,
+    after: Segment,
+    corner: Corner,
+    running_out: np.ndarray,
+    running_in: np.ndarray,
+    speeds: np.ndarray,
+    parameters: FlyParameters,
+) -> _Stretch:
+    """The knots between two units: joints superposed. One step more than knots: the last leads to the next unit."""
+    tau = corner.tau()
+    at_corner = running_in[0]
+    q = running_out + running_in - at_corner
+    if corner.through:
+        middle = corner.cells // 2
+        q = q + bump(tau)[:, None] * (at_corner - q[middle])
+    one, two = corner.sigma(tau)
+    moves = [np.linalg.norm(np.diff(way, axis=0) / speeds, axis=1) for way in (q, running_out, running_in)]
+    along = np.minimum(moves[0] / np.maximum(moves[1] + moves[2], 1e-300), 1.0)
+    count = corner.cells - 1
+    return _Stretch(
+        before.metric * np.diff(one) + after.metric * np.diff(two),
+        np.where(tau[1:-1] < 0.5, before.move, after.move),
+        np.broadcast_to(corner_rules(before, after, parameters), (count, 7)),
+        0.5 * (along[:-1] + along[1:]) if corner.overlap else np.ones(count),
+        q=q[1:-1],
+    )
+
+
+def _deviation(
+    corner: Corner, segment: Segment, running_out: np.ndarray, running_in: np.ndarray, blend: _Stretch
+) -> float:
+    if not np.isfinite(corner.allowed) or blend.q is None:
+        return 0.0
+    moves = segment.kinematics.forward(np.concatenate((running_out, running_in)))[:, :3, 3]
+    points = segment.kinematics.forward(blend.q)[:, :3, 3]
+    if corner.through:
+        away = float(np.max(np.min(np.linalg.norm(points[:, None] - moves[None], axis=2), axis=1)))
+    else:
+        away = float(np.min(np.linalg.norm(points - moves[len(running_out)], axis=1)))
+    return away / max(corner.allowed, 1e-9)
+
+
+def _assemble(stretches: list[_Stretch], segment: Segment, deviations: tuple[float, ...]) -> Path:
+    q = np.concatenate([stretch.q for stretch in stretches if stretch.q is not None])
+    position, orientation = np.empty((len(q), 3)), np.empty((len(q), 4))
+    unknown = np.concatenate([np.full(len(stretch.move), stretch.orientation is None) for stretch in stretches])
+    known = [stretch for stretch in stretches if stretch.orientation is not None]
+    if known:
+        position[~unknown] = np.concatenate([stretch.position for stretch in known])
+        orientation[~unknown] = np.concatenate([stretch.orientation for stretch in known])
+    if unknown.any():
+        poses = segment.kinematics.forward(q[unknown])
+        position[unknown] = poses[:, :3, 3]
+        orientation[unknown] = rotation.from_matrices(poses[:, :3, :3])
+    return Path(
+        np.cumsum(np.concatenate([stretch.steps for stretch in stretches])),
+        q,
+        position,
+        rotation.continuous(orientation),
+        np.concatenate([stretch.move for stretch in stretches]),
+        np.concatenate([stretch.rules for stretch in stretches]),
+        np.concatenate([stretch.overlap for stretch in stretches]),
+        deviations,
+    )
+
+
+def _spacing(segment: Segment, parameters: FlyParameters) -> float:
+    """Largest step of s between knots of one move."""
+    if isinstance(segment, JointSegment):
+        turns = float(np.max(np.abs(segment.end - segment.start))) / _TURN
+    else:
+        turns = segment.extent / parameters.spacing
+        if isinstance(segment.curve, Arc):
+            turns = max(turns, segment.curve.angle / _TURN)
+        if isinstance(segment, CartesianSegment):
+            turns = max(turns, segment.angle / _TURN)
+        elif isinstance(segment, WristSegment):
+            turns = max(turns, float(np.max(np.abs(segment.end - segment.start))) / _TURN)
+    return segment.metric / min(max(turns, _FEWEST_CELLS), _MOST_CELLS)
+
+
+def _cells(length: float, first: float | None, last: float | None, largest: float) -> np.ndarray:
+    """Points from 0 to `length`, at most `largest` apart, growing from the cells that blends end with.
+
+    Neighbouring cells of very different size would make the spline through the knots ring.
+    """
+    if length < 1e-12:
+        return np.zeros(1)
+    left, right = [], []
+    a, b = first or largest, last or largest
+    rest = length
+    while rest > 0 and min(a, b) < largest:
+        if a <= b:
+            left.append(a)
+            rest -= a
+            a = min(1.5 * a, largest)
+        else:
+            right.append(b)
+            rest -= b
+            b = min(1.5 * b, largest)
+    middle = max(int(np.ceil(rest / largest)), 0)
+    sizes = np.array([*left, *([rest / max(middle, 1)] * middle), *right[::-1]])
+    points = np.concatenate(([0.0], np.cumsum(sizes)))
+    return points * (length / points[-1])

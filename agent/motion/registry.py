@@ -1,0 +1,38 @@
+"""Interpolators by name: the built-in ones, and what others install under the entry point group below."""
+
+from __future__ import annotations
+
+from importlib.metadata import entry_points
+from typing import Any
+
+from agent.core.errors import InputError
+from agent.motion.fly.interpolator import FlyInterpolator
+from agent.motion.interpolator import Interpolator
+from agent.motion.orl import OrlInterpolator
+from agent.robot.description import RobotDescription
+
+#: Third parties add interpolators under this entry-point group.
+ENTRY_POINTS = "calibration_agent.interpolators"
+
+# Registered in code as well: a checkout that was never installed has no entry points.
+_BUILT_IN = {"fly": FlyInterpolator, "orl": OrlInterpolator}
+
+
+def interpolator_names() -> tuple[str, ...]:
+    """Names that `create_interpolator` knows: the built-in ones and those of installed packages."""
+    return tuple(sorted({*_BUILT_IN, *(entry.name for entry in entry_points(group=ENTRY_POINTS))}))
+
+
+def create_interpolator(name: str, robot: RobotDescription, tool: Any = None, **options: Any) -> Interpolator:
+    """An interpolator by its registered name.
+
+    Raises:
+        InputError: no interpolator has that name.
+    """
+    factory = _BUILT_IN.get(name)
+    if factory is None:
+        found = next((entry for entry in entry_points(group=ENTRY_POINTS) if entry.name == name), None)
+        if found is None:
+            raise InputError(f"interpolator {name!r} is not known; there are: {', '.join(interpolator_names())}")
+        factory = found.load()
+    return factory(robot, tool, **options)

@@ -1,0 +1,207 @@
+"""Recording beside the link: the disk may be slow, the link never waits for it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from agent.recording.mcap.log_file import FLUSH_INTERVAL, PLANNED, TEMPERATURES, LogFile, Samples
+from agent.recording.mcap.output import RecordingError
+
+#: What may wait in memory for a slow disk [bytes]: half an hour of six joints at 500 Hz.
+BACKLOG_LIMIT = 256 * 2**20
+#: So long a disk may take nothing while a motion is recorded [s]; what waits would be lost with the process.
+STALL_LIMIT = 10.0
+#: How long a closed log may wait for a disk that takes nothing at all [s].
+CLOSE_LIMIT = 60.0
+
+
+class LogWriter:
+    """Writes one log in a thread of its own. Every method but `close` returns at once, whatever the disk does.
+
+    What was written reaches the operating system within half a second, of data and of waiting, so a killed process
+    loses at most that. A disk that falls further behind than `backlog_limit` or `stall_limit` is an error of `write`:
+    whoever records then stops the arm; what waits is still written where the disk takes it again.
+
+    Use it as a context manager: leaving it closes the log, also after an error, which keeps what was recorded.
+
+    Args:
+        path: file to write; it must not exist.
+        joint_names: as in the robot description.
+        robot, motion: of the record `run`.
+        sample_rate: nominal [Hz].
+        clock: receive time [s], for blocks that come without one.
+        backlog_limit: [bytes].
+        stall_limit: [s].
+        facts: what else the record `run` says.
+
+    Raises:
+        InputError: the file exists.
+        RecordingError: disk full, read-only, too slow or no rights; from `write` and `close`. What came before stays
+            readable.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        joint_names: Sequence[str],
+        *,
+        robot: str,
+        motion: str,
+        sample_rate: float | None = None,
+        clock: Callable[[], float] = time.time,
+        backlog_limit: int = BACKLOG_LIMIT,
+        stall_limit: float = STALL_LIMIT,
+        facts: Mapping[str, str] | None = None,
+    ):
+        self.path = Path(path)
+        self._file = LogFile(self.path, joint_names, robot, motion, sample_rate, clock, facts)
+        self._limit = backlog_limit
+        self._stall_limit = stall_limit
+        self._jobs: deque[tuple[int, Callable[[], None]]] = deque()
+        self._backlog = 0
+        self._busy_since: float | None = None
+        self._done = 0
+        self._failure: BaseException | None = None
+        self._closing = False
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._work, name=f"log {self.path.name}", daemon=True)
+        self._thread.start()
+
+    @property
+    def lost(self) -> int:
+        """Samples that are not in the log, by sequence number; complete once the log is closed."""
+        return self._file.lost
+
+    @property
+    def repeated(self) -> int:
+        """Samples that came again and were left out; complete once the log is closed."""
+        return self._file.repeated
+
+    @property
+    def backlog(self) -> int:
+        """Bytes that were handed over and have not gone through the writer yet."""
+        return self._backlog
+
+    def write(self, block: Samples) -> None:
+        """Add measured samples with their set-points. The arrays must not change afterwards."""
+        references = (block.reference_position, block.reference_velocity)
+        arrays = (block.position, block.velocity, block.torque, block.current, *references)
+        size = sum(values.nbytes for values in arrays if values is not None) + block.time.nbytes
+        self._put(size, lambda: self._file.write(block))
+        self._check()
+
+    def write_planned(self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray | None = None) -> None:
+        """Add what was planned for controller times (K,) [s]: position and velocity (K, n)."""
+        self._put(2 * position.nbytes, lambda: self._file.write_set_points(PLANNED, time, position, velocity))
+
+    def write_temperatures(self, readings: Sequence[tuple[float, np.ndarray]]) -> None:
+        """Add temperatures of the motors: controller time [s] and (n,) [°C] of each reading."""
+        if readings:
+            times = np.array([time for time, _ in readings])
+            values = np.array([values for _, values in readings])
+            self._put(values.nbytes, lambda: self._file.write_states(TEMPERATURES, times, None, None, values))
+
+    def cycle_start(self, time: float) -> None:
+        """Note a controller time [s] at which the motion begins anew."""
+        self._put(0, lambda: self._file.cycle_start(time))
+
+    def note(self, facts: Mapping[str, str]) -> None:
+        """Add to what the record `run` says at the end."""
+        self._put(0, lambda: self._file.note(facts))
+
+    def missed(self, count: int) -> None:
+        """Note how many samples the link lost in all, those before the first and after the last one seen too."""
+        self._put(0, lambda: self._file.missed(count))
+
+    def event(self, text: str) -> None:
+        """Note what happened on the link or to the robot."""
+        self._put(len(text), lambda: self._file.event(text))
+
+    def close(self) -> None:
+        """Write all that waits, and the index. Safe to call twice."""
+        if self._closing:
+            return
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+        done = -1
+        while self._thread.is_alive() and done != self._done:
+            done = self._done
+            self._thread.join(CLOSE_LIMIT)
+        if self._thread.is_alive():
+            raise self._too_slow(f"it has taken nothing for {CLOSE_LIMIT:g} s")
+        if self._failure is not None:
+            raise self._failure
+
+    def __enter__(self) -> LogWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        try:
+            self.close()
+        except Exception as failure:
+            if error is None:
+                raise
+            if failure is not error:
+                error.add_note(str(failure))
+
+    def _check(self) -> None:
+        """Raises:
+        RecordingError: the disk does not take what it is given.
+        """
+        with self._changed:
+            if self._failure is not None:
+                raise self._failure
+            stalled = 0.0 if self._busy_since is None else time.monotonic() - self._busy_since
+        if self._backlog > self._limit:
+            raise self._too_slow(f"{self._backlog >> 20} MiB wait for it")
+        if stalled > self._stall_limit:
+            raise self._too_slow(f"it has taken nothing for {stalled:.0f} s")
+
+    def _too_slow(self, how: str) -> RecordingError:
+        return RecordingError(self.path, f"the disk is too slow: {how}", advice="choose a folder on a faster disk")
+
+    def _put(self, size: int, job: Callable[[], None]) -> None:
+        with self._changed:
+            if self._failure is None:
+                self._jobs.append((size, job))
+                self._backlog += size
+                self._changed.notify()
+
+    def _work(self) -> None:
+        try:
+            self._write_jobs()
+            self._file.finish()
+        except BaseException as failure:  # raised again in the thread that writes
+            with self._changed:
+                self._failure = failure
+                self._jobs.clear()
+                self._backlog = 0
+        finally:
+            self._file.close()
+
+    def _write_jobs(self) -> None:
+        due = time.monotonic() + FLUSH_INTERVAL
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._jobs or self._closing, max(0.0, due - time.monotonic()))
+                size, job = self._jobs.popleft() if self._jobs else (0, None)
+                self._busy_since = time.monotonic()
+                if job is None and self._closing:
+                    return
+            if job is not None:
+                job()
+            if time.monotonic() >= due:
+                self._file.flush()
+                due = time.monotonic() + FLUSH_INTERVAL
+            with self._changed:
+                self._backlog -= size
+                self._busy_since = None
+                self._done += 1

@@ -1,0 +1,219 @@
+"""What the kinematics of every arm offers, whichever way its inverse is found."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import NoReturn
+
+import numpy as np
+
+from agent.core.errors import InputError
+from agent.robot.description import RobotDescription
+from agent.robot.kinematics.chain import KinematicChain
+
+#: A configuration nearer to a singularity than this (normalised, see `Kinematics.singularity`) is not returned.
+SINGULAR_DISTANCE = 1e-4
+#: A revolute joint that turns farther than this [rad] between two samples of a path has left its branch.
+LARGEST_STEP = np.pi / 2
+#: Slack on joint limits [rad or m], for round-off only.
+LIMIT_SLACK = 1e-9
+
+
+class KinematicsError(InputError):
+    """A pose that cannot be reached as asked.
+
+    `index` of the first such pose, `reason` "unreachable", "singular" or "branch", and `excess` > 0: how far beyond
+    what is possible the worst pose is, dimensionless, so that a search can rank candidates.
+    """
+
+    def __init__(self, index: int, reason: str, message: str, excess: float):
+        super().__init__(message)
+        self.index = index
+        self.reason = reason
+        self.excess = excess
+
+
+@dataclass(frozen=True, eq=False)
+class InverseSolutions:
+    """All solutions of S poses on B branches.
+
+    q (S, B, n), NaN where not `valid`; valid (S, B): reaches the pose and is not singular; within_limits (S, B): also
+    keeps the joint limits; singular (S, B): reaches the pose in a singular configuration; unreachable (S,): no branch
+    reaches the pose.
+    """
+
+    q: np.ndarray
+    valid: np.ndarray
+    within_limits: np.ndarray
+    singular: np.ndarray
+    unreachable: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class SingularityDistance:
+    """Normalised distances (S, k) of S configurations from the k kinds of singularity in `names`; 0 is singular."""
+
+    names: tuple[str, ...]
+    distances: np.ndarray
+
+    @property
+    def smallest(self) -> np.ndarray:
+        """(S,) distance from the nearest singularity."""
+        return self.distances.min(axis=1)
+
+    @property
+    def which(self) -> np.ndarray:
+        """(S,) index into `names` of the nearest singularity."""
+        return self.distances.argmin(axis=1)
+
+
+class Kinematics(ABC):
+    """Kinematics of one arm with one tool. Joint positions q are (S, n) in rad (m on a prismatic joint)."""
+
+    def __init__(self, robot: RobotDescription, chain: KinematicChain):
+        self.robot = robot
+        self.chain = chain
+        self.lower, self.upper = robot.position_limits
+        self._revolute = ~chain.prismatic
+        bounded = np.isfinite(self.lower) & np.isfinite(self.upper)
+        self.middle = np.where(bounded, self.lower, 0.0) / 2 + np.where(bounded, self.upper, 0.0) / 2
+
+    @property
+    def dof(self) -> int:
+        """Number of joints n."""
+        return self.chain.dof
+
+    def forward(self, q: np.ndarray) -> np.ndarray:
+        """(S, 4, 4) poses of the TCP."""
+        return self.chain.forward(q)
+
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
+        """(S, 6, n) Jacobian of the TCP in the base frame: rows linear, then angular velocity."""
+        return self.chain.jacobian(q)
+
+    def joint_rates(self, q: np.ndarray, twist: np.ndarray) -> np.ndarray:
+        """(S, n) joint velocities that give the TCP the twist (S, 6), linear then angular, in the base frame.
+
+        The least-squares, least-norm solution where the arm has not six joints. Not meant for singular configurations.
+        """
+        jacobian = self.jacobian(q)
+        if self.dof == 6:
+            return np.linalg.solve(jacobian, twist[:, :, None])[:, :, 0]
+        return (np.linalg.pinv(jacobian) @ twist[:, :, None])[:, :, 0]
+
+    def unit(self, joint: int) -> str:
+        """Unit of a joint's position, for messages."""
+        return "m" if self.chain.prismatic[joint] else "rad"
+
+    def within_limits(self, q: np.ndarray) -> np.ndarray:
+        """(...) bool for q (..., n): every joint inside its limits."""
+        return ((q >= self.lower - LIMIT_SLACK) & (q <= self.upper + LIMIT_SLACK)).all(axis=-1)
+
+    def nearest_turn(self, q: np.ndarray, reference: np.ndarray) -> np.ndarray:
+        """q (..., n) with full turns added to revolute joints so that each comes nearest to the reference (..., n)."""
+        turns = np.round((reference - q) / (2 * np.pi))
+        return q + 2 * np.pi * np.where(self._revolute, turns, 0.0)
+
+    def turned_into_limits(self, q: np.ndarray) -> np.ndarray:
+        """q (..., n) with the fewest full turns that bring each revolute joint into its limits, where that can be."""
+        over = np.ceil((q - self.upper - LIMIT_SLACK) / (2 * np.pi)).clip(min=0)
+        under = np.ceil((self.lower - LIMIT_SLACK - q) / (2 * np.pi)).clip(min=0)
+        return q + 2 * np.pi * np.where(self._revolute, under - over, 0.0)
+
+    def solve(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """(n,) the solution for one pose (4, 4) nearest to `near` (n,), within the joint limits.
+
+        Raises:
+            KinematicsError: no such solution; index 0.
+        """
+        pose = np.asarray(pose, dtype=float)
+        found = self._candidates(pose, near)
+        valid = found.valid[0]
+        if not valid.any():
+            self._refuse(pose)
+        candidates = self.turned_into_limits(self.nearest_turn(found.q[0, valid], near))
+        beyond = np.maximum(candidates - self.upper, self.lower - candidates)
+        allowed = self.within_limits(candidates)
+        if not allowed.any():
+            best = beyond[beyond.max(axis=1).argmin()]
+            joint = int(best.argmax())
+            raise KinematicsError(
+                0,
+                "unreachable",
+                f"the pose at {position_text(pose)} is out of reach: every solution breaks a joint limit, the best one "
+                f"that of {self.robot.joint_names[joint]} by {best[joint]:.3g} {self.unit(joint)}",
+                float(best[joint]),
+            )
+        candidates = candidates[allowed]
+        return candidates[np.linalg.norm(candidates - near, axis=1).argmin()]
+
+    @abstractmethod
+    def inverse(self, poses: np.ndarray) -> InverseSolutions:
+        """All solutions for poses (S, 4, 4); each revolute joint turned to within half a turn of its range's middle."""
+
+    @abstractmethod
+    def follow(self, poses: np.ndarray, start: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
+        """(S, n) continuous joint path through poses (S, 4, 4), on the branch and the turns of `start` (n,).
+
+        Of an arm with more joints than a pose needs: the least motion from pose to pose, which does not lead back to
+        the same joints where the poses come back; or with `near` (S, n) the joints nearest to those, which does.
+
+        The samples must be dense enough that no joint turns by more than `LARGEST_STEP` between two of them. Joint
+        limits are the caller's to check.
+
+        Raises:
+            KinematicsError: at the first pose out of reach, singular, or where the path leaves the branch.
+        """
+
+    @abstractmethod
+    def singularity(self, q: np.ndarray) -> SingularityDistance:
+        """How far configurations (S, n) are from singular ones."""
+
+    @abstractmethod
+    def solve_configuration(self, pose: np.ndarray, configuration: str) -> np.ndarray:
+        """(n,) the solution for a pose (4, 4) with these configuration flags and turns; limits are not checked.
+
+        Raises:
+            InputError: flags that make no sense for this arm.
+            KinematicsError: out of reach in that configuration, or singular; index 0.
+        """
+
+    def configuration_text(self, q: np.ndarray) -> str:
+        """The configuration string at joint positions q (n,); empty for an arm that has no such flags."""
+        return ""
+
+    @abstractmethod
+    def _candidates(self, pose: np.ndarray, near: np.ndarray) -> InverseSolutions:
+        """Solutions for one pose from which `solve` chooses."""
+
+    @abstractmethod
+    def _refuse(self, pose: np.ndarray) -> NoReturn:
+        """Raise the KinematicsError of a pose without valid solution."""
+
+
+def position_text(pose: np.ndarray) -> str:
+    """Where a pose is, for messages."""
+    return "({:.3f}, {:.3f}, {:.3f}) m".format(*pose[:3, 3])
+
+
+def pose_error(target: np.ndarray, actual: np.ndarray) -> np.ndarray:
+    """(S, 6) from actual to target poses (S, 4, 4): displacement [m], then rotation vector [rad], in the base frame."""
+    error = np.empty((len(target), 6))
+    error[:, :3] = target[:, :3, 3] - actual[:, :3, 3]
+    rotation = target[:, :3, :3] @ actual[:, :3, :3].transpose(0, 2, 1)
+    sine = np.stack(
+        [
+            rotation[:, 2, 1] - rotation[:, 1, 2],
+            rotation[:, 0, 2] - rotation[:, 2, 0],
+            rotation[:, 1, 0] - rotation[:, 0, 1],
+        ],
+        axis=1,
+    )
+    length = np.linalg.norm(sine, axis=1)
+    angle = np.arctan2(length, np.trace(rotation, axis1=1, axis2=2) - 1)
+    # Tiny angles equal their sines to round-off; half a turn has no axis in `sine`, and any will do to move on.
+    scale = np.divide(angle, length, out=np.full(len(length), 0.5), where=length > 1e-12)
+    error[:, 3:] = sine * scale[:, None]
+    error[(length <= 1e-12) & (angle > 1), 3] = np.pi
+    return error

@@ -1,0 +1,418 @@
+"""The driver for a COMAU controller with CNR's open programs; docs/real-robot.md says what has to be there.
+
+Motion goes through the trajectory socket; where the arm is and how the controller feels come on two others. Samples
+come from the C5G Open node by way of a broker, or, where there is none, from the feedbacks. Programs go by FTP.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import secrets
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from drivers.errors import ConfigurationError, DriverError, RefusedError, SafetyRefused
+from drivers.protocol import Gap, Identity, SampleBlock, Status
+from drivers.transports.cnr.address import CnrAddress
+from drivers.transports.cnr.files import Machine, ProgramFolder
+from drivers.transports.cnr.frames import pose_of_frame
+from drivers.transports.cnr.motion import HAND_REST, Arm, CnrMotion, stop_reason
+from drivers.transports.cnr.samples import BrokerLink, Counts
+from drivers.transports.cnr.sockets import Answer, Sockets
+from drivers.wire import cnr as wire
+from drivers.wire.cnr import Feedback, MessageType, Mode, Point
+from drivers.wire.reasons import EndReason
+
+#: The feedback program rests so long between two messages [s].
+FEEDBACK_PERIOD = 0.02
+_SAMPLE_PATIENCE = 1.0  # s without a sample, at least
+_HAND_TIMEOUT = 600.0  # s for somebody to press START
+_STOP_AGAIN = 0.05  # s between two stop commands of which the first was not taken
+
+_log = logging.getLogger(__name__)
+
+
+class CnrDriver:
+    """`drivers.protocol.Driver` on CNR's open programs: programs are stored by FTP and started by the socket, or by
+    hand.
+
+    `STOP` is the command that ends a motion on its path for good.
+
+    Args:
+        address: where everything is.
+        timeout: how long [s] to wait for an answer.
+        start_timeout: the same for `start`, for the arm to rest after `stop`, and for FTP.
+        buffer_limit: bytes of samples kept for a consumer that is behind; beyond it the motion is stopped.
+    """
+
+    STOP = MessageType.STOP
+
+    def __init__(
+        self,
+        address: CnrAddress,
+        *,
+        timeout: float = 5.0,
+        start_timeout: float = 60.0,
+        buffer_limit: int = 512 * 1024 * 1024,
+    ) -> None:
+        self.torque_per_ampere = np.empty((0, 0))
+        self.tell: Callable[[str], None] = _log.warning
+        self._address = address
+        self._timeout = timeout
+        self._start_timeout = start_timeout
+        self._buffer_limit = buffer_limit
+        self._folder = ProgramFolder(address, start_timeout)
+        self._sockets: Sockets | None = None
+        self._broker: BrokerLink | None = None
+        self._machine: Machine | None = None
+        self._motion: CnrMotion | None = None
+        self._stored = "", ""
+        self._starting = threading.Lock()  # whoever holds it may start a trajectory, or say that none is to follow
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """What is missing from the samples of the last motion; what the broker lost cannot be asked for again."""
+        return () if self._motion is None else self._motion.motion.sequencer.gaps
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """How the clocks of controller and samples lay in the last motion, and what did not come as it should."""
+        motion, broker = self._motion, self._broker
+        if motion is None or motion.match is None:
+            return {}
+        facts = {} if broker is None else _counted(broker.joiner.counts)
+        if motion.begun_at is not None:
+            facts["motion_start_s"] = f"{motion.begun_at:.6f}"
+        alignment = motion.match.alignment()
+        if alignment is not None:
+            facts["clock_offset_s"] = f"{alignment.offset:.9f}"
+            facts["clock_offset_uncertainty_s"] = f"{alignment.offset_deviation:.3g}"
+            facts["clock_offset_at_controller_time_s"] = f"{alignment.middle:.3f}"
+            facts["clock_drift_ppm"] = f"{1e6 * alignment.drift:.3g}"
+            facts["clock_drift_uncertainty_ppm"] = f"{1e6 * alignment.drift_deviation:.3g}"
+            facts["clock_feedbacks"] = str(alignment.count)
+        return facts
+
+    def connect(self) -> None:
+        """Open the sockets, read who is there, and listen to the broker."""
+        self.close()
+        self._motion = None
+        self._stored = "", ""
+        address = self._address
+        self._sockets = Sockets(address, self._timeout, self._on_turn, self._on_failure, self.STOP)
+        try:
+            self._machine = self._folder.machine()
+            self._sockets.watchdog = self._machine.watchdog
+            if address.broker is not None:
+                period = self._machine.identity.period
+                self._broker = BrokerLink(
+                    address.broker,
+                    address.topic,
+                    period,
+                    self._timeout,
+                    self._on_loss,
+                    address.broker_user,
+                    address.broker_password_from,
+                )
+        except BaseException:
+            self.close()
+            raise
+
+    def identify(self) -> Identity:
+        """Who the identity file says that is there; without a broker, samples come as often as feedbacks."""
+        self._connected()
+        assert self._machine is not None
+        who = self._machine.identity
+        if self._broker is not None:
+            return who
+        return Identity(
+            who.robot,
+            who.serial,
+            who.controller,
+            who.version,
+            who.joint_names,
+            FEEDBACK_PERIOD,
+            f"this link has no broker of C5G Open: some {1 / FEEDBACK_PERIOD:.0f} samples a second at uneven times, "
+            "without set-points, are too few for an identification; give mqtt=host:port in the address",
+            who.unguarded,
+        )
+
+    def status(self) -> Status:
+        """What the controller says of itself after this call. The override is not on this wire."""
+        sockets = self._connected()
+        assert self._machine is not None
+        state = sockets.fresh_status()
+        feedback = sockets.feedback()
+        moving = self._moves(feedback)
+        if not moving:
+            self._stored = self._read_stored()
+        name, checksum = self._stored
+        reason = stop_reason(state)
+        return Status(
+            drives_on=state.drives_powered == 1,
+            mode="auto" if state.mode == Mode.AUTO else "teach",
+            emergency_stop=state.e_stopped == 1,
+            alarms=(f"error {state.error_code}",) if state.in_error == 1 else (),
+            override=1.0,
+            cell_closed=reason is None or reason[0] is not EndReason.PROTECTIVE_STOP,
+            moving=moving,
+            program=name,
+            checksum=checksum,
+            position=np.radians(feedback.joints[: len(self._machine.identity.joint_names)]),
+            emulator=self._machine.emulator,
+            override_known=False,
+        )
+
+    def frames(self) -> dict[str, np.ndarray]:
+        """`ReportsFrames`: as the last feedback has them."""
+        feedback = self._connected().feedback()
+        told = {"$BASE": feedback.base, "$TOOL": feedback.tool, "$UFRAME": feedback.user}
+        return {name: pose_of_frame(fields) for name, fields in told.items()}
+
+    def upload(self, name: str, text: str) -> str:
+        """Store a program by FTP; returns the SHA-256 (hex) of what was read back.
+
+        Raises:
+            RefusedError: not a program (with line and column, where the controller says), no room, or the arm moves.
+        """
+        if self._moves(self._connected().feedback()):
+            raise RefusedError("no program is stored while the arm moves; stop it first")
+        self._stored = "", ""
+        checksum = self._folder.store(name, text)
+        self._stored = name, checksum
+        return checksum
+
+    def start(self, name: str, checksum: str) -> None:
+        """Run the stored program once. Where the answer is lost the link is closed, so that the arm cannot go on."""
+        sockets = self._connected()
+        self._check_idle(sockets)
+        if self._folder.stored() != (name, checksum):
+            raise RefusedError(
+                f"the program that the controller has is not the {name!r} that was sent; nothing was started"
+            )
+        number = secrets.randbelow(2**31 - 1) + 1
+        self._begin(None if self._address.by_hand else lambda feedback: feedback.last_point_processed == number)
+        try:
+            if self._address.by_hand:
+                self._wait_for_a_person(sockets, name)
+            else:
+                self._command_start(sockets, f"the start of {name}", Point(sequence_number=number))
+        except RefusedError:
+            self._abandon()
+            raise
+        except BaseException:
+            self.close()
+            raise
+
+    def samples(self) -> Iterator[SampleBlock]:
+        """Samples of the motion, in order, each once; what arrived before an error is yielded before it is raised."""
+        if self._motion is None:
+            raise DriverError("there are no samples: nothing was started")
+        return self._motion.motion.blocks()
+
+    def stop(self) -> None:
+        """Ask for a stop on the path, and wait until the arm rests."""
+        sockets, motion = self._sockets, self._motion
+        if sockets is None or (sockets.failure is not None and (motion is None or motion.motion.over)):
+            return
+        with self._starting:
+            if motion is not None:
+                motion.motion.stopping = True
+            answer = sockets.command(self.STOP)
+        if motion is not None:
+            answer = self._insist_on_stop(sockets, motion, answer)
+        rests = sockets.wait_feedback(lambda: not sockets.feedback().is_moving, self._start_timeout)
+        if motion is not None:
+            rests = rests and motion.motion.wait(self._start_timeout)
+        if answer is None or not rests:
+            raise DriverError(
+                f"the controller at {self._address.host} {'did not answer' if answer is None else 'took'} the stop "
+                "command, but does not report the arm at rest; use the emergency stop"
+            )
+
+    def close(self) -> None:
+        """Close the link; where the arm may still move it is told to stop first. Never raises."""
+        sockets, self._sockets = self._sockets, None
+        broker, self._broker = self._broker, None
+        if sockets is not None:
+            if self._motion is not None and not self._motion.motion.over:
+                with contextlib.suppress(DriverError):
+                    sockets.post(self.STOP)
+            sockets.close()
+        if broker is not None:
+            broker.close()
+
+    def _connected(self) -> Sockets:
+        if self._sockets is None:
+            raise DriverError(f"the link to {self._address.host} is not open; connect first")
+        self._sockets.check()
+        return self._sockets
+
+    def _insist_on_stop(self, sockets: Sockets, motion: CnrMotion, answer: Answer | None) -> Answer | None:
+        """Say it again where the controller did not take it: it does not before its flag says that the arm moves."""
+        until, told = time.monotonic() + self._start_timeout, False
+        while answer is not None and not answer.success and not motion.motion.wait(_STOP_AGAIN):
+            if time.monotonic() > until:
+                return answer
+            if self._address.by_hand and not told:
+                told = True
+                self.tell("the controller does not take the stop command: press HOLD at the teach pendant, now")
+            answer = sockets.command(self.STOP)
+        return answer
+
+    def _moves(self, feedback: Feedback) -> bool:
+        motion = self._motion
+        return bool(feedback.is_moving) or (motion is not None and motion.started and not motion.motion.over)
+
+    def _read_stored(self) -> tuple[str, str]:
+        return self._folder.stored()
+
+    def _check_idle(self, sockets: Sockets) -> None:
+        if self._motion is not None and not self._motion.motion.over:
+            raise DriverError("the last motion is not over yet; read its samples to the end, or stop it")
+        if sockets.feedback().is_moving:
+            raise RefusedError("the arm moves already, by another program; wait for it, or stop it at the controller")
+
+    def _begin(self, is_over: Callable[[Feedback], bool] | None) -> CnrMotion:
+        """Listen to the motion that is about to start; `is_over` as in `CnrMotion`."""
+        assert self._machine is not None
+        joints = len(self._machine.identity.joint_names)
+        if self.torque_per_ampere.shape != (joints, joints):
+            raise ConfigurationError(
+                f"the link delivers motor currents of {joints} joints; torque_per_ampere has the shape "
+                f"{self.torque_per_ampere.shape}"
+            )
+        broker = self._broker
+        if broker is not None:
+            broker.check(self._timeout)
+            broker.joiner.forget_counts()
+        patience = max(_SAMPLE_PATIENCE, 2 * self._machine.watchdog)
+        arm = Arm(joints, self.identify().period, self.torque_per_ampere)
+        silent = None if broker is None else broker.silent
+        motion = CnrMotion(arm, self._buffer_limit, is_over, patience, silent)
+        self._motion = motion
+        assert self._sockets is not None
+        self._sockets.guarded = True
+        return motion
+
+    def _command_start(self, sockets: Sockets, what: str, point: Point) -> Answer:
+        """The answer to a start that was carried out.
+
+        Raises:
+            RefusedError: it was not; nothing has moved.
+            DriverError: no answer.
+        """
+        answer = sockets.command(MessageType.START, point, self._start_timeout)
+        if answer is None:
+            raise DriverError(
+                f"the controller at {self._address.host} did not answer {what} within {self._start_timeout:g} s; the "
+                "link was closed, which stops the arm. Go and look at it"
+            )
+        if not answer.success:
+            state = sockets.fresh_status()
+            if sockets.feedback().is_moving:
+                raise DriverError(
+                    f"the controller refused {what}, because the arm moves already; it was told to stop. Do its "
+                    "programs take back the permission to move at the end of a trajectory, as docs/real-robot.md asks?"
+                )
+            raise _refused_start(what, state, point.sequence_number != 0)
+        assert self._motion is not None
+        self._motion.started = True
+        return answer
+
+    def _wait_for_a_person(self, sockets: Sockets, name: str) -> None:
+        motion = self._motion
+        assert motion is not None
+        motion.started = True
+        self.tell(
+            f"at the controller: select program {name}, drives on, selector at auto, and press START within "
+            f"{_HAND_TIMEOUT / 60:.0f} minutes. The recording begins with the first motion and ends when the arm has "
+            f"rested for {HAND_REST:g} s"
+        )
+        if not sockets.wait_feedback(lambda: motion.begun, _HAND_TIMEOUT):
+            raise DriverError(f"nobody started {name} within {_HAND_TIMEOUT / 60:.0f} minutes; nothing was recorded")
+
+    def _abandon(self) -> None:
+        """Nothing was started after all."""
+        self._motion = None
+        if self._sockets is not None:
+            self._sockets.guarded = False
+
+    # From here on in the reader thread of the sockets, but for `_on_loss`.
+
+    def _on_turn(self, feedbacks: list[Feedback]) -> None:
+        motion, sockets = self._motion, self._sockets
+        self._take_samples(motion)
+        if motion is None or sockets is None or motion.motion.over:
+            return
+        if feedbacks:
+            motion.feedbacks(feedbacks, sockets.last_status())
+        fault = motion.turn()
+        if motion.motion.too_full:
+            fault = DriverError(
+                f"{motion.motion.size >> 20} MiB of samples wait to be read; the motion was stopped: is the disk full?"
+            )
+        if fault is not None and not motion.failing:
+            self._end_with(sockets, motion, fault)
+        sockets.guarded = not motion.motion.over
+
+    def _take_samples(self, motion: CnrMotion | None) -> None:
+        """What the broker had, for the motion; at rest nobody wants it."""
+        broker = self._broker
+        if broker is None:
+            return
+        times, values = broker.joiner.take()
+        if motion is not None and not motion.motion.over:
+            motion.samples(times, values)
+            motion.clock_reset |= broker.joiner.restarts > 0
+
+    def _end_with(self, sockets: Sockets, motion: CnrMotion, fault: DriverError) -> None:
+        """The recording is worthless from here on: stop the arm without waiting, and say why."""
+        with contextlib.suppress(DriverError):  # a link that is down stops the arm as well
+            sockets.post(self.STOP)
+        motion.fail(fault)
+
+    def _on_failure(self, error: DriverError) -> None:
+        """The broker may still have samples of before, unless it was this end that closed the link."""
+        motion = self._motion
+        if motion is None:
+            return
+        try:
+            motion.fail(error)
+            while self._sockets is not None and not motion.motion.over:
+                self._take_samples(motion)
+                motion.turn()
+                time.sleep(FEEDBACK_PERIOD)
+        finally:
+            motion.motion.finish(error)
+
+    def _on_loss(self, error: DriverError) -> None:
+        """The broker is gone (in its thread)."""
+        motion, sockets = self._motion, self._sockets
+        if motion is not None and sockets is not None and not motion.motion.over:
+            self._end_with(sockets, motion, error)
+
+
+def _refused_start(what: str, state: wire.Status, stored: bool) -> RefusedError:
+    reason = stop_reason(state)
+    if reason is None:
+        advice = (
+            "is the program translated and free of errors, does the trajectory program know how to start a stored one? "
+            "(start=hand in the address does without)"
+            if stored
+            else "was another trajectory left in its queue?"
+        )
+        return RefusedError(f"the controller refused {what} and does not say why; {advice}")
+    kind = SafetyRefused if reason[0] is EndReason.EMERGENCY_STOP else RefusedError
+    return kind(f"the controller refused {what}: {reason[1]}")
+
+
+def _counted(counts: Counts) -> dict[str, str]:
+    """What did not come as it should, for a log; nothing where all did."""
+    missing = {f"missing_{name}": str(count) for name, count in counts.missing.items()}
+    others = {"late": counts.late, "duplicate": counts.duplicate, "damaged": counts.damaged}
+    return {**missing, **{f"{name}_messages": str(count) for name, count in others.items()}}

@@ -1,0 +1,343 @@
+"""One motion on the link of CNR's programs: which samples belong to it, and when and why it ended."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.errors import DriverError
+from drivers.protocol import SampleBlock
+from drivers.transports.cnr.clock import ClockMatch
+from drivers.transports.motion import Motion
+from drivers.wire.cnr import Feedback, Mode, Status
+from drivers.wire.reasons import EndReason
+
+#: Rest that is kept before the set-points begin to change and after they have changed for the last time [s].
+_BEFORE, _AFTER = 0.1, 0.1
+#: Rest on the way that is longer [s] is handed on before the motion continues.
+_LONGEST = 5.0
+#: Set-points that change by less rest [rad, or m].
+_STILL = np.radians(1e-4)
+#: An arm that rests is seen to rest within this [rad, or m].
+_REST = np.radians(0.02)
+#: Without a flag that says so, an arm is moving until it has rested for so long [s].
+_RESTING = 0.2
+#: A clock that goes back by more [s] was set anew.
+_BACK = 0.1
+#: So many feedbacks in a row say that the arm rests before a stop by the controller is believed.
+_BELIEVED = 10
+#: A program that a person started is over when the arm has rested for so long [s]; a DELAY in it must be shorter.
+HAND_REST = 2.0
+#: Samples of the end that do not come within this [s] of silence do not come any more.
+_DRAIN = 1.0
+_TURN = 0.05  # s: no turn counts for more, so that a stall of this process is nobody's silence
+
+#: Positions, velocities, target positions, target velocities, currents: as `wire.CHANNELS` has them.
+_POSITION, _VELOCITY, _TARGET, _TARGET_VELOCITY, _CURRENT = range(5)
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """What the driver knows of the arm: joints n, sampling period [s], and torque per ampere (n, n) [N·m/A]."""
+
+    joints: int
+    period: float
+    torque_per_ampere: np.ndarray
+
+
+class CnrMotion:
+    """What came of one motion; called from the reader thread of the sockets, but for what is said otherwise.
+
+    Args:
+        arm: see there.
+        limit: bytes that may wait for the consumer.
+        is_over: whether a feedback says that the motion has run to its end; None where only rest can tell.
+        patience: s without a sample before the source is taken for dead.
+        silent: names what the broker lacks, for the message; None where samples come from the feedbacks.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        limit: int,
+        is_over: Callable[[Feedback], bool] | None,
+        patience: float,
+        silent: Callable[[], str] | None,
+    ) -> None:
+        self.motion = Motion(limit)
+        self.started = False  # set by the driver when the controller has said so
+        self.match = None if silent is None else ClockMatch()
+        self.clock_reset = False  # a clock went back: somebody counts anew, and no time can be trusted
+        self.begun_at: float | None = None  # sample time [s] of the first change of the set-points
+        self._arm = arm
+        self._is_over = is_over
+        self._patience = patience
+        self._silent = silent
+        self._moved = self._paused = False
+        self._quiet = 0
+        self._time = -np.inf  # controller time of the last feedback [s]
+        self._rest: tuple[float, np.ndarray] | None = None  # since when the arm rests, and where
+        self._held: list[tuple[np.ndarray, np.ndarray]] = []
+        self._changed_at = 0.0  # sample time [s] of the last change of the set-points
+        self._seen = -np.inf  # sample time [s] of the last sample that came
+        self._target: np.ndarray | None = None
+        self._sequence = 0
+        self._latest: float | None = None
+        self._silence = 0.0
+        self._turned = time.monotonic()
+        self._end: tuple[EndReason, str] | None = None
+        self._failure: DriverError | None = None
+        self._end_time = 0.0  # controller time [s]
+        self._drained = 0.0
+        self._cut = False  # samples went back in time: none of those that come belong to this motion
+
+    @property
+    def begun(self) -> bool:
+        """Whether the arm was seen to move."""
+        return self._moved or self.begun_at is not None
+
+    @property
+    def failing(self) -> bool:
+        """Whether it ends with an error."""
+        return self._failure is not None
+
+    def pause(self) -> None:
+        """The arm rests by intention, until `resume` (from any thread)."""
+        self._paused = True
+
+    def resume(self) -> None:
+        """The arm is about to move on."""
+        self._moved, self._quiet, self._paused = False, 0, False
+
+    def fail(self, error: DriverError) -> None:
+        """The motion ends with this error, once the samples up to now are there (from any thread); the first counts."""
+        if self._failure is None:
+            self._failure, self._end_time, self._drained = error, self._time, 0.0
+
+    def feedbacks(self, feedbacks: list[Feedback], status: Status) -> None:
+        """What the controller said of itself."""
+        for feedback in feedbacks:
+            now, position = feedback.time * 1e-3, np.radians(feedback.joints[: self._arm.joints])
+            self.clock_reset |= now < self._time - _BACK
+            if self.clock_reset:
+                return
+            self._time = now
+            if self.match is not None:
+                self.match.feedback(now, position)
+            if self._end is not None:
+                continue
+            if self.match is None:
+                self._from_feedback(feedback, now, position)
+            self._judge(feedback, status, now, position)
+
+    def samples(self, times_us: np.ndarray, values: np.ndarray) -> None:
+        """What the broker had: times (K,) [µs], values (K, 5, 10) in degrees and amperes."""
+        times = times_us * 1e-6
+        back = np.flatnonzero(np.diff(times, prepend=self._seen) < 0.0)
+        if len(back):
+            self.clock_reset = self._cut = True
+            times, values = times[: back[0]], values[: back[0]]
+        if len(times) == 0:
+            return
+        self._silence = 0.0
+        values = values[:, :, : self._arm.joints].copy()
+        values[:, :_CURRENT] = np.radians(values[:, :_CURRENT])
+        assert self.match is not None
+        self.match.samples(times, values[:, _POSITION])
+        self._seen = float(times[-1])
+        changed = self._changes(values[:, _TARGET])
+        if self.begun_at is None:
+            self._wait_for_motion(times, values, changed)
+        else:
+            self._held.append((times, values))
+        if len(changed):
+            self._changed_at = float(times[changed[-1]])
+        if self.begun_at is not None:
+            self._give_but_rest()
+
+    def turn(self) -> DriverError | None:
+        """Called all the time: ends the motion where it is over; returns what is wrong, if anything is, for `fail`."""
+        now = time.monotonic()
+        passed, self._turned = min(now - self._turned, _TURN), now
+        if self.motion.over:
+            return None
+        self._silence += passed
+        self._drained += passed
+        if self._failure is not None:
+            self._finish_failed(self._failure)
+            return None
+        if self.clock_reset:
+            return DriverError("a clock of the controller went back while the arm moved: it was restarted; look at it")
+        if self._end is not None:
+            return self._finish(*self._end)
+        if self._silent is None or not self.started:
+            self._silence = 0.0
+        elif self._silence > self._patience:
+            return DriverError(f"no whole sample for {self._patience:g} s while the arm may move: {self._silent()}")
+        return None
+
+    def _finish(self, reason: EndReason, message: str) -> DriverError | None:
+        """End the motion once its samples are there; what is wrong where they will not come."""
+        lacking = 0.0 if self.match is None else self._lacking(self.match)
+        if lacking > 0.0:
+            if self._silence <= max(_DRAIN, self._patience):
+                return None
+            if reason in (EndReason.DONE, EndReason.STOPPED):
+                assert self._silent is not None
+                return DriverError(f"the samples end {lacking:.1f} s before the motion did: {self._silent()}")
+        self.motion.ended(reason, self._sequence, message)
+        return None
+
+    def _finish_failed(self, error: DriverError) -> None:
+        """End the motion with an error once its samples are there, or none of them comes any more."""
+        lacking = 0.0 if self.match is None or self._cut else self._lacking(self.match)
+        if lacking <= 0.0 or self._silence > _DRAIN or self._drained > _LONGEST:
+            self.motion.finish(error)
+
+    def _lacking(self, match: ClockMatch) -> float:
+        """Seconds of samples up to the end that have not come."""
+        alignment = match.alignment()
+        if alignment is not None:
+            return max(0.0, alignment.sample_time(self._end_time) - self._seen)
+        moved = match.controller_moved_at
+        if moved is not None and self.begun_at is None:
+            return self._end_time - moved
+        return max(0.0, _DRAIN - self._drained)  # nothing has moved, as far as one of the two can tell
+
+    # What the controller says.
+
+    def _judge(self, feedback: Feedback, status: Status, now: float, position: np.ndarray) -> None:
+        """Is it over, and why?"""
+        rested = self._rested(now, position)
+        over = self._is_over is not None and self._is_over(feedback)
+        if feedback.is_moving or (self._is_over is None and self.begun and rested < _RESTING):
+            self._moved, self._quiet = True, 0
+            return
+        self._quiet += 1
+        if self.motion.stopping:
+            # The flag falls as the arm begins to slow down, and rises some time after a start was taken.
+            if self._quiet >= _BELIEVED and rested >= _RESTING:
+                self._over((EndReason.STOPPED, ""), now)
+        elif over and self.started:
+            self._over((EndReason.DONE, ""), now)
+        elif self.started and self._moved and not self._paused and self._quiet >= _BELIEVED:
+            self._account_for_rest(status, now, rested)
+
+    def _account_for_rest(self, status: Status, now: float, rested: float) -> None:
+        """The arm has moved and rests, and has not said that it is at the end."""
+        reason = stop_reason(status)
+        if self._is_over is not None or reason is not None:
+            by_hand = EndReason.STOPPED, "it rests before the end of its motion; was it stopped by hand?"
+            self._over(reason or by_hand, now)
+        elif rested > HAND_REST:
+            self._over((EndReason.DONE, ""), now)
+
+    def _rested(self, now: float, position: np.ndarray) -> float:
+        """For how long [s] the arm has rested."""
+        if self._rest is None or np.abs(position - self._rest[1]).max() > _REST or now < self._rest[0]:
+            if self._rest is not None and self._is_over is None and self.started:
+                self._moved = True  # only the programs of the sockets keep `is_moving`; any program moves the arm
+            self._rest = now, position
+        return now - self._rest[0]
+
+    def _over(self, end: tuple[EndReason, str], now: float) -> None:
+        self._end, self._end_time = end, now
+        self._drained = 0.0
+
+    # Samples.
+
+    def _changes(self, targets: np.ndarray) -> np.ndarray:
+        """At which of the next set-points (K, n) they change."""
+        before = targets[:1] if self._target is None else self._target[None, :]
+        self._target = targets[-1]
+        return np.flatnonzero(np.abs(np.diff(np.concatenate([before, targets]), axis=0)).max(axis=1) > _STILL)
+
+    def _wait_for_motion(self, times: np.ndarray, values: np.ndarray, changed: np.ndarray) -> None:
+        """Keep a little rest until the set-points change; then it is a part of the motion."""
+        self._held.append((times, values))
+        if len(changed) == 0:
+            while len(self._held) > 1 and self._held[1][0][0] < times[-1] - _BEFORE:
+                del self._held[0]
+            return
+        self.begun_at = float(times[changed[0]])
+        times, values = self._take_held()
+        holes = np.flatnonzero(np.diff(times[times <= self.begun_at]) > 1.5 * self._arm.period)
+        first = max(int(np.searchsorted(times, self.begun_at - _BEFORE)), int(holes[-1]) + 1 if len(holes) else 0)
+        self._held.append((times[first:], values[first:]))
+
+    def _take_held(self) -> tuple[np.ndarray, np.ndarray]:
+        held, self._held = self._held, []
+        return np.concatenate([times for times, _ in held]), np.concatenate([values for _, values in held])
+
+    def _give_but_rest(self) -> None:
+        """Hand on what is held back, but for rest that may be the end of the motion."""
+        times, values = self._take_held()
+        last = int(np.searchsorted(times, max(self._changed_at + _AFTER, times[-1] - _LONGEST), side="right"))
+        self._held.append((times[last:], values[last:]))
+        self._give(times[:last], values[:last])
+
+    def _give(self, times: np.ndarray, values: np.ndarray) -> None:
+        if len(times) == 0:
+            return
+        last = times[0] - self._arm.period if self._latest is None else self._latest
+        steps = np.maximum(1, np.rint(np.diff(times, prepend=last) / self._arm.period)).astype(int)
+        sequence = self._sequence - 1 + np.cumsum(steps)
+        self._sequence, self._latest = int(sequence[-1]) + 1, float(times[-1])
+        cuts = [0, *np.flatnonzero(steps[1:] > 1) + 1, len(times)]
+        for start, stop in itertools.pairwise(cuts):
+            part = values[start:stop]
+            self._take(
+                SampleBlock(
+                    sequence=sequence[start:stop],
+                    time=times[start:stop],
+                    position=part[:, _POSITION],
+                    velocity=part[:, _VELOCITY],
+                    torque=part[:, _CURRENT] @ self._arm.torque_per_ampere.T,
+                    reference_position=part[:, _TARGET],
+                    reference_velocity=part[:, _TARGET_VELOCITY],
+                    received=time.time(),
+                    current=part[:, _CURRENT],
+                )
+            )
+
+    def _from_feedback(self, feedback: Feedback, now: float, position: np.ndarray) -> None:
+        current = np.array([feedback.currents[: self._arm.joints]])
+        self._take(
+            SampleBlock(
+                sequence=np.array([self._sequence]),
+                time=np.array([now]),
+                position=position[None, :],
+                velocity=None,
+                torque=current @ self._arm.torque_per_ampere.T,
+                reference_position=None,
+                reference_velocity=None,
+                received=time.time(),
+                current=current,
+            )
+        )
+        self._sequence += 1
+
+    def _take(self, block: SampleBlock) -> None:
+        first = int(block.sequence[0])
+        if first > self.motion.sequencer.expected:
+            self.motion.lost(first)
+        self.motion.take(block, 0)
+
+
+def stop_reason(status: Status) -> tuple[EndReason, str] | None:
+    """Why the controller would have stopped the arm, by its status; None where that says nothing."""
+    if status.e_stopped == 1:
+        return EndReason.EMERGENCY_STOP, "the emergency stop is pressed"
+    if status.in_error == 1:
+        return EndReason.ALARM, f"error {status.error_code} is active"
+    if status.drives_powered == 0:
+        return EndReason.DRIVE_FAULT, "the drives are off"
+    if status.mode != Mode.AUTO:
+        return EndReason.MODE_CHANGED, "the selector is not at auto any more"
+    if status.motion_possible == 0:
+        return EndReason.PROTECTIVE_STOP, "the cell is open"
+    return None

@@ -1,0 +1,264 @@
+"""What the drivers over frames have in common, whatever carries the frames; docs/wire-tcp.md has them."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+import uuid
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import DriverError, ProtocolError, RefusedError
+from drivers.protocol import Gap, Identity, SampleBlock, Status
+from drivers.transports.frame_link import Link
+from drivers.transports.motion import Motion
+from drivers.wire.tcp import (
+    MAX_BATCH,
+    UPLOAD_BLOCK,
+    VERSION,
+    AskStatus,
+    AskTemperatures,
+    Done,
+    End,
+    Fetch,
+    Hello,
+    Identify,
+    IdentityReply,
+    Refused,
+    Samples,
+    Start,
+    Started,
+    StatusReply,
+    Stop,
+    Stored,
+    TemperaturesReply,
+    UploadBegin,
+    UploadEnd,
+    Welcome,
+)
+from drivers.wire.tcp import UploadBlock as Block
+
+
+class FrameDriver:
+    """`drivers.protocol.Driver` over frames; a subclass says how the link is opened.
+
+    Args:
+        address: in the notation of the subclass.
+        watchdog: silence [s] after which either end takes the other for gone; the controller may answer another one.
+        timeout: how long [s] to wait for an answer.
+        start_timeout: the same for `start`, where the controller plans first, and for the arm to rest after `stop`.
+        buffer_limit: bytes of samples kept for a consumer that is behind (the default: over an hour at 500 Hz and six
+            joints). Beyond it the motion is stopped; the link itself never waits for the consumer.
+    """
+
+    READ_ATTEMPTS = 1  # of requests that change nothing
+    UPLOAD_BLOCK = UPLOAD_BLOCK
+
+    def __init__(
+        self,
+        address: str,
+        *,
+        watchdog: float = 0.2,
+        timeout: float = 5.0,
+        start_timeout: float = 60.0,
+        buffer_limit: int = 512 * 1024 * 1024,
+    ) -> None:
+        self.address = address
+        self._watchdog = watchdog
+        self._timeout = timeout
+        self._start_timeout = start_timeout
+        self._buffer_limit = buffer_limit
+        self._link: Link | None = None
+        self._motion: Motion | None = None
+        self._measures_temperatures = True
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """What is missing from the samples of the last motion although it was asked for again."""
+        return () if self._motion is None else self._motion.sequencer.gaps
+
+    @property
+    def duplicates(self) -> int:
+        """Samples of the last motion that came more than once."""
+        return 0 if self._motion is None else self._motion.sequencer.duplicates
+
+    @property
+    def watchdog(self) -> float:
+        """The watchdog in force [s]: the one asked for, once connected the one agreed on."""
+        return self._watchdog if self._link is None else self._link.watchdog
+
+    def connect(self) -> None:
+        """Open the link and agree on version and watchdog."""
+        self.close()
+        self._motion = None
+        link = self._open()
+        try:
+            hello = Hello(VERSION, round(self._watchdog * 1000), "calibration-agent")
+            welcome = link.request(hello, Welcome, self._timeout, "the greeting")
+            if welcome.version != VERSION:
+                raise ProtocolError(
+                    f"the controller at {self.address} speaks version {welcome.version} of the link, this driver "
+                    f"{VERSION}; update the older one"
+                )
+            if not 10 <= welcome.watchdog_ms <= 60_000:
+                raise ProtocolError(f"the controller at {self.address} wants a watchdog of {welcome.watchdog_ms} ms")
+        except BaseException:
+            link.close()
+            raise
+        link.watchdog = welcome.watchdog_ms / 1000
+        self._link = link
+
+    def identify(self) -> Identity:
+        """Ask the controller who it is."""
+        reply = self._connected().request(Identify(), IdentityReply, self._timeout, "identify", self.READ_ATTEMPTS)
+        return Identity(
+            reply.robot, reply.serial, reply.controller, reply.version, tuple(reply.joint_names), reply.period
+        )
+
+    def status(self) -> Status:
+        """Ask for the state."""
+        reply = self._connected().request(AskStatus(), StatusReply, self._timeout, "status", self.READ_ATTEMPTS)
+        values = {name: getattr(reply, name) for name, _ in StatusReply.LAYOUT}
+        return Status(**{**values, "position": np.array(reply.position)})
+
+    def temperatures(self) -> np.ndarray | None:
+        """(n,) of the motors [°C], or None where this controller measures none; it is asked again only if it does."""
+        if not self._measures_temperatures:
+            return None
+        request = AskTemperatures()
+        try:
+            reply = self._connected().request(
+                request, TemperaturesReply, self._timeout, "temperatures", self.READ_ATTEMPTS
+            )
+        except RefusedError:
+            self._measures_temperatures = False
+            return None
+        self._measures_temperatures = bool(reply.celsius)
+        return np.array(reply.celsius) if reply.celsius else None
+
+    def upload(self, name: str, text: str) -> str:
+        """Store a program; returns the SHA-256 (hex) of the text as the controller stored it.
+
+        Raises:
+            RefusedError: not a program (with line and column), too large, no memory, or the arm is moving.
+        """
+        link = self._connected()
+        data = text.encode("utf-8")
+        what = f"the program {name}"
+        begin = UploadBegin(name, len(data), hashlib.sha256(data).hexdigest())
+        link.request(begin, Done, self._timeout, what)
+        for offset in range(0, len(data), self.UPLOAD_BLOCK):
+            link.request(Block(offset, data[offset : offset + self.UPLOAD_BLOCK]), Done, self._timeout, what)
+        return link.request(UploadEnd(), Stored, self._start_timeout, what).checksum
+
+    def start(self, name: str, checksum: str) -> None:
+        """Run the stored program once. Where the answer is lost the link is closed, so that the arm cannot go on."""
+        link = self._connected()
+        if self._motion is not None and not self._motion.over:
+            raise DriverError("the last motion is not over yet; read its samples to the end, or stop it")
+        motion = Motion(self._buffer_limit)
+        motion_id = uuid.uuid4().bytes
+        self._motion = motion
+        link.guarded = True
+        try:
+            started = link.command(
+                Start(name, checksum, motion_id), Started, self._start_timeout, f"start of {name}", motion.has_begun
+            )  # samples say as well that the arm moves: then it is time to watch it, whatever became of the answer
+            if started is not None and started.motion_id != motion_id:
+                raise ProtocolError(f"the controller at {self.address} started another motion than it was asked to")
+        except RefusedError:
+            link.guarded = False
+            self._motion = None
+            raise
+        except BaseException:
+            self.close()
+            raise
+
+    def samples(self) -> Iterator[SampleBlock]:
+        """Samples of the motion, in order, each once; what arrived before an error is yielded before it is raised."""
+        motion = self._motion
+        if motion is None:
+            raise DriverError("there are no samples: nothing was started")
+        return motion.blocks()
+
+    def stop(self) -> None:
+        """Ask for a stop on the path and wait until the arm rests; nothing to do where nothing was started."""
+        link, motion = self._link, self._motion
+        if link is None or (link.failure is not None and (motion is None or motion.over)):
+            return
+        if motion is not None:
+            motion.stopping = True
+        link.request(Stop(), Done, self._timeout, "stop")
+        if motion is not None and not self._rests(motion):
+            raise DriverError(
+                f"the controller at {self.address} took the stop command, but does not report the arm at rest; "
+                "use the emergency stop"
+            )
+
+    def close(self) -> None:
+        """Close the link; a controller that still moves comes to rest by itself. Never raises."""
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+    def _open(self) -> Link:
+        """A link whose messages, failure and turns come to the methods below."""
+        raise NotImplementedError
+
+    def _connected(self) -> Link:
+        if self._link is None:
+            raise DriverError(f"the link to {self.address} is not open; connect first")
+        return self._link
+
+    def _rests(self, motion: Motion) -> bool:
+        """Wait until the arm rests; False if it takes too long."""
+        return motion.wait(self._start_timeout)
+
+    # From here on in the reader thread.
+
+    def _on_turn(self) -> None:
+        pass
+
+    def _on_message(self, message: Any, request: int) -> None:
+        motion, link = self._motion, self._link
+        if motion is None or link is None or motion.over:
+            return
+        if isinstance(message, Samples):
+            motion.take(to_block(message), request)
+        elif isinstance(message, End):
+            motion.ended(message.reason, message.samples, message.message)
+        elif isinstance(message, Refused):
+            motion.refetch_refused(request)
+        if motion.too_full:
+            link.post(Stop())
+            motion.finish(
+                DriverError(
+                    f"{motion.size >> 20} MiB of samples wait to be read; the motion was stopped: is the disk full?"
+                )
+            )
+        missing = motion.wanted()
+        if missing is not None:
+            first, count = missing
+            motion.fetching = link.post(Fetch(first, min(count, MAX_BATCH))), first
+        link.guarded = not motion.over
+
+    def _on_failure(self, error: DriverError) -> None:
+        if self._motion is not None:
+            self._motion.finish(error)
+
+
+def to_block(samples: Samples) -> SampleBlock:
+    """A message's samples, received now."""
+    count = len(samples.time_ns)
+    return SampleBlock(
+        sequence=np.arange(samples.first, samples.first + count),
+        time=samples.time_ns * 1e-9,
+        position=samples.position,
+        velocity=samples.velocity,
+        torque=samples.torque,
+        reference_position=samples.reference_position,
+        reference_velocity=samples.reference_velocity,
+        received=time.time(),
+    )

@@ -1,0 +1,364 @@
+"""The Modbus driver, over TCP and (by `serial`) over a serial line; the registers are in docs/wire-modbus.md."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import itertools
+import secrets
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from pymodbus.client import ModbusTcpClient
+from pymodbus.client.base import ModbusBaseSyncClient
+
+from drivers.errors import DriverError, ProtocolError, RefusedError
+from drivers.protocol import Gap, Identity, SampleBlock, Status
+from drivers.transports.modbus.link import ModbusLink, SilentError
+from drivers.transports.modbus.ring import RingReader
+from drivers.transports.motion import Motion
+from drivers.transports.tcp import open_socket, parse_address
+from drivers.wire import modbus as wire
+from drivers.wire.reasons import refusal_error
+
+_POLL = 0.02  # s between two looks for new samples
+_ANSWER_POLL = 0.005
+_GOODBYE = 1.0  # s for the answer to the last message
+
+MakeClient = Callable[[Callable[[bool, bytes], bytes]], ModbusBaseSyncClient]
+
+
+class ModbusDriver:
+    """`drivers.protocol.Driver` over Modbus/TCP; the address is `host:port`.
+
+    Args:
+        address: of the controller.
+        watchdog: silence [s] after which either end takes the other for gone; the controller may answer another one.
+        timeout: how long [s] to wait for an answer.
+        start_timeout: the same for `start`, where the controller plans first, and for the arm to rest after `stop`.
+        buffer_limit: bytes of samples kept for a consumer that is behind; beyond it the motion is stopped.
+        unit: Modbus unit, for a controller behind a gateway.
+
+    Raises:
+        ConfigurationError: not an address.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        *,
+        watchdog: float = 0.2,
+        timeout: float = 5.0,
+        start_timeout: float = 60.0,
+        buffer_limit: int = 512 * 1024 * 1024,
+        unit: int = wire.UNIT,
+    ) -> None:
+        self._check_address(address)
+        self.address = address
+        self._watchdog = watchdog
+        self._timeout = timeout
+        self._start_timeout = start_timeout
+        self._buffer_limit = buffer_limit
+        self._unit = unit
+        self._link: ModbusLink | None = None
+        self._motion: Motion | None = None
+        self._closed = threading.Event()
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """What is missing from the samples of the last motion although it was asked for again."""
+        return () if self._motion is None else self._motion.sequencer.gaps
+
+    @property
+    def watchdog(self) -> float:
+        """The watchdog in force [s]: the one asked for, once connected the one agreed on."""
+        return self._watchdog if self._link is None else self._agreed
+
+    def connect(self) -> None:
+        """Open the link, see that the right map is there, take the controller, and agree on the watchdog."""
+        self.close()
+        self._motion = None
+        self._session = secrets.randbelow(2**32 - 1) + 1
+        self._requests = itertools.count(1)
+        self._beats = itertools.count(1)
+        self._open = self._guarded = False
+        self._agreed = self._watchdog
+        self._beaten = 0.0
+        self._closed.clear()
+        link = ModbusLink(self._make_client(), self.address, self._unit, self._turn, self._on_failure, self._timeout)
+        self._link = link
+        try:
+            identity = link.read(wire.IDENTITY)
+            if identity["magic"] != wire.MAGIC:
+                raise ProtocolError(f"{self.address} speaks Modbus, but is no calibration controller")
+            if identity["version"] != wire.VERSION:
+                raise ProtocolError(
+                    f"the controller at {self.address} has version {identity['version']} of the register map, this "
+                    f"driver {wire.VERSION}; update the older one"
+                )
+            joints, slots = identity["joints"], identity["slots"]
+            if not 1 <= joints <= wire.MAX_JOINTS or not 1 <= slots <= wire.slot_count(joints):
+                raise ProtocolError(f"the controller at {self.address} announces {joints} joints, {slots} slots")
+            self._joints, self._slots = joints, slots
+            answer = self._command(wire.Command.OPEN, self._timeout, "the session", watchdog=self._wanted_watchdog())
+            if not 10 <= answer["watchdog"] <= 60_000:
+                raise ProtocolError(f"the controller at {self.address} wants a watchdog of {answer['watchdog']} ms")
+        except BaseException:
+            self._link = None
+            link.close()
+            raise
+        self._agreed = answer["watchdog"] / 1000
+        self._open = True
+        link.call(lambda: None)  # wake the thread: its heart begins to beat
+
+    def identify(self) -> Identity:
+        """Ask the controller who it is."""
+        link = self._connected()
+        identity = link.read(wire.IDENTITY)
+        names = itertools.chain.from_iterable(link.read(block)["names"] for block in wire.NAMES)
+        return Identity(
+            robot=identity["robot"],
+            serial=identity["serial"],
+            controller=identity["controller"],
+            version=identity["software"],
+            joint_names=tuple(itertools.islice(names, identity["joints"])),
+            period=identity["period"] * 1e-9,
+        )
+
+    def status(self) -> Status:
+        """Ask for the state."""
+        link = self._connected()
+        values = link.read(wire.STATUS)
+        alarms = link.read(wire.ALARMS)["text"].splitlines() if values["alarms"] else []
+        flags = wire.Flag(values["flags"])
+        return Status(
+            drives_on=wire.Flag.DRIVES_ON in flags,
+            mode=next((name for name, code in wire.MODES.items() if code == values["mode"]), "unknown"),
+            emergency_stop=wire.Flag.EMERGENCY_STOP in flags,
+            # More alarms than fit are alarms all the same.
+            alarms=tuple(alarms) or (("unnamed",) if values["alarms"] else ()),
+            override=values["override"],
+            cell_closed=wire.Flag.CELL_CLOSED in flags,
+            moving=wire.Flag.MOVING in flags,
+            program=values["program"],
+            checksum=values["checksum"].hex() if values["program"] else "",
+            position=np.array(values["position"][: self._joints]),
+            emulator=wire.Flag.EMULATOR in flags,
+        )
+
+    def upload(self, name: str, text: str) -> str:
+        """Store a program; returns the SHA-256 (hex) of the text as the controller stored it.
+
+        Raises:
+            RefusedError: not a program (with line and column), too large, no memory, or the arm is moving.
+        """
+        link = self._connected()
+        data = text.encode("utf-8")
+        what = f"the program {name}"
+        _fits(name)
+        checksum = hashlib.sha256(data).digest()
+        self._command(wire.Command.UPLOAD_BEGIN, self._timeout, what, name=name, size=len(data), checksum=checksum)
+        for offset in range(0, len(data), wire.UPLOAD_BYTES):
+            part = data[offset : offset + wire.UPLOAD_BYTES]
+            link.write(wire.UPLOAD, session=self._session, offset=offset, count=len(part), data=part)
+        return self._command(wire.Command.UPLOAD_END, self._start_timeout, what)["checksum"].hex()
+
+    def start(self, name: str, checksum: str) -> None:
+        """Run the stored program once. Where the answer is lost the link is closed, so that the arm cannot go on."""
+        link = self._connected()
+        if self._motion is not None and not self._motion.over:
+            raise DriverError("the last motion is not over yet; read its samples to the end, or stop it")
+        _fits(name)
+        motion = Motion(self._buffer_limit)
+        motion_id = uuid.uuid4().bytes
+        link.call(lambda: self._begin(motion, motion_id))
+        try:
+            self._command(
+                wire.Command.START,
+                self._start_timeout,
+                f"start of {name}",
+                name=name,
+                checksum=bytes.fromhex(checksum),
+                motion=motion_id,
+            )
+        except RefusedError:
+            link.call(self._not_begun)
+            raise
+        except BaseException:
+            self.close()
+            raise
+
+    def samples(self) -> Iterator[SampleBlock]:
+        """Samples of the motion, in order, each once; what arrived before an error is yielded before it is raised."""
+        if self._motion is None:
+            raise DriverError("there are no samples: nothing was started")
+        return self._motion.blocks()
+
+    def stop(self) -> None:
+        """Ask for a stop on the path and wait until the arm rests; nothing to do where nothing was started."""
+        link, motion = self._link, self._motion
+        if link is None or (link.failure is not None and (motion is None or motion.over)):
+            return
+        if motion is not None:
+            motion.stopping = True
+        self._command(wire.Command.STOP, self._timeout, "stop")
+        until = time.monotonic() + self._start_timeout
+        while link.read(wire.PROGRESS)["state"] == wire.MotionState.RUNNING:
+            if time.monotonic() > until:
+                raise DriverError(
+                    f"the controller at {self.address} took the stop command, but does not report the arm at rest; "
+                    "use the emergency stop"
+                )
+            self._closed.wait(_ANSWER_POLL)
+
+    def close(self) -> None:
+        """Give the controller back and close the link; an arm that still moves comes to rest. Never raises."""
+        link, self._link = self._link, None
+        self._closed.set()
+        if link is None:
+            return
+        if self._open and link.failure is None:
+            release = {**self._blank(), "command": wire.Command.RELEASE, "request": next(self._requests)}
+            link.timeout = min(link.timeout, _GOODBYE)
+            with contextlib.suppress(DriverError):
+                link.write(wire.COMMAND, **release)
+        link.close()
+
+    def _check_address(self, address: str) -> None:
+        parse_address(address)
+
+    def _make_client(self) -> MakeClient:
+        connection = open_socket(self.address, self._timeout)
+        host, port = parse_address(self.address)
+
+        def make(trace: Callable[[bool, bytes], bytes]) -> ModbusBaseSyncClient:
+            client = ModbusTcpClient(host, port=port, timeout=self._timeout, retries=0, trace_packet=trace)
+            client.socket = connection
+            return client
+
+        return make
+
+    def _wanted_watchdog(self) -> int:
+        return round(self._watchdog * 1000)
+
+    def _connected(self) -> ModbusLink:
+        if self._link is None:
+            raise DriverError(f"the link to {self.address} is not open; connect first")
+        return self._link
+
+    def _blank(self) -> dict[str, Any]:
+        """A command that says nothing yet."""
+        blank: dict[str, Any] = {"watchdog": 0, "name": "", "size": 0, "checksum": b"", "motion": b""}
+        return {"session": self._session, **blank}
+
+    def _command(self, command: wire.Command, timeout: float, what: str, **fields: Any) -> dict[str, Any]:
+        """Give a command once and wait for what becomes of it."""
+        link = self._connected()
+        request = next(self._requests)
+        link.write(wire.COMMAND, **{**self._blank(), "command": command, "request": request, **fields})
+        until = time.monotonic() + timeout
+        while True:
+            answer = link.read(wire.ANSWER)
+            if (answer["session"], answer["request"]) != (self._session, request):
+                raise DriverError(
+                    f"{what}: the controller at {self.address} went on to another command, or was started again"
+                )
+            if answer["outcome"] != wire.Outcome.WORKING:
+                break
+            if time.monotonic() > until:
+                raise DriverError(f"the controller at {self.address} did not finish {what} within {timeout:g} s")
+            self._closed.wait(_ANSWER_POLL)
+        if answer["outcome"] == wire.Outcome.DONE:
+            return answer
+        place = answer["line"], answer["column"]
+        raise refusal_error(self.address, what, answer["refusal"], *place, answer["message"])
+
+    # From here on in the link's thread.
+
+    def _begin(self, motion: Motion, motion_id: bytes) -> None:
+        link = self._connected()
+        self._motion = motion
+        self._ring = RingReader(link, self._session, motion, motion_id, self._joints, self._slots, self._beat_if_due)
+        self._silence = 0.0
+        self._turned = time.monotonic()
+        self._guarded = True
+        link.timeout = min(self._timeout, self._agreed)
+        self._beat()  # from now on the ring shows samples from 0 on
+
+    def _not_begun(self) -> None:
+        self._motion = None
+        self._unguard()
+
+    def _unguard(self) -> None:
+        self._guarded = False
+        self._connected().timeout = self._timeout
+
+    def _on_failure(self, error: DriverError) -> None:
+        if self._motion is not None:
+            self._motion.finish(error)
+
+    def _turn(self) -> float:
+        """A heartbeat if it is due, and a look at the motion if there is one; the time to the next turn [s]."""
+        if not self._open:
+            return 60.0
+        interval = self._agreed / 4
+        ring = self._ring if self._guarded else None
+        try:
+            if ring is not None and ring.wants_room:
+                self._beat()
+            self._beat_if_due()
+            if ring is None:
+                return interval
+            more = ring.poll()
+        except SilentError:
+            more = False  # one answer may be lost; silence is counted below
+        if self._motion.over:
+            self._unguard()
+            return interval
+        self._check_room()
+        self._check_silence(ring)
+        return 0.0 if more else min(_POLL, interval / 2)
+
+    def _beat_if_due(self) -> None:
+        if time.monotonic() - self._beaten >= self._agreed / 4:
+            self._beat()
+
+    def _beat(self) -> None:
+        self._beaten = time.monotonic()
+        ring = self._ring if self._guarded else None
+        taken = 0 if ring is None else ring.expected
+        self._connected().write(wire.HEARTBEAT, session=self._session, count=next(self._beats) % 65536, taken=taken)
+        if ring is not None:
+            ring.shown_from = taken
+
+    def _check_room(self) -> None:
+        if self._motion.too_full:
+            stop = {**self._blank(), "command": wire.Command.STOP, "request": next(self._requests)}
+            self._connected().write(wire.COMMAND, **stop)
+            waiting = self._motion.size >> 20
+            self._motion.finish(
+                DriverError(f"{waiting} MiB of samples wait to be read; the motion was stopped: is the disk full?")
+            )
+
+    def _check_silence(self, ring: RingReader) -> None:
+        """The controller's heartbeat must go on. A stall of this process counts for no more than a turn should last."""
+        now = time.monotonic()
+        self._silence += min(now - self._turned, self._agreed / 2)
+        self._turned = now
+        if ring.heart_beat():
+            self._silence = 0.0
+        if self._silence >= self._agreed:
+            raise DriverError(
+                f"the controller at {self.address} fell silent: no heartbeat for {self._agreed * 1000:.0f} ms while "
+                "the arm may move; go and look at it"
+            )
+
+
+def _fits(name: str) -> None:
+    """A longer name would be cut, and mean another program."""
+    if len(name.encode("utf-8")) > 32:
+        raise RefusedError(f"{name!r} cannot name a program: the register map has room for 32 bytes")

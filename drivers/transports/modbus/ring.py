@@ -1,0 +1,118 @@
+"""Takes the samples of one motion out of the register ring."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from drivers.errors import DriverError, ProtocolError
+from drivers.protocol import SampleBlock
+from drivers.transports.modbus.link import ModbusLink
+from drivers.transports.motion import Motion
+from drivers.wire import modbus as wire
+
+_CHUNK = 64  # samples taken in one turn
+_ATTEMPTS = 3  # at a sample that arrives damaged; then it is lost
+
+
+class RingReader:
+    """Follows one motion. `expected` is the next sequence number; `shown_from` the one the ring begins with.
+
+    `beat_if_due` is called between two reads: on a slow line a few of them last as long as a watchdog.
+    """
+
+    def __init__(
+        self,
+        link: ModbusLink,
+        session: int,
+        motion: Motion,
+        motion_id: bytes,
+        joints: int,
+        slots: int,
+        beat_if_due: Callable[[], None],
+    ) -> None:
+        self.expected = 0
+        self.shown_from = 0
+        self._link = link
+        self._session = session
+        self._motion = motion
+        self._motion_id = motion_id
+        self._joints = joints
+        self._slots = slots
+        self._beat_if_due = beat_if_due
+        self._damaged = 0
+        self._produced = 0
+        self._heartbeat: int | None = None
+        self._beat = False
+
+    @property
+    def wants_room(self) -> bool:
+        """The ring should be moved on before the next poll."""
+        return self.expected - self.shown_from >= self._slots // 2
+
+    def heart_beat(self) -> bool:
+        """Whether the controller's heartbeat went on since this was asked last."""
+        beat, self._beat = self._beat, False
+        return beat
+
+    def poll(self) -> bool:
+        """Take what there is, at most a chunk; True if more is waiting already.
+
+        Raises:
+            DriverError: no answer, the session is lost, or the controller counts from the start again.
+        """
+        progress = self._link.read(wire.PROGRESS)
+        self._beat |= progress["heartbeat"] != self._heartbeat
+        self._heartbeat = progress["heartbeat"]
+        if progress["session"] != self._session:
+            raise DriverError(
+                f"the controller at {self._link.peer} does not know this session any more: it was started again, or "
+                "given to another; go and look at the arm"
+            )
+        if progress["motion"] != self._motion_id or progress["state"] == wire.MotionState.NONE:
+            return False
+        if progress["samples"] < self._produced:
+            raise ProtocolError(
+                f"the controller's sample counter went back from {self._produced} to {progress['samples']}: it was "
+                "reset in mid-motion"
+            )
+        self._produced = progress["samples"]
+        if progress["oldest"] > self.expected:
+            self._lose(progress["oldest"])
+        if self.expected < self._produced:
+            self._take()
+        more = self.expected < self._produced
+        if not more and progress["state"] == wire.MotionState.ENDED:
+            message = self._link.read(wire.END)["message"]
+            self._motion.ended(progress["reason"], self._produced, message)
+        return more
+
+    def _take(self) -> None:
+        slot = self.expected % self._slots
+        shown = self.shown_from + self._slots - self.expected
+        count = min(self._produced - self.expected, self._slots - slot, shown, _CHUNK)
+        if count <= 0:
+            return
+        size = wire.slot_registers(self._joints)
+        begin, end = wire.RING + slot * size, wire.RING + (slot + count) * size
+        registers: list[int] = []
+        for at in range(begin, end, wire.MAX_READ):
+            self._beat_if_due()
+            registers += self._link.read_registers(at, min(wire.MAX_READ, end - at))
+        slots = wire.unpack_slots(np.array(registers, np.uint16), self._joints, self.expected)
+        taken = len(slots.sequence)
+        if taken:
+            self._motion.take(SampleBlock(slots.sequence, slots.time_ns * 1e-9, *slots.values, received=time.time()), 0)
+            self.expected += taken
+            self._damaged = 0
+        if taken < count:  # the one after is damaged: again, but not for ever
+            self._damaged += 1
+            if self._damaged >= _ATTEMPTS:
+                self._lose(self.expected + 1)
+
+    def _lose(self, before: int) -> None:
+        self._motion.lost(before)
+        self.expected = before
+        self._damaged = 0

@@ -1,0 +1,161 @@
+"""What a driver holds of a motion between the wire and whoever reads the samples, the same for every wire."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from drivers.errors import DriverError, MotionStopped, ProtocolError, RefusedError
+from drivers.protocol import SampleBlock
+from drivers.transports.sequencer import Sequencer
+from drivers.wire.reasons import SAFETY_ENDS, EndReason
+
+_MAX_HELD = 200_000  # samples waiting for earlier ones
+
+
+class _End(NamedTuple):
+    reason: int
+    samples: int
+    message: str
+
+
+class Motion:
+    """What arrived of one motion and was not read yet. One thread gives, another takes.
+
+    Args:
+        limit: bytes that may wait for the consumer before `too_full` says so.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self.sequencer = Sequencer()
+        self.stopping = False  # by our own command
+        self.fetching: tuple[int, int] | None = None  # request id, first sequence number
+        self.size = 0
+        self._limit = limit
+        self._end: _End | None = None
+        self._ready: deque[SampleBlock] = deque()
+        self._error: DriverError | None = None
+        self._changed = threading.Condition()
+        self.over = False
+
+    @property
+    def too_full(self) -> bool:
+        """The consumer is too far behind."""
+        return self.size > self._limit
+
+    def has_begun(self) -> bool:
+        """Whether samples have come, or the end."""
+        return self.over or self.size > 0
+
+    def blocks(self) -> Iterator[SampleBlock]:
+        """Consumer's side."""
+        while True:
+            with self._changed:
+                while not self._ready and not self.over:
+                    self._changed.wait()
+                if not self._ready:
+                    if self._error is not None:
+                        raise self._error
+                    return
+                block = self._ready.popleft()
+                self.size -= _bytes(block)
+            yield block
+
+    def wait(self, timeout: float) -> bool:
+        """Wait for the end; False if it does not come in time."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self.over, timeout)
+
+    def take(self, block: SampleBlock, request: int) -> None:
+        """Samples, asked for again where `request` says so."""
+        if self.fetching is not None and request == self.fetching[0]:
+            self._append(self.sequencer.give_up(int(block.sequence[0])))
+            self._append(self.sequencer.accept(block))
+            self._fetched()
+        else:
+            self._append(self.sequencer.accept(block))
+            if self.sequencer.held > _MAX_HELD:
+                self._give_up()
+        self._close_if_complete()
+
+    def refetch_refused(self, request: int) -> None:
+        """The controller does not have them any more."""
+        if self.fetching is not None and request == self.fetching[0]:
+            self._fetched()
+            self._close_if_complete()
+
+    def lost(self, before: int) -> None:
+        """What is missing before sequence number `before` cannot be had any more."""
+        self._append(self.sequencer.give_up(before))
+
+    def ended(self, reason: int, samples: int, message: str) -> None:
+        """The controller says that the motion is over after so many samples; some may still be missing."""
+        self._end = _End(reason, samples, message)
+        self._close_if_complete()
+
+    def wanted(self) -> tuple[int, int] | None:
+        """(first, count) to fetch now."""
+        if self.fetching is not None or self.over:
+            return None
+        return self._missing()
+
+    def next_wanted(self) -> tuple[int, int]:
+        """(first, count) of what should come next, whether it is known to be missing or only late."""
+        return self._missing() or (self.sequencer.expected, 1)
+
+    def finish(self, error: DriverError | None) -> None:
+        """No more samples; `error` is raised once those that came are read."""
+        with self._changed:
+            if not self.over:
+                self.over = True
+                self._error = error
+            self._changed.notify_all()
+
+    def _missing(self) -> tuple[int, int] | None:
+        return self.sequencer.missing(None if self._end is None else self._end.samples)
+
+    def _fetched(self) -> None:
+        assert self.fetching is not None
+        _, first = self.fetching
+        self.fetching = None
+        if self.sequencer.expected == first:  # asking again would bring no more
+            self._give_up()
+
+    def _give_up(self) -> None:
+        missing = self._missing()
+        if missing is not None:
+            self._append(self.sequencer.give_up(sum(missing)))
+
+    def _append(self, blocks: list[SampleBlock]) -> None:
+        if blocks:
+            with self._changed:
+                self._ready.extend(blocks)
+                self.size += sum(_bytes(block) for block in blocks)
+                self._changed.notify_all()
+
+    def _close_if_complete(self) -> None:
+        if self._end is not None and self._missing() is None:
+            self.finish(_end_error(self._end, self.stopping))
+
+
+def _end_error(end: _End, stopping: bool) -> DriverError | None:
+    try:
+        reason = EndReason(end.reason)
+    except ValueError:
+        return ProtocolError(f"the motion ended for an unknown reason {end.reason}: {end.message}")
+    if reason is EndReason.DONE or (reason is EndReason.STOPPED and stopping):
+        return None
+    if reason in SAFETY_ENDS:
+        cause = reason.name.lower().replace("_", " ")
+        return MotionStopped(f"the controller stopped the arm ({cause}): {end.message}")
+    if reason is EndReason.STOPPED:
+        return MotionStopped(f"the motion was stopped at the controller: {end.message}")
+    if reason is EndReason.PROGRAM_ERROR:
+        return RefusedError(f"the controller cannot go on with the program: {end.message}")
+    return DriverError(f"the controller ended the motion: {end.message}")
+
+
+def _bytes(block: SampleBlock) -> int:
+    return len(block) * 8 * (2 + 5 * block.position.shape[1])

@@ -1,0 +1,178 @@
+"""The serial driver: frames over a line (docs/wire-serial.md), or Modbus RTU over the registers of docs/wire-modbus.md.
+
+A line is slower than the arm. The controller keeps what it cannot send yet, and the driver goes on reading after the
+motion; it says so when a motion is started.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from typing import Any
+
+from pymodbus.client import ModbusSerialClient
+from pymodbus.client.base import ModbusBaseSyncClient
+
+from drivers.errors import DriverError
+from drivers.transports.frame_link import Link
+from drivers.transports.frames import FrameDriver
+from drivers.transports.modbus.driver import MakeClient, ModbusDriver
+from drivers.transports.motion import Motion
+from drivers.transports.serial_port import SerialChannel, open_port, parse_port
+from drivers.wire import modbus as registers
+from drivers.wire.rtu import without_strays
+from drivers.wire.serial import UPLOAD_BLOCK, HuntingDecoder, decode, frame_time, samples_per_second
+from drivers.wire.tcp import MAX_BATCH, End, Fetch, Samples
+
+_FRAMES_IN_WATCHDOG = 3
+_RTU_EXCHANGE = 8 + 255  # bytes of the longest request and its answer
+_BUFFERED = 8192  # bytes that may be on their way, in buffers that nobody can look into
+_PATIENCE = 0.25  # s, beyond what is on its way
+_REST_POLL = 0.05  # s
+
+_log = logging.getLogger(__name__)
+
+
+def create(address: str, **options: Any) -> SerialDriver | RtuDriver:
+    """The serial driver for an address `port[,baud[,frames|rtu]]`.
+
+    Raises:
+        ConfigurationError: not an address.
+    """
+    return (RtuDriver if parse_port(address).protocol == "rtu" else SerialDriver)(address, **options)
+
+
+class SerialDriver(FrameDriver):
+    """`drivers.protocol.Driver` with frames over a serial line; the address is `port[,baud]`.
+
+    What changes nothing is asked again where its answer was damaged. Where the line cannot carry the samples as fast
+    as they come, `samples` goes on after the arm has come to rest.
+
+    Raises:
+        ConfigurationError: not an address.
+    """
+
+    READ_ATTEMPTS = 3
+    UPLOAD_BLOCK = UPLOAD_BLOCK
+
+    def __init__(self, address: str, **options: Any) -> None:
+        self._line = parse_port(address)
+        super().__init__(address, **options)
+        self._watchdog = max(self._watchdog, _FRAMES_IN_WATCHDOG * frame_time(self._line.baud))
+        self._progress = self._fetched = 0.0
+        self._fetching: tuple[int, int] | None = None
+        self._starting = False
+        self._moved: float | None = None  # when the first message of a motion came whose start is not answered yet
+
+    def start(self, name: str, checksum: str) -> None:
+        """Run the stored program once; tells where its samples will come later than the motion."""
+        identity = self.identify()
+        carried = samples_per_second(self._line.baud, len(identity.joint_names))
+        _say_if_slow(self._line.baud, carried, identity.period)
+        self._progress = time.monotonic()
+        self._moved, self._starting = None, True
+        try:
+            super().start(name, checksum)
+        finally:
+            self._starting = False
+
+    def _open(self) -> Link:
+        return Link(
+            SerialChannel(open_port(self._line, self._timeout)),
+            self._line.port,
+            HuntingDecoder(),
+            decode,
+            self._on_message,
+            self._on_failure,
+            self._on_turn,
+            self._watchdog,
+        )
+
+    def _rests(self, motion: Motion) -> bool:
+        """Not until all samples have come, which may take much longer."""
+        until = time.monotonic() + self._start_timeout
+        while not motion.wait(_REST_POLL):
+            if not self.status().moving:
+                return True
+            if time.monotonic() > until:
+                return False
+        return True
+
+    def _on_message(self, message: Any, request: int) -> None:
+        self._progress = time.monotonic()
+        if self._moved is None and isinstance(message, (Samples, End)):
+            self._moved = self._progress
+        super()._on_message(message, request)
+
+    def _on_turn(self) -> None:
+        """A damaged frame may have been the answer to a fetch, or the end: ask for what comes next."""
+        now = time.monotonic()
+        patience = _PATIENCE + frame_time(self._line.baud, _BUFFERED)
+        if self._starting and self._moved is not None and now - self._moved > patience:
+            raise DriverError(
+                f"the arm at {self.address} moves, but the answer to its start was lost; the link was closed, which "
+                "stops the arm"
+            )
+        motion, link = self._motion, self._link
+        if motion is None or link is None or motion.over or not link.guarded:
+            return
+        if motion.fetching != self._fetching:
+            self._fetching, self._fetched = motion.fetching, now
+        late = now - self._progress > patience
+        if late or (motion.fetching is not None and now - self._fetched > patience):
+            self._progress = now
+            first, count = motion.next_wanted()
+            motion.fetching = self._fetching = link.post(Fetch(first, min(count, MAX_BATCH))), first
+            self._fetched = now
+
+
+class RtuDriver(ModbusDriver):
+    """`drivers.protocol.Driver` over Modbus RTU; the address is `port,baud,rtu`."""
+
+    def start(self, name: str, checksum: str) -> None:
+        """Run the stored program once; tells where its samples will come later than the motion."""
+        identity = self.identify()
+        joints = len(identity.joint_names)
+        size = 2 * registers.slot_registers(joints) * (1 + 13 / 250)  # a read of 250 bytes needs 13 more
+        _say_if_slow(self._port.baud, 1 / frame_time(self._port.baud, round(size)), identity.period)
+        super().start(name, checksum)
+
+    def _check_address(self, address: str) -> None:
+        self._port = parse_port(address)
+
+    def _wanted_watchdog(self) -> int:
+        shortest = _FRAMES_IN_WATCHDOG * frame_time(self._port.baud, _RTU_EXCHANGE)
+        return round(1000 * max(self._watchdog, shortest))
+
+    def _make_client(self) -> MakeClient:
+        port = open_port(self._port, self._timeout)
+        request = b""
+
+        def make(trace: Callable[[bool, bytes], bytes]) -> ModbusBaseSyncClient:
+            def pass_on(sending: bool, data: bytes) -> bytes:
+                nonlocal request
+                data = trace(sending, data)
+                if sending:
+                    request = data
+                return data if sending else without_strays(request, data)
+
+            client = ModbusSerialClient(
+                self._port.port, baudrate=self._port.baud, timeout=self._timeout, retries=0, trace_packet=pass_on
+            )
+            port.inter_byte_timeout = client.inter_byte_timeout
+            client.socket = port
+            return client
+
+        return make
+
+
+def _say_if_slow(baud: int, carried: float, period: float) -> None:
+    if carried * period < 1.0:
+        _log.warning(
+            "a line at %d baud carries about %.0f samples/s, the controller records %.0f: it keeps the rest, and they "
+            "are read after the motion",
+            baud,
+            carried,
+            1 / period,
+        )

@@ -1,0 +1,76 @@
+"""The binary TCP driver. The wire is in docs/wire-tcp.md."""
+
+from __future__ import annotations
+
+import socket
+
+from drivers.errors import ConfigurationError, DriverError
+from drivers.transports.frame_link import Link
+from drivers.transports.frames import FrameDriver
+from drivers.wire.tcp import MAX_REPLY_PAYLOAD, Decoder, decode
+
+
+class TcpDriver(FrameDriver):
+    """`drivers.protocol.Driver` over the binary TCP link; the address is `host:port`.
+
+    Raises:
+        ConfigurationError: not an address.
+    """
+
+    def __init__(self, address: str, **options: float) -> None:
+        parse_address(address)
+        super().__init__(address, **options)
+
+    def _open(self) -> Link:
+        connection = open_socket(self.address, self._timeout)
+        connection.settimeout(self._timeout)
+        return Link(
+            connection,
+            self.address,
+            Decoder(MAX_REPLY_PAYLOAD),
+            decode,
+            self._on_message,
+            self._on_failure,
+            self._on_turn,
+            self._watchdog,
+        )
+
+
+def parse_address(address: str) -> tuple[str, int]:
+    """Host and port of `host:port`, `[IPv6]:port` included.
+
+    Raises:
+        ConfigurationError: anything else.
+    """
+    host, separator, port = str(address).rpartition(":")
+    host = host.removeprefix("[").removesuffix("]")
+    if not separator or not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65536:
+        raise ConfigurationError(f"address {address!r}: host:port is expected, like 192.168.0.10:9100")
+    return host, int(port)
+
+
+def open_socket(address: str, timeout: float) -> socket.socket:
+    """A connected socket.
+
+    Raises:
+        DriverError: nobody there.
+        ConfigurationError: not an address.
+    """
+    host, port = parse_address(address)
+    try:
+        connection = socket.create_connection((host, port), timeout)
+    except ConnectionRefusedError:
+        raise DriverError(
+            f"no controller answers at {address}: connection refused; is it on, is the address right?"
+        ) from None
+    except TimeoutError:
+        raise DriverError(
+            f"no controller answers at {address} within {timeout:g} s; is it on, is the address right, "
+            "does a firewall stand between?"
+        ) from None
+    except (socket.gaierror, UnicodeError):
+        raise DriverError(f"no controller at {address}: the host name {host!r} is not known; check it") from None
+    except OSError as error:
+        raise DriverError(f"no controller answers at {address}: {error.strerror or error}; check the network") from None
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return connection

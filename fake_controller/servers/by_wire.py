@@ -1,0 +1,88 @@
+"""Servers by the name of the wire they speak."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING
+
+from fake_controller.faults import check_wire
+from fake_controller.servers.base import BROKER, Server
+
+if TYPE_CHECKING:
+    from fake_controller.controller import Controller
+
+#: Wires by name, with the name of the driver that speaks each.
+WIRES = {"tcp": "tcp", "modbus": "modbus", "serial": "serial", "rtu": "serial", "cnr_comau": "cnr_comau"}
+
+
+class _OnCable:
+    """A serial server with a cable of its own, for machines without a serial port."""
+
+    def __init__(self, wire: str, controller: Controller, baud: int, watchdog: float, waits: bool) -> None:
+        from fake_controller.servers.cable import Cable
+
+        with contextlib.ExitStack() as undo:
+            cable = Cable(baud)
+            undo.callback(cable.close)
+            server = _on_port(wire, controller, cable.near, baud, watchdog, waits)
+            undo.callback(server.close)
+            self._undo = undo.pop_all()
+        self.address = ",".join([cable.far, str(baud), *(["rtu"] if wire == "rtu" else [])])
+
+    def close(self) -> None:
+        """Bring the arm to rest, stop serving, and take the cable away."""
+        self._undo.close()
+
+
+def open_server(
+    wire: str,
+    controller: Controller,
+    address: str = "127.0.0.1",
+    port: int = 0,
+    watchdog: float = 0.05,
+    waits: bool = False,
+    baud: int = 4_000_000,
+    serial_port: str | None = None,
+    broker: tuple[str, int] = BROKER,
+) -> Server:
+    """A server that is open.
+
+    Args:
+        wire: one of `WIRES`.
+        controller: what is served.
+        address, port: where to listen, but for `serial` and `rtu`; port 0 takes a free one.
+        watchdog: the shortest [s] that a client is granted.
+        waits: the arm waits for a client that reads too slowly, as only an emulated one can.
+        baud, serial_port: the line, for `serial` and `rtu`; without a port a cable of pseudo-terminals is made.
+        broker: host and port, for `cnr_comau`.
+
+    Raises:
+        OSError: the port is taken, or is not this machine's; a `NoBrokerError` where no broker answers.
+        ValueError: a fault of the controller makes no sense on this wire.
+    """
+    check_wire(controller.faults.waiting, wire)
+    if wire == "tcp":
+        from fake_controller.servers.tcp import TcpServer
+
+        return TcpServer(controller, address, port, watchdog)
+    if wire == "modbus":
+        from fake_controller.servers.modbus.server import ModbusServer
+
+        return ModbusServer(controller, address, port, watchdog, waits=waits)
+    if wire == "cnr_comau":
+        from fake_controller.servers.cnr.server import CnrServer
+
+        return CnrServer(controller, address, port, watchdog, broker, waits)
+    if serial_port is None:
+        return _OnCable(wire, controller, baud, watchdog, waits)
+    return _on_port(wire, controller, serial_port, baud, watchdog, waits)
+
+
+def _on_port(wire: str, controller: Controller, port: str, baud: int, watchdog: float, waits: bool) -> Server:
+    if wire == "rtu":
+        from fake_controller.servers.modbus.server import ModbusRtuServer
+
+        return ModbusRtuServer(controller, port, baud, watchdog, waits=waits)
+    from fake_controller.servers.serial import SerialServer
+
+    return SerialServer(controller, port, baud, watchdog, waits=waits)

@@ -1,0 +1,161 @@
+"""The trajectory port of the socket programs: points, start, stop."""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+from collections.abc import Callable
+
+from agent.core.errors import InputError
+from drivers.wire.cnr import CommType, Message, MessageType, Point, QueueStatus, ReplyCode
+from drivers.wire.reasons import EndReason
+from fake_controller.controller import Controller
+from fake_controller.programs import RefusedRequest
+from fake_controller.servers.cnr.ftp import ProgramFolder
+from fake_controller.servers.cnr.queue import PROGRAM, PointQueue
+from fake_controller.servers.cnr.reports import Reports
+from fake_controller.servers.cnr.sockets import Client, Port
+
+
+class TrajectoryPort(Port):
+    """Carries out what its client asks for; who is connected here holds the controller.
+
+    Args:
+        controller, folder, reports: what it acts on.
+        address, port, cut: as of a `Port`.
+        gone: is told when the client has left.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        folder: ProgramFolder,
+        reports: Reports,
+        address: str,
+        port: int,
+        cut: Callable[[], None],
+        gone: Callable[[], None],
+    ) -> None:
+        self._controller = controller
+        self._gone = gone
+        self._folder = folder
+        self._reports = reports
+        self.queue = PointQueue(controller.robot)
+        super().__init__(address, port, controller.faults, cut)
+
+    def opened(self) -> None:
+        self._controller.faults.heal()
+        self._controller.reach("connect")
+        self._folder.write_identity()
+        self._reports.silence = 0.0
+
+    def left(self) -> None:
+        self._gone()
+
+    def press_start(self) -> None:
+        """Run the program that the folder names, as somebody who stands at the controller does.
+
+        Raises:
+            RefusedRequest, InputError: it cannot run.
+        """
+        name, text = self._folder.chosen()
+        self._controller.start(name, hashlib.sha256(text).hexdigest(), secrets.token_bytes(16), self._reports)
+        self._reports.begin(last_point=0, by_hand=True)
+        self._controller.go()
+
+    def heard(self, client: Client, message: Message) -> None:
+        point = message.record
+        assert isinstance(point, Point)
+        if message.comm != CommType.REQUEST:
+            self._answer(client, message, done=False)
+            return
+        match message.type:
+            case MessageType.PING:
+                self._answer(client, message, done=True)
+            case MessageType.POINT:
+                self._take(client, message, point)
+            case MessageType.FINISHED:
+                self.queue.complete = True
+                self._run_points(client, message)
+            case MessageType.START if self.queue.empty and point.sequence_number:
+                self._run(client, message, lambda: self._start_program(point.sequence_number), point.sequence_number)
+            case MessageType.START if not (self.queue.empty or self.queue.started or self._reports.moving):
+                self.queue.started = True
+                self.queue.read_ahead()
+                self._run_points(client, message)
+            case MessageType.STOP if self._under_way():
+                self.queue.started = False  # held: the next start goes on with it
+                self._controller.stop(EndReason.STOPPED, "stopped on command")
+                self._answer(client, message, done=True)
+            case MessageType.CANCEL if self._under_way():
+                self.queue.clear()
+                self._controller.stop(EndReason.STOPPED, "stopped on command")
+                self._answer(client, message, done=True)
+            case MessageType.SHUTDOWN:
+                self._answer(client, message, done=True)
+                self._cut()
+            case _:
+                self._answer(client, message, done=False)
+
+    def _under_way(self) -> bool:
+        """The arm moves, or will as soon as the last point is there."""
+        return self._reports.flag or (self.queue.started and not self.queue.complete)
+
+    def _take(self, client: Client, message: Message, point: Point) -> None:
+        if self.queue.empty:
+            self._controller.reach("upload")
+        if self._controller.faults.acts("queue_full"):
+            outcome = QueueStatus.BUSY
+        elif self._controller.faults.acts("sequence_error"):
+            outcome = QueueStatus.ERROR
+        else:
+            outcome = self.queue.add(point)
+        taken = outcome is QueueStatus.READY
+        self._answer(client, message, taken, self._queue_status() if taken else outcome, point.sequence_number)
+
+    def _run_points(self, client: Client, message: Message) -> None:
+        """Once there is a start and an end."""
+        if self.queue.complete and self.queue.started:
+            self._run(client, message, self._start_points, self.queue.last)
+        else:
+            self._answer(client, message, done=True)
+
+    def _run(self, client: Client, message: Message, start: Callable[[], None], last_point: int) -> None:
+        try:
+            start()
+        except (RefusedRequest, InputError):
+            self._reports.program_error = self._fit_to_move()
+            self._answer(client, message, done=False)
+            return
+        self._reports.begin(last_point)
+        try:
+            self._answer(client, message, done=True)
+        finally:
+            self._controller.go()
+
+    def _start_program(self, number: int) -> None:
+        """The program that the folder names. The same number starts nothing twice."""
+        name, text = self._folder.chosen()
+        self._controller.start(name, hashlib.sha256(text).hexdigest(), f"program {number}".encode(), self._reports)
+
+    def _start_points(self) -> None:
+        checksum = self._controller.store(PROGRAM, self.queue.program().encode())
+        self._controller.start(PROGRAM, checksum, secrets.token_bytes(16), self._reports)
+
+    def _fit_to_move(self) -> bool:
+        """Whether it can only be the program why nothing moves."""
+        state = self._controller.state
+        fit = state.drives_on and state.cell_closed and state.mode == "auto"
+        return fit and not (state.emergency_stop or state.alarms or self._reports.moving)
+
+    def _queue_status(self) -> QueueStatus:
+        return QueueStatus.BUSY if self._controller.faults.acts("queue_full") else self.queue.status
+
+    def _answer(
+        self, client: Client, message: Message, done: bool, status: QueueStatus | None = None, number: int | None = None
+    ) -> None:
+        if number is None:
+            number = 0 if message.type == MessageType.PING else self.queue.last
+        code = ReplyCode.SUCCESS if done else ReplyCode.FAILURE
+        record = Point(queue_status=status or self._queue_status(), sequence_number=number)
+        client.send(Message(message.type, CommType.REPLY, code, record))

@@ -1,0 +1,131 @@
+"""The C5G Open node of the fake: every sample on five topics of an MQTT broker."""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from paho.mqtt.client import CallbackAPIVersion, Client
+
+from agent.robot import RobotDescription
+from drivers.wire.cnr import (
+    CHANNELS,
+    CURRENTS,
+    POSITIONS,
+    TARGET_POSITIONS,
+    TARGET_VELOCITIES,
+    TOPIC,
+    VELOCITIES,
+    encode_joints,
+)
+from fake_controller.execution import Slice
+from fake_controller.faults import Faults
+from fake_controller.servers.base import NoBrokerError
+
+#: The node's clock: what it shows when the controller's shows nothing [µs], and how much faster it runs.
+CLOCK_OFFSET, CLOCK_DRIFT = 1_234_567_890, 5e-6
+TORQUE_CONSTANT = 1.0  # N·m/A of motors whose description has none
+CURRENTS_LATE = 200  # µs by which the node stamps currents later than the rest
+_PACE = 50  # samples between two looks at how far the broker is
+_AHEAD = 2  # of these that may be under way
+_PATIENCE = 5.0  # s for the broker
+
+
+class JointPublisher:
+    """Publishes what the arm does; QoS 0, nothing retained.
+
+    Args:
+        broker: host and port.
+        robot: whose motor currents are computed back from joint torque.
+        faults: what becomes of the messages.
+        cut: ends the connections to the controller, where a fault asks for that.
+        waits: wait for the broker where it is slower than the arm, as only an emulated arm can.
+
+    Raises:
+        NoBrokerError: nobody there.
+    """
+
+    def __init__(
+        self,
+        broker: tuple[str, int],
+        robot: RobotDescription,
+        faults: Faults,
+        cut: Callable[[], None],
+        waits: bool,
+    ) -> None:
+        # τ = Cᵀ diag(gear) τ_motor, and τ_motor = constant · current.
+        constants = np.array([joint.torque_constant or TORQUE_CONSTANT for joint in robot.joints])
+        self._to_currents = np.linalg.inv(robot.coupling) / (robot.gear_ratios * constants)
+        self._faults = faults
+        self._cut = cut
+        self._waits = waits
+        self._published = 0
+        self._marker = f"fake_controller/{secrets.token_hex(8)}"
+        self._returned = threading.Semaphore(0)
+        self._ready = threading.Event()
+        self._client = Client(CallbackAPIVersion.VERSION2)
+        self._client.on_connect = self._connected
+        self._client.on_subscribe = self._subscribed
+        self._client.on_message = lambda *_: self._returned.release()
+        try:
+            self._client.connect(*broker)
+        except OSError as error:
+            raise NoBrokerError(f"no MQTT broker at {broker[0]}:{broker[1]}: {error.strerror or error}") from None
+        self._client.loop_start()
+        if not self._ready.wait(_PATIENCE):
+            self.close()
+            raise NoBrokerError(f"whoever listens at {broker[0]}:{broker[1]} is no MQTT broker")
+
+    def close(self) -> None:
+        """Leave the broker."""
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def currents(self, torque: np.ndarray) -> np.ndarray:
+        """Motor currents (S, n) [A] of joint torques (S, n) [N·m]."""
+        return torque @ self._to_currents
+
+    def publish(self, time_ns: np.ndarray, samples: Slice, spare: bool) -> None:
+        """Publish samples with their controller times (K,) [ns]; `spare` as in `Faults.send`."""
+        columns = {
+            POSITIONS: np.degrees(samples.position),
+            VELOCITIES: np.degrees(samples.velocity),
+            TARGET_POSITIONS: np.degrees(samples.reference_position),
+            TARGET_VELOCITIES: np.degrees(samples.reference_velocity),
+            CURRENTS: self.currents(samples.torque),
+        }
+        rows = {channel: values.tolist() for channel, values in columns.items()}
+        stamps = np.round(time_ns * ((1 + CLOCK_DRIFT) / 1000)).astype(np.int64) + CLOCK_OFFSET
+        for k, stamp in enumerate(stamps.tolist()):
+            for channel in self._channels():
+                late = CURRENTS_LATE if channel is CURRENTS else 0
+                self._send(f"{TOPIC}/{channel}", encode_joints(rows[channel][k], stamp + late), spare)
+            self._published += 1
+            if self._waits and self._published % _PACE == 0:
+                self._keep_pace()
+
+    def _channels(self) -> tuple[str, ...]:
+        if self._faults.acts("broker_gone"):
+            return ()
+        return CHANNELS[:-1] if self._faults.acts("topic_missing") else CHANNELS
+
+    def _send(self, topic: str, payload: bytes, spare: bool) -> None:
+        with contextlib.suppress(ConnectionResetError):
+            self._faults.send(payload, lambda data: self._client.publish(topic, data), self._cut, spare)
+
+    def _keep_pace(self) -> None:
+        """A marker that comes back says that the broker has had everything before it."""
+        if self._client.is_connected():
+            self._returned.acquire(timeout=_PATIENCE)
+            self._client.publish(self._marker, b"")
+
+    def _connected(self, client: Client, *_: Any) -> None:
+        client.subscribe(self._marker)
+
+    def _subscribed(self, *_: Any) -> None:
+        self._returned = threading.Semaphore(_AHEAD)
+        self._ready.set()

@@ -1,0 +1,123 @@
+"""A client that speaks frames, whatever carries them, and what it asks for; the frames are in docs/wire-tcp.md."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from drivers.errors import ProtocolError
+from drivers.wire.reasons import EndReason, Refusal
+from drivers.wire.tcp import (
+    VERSION,
+    AskStatus,
+    AskTemperatures,
+    Done,
+    Fetch,
+    Frame,
+    Heartbeat,
+    Hello,
+    Identify,
+    Refused,
+    Start,
+    Started,
+    Stop,
+    Stored,
+    TemperaturesReply,
+    UploadBegin,
+    UploadBlock,
+    UploadEnd,
+    decode,
+)
+from fake_controller.controller import Controller
+from fake_controller.programs import RefusedRequest
+from fake_controller.servers.replies import Upload, identity_reply, status_reply
+
+
+class FrameClient:
+    """Requests of one client of one controller; a subclass has the wire, and is the motion's `Listener`."""
+
+    def __init__(self, controller: Controller) -> None:
+        self.controller = controller
+        self._greeted = False
+        self._driving = False  # this client's motion runs
+        self._upload: Upload | None = None
+
+    def _reply(self, message: Any, request: int) -> None:
+        """Send an answer."""
+        raise NotImplementedError
+
+    def _greet(self, hello: Hello, request: int) -> None:
+        """Take the client, if its version is spoken here, or refuse it."""
+        raise NotImplementedError
+
+    def _begin(self) -> None:
+        """A motion of this client is about to give samples."""
+
+    def _fetched(self, first: int, count: int) -> Any:
+        """The message with samples that are asked for again, the first at or after `first`.
+
+        Raises:
+            RefusedRequest: there are none.
+        """
+        raise NotImplementedError
+
+    def _answer(self, frame: Frame) -> None:
+        try:
+            message = decode(frame)
+            if not isinstance(message, Heartbeat):
+                self._carry_out(message, frame.request)
+        except ProtocolError as error:
+            self._reply(Refused(Refusal.UNKNOWN_MESSAGE, 0, 0, str(error)), frame.request)
+        except RefusedRequest as refused:
+            self._reply(Refused(refused.reason, refused.line, refused.column, str(refused)), frame.request)
+
+    def _carry_out(self, message: Any, request: int) -> None:
+        controller = self.controller
+        if isinstance(message, Hello):
+            self._greet(message, request)
+            return
+        if not self._greeted:
+            raise RefusedRequest(Refusal.BAD_REQUEST, "the first message must be the greeting")
+        match message:
+            case Identify():
+                self._reply(identity_reply(controller), request)
+            case AskStatus():
+                self._reply(status_reply(controller), request)
+            case AskTemperatures():
+                self._reply(TemperaturesReply(controller.temperatures), request)
+            case UploadBegin(name, size, checksum):
+                controller.check_upload(name, size)
+                self._upload = Upload(name, size, checksum)
+                self._reply(Done(), request)
+            case UploadBlock(offset, data):
+                self._current_upload().add(offset, data)
+                self._reply(Done(), request)
+            case UploadEnd():
+                upload, self._upload = self._current_upload(), None
+                self._reply(Stored(upload.name, controller.store(upload.name, upload.complete())), request)
+            case Start(name, checksum, motion_id):
+                self._start(name, checksum, motion_id, request)
+            case Stop():
+                controller.stop(EndReason.STOPPED, "stopped on command")
+                self._reply(Done(), request)
+            case Fetch(first, count):
+                self._reply(self._fetched(first, count), request)
+            case _:
+                raise RefusedRequest(Refusal.UNKNOWN_MESSAGE, f"{type(message).__name__} is not a request")
+
+    def _check_version(self, hello: Hello) -> None:
+        if hello.version < VERSION:
+            raise RefusedRequest(Refusal.UNSUPPORTED_VERSION, f"version {VERSION} of the link is spoken here")
+
+    def _start(self, name: str, checksum: str, motion_id: bytes, request: int) -> None:
+        self.controller.start(name, checksum, motion_id, self)  # type: ignore[arg-type]
+        self._begin()
+        self._driving = True
+        try:
+            self._reply(Started(motion_id), request)
+        finally:
+            self.controller.go()
+
+    def _current_upload(self) -> Upload:
+        if self._upload is None:
+            raise RefusedRequest(Refusal.BAD_REQUEST, "no upload has begun")
+        return self._upload

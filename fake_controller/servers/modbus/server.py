@@ -1,0 +1,236 @@
+"""The Modbus servers, over TCP and over a serial line (RTU); the map is in docs/wire-modbus.md."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import logging
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from pymodbus.framer import FramerType
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer
+from pymodbus.server.base import ModbusBaseServer
+from pymodbus.server.requesthandler import ServerRequestHandler
+from pymodbus.simulator import SimDevice
+
+from drivers.wire.modbus import HEARTBEAT
+from fake_controller.controller import Controller
+from fake_controller.faults import Faults
+from fake_controller.servers.base import deaf_socket
+from fake_controller.servers.modbus.registers import MEMORY, RegisterMap
+
+MAX_CONNECTIONS = 8
+MAX_WAITING = 4096  # bytes of requests of one client that are not carried out yet
+
+# The library's own complaints about what clients send belong in no terminal.
+logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+
+
+class ModbusServer:
+    """Serves the registers of one controller; a thread of its own does it.
+
+    Args:
+        controller: what is served.
+        address, port: where to listen; port 0 takes a free one.
+        watchdog: the shortest [s] that a client is granted.
+        memory, waits: see `RegisterMap`.
+
+    Raises:
+        OSError: the port is taken, or the address is not this machine's.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        address: str = "127.0.0.1",
+        port: int = 0,
+        watchdog: float = 0.05,
+        memory: int = MEMORY,
+        waits: bool = False,
+    ) -> None:
+        self._where = (address, port)
+        self._run(controller, watchdog, memory, waits)
+        controller.when_restarting.append(self.drop_clients)
+
+    def close(self) -> None:
+        """Bring the arm to rest and stop listening."""
+        self.registers.close()
+        self._loop.call_soon_threadsafe(self._done.set)
+        self._thread.join(10.0)
+
+    def drop_clients(self) -> None:
+        """Cut every connection, as a pulled cable does."""
+        self._loop.call_soon_threadsafe(self._drop)
+
+    def _run(self, controller: Controller, watchdog: float, memory: int, waits: bool) -> None:
+        self.controller = controller
+        self.registers = RegisterMap(controller, watchdog, memory, waits)
+        self._failure: OSError | None = None
+        started = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(started)), name="modbus", daemon=True)
+        self._thread.start()
+        started.wait()
+        if self._failure is not None:
+            self.registers.close()
+            raise self._failure
+
+    async def _serve(self, started: threading.Event) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._loop.set_exception_handler(lambda *_: None)  # a client's nonsense ends its connection, nothing else
+        self._done = asyncio.Event()
+        try:
+            await self._open()
+        except OSError as error:
+            self._failure = error
+            return
+        finally:
+            started.set()
+        await self._done.wait()
+        await self._end()
+
+    async def _open(self) -> None:
+        if self.controller.faults.refusing:
+            self._deaf = deaf_socket(*self._where)
+            self._name(self._deaf.getsockname())
+            return
+        device, faults = self.registers.device(), self.controller.faults
+        self._server = _TcpServer(device, faults, framer=FramerType.SOCKET, address=self._where)
+        await _listen(self._server)
+        self._name(self._server.transport.sockets[0].getsockname())
+
+    async def _end(self) -> None:
+        if self.controller.faults.refusing:
+            self._deaf.close()
+            return
+        self._drop()
+        await self._server.shutdown()
+
+    def _name(self, where: tuple[str, int]) -> None:
+        host, self.port = where[:2]
+        self.address = f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}"
+
+    def _drop(self) -> None:
+        if not self.controller.faults.refusing:
+            for client in list(self._server.active_connections.values()):
+                client.close()
+
+
+class ModbusRtuServer(ModbusServer):
+    """The same over a serial port: its name, and its baud rate.
+
+    Raises:
+        OSError: the port cannot be opened.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        port: str,
+        baud: int,
+        watchdog: float = 0.05,
+        memory: int = MEMORY,
+        waits: bool = False,
+    ) -> None:
+        self.address = port
+        self._baud = baud
+        self._run(controller, watchdog, memory, waits)
+
+    async def _open(self) -> None:
+        device, faults = self.registers.device(), self.controller.faults
+        self._server = _LineServer(device, faults, framer=FramerType.RTU, port=self.address, baudrate=self._baud)
+        await _listen(self._server)
+
+    async def _end(self) -> None:
+        for line in list(self._server.active_connections.values()):
+            line.close()
+        await self._server.shutdown()
+
+
+class _Connection(ServerRequestHandler):
+    """One client; what it is sent and what it says goes through the faults of the wire."""
+
+    def __init__(self, server: ModbusBaseServer, faults: Faults, cut: Callable[[], None] | None = None) -> None:
+        super().__init__(server, None, None, None)
+        self._faults = faults
+        self._cut = cut or self.close
+
+    def send(self, data: bytes, addr: tuple | None = None) -> None:
+        """Called by the library with a whole answer. A delay holds up the loop: there is nobody else to serve."""
+        # The answer to a heartbeat tells nothing.
+        spare = getattr(self.last_pdu, "address", None) == HEARTBEAT.address
+        with contextlib.suppress(ConnectionResetError):
+            self._faults.send(data, super().send, self._cut, spare)
+
+    def data_received(self, data: bytes) -> None:
+        """Called by the library with whatever came."""
+        heard = self._faults.heard(data)
+        if heard:
+            super().data_received(heard)
+
+
+class _TcpConnection(_Connection):
+    """Carries out one request after the other; of those that come before it has answered, the library forgets some."""
+
+    _waiting = b""
+
+    def data_received(self, data: bytes) -> None:
+        """Called by the library with whatever came."""
+        self._waiting += data
+        if len(self._waiting) > MAX_WAITING:
+            self.close()
+            return
+        self._take_up()
+
+    async def handle_request(self) -> None:
+        """Called by the library to answer `last_pdu`."""
+        await super().handle_request()
+        self.last_pdu = None
+        self._take_up()
+
+    def _take_up(self) -> None:
+        """Have the library read the next request, if there is a whole one and none is being carried out."""
+        size = self.max_buffer_size
+        while self._waiting and self.last_pdu is None:
+            before = len(self._waiting)
+            super().data_received(self._waiting[:size])
+            self._waiting, self.recv_buffer = self.recv_buffer + self._waiting[size:], b""
+            if len(self._waiting) == before:
+                return
+
+
+class _TcpServer(ModbusTcpServer):
+    """With a limit on connections: one too many is closed at once."""
+
+    def __init__(self, device: SimDevice, faults: Faults, **options: Any) -> None:
+        super().__init__(device, **options)
+        self._faults = faults
+
+    def callback_new_connection(self) -> _Connection:
+        """Called by the library."""
+        connection = _TcpConnection(self, self._faults)
+        if len(self.active_connections) >= MAX_CONNECTIONS:
+            # Its transport comes with the next turn of the loop; there is nothing to close before that.
+            self.loop.call_soon(self.loop.call_soon, connection.close)
+        else:
+            self._faults.heal()
+        return connection
+
+
+class _LineServer(ModbusSerialServer):
+    """A line has no connection that could be cut; the plug comes out."""
+
+    def __init__(self, device: SimDevice, faults: Faults, **options: Any) -> None:
+        super().__init__(device, **options)
+        self._faults = faults
+
+    def callback_new_connection(self) -> _Connection:
+        """Called by the library as the port is opened."""
+        return _Connection(self, self._faults, cut=self._faults.unplug)
+
+
+async def _listen(server: ModbusBaseServer) -> None:
+    if not await server.listen():
+        raise OSError(errno.EADDRINUSE, "address cannot be used")

@@ -1,0 +1,253 @@
+"""The binary TCP server; the wire is in docs/wire-tcp.md."""
+
+from __future__ import annotations
+
+import contextlib
+import selectors
+import socket
+import threading
+import time
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import ProtocolError
+from drivers.wire.reasons import EndReason, Refusal
+from drivers.wire.tcp import (
+    MAX_BATCH,
+    MAX_REQUEST_PAYLOAD,
+    VERSION,
+    Decoder,
+    End,
+    Heartbeat,
+    Hello,
+    Refused,
+    Samples,
+    Welcome,
+    encode,
+)
+from fake_controller.controller import Controller
+from fake_controller.execution import Slice
+from fake_controller.programs import RefusedRequest
+from fake_controller.servers.base import accepted, deaf_socket
+from fake_controller.servers.frame_client import FrameClient
+from fake_controller.servers.replies import samples_message
+
+MAX_CONNECTIONS = 8
+WATCHDOG_RANGE = (0.05, 5.0)  # s
+IDLE_LIMIT = 5.0  # s of silence after which a client at rest is taken for gone, greeting included
+SEND_LIMIT = 5.0  # s
+LINGER = 1.0  # s
+_RECEIVE = 64 * 1024
+
+
+class TcpServer:
+    """Listens for clients of one controller. The first to greet holds it; others are told so until it leaves.
+
+    Args:
+        controller: what is served.
+        address, port: where to listen; port 0 takes a free one.
+        watchdog: the shortest [s] that a client is granted.
+
+    Raises:
+        OSError: the port is taken, or the address is not this machine's.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        address: str = "127.0.0.1",
+        port: int = 0,
+        watchdog: float = WATCHDOG_RANGE[0],
+    ) -> None:
+        self.controller = controller
+        self.watchdog = watchdog
+        family = socket.AF_INET6 if ":" in address else socket.AF_INET
+        if controller.faults.refusing:
+            self._listener = deaf_socket(address, port)
+        else:
+            self._listener = socket.create_server((address, port), family=family, backlog=MAX_CONNECTIONS)
+        host, self.port = self._listener.getsockname()[:2]
+        self.address = f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}"
+        self._lock = threading.Lock()
+        self._sessions: set[Session] = set()
+        self._holder: Session | None = None
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._accept, name="accept", daemon=True)
+        if not controller.faults.refusing:
+            self._thread.start()
+        controller.when_restarting.append(self.drop_clients)
+
+    def close(self) -> None:
+        """Bring the arm to rest, tell the clients, and stop listening."""
+        self._closing.set()
+        self.controller.shut_down()
+        with contextlib.suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        with self._lock:
+            sessions = list(self._sessions)
+        for session in sessions:
+            session.close()
+        for session in sessions:
+            session.join()
+        if self._thread.is_alive():
+            self._thread.join(5.0)
+
+    def drop_clients(self) -> None:
+        """Cut every connection, as a pulled cable does."""
+        with self._lock:
+            sessions = list(self._sessions)
+        for session in sessions:
+            session.close()
+
+    def hold(self, session: Session) -> bool:
+        """Give the controller to a session unless another has it."""
+        with self._lock:
+            if self._holder not in (None, session):
+                return False
+            self._holder = session
+            return True
+
+    def left(self, session: Session) -> None:
+        """A session is over."""
+        with self._lock:
+            self._sessions.discard(session)
+            if self._holder is session:
+                self._holder = None
+
+    def _accept(self) -> None:
+        for connection in accepted(self._listener, self._closing):
+            with self._lock:
+                if len(self._sessions) >= MAX_CONNECTIONS:
+                    connection.close()
+                    continue
+                session = Session(self, connection)
+                self._sessions.add(session)
+            self.controller.faults.heal()
+            session.start()
+
+
+class Session(FrameClient):
+    """One client. Its reader thread carries out requests; another sends heartbeats; motion sends from its own."""
+
+    def __init__(self, server: TcpServer, connection: socket.socket) -> None:
+        super().__init__(server.controller)
+        self._server = server
+        self._socket = connection
+        self._socket.settimeout(SEND_LIMIT)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._send_lock = threading.Lock()
+        self._closed = threading.Event()
+        self._watchdog = IDLE_LIMIT
+        self._thread = threading.Thread(target=self._serve, name="session", daemon=True)
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Say that nothing more will come; the reader thread does the rest."""
+        self._closed.set()
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_WR)
+
+    def join(self) -> None:
+        """Wait until the connection is closed."""
+        self._thread.join(2 * LINGER)
+
+    def on_samples(self, first: int, time_ns: np.ndarray, samples: Slice) -> None:
+        """Stream what the arm just did; a client that is gone ends the motion."""
+        for begin in range(0, len(samples), MAX_BATCH):
+            self._send_or_close(samples_message(first + begin, time_ns, samples, slice(begin, begin + MAX_BATCH)))
+
+    def on_end(self, reason: EndReason, samples: int, message: str) -> None:
+        """Tell that the arm rests."""
+        self._driving = False
+        self._send_or_close(End(reason, samples, message))
+
+    def _serve(self) -> None:
+        try:
+            self._read()
+        except ProtocolError as error:
+            with contextlib.suppress(OSError):
+                self._reply(Refused(Refusal.BAD_REQUEST, 0, 0, f"{error}; the connection is closed"))
+        except OSError:
+            pass
+        finally:
+            self.close()
+            if self._driving:
+                self.controller.stop(EndReason.WATCHDOG, "the client is gone")
+            self._server.left(self)
+            self._linger()
+            self._socket.close()
+
+    def _linger(self) -> None:
+        """Read on until the client has closed too: closing on unread data would take back what it has not read yet."""
+        until = time.monotonic() + LINGER
+        with contextlib.suppress(OSError):
+            while (left := until - time.monotonic()) > 0:
+                self._socket.settimeout(left)
+                if not self._socket.recv(_RECEIVE):
+                    return
+
+    def _read(self) -> None:
+        decoder = Decoder(MAX_REQUEST_PAYLOAD)
+        silence = 0.0
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._socket, selectors.EVENT_READ)
+            while not self._closed.is_set():
+                interval = self._watchdog / 4
+                began = time.monotonic()
+                data = b""
+                if selector.select(interval):
+                    data = self._socket.recv(_RECEIVE)
+                    if not data:
+                        return
+                    data = self.controller.faults.heard(data)
+                # A stall of this process is not the client's silence: no turn counts for more than it should last.
+                silence += min(time.monotonic() - began, interval)
+                for frame in decoder.feed(data):
+                    silence = 0.0
+                    self._answer(frame)
+                if self._driving and silence >= self._watchdog:
+                    self.controller.stop(
+                        EndReason.WATCHDOG, f"nothing was heard from the client for {self._watchdog * 1000:.0f} ms"
+                    )
+                if silence >= IDLE_LIMIT:
+                    return
+
+    def _greet(self, hello: Hello, request: int) -> None:
+        if self._greeted:
+            raise RefusedRequest(Refusal.BAD_REQUEST, "the greeting comes once")
+        self._check_version(hello)
+        if not self._server.hold(self):
+            raise RefusedRequest(Refusal.BUSY, "another client holds the controller; close it first")
+        self._watchdog = min(max(hello.watchdog_ms / 1000, self._server.watchdog), WATCHDOG_RANGE[1])
+        self._greeted = True
+        self.controller.reach("connect")
+        self._reply(Welcome(VERSION, round(self._watchdog * 1000)), request)
+        threading.Thread(target=self._beat, name="heartbeat", daemon=True).start()
+
+    def _beat(self) -> None:
+        while not self._closed.wait(self._watchdog / 4):
+            self._send_or_close(Heartbeat())
+
+    def _fetched(self, first: int, count: int) -> Samples:
+        return samples_message(*self.controller.fetch(first, min(count, MAX_BATCH)))
+
+    def _send_or_close(self, message: Any) -> None:
+        try:
+            self._reply(message)
+        except OSError:
+            self.close()
+
+    def _reply(self, message: Any, request: int = 0) -> None:
+        frame = encode(message, request)
+        with self._send_lock:
+            self.controller.faults.send(frame, self._socket.sendall, self._cut, isinstance(message, Heartbeat))
+
+    def _cut(self) -> None:
+        self._closed.set()
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
