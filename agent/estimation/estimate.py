@@ -11,14 +11,19 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.estimation.blocks import partition
+from agent.estimation.consistent import consistent
 from agent.estimation.cutoff import LOWEST, predictive_cutoff
+from agent.estimation.essential import essential
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.friction_selection import paper_terms, select_friction_terms
+from agent.estimation.instrumental import instrumental
 from agent.estimation.least_squares import ordinary, reweighted, weighted
 from agent.estimation.method_selection import choose
 from agent.estimation.observation import Observation, observe
+from agent.estimation.paper import paper
 from agent.estimation.prior_choice import choose_links
 from agent.estimation.problem import Estimate, Problem
+from agent.estimation.robust import huber
 from agent.estimation.solving import iterate_weights, solve
 from agent.estimation.summary import build_model
 from agent.model.friction_terms import Reversal
@@ -32,54 +37,45 @@ if TYPE_CHECKING:
     from agent.robot.dynamics import Tool
 
 
-def _huber(problem: Problem) -> Estimate:
-    from agent.estimation.robust import huber
+@dataclass(frozen=True)
+class Estimator:
+    """`fit` solves a problem; `friction` are the terms it is defined with, None where those of the settings do."""
 
-    return huber(problem)
-
-
-def _essential(problem: Problem) -> Estimate:
-    from agent.estimation.essential import essential
-
-    return essential(problem)
+    fit: Callable[[Problem], Estimate]
+    friction: str | None = None
 
 
-def _consistent(problem: Problem) -> Estimate:
-    from agent.estimation.consistent import consistent
-
-    return consistent(problem)
-
-
-def _instrumental(problem: Problem) -> Estimate:
-    from agent.estimation.instrumental import instrumental
-
-    return instrumental(problem)
-
-
-ESTIMATORS: dict[str, Callable[[Problem], Estimate]] = {
-    "weighted": weighted,
-    "ordinary": ordinary,
-    "reweighted": reweighted,
-    "huber": _huber,
-    "essential": _essential,
-    "consistent": _consistent,
-    "instrumental": _instrumental,
+#: Every estimator by name, one module each. Recipes may name those of `agent.recipe.schema.ESTIMATION_METHODS`.
+ESTIMATORS = {
+    "weighted": Estimator(weighted),
+    "ordinary": Estimator(ordinary),
+    "reweighted": Estimator(reweighted),
+    "huber": Estimator(huber),
+    "essential": Estimator(essential),
+    "consistent": Estimator(consistent),
+    "instrumental": Estimator(instrumental),
+    "paper": Estimator(paper, friction="paper"),
 }
-METHODS = ("auto", *ESTIMATORS)
-_AUTO = ("weighted", "huber", "essential", "consistent")
+AUTO = "auto"
+_COMPARED = ("weighted", "huber", "essential", "consistent")
 _KEPT = 0.8  # of the filtered time, by a lower cut-off
+
+
+def methods() -> tuple[str, ...]:
+    """Names that `method` may have."""
+    return (AUTO, *ESTIMATORS)
 
 
 @dataclass(frozen=True)
 class EstimationSettings:
     """How to estimate.
 
-    method: one of METHODS; "auto" is decided by held-out error. friction: "selected" (terms by held-out error) or
+    method: one of `methods()`; "auto" is decided by held-out error. friction: "selected" (terms by held-out error) or
     "paper" (its three terms, nothing else).
     """
 
     filter: FilterSettings = field(default_factory=FilterSettings)
-    method: str = "auto"
+    method: str = AUTO
     friction: str = "selected"
 
     @classmethod
@@ -95,11 +91,11 @@ class EstimationSettings:
         Raises:
             InputError: unknown method or friction.
         """
-        if method is not None and method not in METHODS:
-            raise InputError(f"method {method!r} is not known; choose one of {', '.join(METHODS)}")
+        if method is not None and method not in methods():
+            raise InputError(f"method {method!r} is not known; choose one of {', '.join(methods())}")
         if friction not in ("selected", "paper"):
             raise InputError(f"friction {friction!r} is not known; choose selected or paper")
-        return cls(FilterSettings(cutoff, order), method or METHODS[0], friction)
+        return cls(FilterSettings(cutoff, order), method or AUTO, friction)
 
 
 def estimate(
@@ -118,15 +114,16 @@ def estimate(
     rigid, names, texts = rigid_bodies(robot, tool)
     observation = observe_predictable(rigid, logs, settings.filter)
     cells = partition(observation.segments)
-    if settings.friction == "selected":
+    chosen = ESTIMATORS.get(settings.method)
+    if ((chosen and chosen.friction) or settings.friction) == "selected":
         problem = select_friction_terms(observation, cells)
     else:
         problem = Problem.pose(observation, cells, paper_terms([Reversal()] * robot.dof))
     problem = problem.with_own_prior_weight()
-    if settings.method == "auto":
-        method, found = choose(problem, {name: ESTIMATORS[name] for name in _AUTO})
+    if chosen is None:
+        method, found = choose(problem, {name: ESTIMATORS[name].fit for name in _COMPARED})
     else:
-        method, found = settings.method, ESTIMATORS[settings.method](problem)
+        method, found = settings.method, chosen.fit(problem)
     return build_model(problem, found, method, names, texts, logs)
 
 

@@ -66,7 +66,7 @@ def refit(model: IdentifiedModel, logs: Sequence[Log], parameters: str = "fricti
     problem = Problem.pose(observation, cells, model.terms, model.base_values)
     if parameters == "all":
         problem = problem.with_own_prior_weight()
-        found = ESTIMATORS[model.method](problem)
+        found = ESTIMATORS[model.method].fit(problem)
         fresh = build_model(problem, found, model.method, names, combinations, logs)
         return _judged(problem, found, replace(fresh, effects=model.effects), model)
     problem = replace(problem, prior_weight=float(np.median(_times(problem, _friction(problem, model).parameters))))

@@ -9,6 +9,8 @@ import numpy as np
 from agent.estimation.moments import ALL_CELLS, Cells, Moments
 from agent.estimation.prior import Prior
 
+_RANK = 1e-12  # eigenvalue of a scaled normal matrix, relative: a singular value of 1e-6
+
 
 def solve(
     moments: Moments, weights: np.ndarray, prior: Prior, prior_weight: float, cells: Cells = ALL_CELLS
@@ -34,6 +36,25 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
     """Inverse of a matrix whose unknowns have units of their own."""
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     return np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
+
+
+def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Inverse on what a normal matrix determines, zero on the rest; its unknowns have units of their own."""
+    scale, values, vectors = _scaled_eigen(matrix)
+    kept = values > _RANK * values[-1]
+    return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T * np.outer(scale, scale)
+
+
+def scaled_rank(matrix: np.ndarray) -> int:
+    """How many directions of its unknowns a normal matrix determines."""
+    _, values, _ = _scaled_eigen(matrix)
+    return int(np.sum(values > _RANK * values[-1]))
+
+
+def _scaled_eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    diagonal = np.diag(matrix)
+    scale = np.where(diagonal > _RANK**2 * diagonal.max(), 1 / np.sqrt(np.maximum(diagonal, 1e-300)), 0.0)
+    return scale, *np.linalg.eigh(matrix * np.outer(scale, scale))
 
 
 def reweight(moments: Moments, parameters: np.ndarray) -> np.ndarray:

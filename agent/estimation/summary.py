@@ -83,7 +83,8 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.
     yield f"Held-out errors: {problem.partition.folds} folds of {kind}."
     if found.note:
         yield found.note
-    yield from _described_links(model, problem)
+    if found.prior_weight > 0:
+        yield from _described_links(model, problem)
     yield from _doubts(problem.observation)
     if problem.observation.noisy is not None:
         yield (
@@ -98,7 +99,7 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.
             "or a larger sub-region, separates them."
         )
     directions = silent_directions(problem.moments, found.weights, problem.prior, times)
-    if len(directions):
+    if len(directions) and found.prior_weight > 0:
         names = ", ".join(_leading_names(model.names, directions))
         yield (
             f"{len(directions)} of {len(model.values)} parameter directions are not in these data and stay near their "

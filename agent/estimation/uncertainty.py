@@ -19,16 +19,17 @@ import numpy as np
 from agent.estimation.moments import Moments, standstill
 from agent.estimation.prior import Prior
 from agent.estimation.problem import Estimate, Problem
-from agent.estimation.solving import inverse
+from agent.estimation.solving import inverse, pseudo_inverse
 
 _SPECTRUM = 256  # rows in one piece of the estimate of a spectrum
 
 
 def covariance(problem: Problem, found: Estimate) -> np.ndarray:
-    """(p, p) covariance of an estimate."""
+    """(p, p) covariance of an estimate; zero in directions that an estimate without prior leaves open."""
     prior, partition = problem.prior, problem.partition
     total = found.moments.weighted(found.weights)
-    bread = inverse(total[:-1, :-1] + found.prior_weight * prior.precision)
+    matrix = total[:-1, :-1] + found.prior_weight * prior.precision
+    bread = inverse(matrix) if found.prior_weight > 0 else pseudo_inverse(matrix)
     stationary = bread @ (_noise(problem, found) + found.prior_weight**2 * prior.precision) @ bread.T
     estimates = np.array(
         [
@@ -40,7 +41,8 @@ def covariance(problem: Problem, found: Estimate) -> np.ndarray:
     if count < 2:
         return stationary
     jackknife = (count - 1) / count * np.sum((estimates - estimates.mean(axis=0)) ** 2, axis=0)
-    ratio = jackknife / np.diag(stationary)
+    variance = np.diag(stationary)
+    ratio = np.divide(jackknife, variance, out=np.ones_like(variance), where=variance > 0)
     widen = np.sqrt(np.where(ratio > 1 + 2 * np.sqrt(2 / (count - 1)), ratio, 1.0))
     return stationary * np.outer(widen, widen)
 

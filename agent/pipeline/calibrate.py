@@ -150,9 +150,9 @@ def _report(
 ) -> Outcome:
     from agent.pipeline.analysis_log import write_analysis
     from agent.pipeline.conditions import conditions
-    from agent.pipeline.reports import against_last, further_sections
+    from agent.pipeline.reports import against_last
     from agent.recording import read_log
-    from agent.report import run_report
+    from agent.report import RunContent, further_sections, run_report
     from agent.validation import predict_log
 
     sources = provenance(run.path, run.state, [run.file(EXCITATION), *validation_logs(run)])
@@ -166,7 +166,7 @@ def _report(
     run.write_json("result.json", result)
     typical = typical_motion(predictions)
     write_analysis(run.file("analysis.mcap"), read_log(run.file(typical.log), recipe.robot), typical)
-    further = further_sections(run.path, recipe, model, predictions)
+    further = further_sections(RunContent(run.path, recipe, model, predictions))
     run.write_text("report.html", run_report(run_data(recipe, plan, result, model, predictions, further)))
     run.complete(result["accepted"])
     return Outcome(run.path, result, result["accepted"])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from agent.core.console import Console
 from agent.core.errors import InputError
-from agent.pipeline.reports import further_sections, recalibration_page
+from agent.pipeline.reports import recalibration_page
 from agent.recipe import Recipe, load_recipe
 from agent.runs.folder import sha256_file, write_atomically
 from agent.runs.past_run import PastRun, read_object, read_run, readable
@@ -47,7 +47,7 @@ def _calibration(run: Path, recipe: Recipe, console: Console) -> str:
     from agent.pipeline.planning import replan
     from agent.pipeline.result import run_data
     from agent.recording import read_log
-    from agent.report import run_report
+    from agent.report import RunContent, further_sections, run_report
     from agent.validation import predict_log
 
     model = _model(run)
@@ -56,7 +56,7 @@ def _calibration(run: Path, recipe: Recipe, console: Console) -> str:
         raise InputError(f"{run}: its validation logs are gone, so its page cannot be made again")
     predictions = [predict_log(model, read_log(path, recipe.robot)) for path in logs]
     plan = replan(recipe, run / "plan.json")
-    further = further_sections(run, recipe, model, predictions)
+    further = further_sections(RunContent(run, recipe, model, predictions))
     return run_report(run_data(recipe, plan, _result(run), model, predictions, further))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,44 +15,12 @@ from agent.recipe import Recipe
 from agent.recording.log import AROUND
 from agent.runs.current_model import current_runs
 from agent.runs.folder import RunFolder, write_atomically
-from agent.runs.history import open_history
+from agent.runs.history import last_accepted, open_history
 
 if TYPE_CHECKING:
-    from agent.estimation import IdentifiedModel
     from agent.recording.log import Log
-    from agent.report.page import Section
     from agent.validation import Prediction
     from agent.validation.compare import Comparison
-
-
-def further_sections(
-    run: Path, recipe: Recipe, model: IdentifiedModel, predictions: Sequence[Prediction]
-) -> list[Section]:
-    """Observation matrix, residuals, comparison with the last accepted run of the same loop, and health of the logs."""
-    from agent.estimation import IdentifiedModel
-    from agent.recording import read_log
-    from agent.report.comparison_sections import comparison_section
-    from agent.report.log_sections import log_section
-    from agent.report.residual_sections import residual_section
-    from agent.validation.compare import compare_models
-
-    log = read_log(run / "excitation.mcap", recipe.robot)
-    sections = [observation_part(model, log), residual_section(predictions)]
-    last = _last_accepted(run)
-    if last is not None:
-        before = IdentifiedModel.load(last / "model.json")
-        sections.append(comparison_section(compare_models(before, model, log, last.name, run.name)))
-    sections.append(log_section(_logs(run, recipe)))
-    return sections
-
-
-def observation_part(model: IdentifiedModel, log: Log) -> Section:
-    """What a model's own motion shows of its parameters."""
-    from agent.estimation import condition_text
-    from agent.report.observation_section import observation_section
-    from agent.validation.observability import observability
-
-    return observation_section(observability(model, log), condition_text(model.condition_number))
 
 
 def against_last(run: RunFolder, log: Log, console: Console) -> dict[str, Any]:
@@ -61,7 +28,7 @@ def against_last(run: RunFolder, log: Log, console: Console) -> dict[str, Any]:
     from agent.estimation import IdentifiedModel
     from agent.validation import predict_log
 
-    last = _last_accepted(run.path)
+    last = last_accepted(run.path)
     if last is None:
         return {"reference": "", "diagnosis": None}
     before = IdentifiedModel.load(last / "model.json")
@@ -79,6 +46,7 @@ def recalibration_page(
     from agent.report.log_sections import log_section
     from agent.report.recalibration_report import RecalibrationData, recalibration_report
     from agent.report.residual_sections import residual_section
+    from agent.report.run_sections import observation_part
 
     model = prediction.model
     *_, cycle = plan_statements(recipe, program, "program.pdl", log.position[0])[1]
@@ -159,29 +127,3 @@ def _shown_cycle(log: Log, prediction: Prediction) -> tuple[np.ndarray, np.ndarr
     chosen = np.flatnonzero((part.time >= start) & (part.time <= stop))
     chosen = chosen[:: max(1, len(chosen) // 1500)]
     return part.time[chosen], part.measured[chosen], part.predicted[chosen], part.half_width[chosen]
-
-
-def _last_accepted(run: Path) -> Path | None:
-    """The newest accepted run of the same machine and loop that is older than this one."""
-    with open_history(run.parent) as history:
-        runs = history.runs()
-    this = next((past for past in runs if past.run == run.name), None)
-    if this is None:
-        return None
-    older = [
-        past
-        for past in runs
-        if past.accepted
-        and (past.robot, past.serial, past.loop) == (this.robot, this.serial, this.loop)
-        and (past.started, past.run) < (this.started, this.run)
-        and (run.parent / past.run / "model.json").is_file()
-    ]
-    return run.parent / older[-1].run if older else None
-
-
-def _logs(run: Path, recipe: Recipe) -> Iterator[Log]:
-    """The run's logs, one at a time: thirty of them at once would be a lot of memory."""
-    from agent.recording import read_log
-
-    for path in [run / "excitation.mcap", *sorted(run.glob("validation_[0-9][0-9].mcap"))]:
-        yield read_log(path, recipe.robot)

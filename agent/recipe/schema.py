@@ -30,6 +30,7 @@ ESTIMATION_METHODS = (
     "essential",
     "consistent",
     "instrumental",
+    "paper",
 )
 #: Searches that `search.method` may name.
 SEARCH_METHODS = ("genetic", "random")

@@ -244,3 +244,21 @@ def _folders(folder: Path) -> Iterator[tuple[str, int]]:
             continue
         except OSError:  # no rights, a link to itself: `read_run` says which
             yield entry.name, 0
+
+
+def last_accepted(run: Path) -> Path | None:
+    """The newest accepted run of the same machine and loop that is older than this one."""
+    with open_history(run.parent) as history:
+        runs = history.runs()
+    this = next((past for past in runs if past.run == run.name), None)
+    if this is None:
+        return None
+    older = [
+        past
+        for past in runs
+        if past.accepted
+        and (past.robot, past.serial, past.loop) == (this.robot, this.serial, this.loop)
+        and (past.started, past.run) < (this.started, this.run)
+        and (run.parent / past.run / "model.json").is_file()
+    ]
+    return run.parent / older[-1].run if older else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -60,6 +60,12 @@ class Prediction:
             flat = motion.low_pass(columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
             parts.append(self.model.prediction_interval(flat, motion.low_pass(motion.qd)))
         return np.concatenate(parts)
+
+    def by(self, model: IdentifiedModel) -> Prediction:
+        """The same samples predicted by another model of the same robot, filtered as they are here."""
+        parts = [m.low_pass(np.hstack(model.predict_parts(m.q, m.qd, m.qdd, m.time))) for m in self._motions]
+        predicted, friction = np.split(np.concatenate(parts), 2, axis=1)
+        return replace(self, model=model, predicted=predicted, friction=friction)
 
 
 def predict_log(model: IdentifiedModel, log: Log, cutoff: float | None = None) -> Prediction:

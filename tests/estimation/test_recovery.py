@@ -114,7 +114,7 @@ def test_a_noisy_joint_gets_little_weight(case, make_log):
 
 
 @pytest.mark.parametrize(
-    "method", ["ordinary", "weighted", "reweighted", "huber", "consistent", "essential", "instrumental"]
+    "method", ["ordinary", "weighted", "reweighted", "huber", "consistent", "essential", "instrumental", "paper"]
 )
 def test_every_method_finds_the_parameters_in_noise(case, make_log, method):
     robot, t, q, torque, noise, values = case

@@ -1,0 +1,101 @@
+"""The sections of a run's report beyond its verdict, each made from the run's files by one function.
+
+A new section is a module with such a function, and its line in `RUN_SECTIONS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from agent.report.comparison_sections import comparison_section
+from agent.report.log_sections import log_section
+from agent.report.observation_section import observation_section
+from agent.report.page import Section
+from agent.report.paper_section import paper_section
+from agent.report.residual_sections import residual_section
+from agent.runs.history import last_accepted
+
+if TYPE_CHECKING:
+    from agent.estimation import IdentifiedModel
+    from agent.recipe import Recipe
+    from agent.recording import Log
+    from agent.validation import Prediction
+
+
+@dataclass(frozen=True, eq=False)
+class RunContent:
+    """What a section may be made from: run folder, recipe, identified model, and predictions of unseen motions."""
+
+    run: Path
+    recipe: Recipe
+    model: IdentifiedModel
+    predictions: Sequence[Prediction]
+
+    @cached_property
+    def excitation(self) -> Log:
+        """The log that the model was fitted to."""
+        from agent.recording import read_log
+
+        return read_log(self.run / "excitation.mcap", self.recipe.robot)
+
+    def logs(self) -> Iterator[Log]:
+        """The run's logs, one at a time: thirty of them at once would be a lot of memory."""
+        from agent.recording import read_log
+
+        for path in [self.run / "excitation.mcap", *sorted(self.run.glob("validation_[0-9][0-9].mcap"))]:
+            yield read_log(path, self.recipe.robot)
+
+
+def observation_part(model: IdentifiedModel, log: Log) -> Section:
+    """What a model's own motion shows of its parameters."""
+    from agent.estimation import condition_text
+    from agent.validation.observability import observability
+
+    return observation_section(observability(model, log), condition_text(model.condition_number))
+
+
+def _observation(content: RunContent) -> Section:
+    return observation_part(content.model, content.excitation)
+
+
+def _residuals(content: RunContent) -> Section:
+    return residual_section(content.predictions)
+
+
+def _paper(content: RunContent) -> Section | None:
+    return paper_section(content.model, content.excitation, content.predictions, content.recipe.tool)
+
+
+def _comparison(content: RunContent) -> Section | None:
+    """Against the last accepted run of the same machine and loop, if there is one."""
+    from agent.estimation import IdentifiedModel
+    from agent.validation.compare import compare_models
+
+    last = last_accepted(content.run)
+    if last is None:
+        return None
+    before = IdentifiedModel.load(last / "model.json")
+    return comparison_section(compare_models(before, content.model, content.excitation, last.name, content.run.name))
+
+
+def _logs(content: RunContent) -> Section:
+    return log_section(content.logs())
+
+
+#: In the order of the page; a function returns None where there is nothing to show.
+RUN_SECTIONS: list[Callable[[RunContent], Section | None]] = [
+    _observation,
+    _residuals,
+    _paper,
+    _comparison,
+    _logs,
+]
+
+
+def further_sections(content: RunContent) -> list[Section]:
+    """All that apply to a run."""
+    return [section for make in RUN_SECTIONS if (section := make(content)) is not None]

@@ -1,0 +1,104 @@
+"""The paper's own estimator: its terms, its weights, no prior."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.estimation import ESTIMATORS, EstimationSettings, Estimator, IdentifiedModel, estimate
+from agent.estimation.problem import Estimate
+from agent.robot.rigid_bodies import rigid_bodies
+
+PAPER = EstimationSettings.create(method="paper")
+
+
+@pytest.fixture
+def log(arm, multisine, make_log):
+    """Six seconds of a two-joint arm with friction that the paper's terms don't have; the second joint may rest."""
+
+    def make(rest: bool = False, noise: float = 0.5):
+        robot = arm(2)
+        t = np.arange(3000) / 500
+        q, qd, qdd = multisine(2, t)
+        if rest:
+            q[:, 1], qd[:, 1], qdd[:, 1] = 0.3, 0.0, 0.0
+        rigid, _, _ = rigid_bodies(robot)
+        links = rigid.torque(q, qd, qdd, rigid.projection @ np.append(rigid.dynamics.standard_parameters(), [1e-4] * 2))
+        friction = 5 * np.tanh(qd / 0.01) + 3 * qd + 4 * np.sign(qd) * np.exp(-np.abs(qd) / 0.1) + 2
+        noisy = links + friction + noise * np.random.default_rng(1).normal(size=q.shape)
+        return robot, make_log(robot, t, q, noisy)
+
+    return make
+
+
+def test_it_has_the_papers_terms_whatever_the_data_hold(log):
+    robot, recorded = log()
+    model = estimate(robot, [recorded], PAPER)
+    assert model.method == "paper"
+    assert [(term.axle, term.form) for term in model.terms] == [
+        (axle, form) for axle in range(2) for form in ("coulomb", "viscous", "quadratic")
+    ]
+    assert any(note.startswith("The paper's own estimator") for note in model.notes)
+    assert np.array_equal(model.weights[0], model.weights[1])  # a joint's rows, moving or not, count alike
+
+
+def test_it_believes_nothing_of_the_description(log):
+    robot, recorded = log()
+    heavier = re.sub(r'(mass value|ixx|iyy|izz)="([^"]*)"', lambda m: f'{m[1]}="{7 * float(m[2])}"', robot.urdf)
+    first, second = (estimate(r, [recorded], PAPER) for r in (robot, replace(robot, urdf=heavier)))
+    assert np.allclose(first.values, second.values, rtol=1e-6, atol=1e-9 * np.abs(first.values).max())
+    assert first.cutoff == second.cutoff
+
+
+def test_it_is_the_weighted_pseudo_inverse(log):
+    from agent.estimation.observation import observe
+    from agent.robot.rigid_bodies import rigid_bodies
+
+    robot, recorded = log()
+    model = estimate(robot, [recorded], PAPER)
+    observation = observe(rigid_bodies(robot)[0], [recorded], replace(PAPER.filter, cutoff=model.cutoff))
+    rows, torque = [], []
+    for segment in observation.segments:
+        columns = observation.friction(segment, model.terms, model.base_values)
+        for index, block in observation.joint_rows(segment, model.terms, columns):
+            full = np.zeros((len(block), len(model.values)))
+            full[:, index] = block[:, :-1]
+            rows.append(full)
+            torque.append(block[:, -1])
+    equal = np.linalg.lstsq(np.concatenate(rows), np.concatenate(torque), rcond=None)[0]
+    scale = [1 / np.sqrt(np.mean((y - x @ equal) ** 2)) for x, y in zip(rows, torque, strict=True)]
+    weighted = np.linalg.lstsq(
+        np.concatenate([x * w for x, w in zip(rows, scale, strict=True)]),
+        np.concatenate([y * w for y, w in zip(torque, scale, strict=True)]),
+        rcond=None,
+    )[0]
+    assert np.allclose(model.values, weighted, rtol=1e-5, atol=1e-7 * np.abs(weighted).max())
+
+
+def test_what_the_data_do_not_show_is_of_minimum_norm_and_is_said(log, tmp_path):
+    robot, recorded = log(rest=True)
+    model = estimate(robot, [recorded], PAPER)
+    silent = [k for k, name in enumerate(model.names) if re.fullmatch(r"f[12]_2", name)]
+    assert len(silent) == 2
+    assert np.all(model.values[silent] == 0)
+    assert any("minimum norm" in note for note in model.notes)
+    assert not any("prior (" in note for note in model.notes)
+    model.save(tmp_path / "model.json")
+    assert np.array_equal(IdentifiedModel.load(tmp_path / "model.json").values, model.values)
+
+
+def test_an_estimator_is_one_function_and_one_registration(log, monkeypatch):
+    def from_description(problem) -> Estimate:
+        """No fit at all: what the description says."""
+        found = ESTIMATORS["weighted"].fit(problem)
+        return replace(found, parameters=problem.prior.mean, note="Nothing was fitted.")
+
+    robot, recorded = log()
+    monkeypatch.setitem(ESTIMATORS, "description", Estimator(from_description, friction="paper"))
+    model = estimate(robot, [recorded], EstimationSettings.create(method="description"))
+    assert model.method == "description"
+    assert "Nothing was fitted." in model.notes
+    assert np.all(model.values[len(model.base_values) :] == 0)

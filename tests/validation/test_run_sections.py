@@ -1,0 +1,79 @@
+"""Sections of a run's report: by registration; the paper's estimator beside the one that was used."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from agent.estimation import EstimationSettings, estimate
+from agent.recording import Log
+from agent.report import RUN_SECTIONS, RunContent, further_sections
+from agent.report.page import Page, Section, render
+from agent.report.paper_section import paper_section
+from agent.robot import load_robot
+from agent.validation import predict_log
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Two motions of the NS16's links with friction that also has a Stribeck term."""
+    from agent.robot.dynamics import Dynamics
+
+    robot = load_robot("comau_ns16")
+    dynamics, t = Dynamics(robot), np.arange(2500) / 500
+    made = []
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        rate, phase = rng.uniform(1.5, 5, 6), rng.uniform(0, 6, 6)
+        angle = rate * t[:, None] + phase
+        q = 0.25 * np.sin(angle) + [0, 0.2, -1.2, 0, 0.8, 0]
+        qd, qdd = 0.25 * rate * np.cos(angle), -0.25 * rate**2 * np.sin(angle)
+        friction = np.tanh(qd / 0.01) * (4 + 8 * np.exp(-np.abs(qd) / 0.2)) + 6 * qd
+        torque = dynamics.inverse_dynamics(q, qd, qdd) + friction + rng.normal(size=q.shape)
+        made.append(
+            Log(
+                path=tmp_path_factory.mktemp("logs") / f"motion_{seed}.mcap",
+                joint_names=robot.joint_names,
+                t=t,
+                position=q,
+                velocity=None,
+                effort=torque,
+                reference_position=None,
+                planned_position=None,
+                sample_rate=500.0,
+                stamp=0.0,
+                segments=((0, len(t)),),
+            )
+        )
+    return robot, made
+
+
+def test_the_papers_estimator_stands_beside_ours(logs):
+    robot, (fitted, unseen) = logs
+    model = estimate(robot, [fitted], EstimationSettings.create(method="weighted", cutoff=20))
+    predictions = [predict_log(model, unseen)]
+    section = paper_section(model, fitted, predictions)
+    rows = section.parts[0].rows
+    assert [row[0] for row in rows] == list(robot.joint_names)
+    paper = estimate(robot, [fitted], EstimationSettings.create(method="paper", cutoff=20))
+    theirs = predict_log(paper, unseen).rmse(moving=True)
+    assert [float(row[2]) for row in rows] == pytest.approx(theirs, rel=0.01)
+    assert [float(row[1]) for row in rows] == pytest.approx(predictions[0].rmse(moving=True), rel=0.01)
+    assert paper_section(paper, fitted, predictions) is None
+    assert "paper over this" in render(Page("t", "h", "plain", [section]))
+
+
+def test_a_section_is_one_function_and_one_registration(monkeypatch, tmp_path):
+    def held_out(content: RunContent) -> Section:
+        return Section("Held out", [f"worst: {content.model.worst}"])
+
+    def nothing(content: RunContent) -> None:
+        return None
+
+    monkeypatch.setattr("agent.report.run_sections.RUN_SECTIONS", [held_out, nothing])
+    made = further_sections(RunContent(tmp_path, None, SimpleNamespace(worst="joint_3"), []))
+    assert [section.title for section in made] == ["Held out"]
+    assert "worst: joint_3" in render(Page("t", "h", "plain", made))
+    assert len(RUN_SECTIONS) >= 5
