@@ -1,5 +1,5 @@
 """The command line: parse, call, print, exit code. No mathematics."""
 
-from agent.cli.app import main
+from agent.cli.main import main
 
 __all__ = ["main"]

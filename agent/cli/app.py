@@ -24,11 +24,7 @@ from agent.cli.options import (
     Yes,
     console_for,
 )
-from agent.core.errors import AgentError, InputError
-from agent.core.output import flush_results, open_standard_descriptors, patient_messages
-from agent.core.signals import Ended, hang_up, signals_raised
-
-_INTERRUPTED = 130
+from agent.core.errors import InputError
 
 app = typer.Typer(
     name="agent",
@@ -320,51 +316,3 @@ def emulator(context: typer.Context) -> None:
 
 
 app.registered_commands += shop_floor.app.registered_commands
-
-
-def main() -> None:
-    """Entry point: runs the command and turns every error into one message and its exit code."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    open_standard_descriptors()
-    with signals_raised(), patient_messages(hang_up):
-        _run()
-
-
-def _run() -> None:
-    try:
-        code = app(standalone_mode=False)
-        if code == _INTERRUPTED:  # typer's word for a KeyboardInterrupt
-            raise KeyboardInterrupt
-        flush_results()
-    except (KeyboardInterrupt, typer.Abort):
-        _fail("interrupted", _INTERRUPTED)
-    except Ended as end:
-        _fail(str(end), end.exit_code)
-    except AgentError as error:
-        _fail(str(error), error.exit_code)
-    except Exception as error:
-        _unexpected(error)
-    sys.exit(code if isinstance(code, int) else 0)
-
-
-def _unexpected(error: Exception) -> None:
-    code = getattr(error, "exit_code", None)
-    if isinstance(code, int):  # the errors of click and of the drivers
-        show = getattr(error, "show", None)
-        if show is not None:
-            show()
-            sys.exit(code)
-        _fail(str(error), code)
-    if isinstance(error, OSError) and error.filename is not None:
-        _fail(f"{error.filename}: {error.strerror}", 1)
-    import traceback
-
-    traceback.print_exc()
-    _fail("internal error: this is a fault of the agent; the lines above say where", 1)
-
-
-def _fail(message: str, code: int) -> None:
-    from agent.core.console import fit_to_show
-
-    print(f"agent: {fit_to_show(message)}", file=sys.stderr)
-    sys.exit(code)

@@ -18,7 +18,8 @@ from agent.robot.drivetrain import rotor_regressor
 from agent.robot.dynamics import Dynamics, Tool
 from agent.robot.kinematics import Kinematics, KinematicsError, kinematics_for
 from agent.robot.kinematics.numerical import NumericalKinematics
-from agent.safety.cell import Cell, CellReport
+from agent.safety.cell import Cell
+from agent.safety.clearance import CellReport
 
 if TYPE_CHECKING:
     from agent.recipe import KeepOut

@@ -73,7 +73,7 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
     _check(question, [])
     loaded = load_recipe(recipe)
     few = min(loaded.validate.motions, _VALIDATION_MOTIONS)
-    loaded = replace(loaded, validate=replace(loaded.validate, motions=few))
+    loaded = replace(loaded, validate=loaded.validate.model_copy(update={"motions": few}))
     with robot_lock(loaded.controller.driver, loaded.controller.address):
         run = RunFolder.create(runs, loaded.robot.name, loaded.path)
         run.note(kind="diagnose", question={"cutoff": question.cutoff, "without": question.without})

@@ -12,7 +12,7 @@ from pathlib import Path
 from agent.core.errors import InputError
 from agent.core.units import Bare, Dimension, parse_quantity
 from agent.recipe import load_recipe, recipe_schema, template
-from agent.recipe.schema import BARE_ANGLE, BARE_LEAN, BARE_PLACE, BARE_REACH
+from agent.recipe.quantities import BARE_ANGLE, BARE_LEAN, BARE_PLACE, BARE_REACH
 from agent.robot import builtin_robots, load_robot
 from agent.runs.folder import write_atomically
 

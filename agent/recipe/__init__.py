@@ -2,41 +2,21 @@
 
 from agent.recipe.recipe import (
     Cell,
-    Controller,
-    Estimate,
-    Filter,
-    Gate,
     KeepOut,
     MotionPlan,
-    Recalibrate,
     Recipe,
-    Record,
-    Search,
-    Validation,
-    ViaBox,
-    ViaLike,
-    ViaPoint,
-    ViaPointList,
-    ViaTube,
     examine_recipe,
     load_recipe,
     recipe_schema,
 )
 from agent.recipe.template import template
+from agent.recipe.via_points import ViaBox, ViaLike, ViaPoint, ViaPointList, ViaTube
 
 __all__ = [
     "Cell",
-    "Controller",
-    "Estimate",
-    "Filter",
-    "Gate",
     "KeepOut",
     "MotionPlan",
-    "Recalibrate",
     "Recipe",
-    "Record",
-    "Search",
-    "Validation",
     "ViaBox",
     "ViaLike",
     "ViaPoint",

@@ -9,27 +9,27 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from agent.core.documents import find_faults, line_of, read_yaml, without_faults
 from agent.core.errors import InputError
 from agent.core.units import Dimension, parse_quantity
 from agent.motion.program import MotionSettings
-from agent.recipe.schema import BARE_ANGLE, BARE_PLACE, RecipeDocument, ToolSection, ViaPointsSection
+from agent.recipe.quantities import BARE_ANGLE, BARE_PLACE
+from agent.recipe.schema import (
+    ControllerSection,
+    EstimateSection,
+    GateSection,
+    RecalibrateSection,
+    RecipeDocument,
+    RecordSection,
+    SearchSection,
+    ValidateSection,
+)
+from agent.recipe.tool import tool_of
+from agent.recipe.via_points import Vector, ViaPoints, via_points_of
 from agent.robot import RobotDescription, builtin_robots, load_robot
 
 if TYPE_CHECKING:
     from agent.robot.dynamics import Tool
-
-Vector = tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Controller:
-    """Name of the driver, and the address in its own notation."""
-
-    driver: str
-    address: str
 
 
 @dataclass(frozen=True)
@@ -53,59 +53,6 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class ViaBox:
-    """K via-points in one box: centre (3,), edge lengths size (3,) [m], Euler ZYZ orientation (3,), cone [rad]."""
-
-    count: int
-    centre: Vector
-    size: Vector
-    orientation: Vector
-    cone: float
-
-
-@dataclass(frozen=True)
-class ViaPoint:
-    """One via-point's region: pose (6,) plus or minus range (6,); x, y, z [m], Euler ZYZ a, e, r [rad]."""
-
-    pose: Vector
-    range: Vector
-
-
-@dataclass(frozen=True)
-class ViaPointList:
-    """A region for each via-point."""
-
-    points: tuple[ViaPoint, ...]
-
-    @property
-    def count(self) -> int:
-        """Number of via-points K."""
-        return len(self.points)
-
-
-@dataclass(frozen=True)
-class ViaLike:
-    """K via-points where an existing program or log goes, plus or minus `around` [m]."""
-
-    count: int
-    path: Path
-    around: float
-
-
-@dataclass(frozen=True)
-class ViaTube:
-    """K via-points within `radius` [m] of a path of poses, each (6,), and within `cone` [rad] of its orientation."""
-
-    count: int
-    path: tuple[Vector, ...]
-    radius: float
-    cone: float
-
-
-ViaPoints = ViaBox | ViaPointList | ViaLike | ViaTube
-
-
-@dataclass(frozen=True)
 class MotionPlan:
     """The loop's FLY settings at the recipe's speed, and its sub-region."""
 
@@ -122,65 +69,6 @@ class MotionPlan:
         return replace(self.settings, linear_speed=speed)
 
 
-@dataclass(frozen=True)
-class Search:
-    """The search for the via-points."""
-
-    population: int
-    generations: int
-    seed: int
-    method: str
-    interpolator: str
-
-
-@dataclass(frozen=True)
-class Record:
-    """Sampling rate [Hz] and number of cycles of the loop."""
-
-    rate: float
-    cycles: int
-
-
-@dataclass(frozen=True)
-class Filter:
-    """Order of the Butterworth filter, and its cut-off [Hz]."""
-
-    order: int
-    cutoff: float
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Filter, and name of the estimator."""
-
-    filter: Filter
-    method: str
-
-
-@dataclass(frozen=True)
-class Validation:
-    """Number of random motions, their speed [m/s] and seed."""
-
-    motions: int
-    speed: float
-    seed: int
-
-
-@dataclass(frozen=True)
-class Gate:
-    """Largest RMSE of any axis that is accepted, as a fraction of its nominal torque."""
-
-    normalised_rmse: float
-
-
-@dataclass(frozen=True)
-class Recalibrate:
-    """Interval [s], and `friction` or `all`."""
-
-    every: float
-    parameters: str
-
-
 @dataclass(frozen=True, eq=False)
 class Recipe:
     """One recipe file. `text` is what it said, `sha256` (hex) of that text, `path` where it was.
@@ -194,15 +82,15 @@ class Recipe:
     robot: RobotDescription
     robot_source: str
     tool: Tool | None
-    controller: Controller
+    controller: ControllerSection
     cell: Cell
     motion: MotionPlan
-    search: Search
-    record: Record
-    estimate: Estimate
-    validate: Validation
-    gate: Gate
-    recalibrate: Recalibrate
+    search: SearchSection
+    record: RecordSection
+    estimate: EstimateSection
+    validate: ValidateSection
+    gate: GateSection
+    recalibrate: RecalibrateSection
 
 
 def load_recipe(path: Path | str) -> Recipe:
@@ -326,19 +214,19 @@ def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Re
         sha256=hashlib.sha256(text.encode("utf-8")).hexdigest(),
         robot=robot,
         robot_source=document.robot if document.robot in builtin_robots() else str(path.parent / document.robot),
-        tool=_tool(document.tool),
-        controller=Controller(document.controller.driver, document.controller.address),
+        tool=tool_of(document.tool),
+        controller=document.controller,
         cell=Cell(
             tuple(KeepOut(entry.name, entry.box.min, entry.box.max) for entry in document.cell.keep_out),
             {name: _joint_range(name, document, robot) for name in document.cell.joint_ranges},
         ),
-        motion=MotionPlan(settings, _via_points(path, document.motion.via_points)),
-        search=Search(**document.search.__dict__),
-        record=Record(**document.record.__dict__),
-        estimate=Estimate(Filter(**document.estimate.filter.__dict__), document.estimate.method),
-        validate=Validation(**document.validate_.__dict__),
-        gate=Gate(**document.gate.__dict__),
-        recalibrate=Recalibrate(**document.recalibrate.__dict__),
+        motion=MotionPlan(settings, via_points_of(path, document.motion.via_points)),
+        search=document.search,
+        record=document.record,
+        estimate=document.estimate,
+        validate=document.validate_,
+        gate=document.gate,
+        recalibrate=document.recalibrate,
     )
 
 
@@ -356,43 +244,3 @@ def _joint_range(name: str, document: RecipeDocument, robot: RobotDescription) -
             f"{lower:g} to {upper:g} {unit} is outside the joint's own range, {joint.lower:g} to {joint.upper:g} {unit}"
         )
     return lower, upper
-
-
-def _via_points(path: Path, section: ViaPointsSection) -> ViaPoints:
-    if section.points is not None:
-        return ViaPointList(tuple(ViaPoint(point.pose, point.range) for point in section.points))
-    count = section.count or 0  # the section requires it beside each of the others
-    if section.box is not None:
-        return ViaBox(count, **section.box.__dict__)
-    if section.tube is not None:
-        return ViaTube(count, tuple(section.tube.path), section.tube.radius, section.tube.cone)
-    return ViaLike(count, path.parent / str(section.like), section.around or 0.0)
-
-
-def _tool(section: ToolSection | None) -> Tool | None:
-    if section is None:
-        return None
-    from agent.robot.dynamics import Tool
-
-    frame = _frame(section.frame)
-    # The recipe's centre of mass is in the flange's frame, as on a controller's panel; `Tool` has it in the TCP's.
-    flange = np.zeros(3) if section.centre_of_mass is None else np.array(section.centre_of_mass)
-    return Tool(frame=frame, mass=section.mass, centre_of_mass=frame[:3, :3].T @ (flange - frame[:3, 3]))
-
-
-def _frame(pose: Vector) -> np.ndarray:
-    x, y, z, a, e, r = pose
-    frame = np.eye(4)
-    frame[:3, :3] = _rotation_z(a) @ _rotation_y(e) @ _rotation_z(r)
-    frame[:3, 3] = x, y, z
-    return frame
-
-
-def _rotation_z(angle: float) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _rotation_y(angle: float) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])

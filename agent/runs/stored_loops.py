@@ -80,7 +80,7 @@ def keep_loop(
         robot=recipe.robot.name,
         tool=purpose["tool"],
         sub_region=purpose["sub_region"],
-        search=asdict(recipe.search),
+        search=recipe.search.model_dump(),
         fitness=float(fitness),
         genome=_tuples(genome),
         poses=_tuples(poses),

@@ -25,17 +25,15 @@ import numpy as np
 
 from agent.runs.changes import Background, fit_course, line, size_of_change
 from agent.runs.past_run import PastParameter, PastRun
+from agent.runs.warm_up import FEWEST, common_rate, warm_up_rates, warm_up_response
 
 #: Probability of an alarm of any series of a machine without change.
 FALSE_ALARMS = 1e-3
 #: Relative change of an axle's friction that matters.
 PRACTICAL = 0.03
-#: Fewest runs that say anything, and how many of the latest are looked at.
-FEWEST, WINDOW = 8, 40
+#: How many of the latest runs are looked at.
+WINDOW = 40
 _SEGMENT = 3  # runs on either side of a step
-_UNKNOWN_RESPONSE = 1.0  # deviation of how an axle warms, as a multiple of the others
-_CLEAR = 4.0  # deviations by which a warm-up in the rates must stand out from their noise to tell anything
-_SPEEDS_DIFFER = 0.15  # of it: at one speed friction may answer so much more or less than along the whole motion
 _DAY = 86_400.0
 
 
@@ -155,7 +153,7 @@ def parameter_trends(
         return []
     tables = [{p.name: p for p in parameters.get(run.run, [])} for run in runs]
     names = [name for name in tables[-1] if all(name in table for table in tables)]
-    times, rate = _times(runs), Background(_common_rate(*_rates(runs)))
+    times, rate = _times(runs), Background(common_rate(*warm_up_rates(runs)))
     found = []
     for name in names:
         values = np.array([table[name].value for table in tables])
@@ -171,7 +169,7 @@ def _watch(key: tuple[str, str, str], runs: list[PastRun]) -> Watch:
     robot, serial, program = key
     keys = [(level["joint"], k) for k, level in enumerate(runs[-1].data["conditions"]["friction"])]
     runs = [run for run in runs if len(run.data["conditions"]["friction"]) == len(keys)]
-    times, (rates, doubts) = _times(runs), _rates(runs)
+    times, (rates, doubts) = _times(runs), warm_up_rates(runs)
     axles = list(runs[-1].data["joints"])
     values = _column(runs, "value")
     deviations = _column(runs, "from_run_to_run")
@@ -183,18 +181,18 @@ def _watch(key: tuple[str, str, str], runs: list[PastRun]) -> Watch:
         if not usable[k]:
             continue
         others = [m for (other, m) in keys if other != joint and usable[m]]
-        background = Background(_common_rate(rates, doubts))
+        background = Background(common_rate(rates, doubts))
         if len({keys[m][0] for m in others}) >= 3:  # with fewer, wear of one axle would be half of the others' median
             scatter = np.median(deviations[:, others] / values[:, others])
             noise = np.pi / 2 * float(scatter) ** 2 / len(others)  # of a median
-            answer = _response(rates, axles.index(joint))
+            answer = warm_up_response(rates, axles.index(joint))
             background = Background(np.median(centred[:, others], axis=1), *answer, noise)
         name = f"friction of {joint} at {level['speed']:.2g} rad/s"
         trends.append(
             _trend(name, joint, "N·m", runs, times, values[:, k], deviations[:, k], None, background, len(keys))
         )
     warnings = tuple(_warnings(runs, times, trends))
-    return Watch(robot, serial, program, tuple(trends), warnings, _common_rate(rates, doubts))
+    return Watch(robot, serial, program, tuple(trends), warnings, common_rate(rates, doubts))
 
 
 def _trend(
@@ -248,45 +246,6 @@ def _trend(
     )
 
 
-def _response(rates: np.ndarray, axle: int) -> tuple[float, float]:
-    """How an axle's friction answers to warm-up, as a multiple of the others, from rates (R, n); and its deviation.
-
-    It is the slope of the axle's rate over what the others' rates share, from run to run. What all runs of a loop have
-    alike is no warm-up: bristles that settle in the first cycle, what the model lacks. Both coordinates are noisy, so
-    the power of what is shared is taken without its noise.
-    """
-    known = rates[np.isfinite(rates).all(axis=1)]
-    if len(known) < FEWEST:
-        return 1.0, _UNKNOWN_RESPONSE
-    known = known - known.mean(axis=0)
-    common, noise = _shared(np.delete(known, axle, axis=1))
-    power = float(common @ common) - len(known) * noise
-    if power < _CLEAR * noise * (2 * len(known)) ** 0.5:  # what noise alone makes of it scatters by that root
-        return 1.0, _UNKNOWN_RESPONSE
-    ratio = float(common @ known[:, axle]) / power
-    left = known[:, axle] - ratio * common
-    precision = power / max(float(left @ left) / (len(known) - 2) + ratio**2 * noise, 1e-300)
-    total = precision + _UNKNOWN_RESPONSE**-2
-    ratio = (precision * ratio + _UNKNOWN_RESPONSE**-2) / total
-    return ratio, float(np.hypot(total**-0.5, _SPEEDS_DIFFER * abs(ratio)))
-
-
-def _shared(rates: np.ndarray) -> tuple[np.ndarray, float]:
-    """What centred rates (R, n) of several axles share, (R,), scaled like the median axle; the variance of its noise.
-
-    One common factor: each axle is a multiple of it and noise of its own, by turns fitted and averaged.
-    """
-    common = np.median(rates, axis=1)
-    for _ in range(10):
-        size = max(float(common @ common), 1e-300)
-        multiples = rates.T @ common / size
-        multiples = multiples / (np.median(multiples) or 1.0)
-        noise = np.mean((rates - np.outer(common, multiples)) ** 2, axis=0)
-        weights = multiples / np.maximum(noise, 1e-3 * noise.mean() + 1e-300)
-        common = rates @ weights / (weights @ multiples)
-    return common, float(1 / np.sum(multiples * weights))
-
-
 def _warnings(runs: Sequence[PastRun], times: np.ndarray, trends: Sequence[Trend]) -> list[Warning]:
     """Drifts that carry an axle's friction, or the prediction error, to the gate within as long as was looked at."""
     found = []
@@ -331,26 +290,6 @@ def _errors(runs: Sequence[PastRun]) -> dict[str, np.ndarray]:
 def _column(runs: Sequence[PastRun], key: str) -> np.ndarray:
     """(R, levels)."""
     return np.array([[level[key] for level in run.data["conditions"]["friction"]] for run in runs], dtype=float)
-
-
-def _rates(runs: Sequence[PastRun]) -> tuple[np.ndarray, np.ndarray]:
-    """(R, n) relative change of friction per second while a run lasted, and its deviation; NaN where unknown."""
-    n = len(runs[-1].data["joints"])
-    tables = []
-    for key in ("rate_per_s", "standard_deviation"):
-        table = np.full((len(runs), n), np.nan)
-        for r, run in enumerate(runs):
-            found = run.data["conditions"].get("warm_up", {}).get(key, [])
-            if len(found) == n:
-                table[r] = [np.nan if value is None else value for value in found]
-        tables.append(table)
-    return tables[0], tables[1]
-
-
-def _common_rate(rates: np.ndarray, doubts: np.ndarray) -> np.ndarray:
-    """(R,) median over the axles, 0 where nothing is known."""
-    known = np.isfinite(rates) & np.isfinite(doubts)
-    return np.array([np.median(row[good]) if good.any() else 0.0 for row, good in zip(rates, known, strict=True)])
 
 
 def _times(runs: Sequence[PastRun]) -> np.ndarray:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core.errors import AgentError, ControllerError, InputError, SafetyError
+from agent.core.errors import ControllerError, InputError
 from agent.core.signals import stop_to_come, undisturbed
 from agent.robot import RobotDescription
 from agent.safety.adherence import Adherence
@@ -22,7 +22,6 @@ from agent.safety.checked import CheckedPrograms
 from agent.safety.first_run import FIRST_SPEED
 from agent.safety.frames import check_frames
 from agent.safety.motion import PlannedProgram, rest_at
-from agent.safety.patience import Patience
 from agent.safety.preconditions import (
     check_identity,
     check_period,
@@ -32,29 +31,20 @@ from agent.safety.preconditions import (
     not_confirmed,
     question,
     standing,
-    unsafe_in_motion,
 )
-from drivers.errors import DriverError, MotionStopped, RefusedError
+from agent.safety.watch import MotionWatch
+from drivers.errors import DriverError, RefusedError
 from drivers.protocol import (
     AcceptsViaPoints,
     Driver,
     Identity,
     ReportsDiagnostics,
-    ReportsTemperatures,
     SampleBlock,
-    Status,
 )
 
 if TYPE_CHECKING:
     from agent.robot.dynamics import Tool
     from agent.safety.authorisation import Authorisation
-
-#: The controller's state is looked at so often while the arm moves [s], of its time and of ours.
-WATCH_INTERVAL = 0.2
-#: No sample for so long [s] while the arm may move: nobody watches it then.
-SILENCE = 10.0
-#: Motors warm up slowly: their temperatures are asked for so often [s].
-TEMPERATURE_INTERVAL = 5.0
 
 
 class GuardedLink:
@@ -203,14 +193,17 @@ class GuardedLink:
         """
         position = self._check(program)
         plan = program.chains or (rest_at(position),)
-        adherence = Adherence(plan, self.robot, self._tool, self._margin, self.identity.period)
+        period = self.identity.period
+        adherence = Adherence(plan, self.robot, self._tool, self._margin, period)
+        watch = MotionWatch(self._driver, self.address, period, adherence, program.longest, self._clock, self._stop)
+        self.temperatures = watch.temperatures
         over = False
         lost: DriverError | None = None
 
         def samples() -> Iterator[SampleBlock]:
             nonlocal over
             with suppress(*(DriverError,) if lost else ()):  # it only repeats what was lost
-                yield from self._watched(adherence, program.longest)
+                yield from watch.samples()
             if lost is not None:
                 raise lost
             over = True
@@ -283,77 +276,6 @@ class GuardedLink:
         with self._advice("check the link, then run the command again"):
             check_frames(program, self._driver, self.address)
         return np.asarray(status.position, dtype=float)
-
-    def _watched(self, adherence: Adherence, longest: float) -> Iterator[SampleBlock]:
-        """The samples, with a look at the controller's state now and then; what is left after a stop comes too.
-
-        A motion may last `longest` [s] of controller time, and its samples may stay away for `SILENCE`.
-        """
-        fault: AgentError | None = None
-        began: float | None = None
-        patience = Patience(SILENCE, self._clock, self._stop)
-        looked, looked_at = -np.inf, self._clock()
-        now = np.nan
-        self.temperatures = []
-        try:
-            for block in patience.each(self._driver.samples()):
-                began = float(block.time[0]) if began is None else began
-                reason = adherence.take(block) or self._overdue(block, began, longest) if fault is None else None
-                if reason is not None:
-                    fault = SafetyError(f"{self.address}: the arm was stopped: {reason}")
-                    self._stop()
-                yield block
-                now = float(block.time[-1])
-                recently = now - looked < WATCH_INTERVAL and self._clock() - looked_at < WATCH_INTERVAL
-                if fault is None and not recently:
-                    fault = self._poll_status(now)
-                    looked, looked_at = now, self._clock()
-                    if fault is not None:
-                        self._stop()
-        except DriverError as error:
-            silent = patience.lost and fault is None
-            if not silent and (not isinstance(fault, SafetyError) or isinstance(error, MotionStopped)):
-                raise
-        if patience.lost and fault is None:
-            fault = SafetyError(
-                f"{self.address}: the arm was stopped: no sample came for {SILENCE:g} s while it may have moved; check "
-                "the link, then run the command again"
-            )
-        if fault is not None:
-            raise fault
-        with suppress(DriverError):  # the motion is over and recorded
-            self._read_temperatures(now, 0.0)
-
-    def _overdue(self, block: SampleBlock, began: float, longest: float) -> str | None:
-        """Why to stop, where the motion has lasted too long: by the stamps of its samples, or by their number."""
-        lasted = max(float(block.time[-1]) - began, float(block.sequence[-1]) * self.identity.period)
-        if lasted <= longest:
-            return None
-        return (
-            f"the motion has lasted {lasted:.0f} s, its plan takes {longest:.0f} s at most, stops and all: look at the "
-            "program that runs there, then run the command again"
-        )
-
-    def _read_temperatures(self, now: float, interval: float = TEMPERATURE_INTERVAL) -> None:
-        """Ask for temperatures where that was not done within the interval [s] of controller time `now`."""
-        if not isinstance(self._driver, ReportsTemperatures):
-            return
-        if not self.temperatures or not now - self.temperatures[-1][0] <= interval:
-            values = self._driver.temperatures()
-            if values is not None:
-                self.temperatures.append((now, values))
-
-    def _poll_status(self, now: float) -> AgentError | None:
-        try:
-            status: Status = self._driver.status()
-            self._read_temperatures(now)
-        except DriverError as error:
-            return ControllerError(
-                f"{self.address}: the controller's state cannot be read any more while the arm moves, so it was "
-                f"stopped: {error}; check the link, then run the command again"
-            )
-        reason = unsafe_in_motion(status)
-        return None if reason is None else SafetyError(f"{self.address}: the arm was stopped: {reason}")
 
     def _stop(self) -> bool:
         """Ask for a stop; where it is not confirmed, let go of the link, so that the controller stops by itself.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import struct
-from typing import Annotated, Any, Protocol
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, Protocol, TypeVar, get_type_hints
 
 from drivers.errors import ProtocolError
 
@@ -141,3 +142,38 @@ Texts = Annotated[tuple[str, ...], Many(Utf8())]
 Floats = Annotated[tuple[float, ...], Many(Number("d"))]
 Bytes = Annotated[bytes, Blob()]
 Bytes16 = Annotated[bytes, Fixed(16)]
+
+
+_Message = TypeVar("_Message")
+MESSAGES: dict[int, Any] = {}  # by type number
+
+
+def message(number: int) -> Any:
+    """Class decorator: a frozen dataclass whose annotated fields are the message's layout, under this type number."""
+
+    def decorate(cls: type[_Message]) -> type[_Message]:
+        cls = dataclass(frozen=True)(cls)
+        hints = get_type_hints(cls, include_extras=True)
+        cls.TYPE = number  # type: ignore[attr-defined]
+        cls.LAYOUT = tuple((item.name, hints[item.name].__metadata__[0]) for item in fields(cls))  # type: ignore
+        MESSAGES[number] = cls
+        return cls
+
+    return decorate
+
+
+class MessageFields:
+    """Packs a message field by field."""
+
+    TYPE: int
+    LAYOUT: tuple[tuple[str, Kind], ...]
+
+    def pack(self) -> bytes:
+        return b"".join(kind.pack(getattr(self, name)) for name, kind in self.LAYOUT)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Any:
+        cursor = Cursor(payload)
+        values = {name: kind.unpack(cursor) for name, kind in cls.LAYOUT}
+        cursor.finish()
+        return cls(**values)

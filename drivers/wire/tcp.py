@@ -10,13 +10,27 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
-from typing import Any, TypeVar, get_type_hints
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from drivers.errors import ProtocolError
-from drivers.wire.fields import F64, U16, U32, U64, Bytes, Bytes16, Cursor, Flag, Floats, Kind, Text, Texts
+from drivers.wire.fields import (
+    F64,
+    MESSAGES,
+    U16,
+    U32,
+    U64,
+    Bytes,
+    Bytes16,
+    Flag,
+    Floats,
+    MessageFields,
+    Text,
+    Texts,
+    message,
+)
 
 MAGIC = b"CALK"
 VERSION = 1
@@ -30,43 +44,9 @@ MAX_BATCH = 1000  # samples in one frame
 MAX_JOINTS = 16
 MAX_SEQUENCE = 2**62
 
-_Message = TypeVar("_Message")
-MESSAGES: dict[int, Any] = {}  # by type number
-
-
-def message(number: int) -> Any:
-    """Class decorator: a frozen dataclass whose annotated fields are the message's layout, under this type number."""
-
-    def decorate(cls: type[_Message]) -> type[_Message]:
-        cls = dataclass(frozen=True)(cls)
-        hints = get_type_hints(cls, include_extras=True)
-        cls.TYPE = number  # type: ignore[attr-defined]
-        cls.LAYOUT = tuple((item.name, hints[item.name].__metadata__[0]) for item in fields(cls))  # type: ignore
-        MESSAGES[number] = cls
-        return cls
-
-    return decorate
-
-
-class _Fields:
-    """Packs a message field by field."""
-
-    TYPE: int
-    LAYOUT: tuple[tuple[str, Kind], ...]
-
-    def pack(self) -> bytes:
-        return b"".join(kind.pack(getattr(self, name)) for name, kind in self.LAYOUT)
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Any:
-        cursor = Cursor(payload)
-        values = {name: kind.unpack(cursor) for name, kind in cls.LAYOUT}
-        cursor.finish()
-        return cls(**values)
-
 
 @message(0x01)
-class Hello(_Fields):
+class Hello(MessageFields):
     """First message of a client: the newest version it speaks and the watchdog it would like."""
 
     version: U16
@@ -75,7 +55,7 @@ class Hello(_Fields):
 
 
 @message(0x81)
-class Welcome(_Fields):
+class Welcome(MessageFields):
     """The version and the watchdog that are in force from now on, both ways."""
 
     version: U16
@@ -83,12 +63,12 @@ class Welcome(_Fields):
 
 
 @message(0x02)
-class Identify(_Fields):
+class Identify(MessageFields):
     """Who are you?"""
 
 
 @message(0x82)
-class IdentityReply(_Fields):
+class IdentityReply(MessageFields):
     """`period` [s] of interpolation and sampling."""
 
     robot: Text
@@ -100,12 +80,12 @@ class IdentityReply(_Fields):
 
 
 @message(0x03)
-class AskStatus(_Fields):
+class AskStatus(MessageFields):
     """How are you?"""
 
 
 @message(0x83)
-class StatusReply(_Fields):
+class StatusReply(MessageFields):
     """`drivers.protocol.Status`, field by field."""
 
     drives_on: Flag
@@ -122,7 +102,7 @@ class StatusReply(_Fields):
 
 
 @message(0x04)
-class UploadBegin(_Fields):
+class UploadBegin(MessageFields):
     """A program of `size` bytes is coming; `checksum` is the SHA-256 (hex) of its bytes."""
 
     name: Text
@@ -131,7 +111,7 @@ class UploadBegin(_Fields):
 
 
 @message(0x05)
-class UploadBlock(_Fields):
+class UploadBlock(MessageFields):
     """The bytes from `offset` on; blocks come in order."""
 
     offset: U32
@@ -139,12 +119,12 @@ class UploadBlock(_Fields):
 
 
 @message(0x06)
-class UploadEnd(_Fields):
+class UploadEnd(MessageFields):
     """Check, translate and store what came."""
 
 
 @message(0x86)
-class Stored(_Fields):
+class Stored(MessageFields):
     """The SHA-256 (hex) of the text as it is stored now."""
 
     name: Text
@@ -152,7 +132,7 @@ class Stored(_Fields):
 
 
 @message(0x07)
-class Start(_Fields):
+class Start(MessageFields):
     """Run the program once. A `motion_id` is good for one start, ever."""
 
     name: Text
@@ -161,19 +141,19 @@ class Start(_Fields):
 
 
 @message(0x87)
-class Started(_Fields):
+class Started(MessageFields):
     """The motion with this id has begun."""
 
     motion_id: Bytes16
 
 
 @message(0x08)
-class Stop(_Fields):
+class Stop(MessageFields):
     """Come to rest on the path. Answered by `Done` at once; `End` follows when the arm rests."""
 
 
 @message(0x09)
-class Fetch(_Fields):
+class Fetch(MessageFields):
     """Send samples again, out of the ring: at most `count`, the first at or after sequence number `first`."""
 
     first: U64
@@ -181,29 +161,29 @@ class Fetch(_Fields):
 
 
 @message(0x0A)
-class Heartbeat(_Fields):
+class Heartbeat(MessageFields):
     """I am here. Either way, never answered."""
 
 
 @message(0x0B)
-class AskTemperatures(_Fields):
+class AskTemperatures(MessageFields):
     """How warm are the motors? A controller from before there was this question refuses it."""
 
 
 @message(0x8B)
-class TemperaturesReply(_Fields):
+class TemperaturesReply(MessageFields):
     """One a joint [°C]; none where the controller measures none."""
 
     celsius: Floats
 
 
 @message(0x80)
-class Done(_Fields):
+class Done(MessageFields):
     """The request was carried out and there is nothing more to say."""
 
 
 @message(0x91)
-class End(_Fields):
+class End(MessageFields):
     """The motion is over and the arm rests; `samples` is how many there were, `reason` an `EndReason`."""
 
     reason: U16
@@ -212,7 +192,7 @@ class End(_Fields):
 
 
 @message(0xFF)
-class Refused(_Fields):
+class Refused(MessageFields):
     """The request was refused: a `Refusal`, a sentence for people, and for program text the place (from 1; 0: none)."""
 
     code: U16

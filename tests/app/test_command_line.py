@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_help_loads_nothing_heavy():
     script = (
         "import sys; sys.argv = ['agent', '--help']\n"
-        "from agent.cli.app import main\n"
+        "from agent.cli.main import main\n"
         "try: main()\nexcept SystemExit as end: assert not end.code\n"
         "heavy = {'numpy', 'scipy', 'pinocchio', 'matplotlib', 'pydantic', 'mcap', 'lark'} & set(sys.modules)\n"
         "assert not heavy, heavy\n"

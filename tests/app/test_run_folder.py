@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.core.errors import AgentError, ControllerError, InputError, SafetyError
-from agent.link.record import moving_stretches
+from agent.link.alignment import moving_stretches
 from agent.runs.folder import RunFolder, sha256_text, write_atomically
 from agent.safety.preconditions import check_ready, is_loopback, needs_person
 from drivers.protocol import Status

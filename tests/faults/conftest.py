@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.cli.app import main
+from agent.cli.main import main
 from agent.recording import read_log
 from fake_controller.build import build_controller
 from fake_controller.controller import PERIOD, Controller, State

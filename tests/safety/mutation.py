@@ -26,6 +26,7 @@ TESTS = sorted(str(path) for path in ROOT.glob("tests/safety/test_guard*.py"))
 #: Modules of the layer; of one that holds more than that, the functions that belong to it.
 MODULES: dict[str, tuple[str, ...]] = {
     "agent/safety/guard.py": (),
+    "agent/safety/watch.py": (),
     "agent/safety/preconditions.py": (),
     "agent/safety/checked.py": (),
     "agent/safety/adherence.py": (),

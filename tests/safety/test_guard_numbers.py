@@ -40,8 +40,10 @@ AS_THEY_ARE = {
     },
     "authorisation.py": {"left <= _SOON": "of dates, and only tells"},
     "cell.py": {
-        "self.margin > 0": "chooses the words",
         "widest < 0": "of distances that were found to be numbers",
+    },
+    "clearance.py": {"self.margin > 0": "chooses the words"},
+    "clearance_search.py": {
         "np.where(is_open, along, 0.0).max(axis=1) >= np.where(is_open, aside, 0.0).max(axis=1)": "where to halve",
         "found < self.smallest": "distances that are no numbers were refused before",
         "middle[row, 0] < self.first[0]": "which of two violations is told",
@@ -51,10 +53,10 @@ AS_THEY_ARE = {
         "bounds < self.margin - self.tolerance": "the same, and so was such a margin",
     },
     "first_run.py": {"peak <= FIRST_SPEED": "true is slow enough, anything else is planned again or refused"},
-    "guard.py": {
+    "watch.py": {
         "now - looked < WATCH_INTERVAL": "true waits, anything else looks",
         "self._clock() - looked_at < WATCH_INTERVAL": "true waits, anything else looks",
-        "lasted <= longest": "true goes on, anything else stops",
+        "lasted <= self._longest": "true goes on, anything else stops",
     },
     "planned_path.py": {
         "places < first[:, None]": "indices",

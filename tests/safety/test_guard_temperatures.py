@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agent.core.errors import ControllerError
-from agent.safety.guard import TEMPERATURE_INTERVAL
+from agent.safety.watch import TEMPERATURE_INTERVAL
 from drivers.errors import DriverError
 from drivers.transports.tcp import TcpDriver
 

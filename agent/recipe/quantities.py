@@ -1,0 +1,93 @@
+"""Values of a recipe with their units, as pydantic types: what is read is SI."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, WithJsonSchema
+
+from agent.core.errors import InputError
+from agent.core.units import Bare, Dimension, parse_quantity
+
+
+def _quantity(dimension: Dimension, bare: Bare | None = None) -> Any:
+    def parse(value: Any) -> float:
+        try:
+            return parse_quantity(value, dimension, bare)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+
+    described = {"anyOf": [{"type": "number"}, {"type": "string"}], "description": dimension.description}
+    # Field bounds are checked on the SI value: the validator before them has parsed it.
+    return Annotated[float, BeforeValidator(parse), WithJsonSchema(described)]
+
+
+FULL_TURN = 6.283185307179586
+
+#: What a number without a unit may be. Arms reach a few metres, no tool is turned twice, no gate lets a tenth through.
+BARE_PLACE = Bare("mm", 10.0)
+BARE_REACH = Bare("mm", 2.0)
+BARE_ANGLE = Bare("deg", FULL_TURN)
+BARE_LEAN = Bare("deg", FULL_TURN / 4)
+
+Place = _quantity(Dimension.LENGTH, BARE_PLACE)
+Reach = _quantity(Dimension.LENGTH, BARE_REACH)
+Angle = _quantity(Dimension.ANGLE, BARE_ANGLE)
+Lean = _quantity(Dimension.ANGLE, BARE_LEAN)
+Mass = _quantity(Dimension.MASS, Bare("g", 500.0))
+Time = _quantity(Dimension.TIME)
+Interval = _quantity(Dimension.TIME, Bare("d", least=3600.0))
+Frequency = _quantity(Dimension.FREQUENCY, Bare("kHz", least=1.0))
+Speed = _quantity(Dimension.SPEED, Bare("mm/s", 10.0))
+Ratio = _quantity(Dimension.RATIO, Bare("%", 1.0))
+GateRatio = _quantity(Dimension.RATIO, Bare("%", 0.1))
+
+
+def _joint_position(value: Any) -> Any:
+    # Whether it is an angle or a length is the joint's to say, so the text stays until the robot is known.
+    try:
+        parse_quantity(value, Dimension.ANGLE)
+    except InputError as error:
+        try:
+            parse_quantity(value, Dimension.LENGTH)
+        except InputError:
+            raise ValueError(str(error)) from None
+    return value
+
+
+_POSITION = {"anyOf": [{"type": "number"}, {"type": "string"}], "description": "rad or m, by the kind of the joint"}
+JointPosition = Annotated[float | str, BeforeValidator(_joint_position), WithJsonSchema(_POSITION)]
+
+
+def _listed(names: str, count: int) -> BeforeValidator:
+    def check(value: Any) -> Any:
+        if not isinstance(value, (list, tuple)) or len(value) != count:
+            got = f"{len(value)} values" if isinstance(value, (list, tuple)) else type(value).__name__
+            raise ValueError(f"a list of {count} values [{names}] is expected, not {got}")
+        return value
+
+    return BeforeValidator(check)
+
+
+_FARTHEST = 100.0  # m: farther than any arm on any track
+_Place = Annotated[Place, Field(ge=-_FARTHEST, le=_FARTHEST)]
+_Heading = Annotated[Angle, Field(ge=-2 * FULL_TURN, le=2 * FULL_TURN)]
+Position = Annotated[tuple[_Place, _Place, _Place], _listed("x, y, z", 3)]
+Orientation = Annotated[tuple[_Heading, _Heading, _Heading], _listed("a, e, r", 3)]
+Pose = Annotated[tuple[_Place, _Place, _Place, _Heading, _Heading, _Heading], _listed("x, y, z, a, e, r", 6)]
+
+_ToolPlace = Annotated[Reach, Field(ge=-_FARTHEST, le=_FARTHEST)]
+ToolPosition = Annotated[tuple[_ToolPlace, _ToolPlace, _ToolPlace], _listed("x, y, z", 3)]
+ToolPose = Annotated[
+    tuple[_ToolPlace, _ToolPlace, _ToolPlace, _Heading, _Heading, _Heading], _listed("x, y, z, a, e, r", 6)
+]
+
+_Extent = Annotated[Reach, Field(ge=0, le=_FARTHEST)]
+Radius = Annotated[Reach, Field(gt=0, le=_FARTHEST)]
+_Turn = Annotated[Lean, Field(ge=0, le=FULL_TURN)]
+JointRange = Annotated[tuple[JointPosition, JointPosition], _listed("lower, upper", 2)]
+Extent = Annotated[tuple[_Extent, _Extent, _Extent], _listed("dx, dy, dz", 3)]
+Range = Annotated[tuple[_Extent, _Extent, _Extent, _Turn, _Turn, _Turn], _listed("dx, dy, dz, da, de, dr", 6)]
+Name = Annotated[str, Field(min_length=1, max_length=200, strict=True)]
+Count = Annotated[int, Field(strict=True)]
+Seed = Annotated[Count, Field(ge=0, lt=2**32)]

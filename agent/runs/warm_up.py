@@ -1,0 +1,74 @@
+"""How arms warm up from run to run: what the rates of friction within the runs tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from agent.runs.past_run import PastRun
+
+#: Fewest runs that say anything.
+FEWEST = 8
+_UNKNOWN_RESPONSE = 1.0  # deviation of how an axle warms, as a multiple of the others
+_CLEAR = 4.0  # deviations by which a warm-up in the rates must stand out from their noise to tell anything
+_SPEEDS_DIFFER = 0.15  # of it: at one speed friction may answer so much more or less than along the whole motion
+
+
+def warm_up_response(rates: np.ndarray, axle: int) -> tuple[float, float]:
+    """How an axle's friction answers to warm-up, as a multiple of the others, from rates (R, n); and its deviation.
+
+    It is the slope of the axle's rate over what the others' rates share, from run to run. What all runs of a loop have
+    alike is no warm-up: bristles that settle in the first cycle, what the model lacks. Both coordinates are noisy, so
+    the power of what is shared is taken without its noise.
+    """
+    known = rates[np.isfinite(rates).all(axis=1)]
+    if len(known) < FEWEST:
+        return 1.0, _UNKNOWN_RESPONSE
+    known = known - known.mean(axis=0)
+    common, noise = _shared(np.delete(known, axle, axis=1))
+    power = float(common @ common) - len(known) * noise
+    if power < _CLEAR * noise * (2 * len(known)) ** 0.5:  # what noise alone makes of it scatters by that root
+        return 1.0, _UNKNOWN_RESPONSE
+    ratio = float(common @ known[:, axle]) / power
+    left = known[:, axle] - ratio * common
+    precision = power / max(float(left @ left) / (len(known) - 2) + ratio**2 * noise, 1e-300)
+    total = precision + _UNKNOWN_RESPONSE**-2
+    ratio = (precision * ratio + _UNKNOWN_RESPONSE**-2) / total
+    return ratio, float(np.hypot(total**-0.5, _SPEEDS_DIFFER * abs(ratio)))
+
+
+def _shared(rates: np.ndarray) -> tuple[np.ndarray, float]:
+    """What centred rates (R, n) of several axles share, (R,), scaled like the median axle; the variance of its noise.
+
+    One common factor: each axle is a multiple of it and noise of its own, by turns fitted and averaged.
+    """
+    common = np.median(rates, axis=1)
+    for _ in range(10):
+        size = max(float(common @ common), 1e-300)
+        multiples = rates.T @ common / size
+        multiples = multiples / (np.median(multiples) or 1.0)
+        noise = np.mean((rates - np.outer(common, multiples)) ** 2, axis=0)
+        weights = multiples / np.maximum(noise, 1e-3 * noise.mean() + 1e-300)
+        common = rates @ weights / (weights @ multiples)
+    return common, float(1 / np.sum(multiples * weights))
+
+
+def warm_up_rates(runs: Sequence[PastRun]) -> tuple[np.ndarray, np.ndarray]:
+    """(R, n) relative change of friction per second while a run lasted, and its deviation; NaN where unknown."""
+    n = len(runs[-1].data["joints"])
+    tables = []
+    for key in ("rate_per_s", "standard_deviation"):
+        table = np.full((len(runs), n), np.nan)
+        for r, run in enumerate(runs):
+            found = run.data["conditions"].get("warm_up", {}).get(key, [])
+            if len(found) == n:
+                table[r] = [np.nan if value is None else value for value in found]
+        tables.append(table)
+    return tables[0], tables[1]
+
+
+def common_rate(rates: np.ndarray, doubts: np.ndarray) -> np.ndarray:
+    """(R,) median over the axles, 0 where nothing is known."""
+    known = np.isfinite(rates) & np.isfinite(doubts)
+    return np.array([np.median(row[good]) if good.any() else 0.0 for row, good in zip(rates, known, strict=True)])
