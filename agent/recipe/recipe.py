@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -77,7 +77,7 @@ class Recipe:
     """
 
     path: Path
-    text: str
+    text: str = field(repr=False)
     sha256: str
     robot: RobotDescription
     robot_source: str

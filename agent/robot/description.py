@@ -125,7 +125,7 @@ class RobotDescription:
     """A serial arm with 1 to 7 movable joints; self-contained (the URDF is held as text)."""
 
     name: str
-    urdf: str
+    urdf: str = field(repr=False)
     tip_frame: str
     gravity: tuple[float, float, float]
     cartesian_limits: CartesianLimits | None

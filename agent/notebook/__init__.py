@@ -1,0 +1,39 @@
+"""The functions behind `import agent as ca`, and results that print themselves in a notebook."""
+
+from agent.notebook.functions import (
+    calibrate,
+    diagnose,
+    drivers,
+    effects,
+    estimate,
+    export,
+    load_recipe,
+    load_robot,
+    plan,
+    read_logs,
+    report,
+    validate,
+)
+from agent.notebook.results import Calibration, Catalogue, DiagnosisResult, Logs, Model, PlannedLoop, TorqueValidation
+
+__all__ = [
+    "Calibration",
+    "Catalogue",
+    "DiagnosisResult",
+    "Logs",
+    "Model",
+    "PlannedLoop",
+    "TorqueValidation",
+    "calibrate",
+    "diagnose",
+    "drivers",
+    "effects",
+    "estimate",
+    "export",
+    "load_recipe",
+    "load_robot",
+    "plan",
+    "read_logs",
+    "report",
+    "validate",
+]

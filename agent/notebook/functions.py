@@ -1,0 +1,250 @@
+"""What a notebook calls. Robots, logs, models and recipes are given as paths or as loaded objects."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from agent.core.errors import InputError
+from agent.notebook.results import (
+    Calibration,
+    Catalogue,
+    DiagnosisResult,
+    Logs,
+    Model,
+    PlannedLoop,
+    TorqueValidation,
+    quiet,
+)
+from agent.recording import Log
+from agent.robot import RobotDescription
+from agent.robot import load_robot as _load_robot
+
+if TYPE_CHECKING:
+    from agent.model.identified import IdentifiedModel
+    from agent.recipe import Recipe
+
+RobotLike = RobotDescription | str | Path
+LogsLike = Log | str | Path | Iterable[Log | str | Path]
+ModelLike = "IdentifiedModel | str | Path"
+
+
+def load_robot(robot: RobotLike) -> RobotDescription:
+    """A robot description: a built-in name, or the path of a robot.yaml.
+
+    Raises:
+        InputError: no such robot, or a file that is wrong.
+    """
+    return robot if isinstance(robot, RobotDescription) else _load_robot(str(robot))
+
+
+def load_recipe(recipe: Recipe | str | Path) -> Recipe:
+    """A recipe file, checked, with the robot it names.
+
+    Raises:
+        InputError: every fault with its line.
+    """
+    from agent.recipe import load_recipe as load
+
+    return load(recipe) if isinstance(recipe, (str, Path)) else recipe
+
+
+def read_logs(logs: LogsLike, robot: RobotLike) -> Logs:
+    """Logs of a robot: a path, a pattern ("logs/*.mcap"), loaded logs, or several of these.
+
+    Raises:
+        InputError: nothing matches, or a file that cannot be read as a log of this robot.
+    """
+    from agent.pipeline.identify import read_logs as read
+
+    description, found = load_robot(robot), []
+    for one in [logs] if isinstance(logs, (str, Path, Log)) else logs:
+        found += [one] if isinstance(one, Log) else read(_paths(one), description, quiet())
+    return Logs(found)
+
+
+def estimate(
+    robot: RobotLike,
+    logs: LogsLike,
+    method: str | None = None,
+    cutoff: float | None = None,
+    *,
+    allow_mixed: bool = False,
+    force: bool = False,
+) -> Model:
+    """Identify base parameters and friction from logs, as `agent estimate` does; `cutoff` in Hz.
+
+    Raises:
+        InputError: logs that cannot be used, of several machines (unless `allow_mixed`), or an unknown method.
+        RejectedError: logs that no motion of this robot can have made, unless `force`.
+    """
+    from agent.estimation import EstimationSettings
+    from agent.estimation import estimate as fit
+    from agent.pipeline.identify import check_one_machine, check_plausible
+
+    description, settings = load_robot(robot), EstimationSettings.create(cutoff=cutoff, method=method)
+    given = read_logs(logs, description)
+    check_one_machine(given, None, allow_mixed)
+    check_plausible(description, given, force, quiet())
+    return Model.of(fit(description, given, settings))
+
+
+def validate(
+    model: ModelLike, logs: LogsLike, cutoff: float | None = None, *, allow_mixed: bool = False
+) -> TorqueValidation:
+    """Predict the torque of logs that took no part in the fit.
+
+    Raises:
+        InputError: a model or log that cannot be used, or (unless `allow_mixed`) logs of another machine.
+    """
+    from agent.pipeline.identify import check_one_machine
+    from agent.validation import predict_log
+
+    known = _model(model)
+    given = read_logs(logs, known.robot)
+    if not given:
+        raise InputError("no logs were given, so there is nothing to validate on")
+    check_one_machine(given, known, allow_mixed)
+    return TorqueValidation(tuple(predict_log(known, log, cutoff) for log in given))
+
+
+def diagnose(
+    robot: RobotLike,
+    logs: LogsLike,
+    model: ModelLike | None = None,
+    cutoff: float | None = None,
+    without: Sequence[str] = (),
+    *,
+    allow_mixed: bool = False,
+    force: bool = False,
+) -> DiagnosisResult:
+    """Where model and robot disagree and why; without a model, against one fitted to the same logs.
+
+    Raises:
+        InputError: as in `estimate`, or an unknown effect in `without`.
+        RejectedError: as in `estimate`.
+    """
+    from agent.diagnosis import diagnose as search
+    from agent.pipeline.identify import check_one_machine, check_plausible
+
+    description, reference = load_robot(robot), None if model is None else _model(model)
+    given = read_logs(logs, description)
+    check_one_machine(given, reference, allow_mixed)
+    check_plausible(description, given, force, quiet())
+    return DiagnosisResult(search(description, given, reference, cutoff, without))
+
+
+def report(
+    result: DiagnosisResult | TorqueValidation | Calibration | str | Path, out: str | Path | None = None
+) -> Path:
+    """Write the page of a diagnosis or a validation to `out`; of a calibration or a run folder, make it again there.
+
+    Raises:
+        InputError: `out` is missing or cannot be written, or the run folder is not complete.
+    """
+    from agent.pipeline.identify import check_output
+    from agent.runs.folder import write_atomically
+
+    if isinstance(result, (Calibration, str, Path)):
+        from agent.pipeline.rebuild_report import report_again
+
+        return report_again(result.outcome.run if isinstance(result, Calibration) else Path(result), quiet())
+    if out is None:
+        raise InputError("report: name the page to write, as in report(result, 'page.html')")
+    check_output(Path(out), [])
+    return write_atomically(Path(out), _page(result))
+
+
+def export(model: ModelLike, folder: str | Path) -> tuple[Path, ...]:
+    """Write URDF, MuJoCo model and friction file of a model with physical links; returns their paths.
+
+    Raises:
+        RejectedError: no physical links have the model's base parameters; fit with method="consistent".
+    """
+    from agent.model.export import export_model
+
+    return export_model(_model(model), Path(folder))
+
+
+def plan(recipe: Recipe | str | Path, folder: str | Path | None = None) -> PlannedLoop:
+    """Search for the via-points of a recipe and write program, plan and page into a new folder. Opens no port.
+
+    Raises:
+        InputError: the recipe is wrong, out of reach, or the folder holds a plan.
+    """
+    from agent.pipeline.plan import plan_recipe
+
+    loaded = load_recipe(recipe)
+    return PlannedLoop(plan_recipe(loaded, Path(folder or f"{loaded.path.stem}_plan"), quiet()))
+
+
+def calibrate(
+    recipe: Recipe | str | Path, logs: str | Path = "logs", resume: str | Path | None = None, *, yes: bool = False
+) -> Calibration:
+    """The whole job on the recipe's controller: the robot moves. `yes` answers the question before its first motion.
+
+    Raises:
+        AgentError, DriverError: as `agent calibrate`, before anything moves or after a controlled stop.
+    """
+    from agent.pipeline.calibrate import calibrate as run_job
+    from agent.runs.history import find_run
+
+    stopped = None if resume is None else find_run(Path(logs), str(resume))
+    return Calibration(run_job(load_recipe(recipe), quiet(), Path(logs), stopped, yes))
+
+
+def effects() -> Catalogue:
+    """The effects that a diagnosis looks for, by name."""
+    from agent.model.effects import CATALOGUE
+
+    return Catalogue("effects", CATALOGUE, {name: effect.signature for name, effect in CATALOGUE.items()})
+
+
+def drivers() -> Catalogue:
+    """The drivers that recipes may name: built-in ones and those of installed packages."""
+    from drivers.registry import available
+
+    names = {name: f"`controller: {{driver: {name}}}` in a recipe" for name in available()}
+    return Catalogue("drivers", names, names)
+
+
+def _paths(pattern: str | Path) -> list[Path]:
+    """Files that a path or a pattern names.
+
+    Raises:
+        InputError: none.
+    """
+    text = str(pattern)
+    if Path(text).exists() or not glob.has_magic(text):
+        return [Path(text)]
+    found = sorted(Path(name) for name in glob.glob(text, recursive=True))
+    if not found:
+        raise InputError(f"{text}: no file is named like that")
+    return found
+
+
+def _model(model: ModelLike) -> IdentifiedModel:
+    from agent.model.identified import IdentifiedModel
+
+    return IdentifiedModel.load(model) if isinstance(model, (str, Path)) else model
+
+
+def _page(result: DiagnosisResult | TorqueValidation) -> str:
+    if isinstance(result, DiagnosisResult):
+        from agent.diagnosis import simulate
+        from agent.report.diagnosis_page import diagnosis_report
+
+        return diagnosis_report(result.diagnosis, simulate(result.diagnosis))
+    from agent.report.common_sections import parameters_section
+    from agent.report.page import Page, Section, render
+    from agent.report.residual_sections import residual_section
+
+    model = result.predictions[0].model
+    sections = (
+        Section("Prediction", listing=result.text()),
+        residual_section(result.predictions),
+        parameters_section(model.rows(), model.notes),
+    )
+    return render(Page(f"Torque of {model.robot.name}", result.headline(), "plain", sections))
