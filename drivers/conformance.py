@@ -138,7 +138,9 @@ class DriverConformance:
             assert not bench.moving()
             driver.stop()
             blocks += received
-            assert np.abs(blocks[-1].reference_velocity[-1]).max() < 1e-6
+            set_points = blocks[-1].reference_velocity
+            assert set_points is not None
+            assert np.abs(set_points[-1]).max() < 1e-6
             assert not driver.gaps
             assert not driver.status().moving
             assert _run(driver, bench.short)

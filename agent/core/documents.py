@@ -99,7 +99,7 @@ def _bounded(path: Path, events: Iterable[Any]) -> None:
     for event in events:
         line = event.start_mark.line + 1
         anchor = getattr(event, "anchor", None)
-        if isinstance(event, kinds.AliasEvent):
+        if isinstance(event, kinds.AliasEvent) and anchor is not None:
             if any(anchor == name for name, _ in open_ones):
                 raise InputError(f"{path}:{line}: *{anchor[:40]} stands within what it names")
             total += sizes.get(anchor, 0)

@@ -61,10 +61,9 @@ def signals_raised() -> Iterator[None]:
     if _state.catching or threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {number: signal.getsignal(number) for number in WORDS}
-    kept = {number: handler for number, handler in before.items() if handler is not None}
     # A job in the background that writes to its terminal would be suspended, where the terminal is set to that.
-    kept[signal.SIGTTOU] = signal.getsignal(signal.SIGTTOU)
+    before = {number: signal.getsignal(number) for number in (*WORDS, signal.SIGTTOU)}
+    kept = {number: handler for number, handler in before.items() if handler is not None}
     _state.catching, _state.raised = True, -float("inf")
     try:
         for number in WORDS:

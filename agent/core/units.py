@@ -127,9 +127,9 @@ def _kind(value: Any) -> str:
         return "nothing"
     if isinstance(value, bool):
         return "true or false"
-    return {dict: "a mapping", list: "a list"}.get(
-        next((t for t in (dict, list) if isinstance(value, t)), type(value)), type(value).__name__
-    )
+    if isinstance(value, dict):
+        return "a mapping"
+    return "a list" if isinstance(value, list) else type(value).__name__
 
 
 def _shortened(text: str) -> str:

@@ -268,9 +268,9 @@ def _thinned(mistakes: Iterator[_Mistake], every: int) -> Iterator[_Mistake]:
 def _other_gravity(robot: RobotDescription, samples: _Samples) -> Iterator[_Mistake]:
     size = float(np.linalg.norm(robot.gravity)) or 9.80665
     for direction in (*np.eye(3), *-np.eye(3)):
-        gravity = tuple(float(size * value) for value in direction)
-        text = ", ".join(f"{value + 0.0:.4g}" for value in gravity)
-        yield f"gravity in the base frame looks like ({text})", replace(robot, gravity=gravity), samples
+        x, y, z = (float(size * value) for value in direction)
+        text = ", ".join(f"{value + 0.0:.4g}" for value in (x, y, z))
+        yield f"gravity in the base frame looks like ({text})", replace(robot, gravity=(x, y, z)), samples
 
 
 def _mistakes(robot: RobotDescription, s: _Samples) -> Iterator[_Mistake]:

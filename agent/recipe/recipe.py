@@ -206,8 +206,9 @@ def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Re
         fly_percent=100.0 * fly.percent,
         stress_percent=100.0 * fly.stress,
         linear_speed=document.motion.speed,
-        **({} if robot.cartesian_limits is None else {"rotational_speed": robot.cartesian_limits.rotational_speed}),
     )
+    if robot.cartesian_limits is not None:
+        settings = settings.changed(rotational_speed=robot.cartesian_limits.rotational_speed)
     return Recipe(
         path=path,
         text=text,

@@ -131,7 +131,7 @@ def _take(scratch: Scratch, values: np.ndarray | None, rows: np.ndarray) -> np.n
 
 def _cut(segments: Sequence[tuple[int, int]], cuts: Sequence[int]) -> tuple[tuple[int, int], ...]:
     """[start, stop) ranges, cut before some samples."""
-    pieces = []
+    pieces: list[tuple[int, int]] = []
     for start, stop in segments:
         pieces += pairwise([start, *(cut for cut in cuts if start < cut < stop), stop])
     return tuple(pieces)

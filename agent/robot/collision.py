@@ -108,7 +108,8 @@ class CollisionModel:
         return np.minimum.reduceat(shapes, starts, axis=1)
 
     def _set_pairs(self, names: Sequence[tuple[str, str]]) -> None:
-        pairs, of_shapes = [], []
+        pairs: list[BodyPair] = []
+        of_shapes: list[int] = []
         for first, second in names:
             shapes = [(a, b) for a in self._shapes[first] for b in self._shapes[second]]
             for a, b in shapes:

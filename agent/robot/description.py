@@ -206,7 +206,7 @@ class RobotDescription:
             name=_file_name(data["name"]),
             urdf=data["urdf"],
             tip_frame=data["tip_frame"],
-            gravity=tuple(data["gravity"]),
+            gravity=_vector(data["gravity"]),
             cartesian_limits=None if limits is None else CartesianLimits(**limits),
             joints=joints,
             motor_coupling=tuple(tuple(row) for row in data["motor_coupling"]),
@@ -264,15 +264,20 @@ def _load_file(path: Path) -> RobotDescription:
         name=entry.name,
         urdf=urdf,
         tip_frame=entry.tip_frame,
-        gravity=(entry.gravity[0], entry.gravity[1], entry.gravity[2]),
+        gravity=_vector(entry.gravity),
         cartesian_limits=None if entry.cartesian_limits is None else CartesianLimits(**entry.cartesian_limits.__dict__),
         joints=tuple(_joint(path, joint, elements) for joint in entry.joints),
         motor_coupling=_coupling(path, entry),
         bodies={
-            link: tuple(Capsule(tuple(c.start), tuple(c.end), c.radius) for c in capsules)
+            link: tuple(Capsule(_vector(c.start), _vector(c.end), c.radius) for c in capsules)
             for link, capsules in entry.bodies.items()
         },
     )
+
+
+def _vector(values: list[float]) -> tuple[float, float, float]:
+    x, y, z = values
+    return x, y, z
 
 
 def _joint(path: Path, entry: _JointEntry, elements: dict[str | None, ElementTree.Element]) -> Joint:

@@ -29,8 +29,8 @@ class Tool:
         """The same in a line, equal for equal tools."""
         centre = np.zeros(3) if self.centre_of_mass is None else self.centre_of_mass
         turned = pin.log3(self.frame[:3, :3])
-        parts = (("frame", 1e3 * self.frame[:3, 3], "mm"), ("turned", np.degrees(turned), "deg"))
-        parts = (*parts, ("mass", np.array([self.mass]), "kg"), ("centre of mass", 1e3 * np.asarray(centre), "mm"))
+        parts = [("frame", 1e3 * self.frame[:3, 3], "mm"), ("turned", np.degrees(turned), "deg")]
+        parts += [("mass", np.array([self.mass]), "kg"), ("centre of mass", 1e3 * np.asarray(centre), "mm")]
         # rounded and without negative zeros
         return ", ".join(f"{name} {' '.join(f'{x:g}' for x in np.round(v, 4) + 0.0)} {unit}" for name, v, unit in parts)
 

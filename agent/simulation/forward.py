@@ -118,7 +118,7 @@ class ForwardSimulation:
 
     def _march(
         self, samples: int, positions: list[list[float]], velocities: list[list[float]], torques: list[list[float]]
-    ) -> list[tuple]:
+    ) -> list[tuple[list[float], ...]]:
         substeps, coupled, coupling, external = self._substeps, self._coupled, self._coupling, self._external
         motors, actuate, servo, accelerate = (
             self._actuation.motors,

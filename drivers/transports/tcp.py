@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from typing import Any
 
 from drivers.errors import ConfigurationError, DriverError
 from drivers.transports.frame_link import Link
@@ -17,7 +18,7 @@ class TcpDriver(FrameDriver):
         ConfigurationError: not an address.
     """
 
-    def __init__(self, address: str, **options: float) -> None:
+    def __init__(self, address: str, **options: Any) -> None:
         parse_address(address)
         super().__init__(address, **options)
 

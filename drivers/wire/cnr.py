@@ -226,7 +226,7 @@ class Decoder:
             return None
         values = iter(layout.unpack_from(self._buffer, header.size))
         del self._buffer[: 4 + length]
-        fields = [
+        fields: list[Any] = [
             next(values) if count == 1 else tuple(next(values) for _ in range(count)) for count in _SHAPES[record]
         ]
         return Message(kind, comm, reply, record(*fields))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Annotated, Any, Protocol, TypeVar, get_type_hints
+from typing import Annotated, Any, Protocol, TypeVar, dataclass_transform, get_type_hints
 
 from drivers.errors import ProtocolError
 
@@ -148,7 +149,8 @@ _Message = TypeVar("_Message")
 MESSAGES: dict[int, Any] = {}  # by type number
 
 
-def message(number: int) -> Any:
+@dataclass_transform(frozen_default=True)
+def message(number: int) -> Callable[[type[_Message]], type[_Message]]:
     """Class decorator: a frozen dataclass whose annotated fields are the message's layout, under this type number."""
 
     def decorate(cls: type[_Message]) -> type[_Message]:

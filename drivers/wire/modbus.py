@@ -187,7 +187,7 @@ def pack_slots(first: int, time_ns: np.ndarray, columns: Sequence[np.ndarray]) -
     slots["time"] = time_ns
     slots["values"] = np.stack(columns, axis=1)
     rows = slots.view(np.uint8).reshape(count, -1)
-    slots["checksum"] = [zlib.crc32(row[:-4]) for row in rows]
+    slots["checksum"] = [zlib.crc32(row[:-4].data) for row in rows]
     return rows.view(">u2").astype(np.uint16)
 
 

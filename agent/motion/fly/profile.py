@@ -107,8 +107,8 @@ def shape_of(path: Path) -> PathShape:
     inverse = rotation.conjugate(path.orientation)
     turning = 2.0 * rotation.multiply(first[:, n + 3 :], inverse)[:, 1:]
     turn, turn_bend = _along_and_across(turning, 2.0 * rotation.multiply(second[:, n + 3 :], inverse)[:, 1:])
-    joints = [np.ascontiguousarray(part[:, :n].T) for part in (first, second, third)]
-    return PathShape(coefficients, *joints, travel, bend, turn, turn_bend)
+    q1, q2, q3 = (np.ascontiguousarray(part[:, :n].T) for part in (first, second, third))
+    return PathShape(coefficients, q1, q2, q3, travel, bend, turn, turn_bend)
 
 
 def _along_and_across(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

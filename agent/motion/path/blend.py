@@ -104,13 +104,13 @@ def corner_between(before: Segment, after: Segment, parameters: FlyParameters) -
     settings = before.settings
     if before.kinematics is not after.kinematics:
         return None
-    joint = not (isinstance(before, CartesianSegment) and isinstance(after, CartesianSegment))
+    lines = (before, after) if isinstance(before, CartesianSegment) and isinstance(after, CartesianSegment) else None
     step = BlendStep(parameters.blend_shape)
     sizes = before.extent, after.extent
     half = 0.5 * min(sizes)
     overlap = settings.fly_type is FlyType.FLY_NORM
     through = settings.fly_trajectory is FlyTrajectory.FLY_PASS
-    turn = 0.5 * np.pi if joint else _deflection(before, after)
+    turn = 0.5 * np.pi if lines is None else _deflection(*lines)
     if turn > parameters.stop_angle:
         return None
     size = min(half, _reach(settings, half, before, parameters))
@@ -121,15 +121,15 @@ def corner_between(before: Segment, after: Segment, parameters: FlyParameters) -
     allowed = settings.fly_distance if bounded else np.inf
 
     def corner(size: float) -> Corner:
-        return Corner(size / sizes[0], size / sizes[1], joint, through, overlap, cells, step, allowed)
+        return Corner(size / sizes[0], size / sizes[1], lines is None, through, overlap, cells, step, allowed)
 
     if bounded:
-        if joint:
+        if lines is None:
             # Where directions are not known before the arm's joints are: the widest the sum of two moves can be.
             size = min(size, allowed / (4.0 * float(step.integral(np.array(0.5)))))
         else:
             for _ in range(12):
-                deviation = _deviation(corner(size), before, after)
+                deviation = _deviation(corner(size), *lines)
                 if deviation <= allowed * (1.0 + 1e-9):
                     break
                 size *= 0.9999 * allowed / deviation
@@ -198,7 +198,9 @@ def blended_near(
     """(S, n) the straight ways in joint space in the blend; None where the pose alone says what the joints are."""
     one, two = corner.sigma(tau)
     leaving, arriving = before.near(one), after.near(two)
-    return None if leaving is None or arriving is None else leaving + arriving - after.ends[0]
+    if leaving is None or arriving is None or after.ends is None:
+        return None
+    return leaving + arriving - after.ends[0]
 
 
 def _pull(corner: Corner, before: CartesianSegment, after: CartesianSegment) -> np.ndarray:

@@ -190,7 +190,7 @@ class _Checker:
             return
         self.type_of(value)
         if isinstance(value, tree.Name) and value.name in PREDEFINED:
-            refusal = variable.refusal(PREDEFINED[value.name])  # type: ignore[arg-type]
+            refusal = variable.refusal(PREDEFINED[value.name])
             if refusal:
                 raise Pdl2Error(f"{name} {refusal}", value.place)
         else:
@@ -287,17 +287,15 @@ class _Checker:
 
     def _operation(self, node: tree.Unary | tree.Binary) -> str:
         if isinstance(node, tree.Unary):
-            wanted = ("BOOLEAN",) if node.operator == "NOT" else _NUMBERS
-            return self._operand(node.operand, node.operator, wanted)
+            return self._operand(node.operand, node.operator, ("BOOLEAN",) if node.operator == "NOT" else _NUMBERS)
         operator = node.operator
+        wanted: tuple[str, ...] = _NUMBERS
         if operator in ("AND", "OR"):
             wanted = ("BOOLEAN",)
         elif operator in ("DIV", "MOD"):
             wanted = ("INTEGER",)
         elif operator in ("=", "<>"):
             wanted = (*_NUMBERS, "BOOLEAN", "predefined")
-        else:
-            wanted = _NUMBERS
         left = self._operand(node.left, operator, wanted)
         right = self._operand(node.right, operator, wanted)
         if operator in ("=", "<>", "<", ">", "<=", ">="):

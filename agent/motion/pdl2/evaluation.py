@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import operator
 import re
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 from agent.motion.pdl2 import tree
 from agent.motion.pdl2.errors import Pdl2Error, Place, shortened
@@ -15,8 +15,8 @@ from agent.motion.pdl2.variables import PREDEFINED, read
 Value = bool | int | float | str | tree.Constant | tree.Pos | tree.Joints
 
 _FLAG = re.compile(r"[SEWAB]|T[1-4]:-?[0-9]{1,3}", re.IGNORECASE | re.ASCII)
-_ARITHMETIC = {"+": operator.add, "-": operator.sub, "*": operator.mul}
-_COMPARISON = {
+_ARITHMETIC: dict[str, Callable[[Any, Any], Any]] = {"+": operator.add, "-": operator.sub, "*": operator.mul}
+_COMPARISON: dict[str, Callable[[Any, Any], Any]] = {
     "=": operator.eq,
     "<>": operator.ne,
     "<": operator.lt,

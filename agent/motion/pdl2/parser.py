@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from functools import cache
 from importlib.resources import files
+from typing import Any
 
 from lark import Lark, Token, Transformer, UnexpectedCharacters, UnexpectedToken, v_args
 
@@ -44,7 +45,7 @@ def parse_tree(text: str) -> tree.ProgramTree:
         raise Pdl2Error(f"the program has {len(text)} characters; {MAX_CHARACTERS} are allowed", Place(1, 1, ""))
     text = _LINE_END.sub("\n", text.removeprefix("\ufeff"))
     try:
-        program = _lark().parse(text)
+        program: tree.ProgramTree = _lark().parse(text)  # type: ignore[assignment]  # what _TreeBuilder makes of it
     except UnexpectedToken as error:
         raise _unexpected_token(error) from None
     except UnexpectedCharacters as error:
@@ -150,11 +151,15 @@ def _system_name(token: Token) -> str:
     return token.upper().replace("$ARM_DATA[1].", "$")
 
 
+#: What may follow the target of a move: its VIA, an ADVANCE (where it stands), a WITH.
+_Clause = tree.Expression | Place | tree.Setting
+
+
 @v_args(inline=True)
-class _TreeBuilder(Transformer):
+class _TreeBuilder(Transformer[Token, tree.ProgramTree]):
     """Called by the parser as rules are completed, so deep nesting costs no recursion."""
 
-    def program(self, name, attributes, *rest):
+    def program(self, name: Token, attributes: tuple[tree.Attribute, ...], *rest: Any) -> tree.ProgramTree:
         *sections, (cycle, block, end) = rest
         return tree.ProgramTree(
             place=place_of(name),
@@ -166,69 +171,84 @@ class _TreeBuilder(Transformer):
             end=end,
         )
 
-    def attributes(self, *items):
+    def attributes(self, *items: tree.Attribute) -> tuple[tree.Attribute, ...]:
         return items
 
-    def attribute(self, name, value=None):
+    def attribute(self, name: Token, value: Token | None = None) -> tree.Attribute:
         literal = None if value is None else tree.Literal(place_of(value), _number(value))
         return tree.Attribute(place_of(name), name.upper(), literal)
 
-    def section(self, *declarations):
+    def section(self, *declarations: tree.Declaration) -> tuple[tree.Declaration, ...]:
         return declarations
 
-    def constant(self, name, value):
+    def constant(self, name: Token, value: tree.Expression) -> tree.ConstantDeclaration:
         return tree.ConstantDeclaration(place_of(name), name.lower(), value)
 
-    def alias(self, name, type_):
+    def alias(self, name: Token, type_: tree.NamedType) -> tree.TypeDeclaration:
         return tree.TypeDeclaration(place_of(name), name.lower(), type_)
 
-    def variables(self, names, type_, initial):
+    def variables(
+        self, names: tuple[Place, ...], type_: tree.NamedType, initial: tree.Expression | None
+    ) -> tree.VariableDeclaration:
         return tree.VariableDeclaration(names[0], names, type_, initial)
 
-    def names(self, *names):
+    def names(self, *names: Token) -> tuple[Place, ...]:
         return tuple(place_of(name) for name in names)
 
-    def initial(self, value=None):
+    def initial(self, value: tree.Expression | None = None) -> tree.Expression | None:
         return value
 
-    def named_type(self, name, _arm):
+    def named_type(self, name: Token, _arm: bool) -> tree.NamedType:
         return tree.NamedType(place_of(name), name.lower())
 
-    def array_type(self, _array, size, name, _arm):
+    def array_type(self, _array: Token, size: tree.Expression, name: Token, _arm: bool) -> tree.NamedType:
         return tree.NamedType(place_of(name), name.lower(), size)
 
-    def for_arm(self, *words):
+    def for_arm(self, *words: Token) -> bool:
         if words and int(words[-1]) != 1:
             raise Pdl2Error("is another arm; programs of arm 1 are read here", place_of(words[-1]))
         return bool(words)
 
-    def body(self, _begin, *rest):
+    def body(self, _begin: Token, *rest: Any) -> tuple[bool, tree.Block, Place]:
         *cycle, block, _end, name = rest
         return bool(cycle), block, place_of(name)
 
-    def block(self, *statements):
+    def block(self, *statements: tree.StatementNode) -> tree.Block:
         return statements
 
-    def assignment(self, target, value):
+    def assignment(self, target: tree.Target, value: tree.Expression) -> tree.Assignment:
         return tree.Assignment(target.place, target, value)
 
-    def for_loop(self, keyword, variable, first, direction, last, step, block):
+    def for_loop(
+        self,
+        keyword: Token,
+        variable: Token,
+        first: tree.Expression,
+        direction: str,
+        last: tree.Expression,
+        step: tree.Expression | None,
+        block: tree.Block,
+    ) -> tree.ForLoop:
         name = tree.Name(place_of(variable), variable.lower())
         return tree.ForLoop(place_of(keyword), name, first, last, step, direction == "DOWNTO", block)
 
-    def direction(self, token):
+    def direction(self, token: Token) -> str:
         return token.upper()
 
-    def step(self, value=None):
+    def step(self, value: tree.Expression | None = None) -> tree.Expression | None:
         return value
 
-    def conditional(self, keyword, condition, then, otherwise=()):
+    def conditional(
+        self, keyword: Token, condition: tree.Expression, then: tree.Block, otherwise: tree.Block = ()
+    ) -> tree.Conditional:
         return tree.Conditional(place_of(keyword), condition, then, otherwise)
 
-    def delay(self, keyword, value):
+    def delay(self, keyword: Token, value: tree.Expression) -> tree.DelayStatement:
         return tree.DelayStatement(place_of(keyword), value)
 
-    def move(self, keyword, trajectory, _to, target, clauses):
+    def move(
+        self, keyword: Token, trajectory: str, _to: Token, target: tree.Expression, clauses: list[_Clause]
+    ) -> tree.MoveStatement:
         vias = [clause for clause in clauses if not isinstance(clause, Place | tree.Setting)]
         advances = [clause for clause in clauses if isinstance(clause, Place)]
         if len(vias) > 1:
@@ -244,62 +264,62 @@ class _TreeBuilder(Transformer):
             settings=tuple(clause for clause in reversed(clauses) if isinstance(clause, tree.Setting)),
         )
 
-    def trajectory(self, token=""):
+    def trajectory(self, token: str = "") -> str:
         return token.upper()
 
     # Clauses of a move are collected from the last to the first, in one list.
-    def tail_end(self):
+    def tail_end(self) -> list[_Clause]:
         return []
 
-    def via(self, _via, target, clauses):
+    def via(self, _via: Token, target: tree.Expression, clauses: list[_Clause]) -> list[_Clause]:
         clauses.append(target)
         return clauses
 
-    def advance(self, keyword, clauses):
+    def advance(self, keyword: Token, clauses: list[_Clause]) -> list[_Clause]:
         clauses.append(place_of(keyword))
         return clauses
 
-    def with_setting(self, setting, clauses):
+    def with_setting(self, setting: tree.Setting, clauses: list[_Clause]) -> list[_Clause]:
         clauses.append(setting)
         return clauses
 
-    def setting(self, name, value):
+    def setting(self, name: Token, value: tree.Expression) -> tree.Setting:
         return tree.Setting(place_of(name), _system_name(name), value)
 
-    def binary(self, left, operator, right):
+    def binary(self, left: tree.Expression, operator: Token, right: tree.Expression) -> tree.Binary:
         return tree.Binary(place_of(operator), operator.upper(), left, right)
 
-    def comparison(self, left, *rest):
+    def comparison(self, left: tree.Expression, *rest: Any) -> tree.Binary:
         operator = str(rest[0]) if len(rest) == 2 else "="
         place = place_of(rest[0]) if len(rest) == 2 else left.place
         return tree.Binary(place, operator, left, rest[-1])
 
-    def unary(self, operator, operand):
+    def unary(self, operator: Token, operand: tree.Expression) -> tree.Unary:
         return tree.Unary(place_of(operator), operator.upper(), operand)
 
-    def integer(self, token):
+    def integer(self, token: Token) -> tree.Literal:
         return tree.Literal(place_of(token), _number(token))
 
-    def real(self, token):
+    def real(self, token: Token) -> tree.Literal:
         value = float(token) if len(token) <= MAX_REAL else float("inf")
         if value == float("inf"):
             raise Pdl2Error("the number is too large or too long", place_of(token))
         return tree.Literal(place_of(token), value)
 
-    def string(self, token):
+    def string(self, token: Token) -> tree.Literal:
         return tree.Literal(place_of(token), token[1:-1].replace("''", "'"))
 
-    def name(self, token):
+    def name(self, token: Token) -> tree.Name:
         return tree.Name(place_of(token), token.lower())
 
-    def element(self, name, index):
+    def element(self, name: Token, index: tree.Expression) -> tree.Element:
         return tree.Element(place_of(name), name.lower(), index)
 
-    def system(self, token):
+    def system(self, token: Token) -> tree.System:
         return tree.System(place_of(token), _system_name(token))
 
-    def pos(self, keyword, *fields):
+    def pos(self, keyword: Token, *fields: tree.Expression) -> tree.PosLiteral:
         return tree.PosLiteral(place_of(keyword), fields)
 
-    def joints(self, brace, *fields):
+    def joints(self, brace: Token, *fields: tree.Expression) -> tree.JointLiteral:
         return tree.JointLiteral(place_of(brace), fields)

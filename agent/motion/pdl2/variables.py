@@ -82,7 +82,7 @@ class SystemVariable:
             return self.choices[value.name] if self.choices else value.name
         if isinstance(value, Pos):
             return tuple(tuple(float(x) for x in row) for row in pos_to_pose(np.array(value.fields)))
-        return value if isinstance(value, bool) else float(value) / self.scale  # type: ignore[arg-type]
+        return value if isinstance(value, bool) else float(value) / self.scale
 
 
 def _percent(name: str, field: str, scale: float = 100.0) -> SystemVariable:

@@ -209,7 +209,9 @@ class LogFile:
             for (topic, arrays), layout in zip(topics, layouts, strict=True):
                 rows = [None if values is None else values[part] for values in arrays]
 
-                def fill(messages: np.ndarray, layout: JointStateLayout = layout, rows: list = rows) -> None:
+                def fill(
+                    messages: np.ndarray, layout: JointStateLayout = layout, rows: list[np.ndarray | None] = rows
+                ) -> None:
                     layout.fill(messages, stamps[part], rows)  # noqa: B023  called before `part` moves on
 
                 self._out.add_messages(

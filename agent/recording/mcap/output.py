@@ -58,7 +58,7 @@ class RecordingError(AgentError):
     def __init__(
         self,
         path: Path,
-        reason: str,
+        reason: str | None,
         kept: int = 0,
         advice: str = "free space, or choose a folder with write permission",
     ):

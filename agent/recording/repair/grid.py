@@ -84,7 +84,7 @@ def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.n
     scaled = position[:, moving] / noise[moving]
     for _ in range(_ROUNDS):
         for hole in np.flatnonzero(np.diff(number) > 1):
-            first, stop = max(hole - _AROUND, 0), min(hole + _AROUND + 2, len(number))
+            first, stop = max(int(hole) - _AROUND, 0), min(int(hole) + _AROUND + 2, len(number))
             here = hole - first
             best, least = None, np.inf
             for shift in range(-min(_DOUBT, here), min(_DOUBT, stop - hole - 2) + 1):

@@ -96,9 +96,9 @@ def put_in_order(stamp: np.ndarray, values: Sequence[np.ndarray], name: str) -> 
     if len(back):
         _refuse_two_recordings(stamp, np.sort(rows[~np.append(False, equal)]), name)
     if not coarse:
-        where = (ordered[1:] - first) / _NANO
-        repairs += _summed("repeated samples, dropped", where, equal)
-        repairs += _summed("another sample with the same stamp, dropped", where, other)
+        times = (ordered[1:] - first) / _NANO
+        repairs += _summed("repeated samples, dropped", times, equal)
+        repairs += _summed("another sample with the same stamp, dropped", times, other)
         keep = ~np.append(False, same_stamp)
         rows, ordered = rows[keep], ordered[keep]
     else:

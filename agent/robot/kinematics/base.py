@@ -108,7 +108,7 @@ class Kinematics(ABC):
 
     def within_limits(self, q: np.ndarray) -> np.ndarray:
         """(...) bool for q (..., n): every joint inside its limits."""
-        return ((q >= self.lower - LIMIT_SLACK) & (q <= self.upper + LIMIT_SLACK)).all(axis=-1)
+        return np.all((q >= self.lower - LIMIT_SLACK) & (q <= self.upper + LIMIT_SLACK), axis=-1)
 
     def nearest_turn(self, q: np.ndarray, reference: np.ndarray) -> np.ndarray:
         """q (..., n) with full turns added to revolute joints so that each comes nearest to the reference (..., n)."""

@@ -49,8 +49,8 @@ class SphericalWristKinematics(Kinematics):
             angles, squares = self._branch(wrist, signs)
             q[:, k] = self.nearest_turn(angles.T, self.middle)
             margins[:, k] = squares.T
-        reached = (margins >= _BEYOND).all(axis=2)
-        valid = (margins >= SINGULAR_DISTANCE**2).all(axis=2)
+        reached = np.all(margins >= _BEYOND, axis=2)
+        valid = np.all(margins >= SINGULAR_DISTANCE**2, axis=2)
         for k in range(8):
             q[valid[:, k], k] = self._polish(poses[valid[:, k]], q[valid[:, k], k])
         q[~valid] = np.nan
@@ -68,9 +68,9 @@ class SphericalWristKinematics(Kinematics):
         if len(poses) == 0:
             return np.empty((0, 6))
         distances = self._signed_distances(start[None])[:, 0]
-        near = int(np.abs(distances).argmin())
-        if abs(distances[near]) < SINGULAR_DISTANCE:
-            self._raise_singular(0, poses[0], near, abs(distances[near]), "the start")
+        nearest = int(np.abs(distances).argmin())
+        if abs(distances[nearest]) < SINGULAR_DISTANCE:
+            self._raise_singular(0, poses[0], nearest, float(abs(distances[nearest])), "the start")
         signs = tuple(int(sign) for sign in np.sign(distances))
         angles, margins = self._branch(self._wrist(poses), signs)
         if not margins.min() >= SINGULAR_DISTANCE**2:
@@ -199,11 +199,11 @@ class SphericalWristKinematics(Kinematics):
         largest = np.abs(steps).max(axis=0, initial=0.0)
         if largest.max(initial=0.0) > LARGEST_STEP:
             index = int(np.flatnonzero(largest > LARGEST_STEP)[0])
-            joint = self.robot.joint_names[int(np.abs(steps[:, index]).argmax())]
+            name = self.robot.joint_names[int(np.abs(steps[:, index]).argmax())]
             raise KinematicsError(
                 index + 1,
                 "branch",
-                f"between poses {index} and {index + 1}, at {position_text(poses[index])}, {joint} would have to turn "
+                f"between poses {index} and {index + 1}, at {position_text(poses[index])}, {name} would have to turn "
                 f"by {largest[index]:.2f} rad at once: the path crosses a singularity there",
                 float(largest.max() / LARGEST_STEP - 1.0),
             )

@@ -196,7 +196,7 @@ def _machine(data: bytes, peer: str) -> Machine:
     where = f"{wire.IDENTITY_FILE} at {peer}"
     try:
         entry = json.loads(data.decode("utf-8"))
-        texts = [entry[key] for key in ("robot", "serial", "controller", "version")]
+        texts = robot, serial, controller, version = [entry[k] for k in ("robot", "serial", "controller", "version")]
         names, period = tuple(entry["joint_names"]), float(entry["period"])
         watchdog, emulator = float(entry.get("watchdog", WATCHDOG)), entry.get("emulator", False)
     except KeyError as error:
@@ -211,4 +211,4 @@ def _machine(data: bytes, peer: str) -> Machine:
             f"{watchdog}, {emulator}"
         )
     unguarded = "" if "watchdog" in entry else _UNGUARDED
-    return Machine(Identity(*texts, names, period, unguarded=unguarded), emulator, watchdog)
+    return Machine(Identity(robot, serial, controller, version, names, period, unguarded=unguarded), emulator, watchdog)

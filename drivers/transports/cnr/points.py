@@ -90,8 +90,8 @@ class PointDriver(CnrDriver):
                 motion.resume()
         except Exception as error:  # whatever it is, nobody else would send the rest
             if not (motion.motion.over or motion.motion.stopping):
-                known = isinstance(error, DriverError)
-                self._end_with(sockets, motion, error if known else DriverError(f"no points can be sent: {error!r}"))
+                known = error if isinstance(error, DriverError) else DriverError(f"no points can be sent: {error!r}")
+                self._end_with(sockets, motion, known)
 
 
 class _Feeder:

@@ -13,6 +13,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
@@ -198,12 +199,13 @@ class Sockets:
         if self.failure is not None:
             raise type(self.failure)(str(self.failure))
 
+    def _heard(self, kind: type[Feedback | Status]) -> bool:
+        return self._counts[kind] > 0 or self.failure is not None
+
     def _greet(self) -> None:
         for kind, each in ((Feedback, self._feedback), (Status, self._status)):
             with self._changed:
-                came = self._changed.wait_for(
-                    lambda kind=kind: self._counts[kind] > 0 or self.failure is not None, self._timeout
-                )
+                came = self._changed.wait_for(partial(self._heard, kind), self._timeout)
             self.check()
             if not came:
                 self.command(MessageType.PING)  # whoever answers it in another protocol fails the link

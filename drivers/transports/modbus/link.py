@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
-from pymodbus.client.base import ModbusBaseSyncClient
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
 
@@ -50,7 +50,7 @@ class ModbusLink:
 
     def __init__(
         self,
-        make_client: Callable[[Callable[[bool, bytes], bytes]], ModbusBaseSyncClient],
+        make_client: Callable[[Callable[[bool, bytes], bytes]], ModbusTcpClient | ModbusSerialClient],
         peer: str,
         unit: int,
         on_turn: Callable[[], float],
