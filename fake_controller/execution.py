@@ -188,8 +188,10 @@ class Execution:
     def _follow(self, position: np.ndarray, velocity: np.ndarray) -> Slice:
         position, velocity = self.astray.changed(position, velocity, self._start)
         chunks = list(self._plant.run(*self.astray.followed(position, velocity)))
-        measured = (np.concatenate([getattr(c, name) for c in chunks]) for name in ("position", "velocity", "torque"))
-        return Slice(*measured, position, velocity)
+        q, qd, torque = (
+            np.concatenate([getattr(c, name) for c in chunks]) for name in ("position", "velocity", "torque")
+        )
+        return Slice(q, qd, torque, position, velocity)
 
     def _rest(self, reference: np.ndarray, count: int) -> Slice:
         position = np.repeat(reference[None, :], count, axis=0)

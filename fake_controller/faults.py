@@ -170,7 +170,7 @@ class Faults:
             self._lasting.clear()
             self._silent = self._deaf = self.refusing
 
-    def send(self, frame: bytes, transmit: Callable[[bytes], None], cut: Callable[[], None], spare: bool) -> None:
+    def send(self, frame: bytes, transmit: Callable[[bytes], object], cut: Callable[[], None], spare: bool) -> None:
         """Send a frame as the wire lets it through.
 
         Args:

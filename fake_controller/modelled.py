@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from agent.core.errors import RejectedError
+from agent.model.data import ModelEffect
 from agent.model.full_parameters import full_parameters
-from agent.model.identified import IdentifiedModel, ModelEffect
+from agent.model.identified import IdentifiedModel
 from agent.robot.dynamics import Dynamics
 from fake_controller.actuation import load_effect
 from fake_controller.actuation.friction import FrictionCurve

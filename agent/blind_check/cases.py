@@ -77,7 +77,8 @@ class _Deck:
     """Names in random order, each once before any comes again."""
 
     def __init__(self, names: tuple[str, ...], rng: np.random.Generator):
-        self._names, self._rng, self._left = names, rng, []
+        self._names, self._rng = names, rng
+        self._left: list[str] = []
 
     def draw(self) -> str:
         if not self._left:

@@ -12,6 +12,7 @@ from agent.motion import create_interpolator
 from agent.motion.pdl2 import write_program
 from agent.motion.program import JointTarget, MotionSettings, Move, MoveType, Termination
 from agent.recipe import Recipe
+from agent.robot import RobotDescription
 
 MOTIONS = ("excite", "moves", "slow")
 CYCLES = 2
@@ -55,7 +56,8 @@ def _draw_cycle(recipe: Recipe, name: str, rng: np.random.Generator, cycle: floa
     lower, upper = (np.clip(limit, -_WIDEST, _WIDEST) for limit in robot.position_limits)
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
     at = middle + rng.uniform(-0.3, 0.3, robot.dof) * half
-    home, targets, left = at, [], cycle
+    home, left = at, cycle
+    targets: list[np.ndarray] = []
     reach = 3.0 * speed * robot.max_velocity  # of one move that takes about three seconds
     while True:
         target = middle + range_ * rng.uniform(-1, 1, robot.dof) * half
@@ -71,7 +73,7 @@ def _draw_cycle(recipe: Recipe, name: str, rng: np.random.Generator, cycle: floa
     return moves
 
 
-def _seconds(robot, way: np.ndarray, speed: float) -> float:
+def _seconds(robot: RobotDescription, way: np.ndarray, speed: float) -> float:
     """About what a move joint by joint takes, ramps and settling included."""
     return float(np.max(np.abs(way) / (speed * robot.max_velocity))) + 0.6
 

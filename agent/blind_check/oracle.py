@@ -8,11 +8,15 @@ sit where and looks for their parameters only; `wrong` is another effect with as
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from agent.diagnosis import CATALOGUE, Diagnosis, Effect, Trial
+
+if TYPE_CHECKING:
+    from agent.model.effects.effect import Columns
+    from agent.model.signals import MotionSignals
 
 _NO_TORQUE = "interpolator_mismatch"
 
@@ -29,10 +33,10 @@ class BlackBox(Effect):
         rng = np.random.default_rng([seed, 41])
         self._weights, self._bias = rng.normal(size=(4, freedom)), rng.uniform(-2, 2, freedom)
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return tuple(f"w{k}" for k in range(len(self._bias)))
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         (k,) = joints
         limits = signals.reference.robot
         state = np.stack(

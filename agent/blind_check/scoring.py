@@ -223,7 +223,7 @@ def _calibration(entries: Sequence[Entry]) -> dict[str, Any]:
 
 def _confusion(single: Sequence[Entry], free: Sequence[Entry]) -> dict[str, dict[str, int]]:
     """Rows: what was there; columns: what was said (the first cause, or the verdict where there is none)."""
-    table: dict[str, Counter] = {}
+    table: dict[str, Counter[str]] = {}
     for entry in [*free, *single]:
         row = entry["effects"][0]["effect"] if entry["effects"] else "nothing"
         table.setdefault(row, Counter())[_said(entry)] += 1

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
+
+from annotated_types import GroupedMetadata
 
 from agent.core.errors import InputError
 
@@ -63,6 +66,30 @@ class Bare:
 
     def __contains__(self, number: float) -> bool:
         return number == 0 or self.least <= abs(number) <= self.most
+
+
+@dataclass(frozen=True)
+class Quantity(GroupedMetadata):
+    """Marks a field of a pydantic model that people write as a quantity: ``Annotated[float, Quantity(LENGTH)]``.
+
+    Bounds of a `Field` beside it are checked on the SI value.
+    """
+
+    dimension: Dimension
+    bare: Bare | None = None
+
+    def __iter__(self) -> Iterator[object]:
+        from pydantic import BeforeValidator, WithJsonSchema
+
+        yield BeforeValidator(self._parse)
+        written = [{"type": "number"}, {"type": "string"}]
+        yield WithJsonSchema({"anyOf": written, "description": self.dimension.description})
+
+    def _parse(self, value: Any) -> float:
+        try:
+            return parse_quantity(value, self.dimension, self.bare)
+        except InputError as error:
+            raise ValueError(str(error)) from None
 
 
 def parse_quantity(value: Any, dimension: Dimension, bare: Bare | None = None) -> float:

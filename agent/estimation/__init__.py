@@ -2,7 +2,8 @@
 
 from agent.estimation.estimate import ESTIMATORS, EstimationSettings, Estimator, estimate, methods
 from agent.estimation.filtering import FilterSettings
-from agent.model.identified import EFFECTS, IdentifiedModel, ModelEffect, condition_text
+from agent.model.data import ModelEffect
+from agent.model.identified import EFFECTS, IdentifiedModel, condition_text
 
 __all__ = [
     "EFFECTS",

@@ -235,7 +235,7 @@ def smooth_and_differentiate(
     return q, qd, qdd
 
 
-def _respond(signals: np.ndarray, rate: float, responses: list, kept: slice) -> list[np.ndarray]:
+def _respond(signals: np.ndarray, rate: float, responses: list[np.ndarray], kept: slice) -> list[np.ndarray]:
     """Apply responses over frequency [Hz] to (S, m) signals continued by point reflection, and return `kept` of each.
 
     The spectrum is cut at the new Nyquist frequency where `kept` takes every k-th sample, so only responses that pass

@@ -123,8 +123,8 @@ def _best_reversals(problem: Problem) -> tuple[Problem, list[Reversal]]:
         fit = problem.select(np.array(sorted([*fixed, *choice.values()])))
         total = problem.moments.weighted(iterate_weights(fit.moments, fit.prior, fit.prior_weight))
         for axle, found in options.items():
-            others = [*fixed, *(k for a, k in choice.items() if a != axle)]
-            others = np.concatenate([np.arange(base), base + np.array(others)])
+            chosen = [*fixed, *(k for a, k in choice.items() if a != axle)]
+            others = np.concatenate([np.arange(base), base + np.array(chosen)])
             error = _trial(total, total, problem.prior, fit.prior_weight, others, base + found)[1]
             choice[axle] = int(found[np.argmin(error)])
             reversals[axle] = _between([problem.terms[k].reversal or Reversal() for k in found], error)

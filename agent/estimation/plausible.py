@@ -92,9 +92,9 @@ def _signals(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
 
 def _stuck(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
     for k, name in enumerate(robot.joint_names):
-        asked = [log for log in logs if log.reference_position is not None]
+        set_points = [log.reference_position for log in logs if log.reference_position is not None]
         still = all(np.ptp(log.position[:, k]) == 0 for log in logs)
-        if still and any(np.ptp(_known(log.reference_position[:, k])) > _MOVING for log in asked):
+        if still and any(np.ptp(_known(asked[:, k])) > _MOVING for asked in set_points):
             yield f"{name} is stuck, or its position is not recorded: it never changes while its set-points move"
 
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import functools
 from contextlib import AbstractContextManager
+from typing import Any
 
 import numpy as np
 
@@ -99,7 +100,7 @@ def one_blas_thread() -> AbstractContextManager[object]:
 
 
 @functools.cache
-def _thread_pools() -> object:
+def _thread_pools() -> Any:
     # Finding the pools takes milliseconds, limiting them microseconds.
     import scipy.linalg  # noqa: F401  its own BLAS must be loaded to be found
     from threadpoolctl import ThreadpoolController

@@ -8,7 +8,7 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.excitation.candidates import LoopProblem
-from agent.robot.kinematics import KinematicsError, kinematics_for
+from agent.robot.kinematics import Kinematics, KinematicsError, kinematics_for
 
 #: Where in a via-point's region it is asked: the middle, the corners of its position and the ends of its orientation.
 _PLACES = {
@@ -68,7 +68,7 @@ def check_sub_region(problem: LoopProblem) -> list[OutOfReach]:
     return missed
 
 
-def _complaint(kinematics: object, pose: np.ndarray) -> str | None:
+def _complaint(kinematics: Kinematics, pose: np.ndarray) -> str | None:
     try:
         kinematics.solve(pose, kinematics.middle)
     except KinematicsError as error:

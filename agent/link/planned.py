@@ -12,7 +12,7 @@ from agent.core.errors import InputError
 from agent.recipe import Recipe
 
 if TYPE_CHECKING:
-    from agent.motion.program import Statement
+    from agent.motion.program import Move, Statement
     from agent.motion.trajectory import Trajectory
 
 
@@ -31,7 +31,7 @@ def plan_statements(recipe: Recipe, text: str, path: str, start: np.ndarray) -> 
         recipe.search.interpolator, recipe.robot, recipe.tool, period=1.0 / recipe.record.rate
     )
     chains: list[Trajectory] = []
-    known: dict[tuple, Trajectory] = {}
+    known: dict[tuple[Any, ...], Trajectory] = {}
     for moves in _stop_to_stop(program.run()):
         key = (_chain_key(moves), np.round(start, 9).tobytes())
         if key not in known:
@@ -55,10 +55,10 @@ def check_cell(recipe: Recipe, trajectory: Trajectory) -> None:
         )
 
 
-def _stop_to_stop(statements: Iterator[Statement]) -> Iterator[list[Statement]]:
+def _stop_to_stop(statements: Iterator[Statement]) -> Iterator[list[Move]]:
     from agent.motion.program import Move
 
-    pending: list[Statement] = []
+    pending: list[Move] = []
     for statement in statements:
         if not isinstance(statement, Move):
             continue  # a DELAY is a rest between two stretches of motion
@@ -70,8 +70,8 @@ def _stop_to_stop(statements: Iterator[Statement]) -> Iterator[list[Statement]]:
         yield pending
 
 
-def _chain_key(moves: list[Statement]) -> tuple:
-    def target(value: Any) -> tuple:
+def _chain_key(moves: list[Move]) -> tuple[Any, ...]:
+    def target(value: Any) -> tuple[Any, ...]:
         if value is None:
             return ()
         array = value.pose if hasattr(value, "pose") else value.position

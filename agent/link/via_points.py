@@ -14,8 +14,8 @@ from drivers.protocol import ViaPoint
 
 if TYPE_CHECKING:
     from agent.motion.trajectory import Trajectory
-    from agent.recipe import Tool
     from agent.robot import RobotDescription
+    from agent.robot.dynamics import Tool
 
 #: A MOVE JOINT becomes straight lines between points of its plan, no joint turning further in one of them [rad, m].
 JOINT_STEP = np.radians(5.0)

@@ -109,7 +109,7 @@ def mujoco_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray)
     for k, (joint, axis) in enumerate(zip(robot.joints, joint_axes(robot), strict=True)):
         link = _end(joints[joint.name], "child")
         frame = dynamics.link_poses(zero, link)[0]
-        body = SubElement(body, "body", name=link, **_placement(np.linalg.solve(before, frame)))
+        body = SubElement(body, "body", {"name": link, **_placement(np.linalg.solve(before, frame))})
         before = frame
         block = standard[10 * k : 10 * k + 10]
         inertia = _about_centre(block)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
@@ -127,13 +127,13 @@ def mujoco_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray)
         else:
             tendons.append((f"axle_{k + 1}", row, _axle(armature[k], *lines[k])))
     tip = np.linalg.solve(before, dynamics.tip_pose(zero)[0])
-    SubElement(body, "site", name=robot.tip_frame, **_placement(tip))
+    SubElement(body, "site", {"name": robot.tip_frame, **_placement(tip)})
     if tendons:
         group = SubElement(root, "tendon")
         for name, row, acting in tendons:
-            tendon = SubElement(group, "fixed", name=name, **acting)
-            for k in np.flatnonzero(row):
-                SubElement(tendon, "joint", joint=robot.joint_names[k], coef=_text(row[k]))
+            tendon = SubElement(group, "fixed", {"name": name, **acting})
+            for axle in np.flatnonzero(row):
+                SubElement(tendon, "joint", joint=robot.joint_names[axle], coef=_text(row[axle]))
     return _document(root)
 
 
@@ -252,7 +252,7 @@ def _inertial(block: np.ndarray) -> Element:
     inertia = _about_centre(block)
     axes = "xyz"
     names = {f"i{axes[i]}{axes[j]}": _text(inertia[i, j]) for i in range(3) for j in range(i, 3)}
-    SubElement(element, "inertia", **names)
+    SubElement(element, "inertia", names)
     return element
 
 

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from agent.core.errors import InputError
+from agent.model.data import ModelEffect
 from agent.model.effects import CATALOGUE
-from agent.model.identified import EFFECTS, IdentifiedModel, ModelEffect
+from agent.model.identified import EFFECTS, IdentifiedModel
 from agent.model.signals import MotionSignals, NominalModel
 
 

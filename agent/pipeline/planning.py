@@ -13,7 +13,7 @@ from agent.core.console import Console
 from agent.core.documents import read_json
 from agent.core.errors import InputError
 from agent.link.planned import check_cell, plan_statements
-from agent.recipe import Recipe
+from agent.recipe import Recipe, ViaLike
 from agent.runs.folder import RunFolder, sha256_file, sha256_text
 
 if TYPE_CHECKING:
@@ -192,7 +192,9 @@ def _task_poses(recipe: Recipe) -> np.ndarray:
     """(S, 4, 4) poses of the job that the recipe's `like` names: a program or a log."""
     from agent.robot.dynamics import Dynamics
 
-    path = recipe.motion.via_points.path
+    via = recipe.motion.via_points
+    assert isinstance(via, ViaLike)
+    path = via.path
     if path.suffix.lower() == ".mcap":
         from agent.recording import read_log
 

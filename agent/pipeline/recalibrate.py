@@ -11,8 +11,8 @@ import numpy as np
 
 from agent.core.console import Console
 from agent.core.errors import ControllerError
+from agent.link.planned import check_cell, plan_statements
 from agent.link.record import Link, Recording, open_link, report_losses
-from agent.pipeline import planning
 from agent.pipeline.calibrate import step
 from agent.pipeline.drift_check import diagnose_if_worse, worse_joints
 from agent.pipeline.ending import current_run, ending_text
@@ -150,9 +150,9 @@ def _record(
     with open_link(recipe, console, yes, logs, allowed) as link:
         _check_machine(reference, link)
         run.note(serial=link.identity.serial)
-        name, chains = planning.plan_statements(recipe, loop.program, f"{loop.program_name}.pdl", link.position())
+        name, chains = plan_statements(recipe, loop.program, f"{loop.program_name}.pdl", link.position())
         for chain in {id(chain): chain for chain in chains}.values():
-            planning.check_cell(recipe, chain)
+            check_cell(recipe, chain)
         total = float(sum(chain.duration for chain in chains))
         if allowed is not None and (soon := allowed.ends_soon()):
             console.warn(soon)
@@ -256,7 +256,7 @@ def gate_faults(
     robot = found.model.robot
     faults = []
     figures = found.held_out / robot.nominal_torque
-    for k in np.flatnonzero(figures > gate):
+    for k in np.flatnonzero(figures > gate).tolist():
         faults.append(
             f"{robot.joint_names[k]}: prediction error {100 * figures[k]:.2f} %, the gate is {100 * gate:.2f} %"
         )

@@ -7,20 +7,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from agent.core.errors import InputError
-from agent.core.units import Bare, Dimension, parse_quantity
-
-
-def _quantity(dimension: Dimension, bare: Bare | None = None) -> Any:
-    def parse(value: Any) -> float:
-        try:
-            return parse_quantity(value, dimension, bare)
-        except InputError as error:
-            raise ValueError(str(error)) from None
-
-    described = {"anyOf": [{"type": "number"}, {"type": "string"}], "description": dimension.description}
-    # Field bounds are checked on the SI value: the validator before them has parsed it.
-    return Annotated[float, BeforeValidator(parse), WithJsonSchema(described)]
-
+from agent.core.units import Bare, Dimension, Quantity, parse_quantity
 
 FULL_TURN = 6.283185307179586
 
@@ -30,17 +17,17 @@ BARE_REACH = Bare("mm", 2.0)
 BARE_ANGLE = Bare("deg", FULL_TURN)
 BARE_LEAN = Bare("deg", FULL_TURN / 4)
 
-Place = _quantity(Dimension.LENGTH, BARE_PLACE)
-Reach = _quantity(Dimension.LENGTH, BARE_REACH)
-Angle = _quantity(Dimension.ANGLE, BARE_ANGLE)
-Lean = _quantity(Dimension.ANGLE, BARE_LEAN)
-Mass = _quantity(Dimension.MASS, Bare("g", 500.0))
-Time = _quantity(Dimension.TIME)
-Interval = _quantity(Dimension.TIME, Bare("d", least=3600.0))
-Frequency = _quantity(Dimension.FREQUENCY, Bare("kHz", least=1.0))
-Speed = _quantity(Dimension.SPEED, Bare("mm/s", 10.0))
-Ratio = _quantity(Dimension.RATIO, Bare("%", 1.0))
-GateRatio = _quantity(Dimension.RATIO, Bare("%", 0.1))
+Place = Annotated[float, Quantity(Dimension.LENGTH, BARE_PLACE)]
+Reach = Annotated[float, Quantity(Dimension.LENGTH, BARE_REACH)]
+Angle = Annotated[float, Quantity(Dimension.ANGLE, BARE_ANGLE)]
+Lean = Annotated[float, Quantity(Dimension.ANGLE, BARE_LEAN)]
+Mass = Annotated[float, Quantity(Dimension.MASS, Bare("g", 500.0))]
+Time = Annotated[float, Quantity(Dimension.TIME)]
+Interval = Annotated[float, Quantity(Dimension.TIME, Bare("d", least=3600.0))]
+Frequency = Annotated[float, Quantity(Dimension.FREQUENCY, Bare("kHz", least=1.0))]
+Speed = Annotated[float, Quantity(Dimension.SPEED, Bare("mm/s", 10.0))]
+Ratio = Annotated[float, Quantity(Dimension.RATIO, Bare("%", 1.0))]
+GateRatio = Annotated[float, Quantity(Dimension.RATIO, Bare("%", 0.1))]
 
 
 def _joint_position(value: Any) -> Any:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from agent.recording.tables import Table, read_table
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
 
-_T = TypeVar("_T")
 _NANO = 1_000_000_000
 #: Columns whose lengths differ by more than this part do not belong together.
 _SAME_LENGTH = 0.01
@@ -153,7 +152,7 @@ def _decimated(log: Log, factor: int, notes: list[str]) -> Log:
     cutoff = 0.4 * log.sample_rate / factor
     sections = butter(8, cutoff, fs=log.sample_rate, output="sos")
 
-    def filtered(values: np.ndarray | None) -> np.ndarray | None:
+    def filtered(values: np.ndarray | None) -> Any:
         if values is None:
             return None
         parts = [values[first:stop] for first, stop in log.segments]
@@ -189,6 +188,7 @@ class _Source:
         """(S,) [s]."""
         entries = self._mapping.entries
         if entries.time is None:
+            assert entries.rate is not None  # one of both is there: `ImportMap`
             return (
                 np.arange(max(len(column) for table in self._tables for column in table.columns.values()))
                 / entries.rate
@@ -315,7 +315,7 @@ class _Source:
             self._mapping.fault("effort.unit", f"currents need the torque_constant of {missing}, here or in robot.yaml")
         return constants
 
-    def _per_joint(self, key: str, value: _T | list[_T], default: _T) -> list[_T]:
+    def _per_joint(self, key: str, value: Any, default: Any) -> list[Any]:
         """One value a joint from one for all or a list."""
         n = self._robot.dof
         if not isinstance(value, list):

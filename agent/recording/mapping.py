@@ -10,7 +10,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 
 from agent.core.documents import line_of, read_yaml, validate_document
 from agent.core.errors import InputError
-from agent.core.units import Dimension, parse_quantity
+from agent.core.units import Dimension, Quantity
 
 Side = Literal["motor", "joint"]
 _TURN = 6.283185307179586
@@ -22,17 +22,7 @@ _FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
 CURRENT = {"A": 1.0, "mA": 1e-3}
 
 
-def _quantity(dimension: Dimension) -> Any:
-    def parse(value: Any) -> float:
-        try:
-            return parse_quantity(value, dimension)
-        except InputError as error:
-            raise ValueError(str(error)) from None
-
-    return Annotated[float, BeforeValidator(parse)]
-
-
-def _one_or_list(what: str, *types: type) -> Any:
+def _one_or_list(what: str, *types: type) -> BeforeValidator:
     """One value for all joints, or a list with one a joint."""
 
     def check(value: Any) -> Any:
@@ -41,7 +31,7 @@ def _one_or_list(what: str, *types: type) -> Any:
             raise ValueError(f"{what} is expected, or a list with one for each joint")
         return value
 
-    return Annotated[Any, BeforeValidator(check)]
+    return BeforeValidator(check)
 
 
 def _column(value: Any) -> Any:
@@ -50,13 +40,13 @@ def _column(value: Any) -> Any:
     return value
 
 
-Time = _quantity(Dimension.TIME)
-Frequency = _quantity(Dimension.FREQUENCY)
-_Names = _one_or_list("a column, by name or by number from 1,", str, int)
-_Unit = _one_or_list('a unit such as "rad"', str)
-_Scale = _one_or_list("a number or the name of a constant of the file", int, float, str)
-_Offset = _one_or_list('an offset such as "90 deg"', int, float, str)
-_Number = _one_or_list("a number", int, float)
+Time = Annotated[float, Quantity(Dimension.TIME)]
+Frequency = Annotated[float, Quantity(Dimension.FREQUENCY)]
+_Names = Annotated[Any, _one_or_list("a column, by name or by number from 1,", str, int)]
+_Unit = Annotated[Any, _one_or_list('a unit such as "rad"', str)]
+_Scale = Annotated[Any, _one_or_list("a number or the name of a constant of the file", int, float, str)]
+_Offset = Annotated[Any, _one_or_list('an offset such as "90 deg"', int, float, str)]
+_Number = Annotated[Any, _one_or_list("a number", int, float)]
 
 
 class _Strict(BaseModel):

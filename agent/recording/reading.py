@@ -72,11 +72,12 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
     order = put_in_order(table.stamp, table.measured, str(path))
     stamp, rows = order.stamp, order.rows
     in_order = len(rows) == len(table.stamp) and not np.any(np.diff(rows) != 1)
-    arrays = [table.position, table.velocity, table.effort]
+    arrays: list[np.ndarray | None] = [table.position, table.velocity, table.effort]
     if not in_order:
         arrays = [_take(found.scratch, values, rows) for values in arrays]
     stamp, arrays, cuts, mended = _mended(stamp, arrays, robot, found.scratch)
     position, velocity, effort = arrays
+    assert position is not None
     spacing = spacing_of(stamp, _nominal_rate(run))
     duration = (int(stamp[-1]) - int(stamp[0])) / _NANO
     repairs = [*_file_repairs(found, topic, duration), *_run_repairs(run, spacing.repairs)]

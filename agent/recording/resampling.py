@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import overload
 
 import numpy as np
 
 from agent.core.errors import InputError
 from agent.recording.log import Log, Repair
+
+_Grids = list[tuple[int, int, np.ndarray]]  # first and stop of a segment, and the times [s] on the new grid
 
 
 def resampled(log: Log, rate: float | None = None) -> Log:
@@ -49,9 +52,15 @@ def resampled(log: Log, rate: float | None = None) -> Log:
     )
 
 
-def _on(
-    log: Log, values: np.ndarray | None, grids: list[tuple[int, int, np.ndarray]], monotone: bool = False
-) -> np.ndarray | None:
+@overload
+def _on(log: Log, values: np.ndarray, grids: _Grids) -> np.ndarray: ...
+
+
+@overload
+def _on(log: Log, values: np.ndarray | None, grids: _Grids, monotone: bool = False) -> np.ndarray | None: ...
+
+
+def _on(log: Log, values: np.ndarray | None, grids: _Grids, monotone: bool = False) -> np.ndarray | None:
     """(S', n) on the grids from (S, n); not a number wherever a neighbour is not."""
     if values is None:
         return None

@@ -143,7 +143,7 @@ def _map(name: str, caption: str, values: np.ndarray, columns: Sequence[str], ro
         text = "-"
         if np.isfinite(value):
             text = f"{value:.0f}" if value >= 9.95 else f"{value:.1f}"
-            shade = min(0.06 + 0.84 * max(value, 0.0) / largest, 1.0)
+            shade = min(0.06 + 0.84 * max(float(value), 0.0) / largest, 1.0)
             axis.add_patch(
                 Rectangle((column - 0.48, row - 0.46), 0.96, 0.92, facecolor=SERIES[1], alpha=shade, linewidth=0)
             )

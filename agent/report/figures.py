@@ -49,6 +49,7 @@ def to_figure(
 def new_plot(width: float = 10.0, height: float = 3.2, rows: int = 1, columns: int = 1, **options: Any) -> Any:
     """A figure and its axes in the house's style, drawn without a display."""
     import matplotlib as mpl
+    from cycler import cycler
 
     mpl.use("svg")
     import matplotlib.pyplot as plt
@@ -61,7 +62,7 @@ def new_plot(width: float = 10.0, height: float = 3.2, rows: int = 1, columns: i
         "ytick.color": _INK,
         "axes.spines.top": False,
         "axes.spines.right": False,
-        "axes.prop_cycle": mpl.cycler(color=SERIES),
+        "axes.prop_cycle": cycler(color=SERIES),
         "font.size": 9,
         "svg.fonttype": "none",
         "svg.hashsalt": "calibration",
@@ -72,7 +73,7 @@ def new_plot(width: float = 10.0, height: float = 3.2, rows: int = 1, columns: i
         "axes.grid": True,
         "lines.linewidth": 1.3,
     }
-    mpl.rcParams.update(style)
+    mpl.rcParams.update(style)  # type: ignore[arg-type]  # its stub lists every key
     return plt.subplots(rows, columns, figsize=(width, height), squeeze=False, **options)
 
 

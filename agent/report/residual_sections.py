@@ -12,6 +12,8 @@ from agent.report.page import Section
 from agent.robot.torque_figures import torque_units
 
 if TYPE_CHECKING:
+    from matplotlib.patches import Rectangle
+
     from agent.validation import Prediction
 
 #: What a sample of a joint may be in; a sample is in several.
@@ -107,7 +109,7 @@ def _heat_map(values: np.ndarray, prediction: Prediction) -> Figure:
     return to_figure("residuals", caption, plot, ("axis", *REGIMES), rows)
 
 
-def _cell(column: int, row: int, shade: float):
+def _cell(column: int, row: int, shade: float) -> Rectangle:
     from matplotlib.patches import Rectangle
 
     return Rectangle((column - 0.48, row - 0.46), 0.96, 0.92, facecolor="#d9822b", alpha=min(shade, 1.0), linewidth=0)

@@ -150,11 +150,10 @@ def _differing(then: Any, now: Any, place: tuple[str, ...] = ()) -> Iterator[tup
     """(place, before, after) of every leaf that differs."""
     if then == now:
         return
-    mappings = [_by_name(value) for value in (then, now)]
-    if any(mapping is None for mapping in mappings):
+    before, after = _by_name(then), _by_name(now)
+    if before is None or after is None:
         yield place, then, now
         return
-    before, after = mappings
     for key in [*before, *(key for key in after if key not in before)]:
         yield from _differing(before.get(key, _ABSENT), after.get(key, _ABSENT), (*place, key))
 

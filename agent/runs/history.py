@@ -58,7 +58,7 @@ class History:
         rows = self._connection.execute(
             f"SELECT {columns} FROM runs WHERE {where} ORDER BY started, run", tuple(wanted.values())
         )
-        return [PastRun(*row[:-1], json.loads(row[-1])) for row in rows]
+        return [PastRun(*row, json.loads(data)) for *row, data in rows]
 
     def parameters(self, runs: Iterable[str] | None = None) -> dict[str, list[PastParameter]]:
         """Parameters by run, of all or of some, in the model's order."""
@@ -77,7 +77,8 @@ class History:
         One that is dated in the future counts only where there is no other: nobody knows when it was."""
         accepted = [run for run in self.runs(robot) if run.accepted and run.loop == loop]
         here = [run for run in accepted if run.controller == controller] or accepted
-        return ([run for run in here if not run.in_future(now)] or here or [None])[-1]
+        here = [run for run in here if not run.in_future(now)] or here
+        return here[-1] if here else None
 
     def update(self) -> None:
         """Take in run folders that are new or have changed, and forget those that are gone."""
@@ -100,8 +101,8 @@ class History:
         except InputError as error:
             self.damaged.append(str(error))  # it is looked at again next time
             return
-        row = (name, changed, run.robot, run.serial, run.kind, run.started, run.status, run.controller, run.loop)
-        row += (run.program, run.reference, run.reason, run.worst, json.dumps(run.data))
+        row = [name, changed, run.robot, run.serial, run.kind, run.started, run.status, run.controller, run.loop]
+        row += [run.program, run.reference, run.reason, run.worst, json.dumps(run.data)]
         self._connection.execute(f"INSERT INTO runs VALUES ({', '.join('?' * len(row))})", row)
         self._connection.executemany(
             "INSERT INTO parameters VALUES (?, ?, ?, ?, ?, ?)",

@@ -55,7 +55,7 @@ class ClearanceSearch:
         while len(stretches):
             along, aside = self._radius(stretches)
             middle = (stretches[:, [0, 2]] + stretches[:, [1, 3]]) / 2
-            distances = self.model.distances(self._postures(middle), is_open.any(axis=0))
+            distances = self.model.distances(self._postures(middle), np.any(is_open, axis=0))
             if np.isnan(distances).any():
                 raise InputError("the distance of two bodies is no number; look at the robot's bodies and at the boxes")
             self._note(middle, distances)

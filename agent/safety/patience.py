@@ -20,7 +20,7 @@ class Patience:
             items end.
     """
 
-    def __init__(self, limit: float, clock: Callable[[], float], give_up: Callable[[], None]) -> None:
+    def __init__(self, limit: float, clock: Callable[[], float], give_up: Callable[[], object]) -> None:
         self._limit = limit
         self._clock = clock
         self._give_up = give_up

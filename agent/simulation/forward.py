@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -118,7 +119,7 @@ class ForwardSimulation:
 
     def _march(
         self, samples: int, positions: list[list[float]], velocities: list[list[float]], torques: list[list[float]]
-    ) -> list[tuple[list[float], ...]]:
+    ) -> list[tuple[Any, ...]]:
         substeps, coupled, coupling, external = self._substeps, self._coupled, self._coupling, self._external
         motors, actuate, servo, accelerate = (
             self._actuation.motors,

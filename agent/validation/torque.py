@@ -81,6 +81,7 @@ def predict_log(model: IdentifiedModel, log: Log, cutoff: float | None = None) -
     for motion in segments:
         parts = model.predict_parts(motion.q, motion.qd, motion.qdd, motion.time)
         time.append(motion.time[motion.kept])
+        assert motion.torque is not None
         torques.append(motion.low_pass(np.hstack([motion.torque, *parts])))
         moving.append(np.any(np.abs(motion.qd[motion.kept]) > _MOVING * model.robot.max_velocity, axis=1))
     measured, predicted, friction = np.split(np.concatenate(torques), 3, axis=1)

@@ -12,12 +12,12 @@ from collections.abc import Callable
 from typing import Any
 
 from pymodbus.client import ModbusSerialClient
-from pymodbus.client.base import ModbusBaseSyncClient
 
 from drivers.errors import DriverError
 from drivers.transports.frame_link import Link
 from drivers.transports.frames import FrameDriver
 from drivers.transports.modbus.driver import MakeClient, ModbusDriver
+from drivers.transports.modbus.link import Client
 from drivers.transports.motion import Motion
 from drivers.transports.serial_port import SerialChannel, open_port, parse_port
 from drivers.wire import modbus as registers
@@ -149,7 +149,7 @@ class RtuDriver(ModbusDriver):
         port = open_port(self._port, self._timeout)
         request = b""
 
-        def make(trace: Callable[[bool, bytes], bytes]) -> ModbusBaseSyncClient:
+        def make(trace: Callable[[bool, bytes], bytes]) -> Client:
             def pass_on(sending: bool, data: bytes) -> bytes:
                 nonlocal request
                 data = trace(sending, data)

@@ -10,7 +10,7 @@ import numpy as np
 
 from agent.core.errors import InputError
 from fake_controller.actuation.effect import JointEffect
-from fake_controller.actuation.machine import Machine
+from fake_controller.actuation.machine import Gear, Machine
 
 _USUAL_TOOTH_FREQUENCY = 60.0  # Hz, of rotor against link
 
@@ -22,7 +22,7 @@ def _reduced_inertia(machine: Machine, k: int) -> float:
     return float(rotor * link / (rotor + link))
 
 
-def _mount(machine: Machine, k: int, name: str, gear: _Spring | _Teeth) -> None:
+def _mount(machine: Machine, k: int, name: str, gear: Gear) -> None:
     if k in machine.gears:
         raise InputError(f"effect {name}: joints: {machine.robot.joint_names[k]} has another gear effect already")
     machine.gears[k] = gear

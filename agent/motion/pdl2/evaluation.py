@@ -66,7 +66,7 @@ def evaluate(node: tree.Expression, memory: Memory) -> Value:
         value = evaluate(node.operand, memory)
         if node.operator == "NOT":
             return not value
-        return _in_range(-value if node.operator == "-" else value, node.place)  # type: ignore[operator]
+        return _in_range(-value if node.operator == "-" else value, node.place)  # type: ignore[operator,arg-type]
     return _binary(node, memory)
 
 

@@ -77,7 +77,7 @@ class _Run:
         scope = program.scope
         self.robot = program._robot
         self.types = scope.variables
-        self.variables: dict[str | tuple[str, int], Value] = dict(scope.initial)
+        self.variables: dict[str | tuple[str, int], Value] = {**scope.initial}
         self.system: dict[str, Value] = {}
         sizes = {name: kind.size for name, kind in scope.variables.items() if kind.size is not None}
         self.memory = Memory(scope.constants, self.variables, self.system, sizes)
@@ -104,9 +104,12 @@ class _Run:
             else:
                 yield self.delay(statement)
 
+    def integer(self, expression: tree.Expression) -> int:
+        return int(evaluate(expression, self.memory))  # type: ignore[arg-type]  # the checker knows that it is one
+
     def loop(self, statement: tree.ForLoop) -> Iterator[Statement]:
-        first, last = (int(evaluate(bound, self.memory)) for bound in (statement.first, statement.last))
-        step = 1 if statement.step is None else int(evaluate(statement.step, self.memory))
+        first, last = self.integer(statement.first), self.integer(statement.last)
+        step = 1 if statement.step is None else self.integer(statement.step)
         if step < 1:
             raise Pdl2Error(f"STEP is {step} and must be at least 1; DOWNTO counts down", statement.place)
         for value in range(first, last - 1, -step) if statement.down else range(first, last + 1, step):
@@ -145,7 +148,7 @@ class _Run:
         return Move(
             type=kind,
             target=target,
-            settings=motion_settings(system),
+            settings=motion_settings(system),  # type: ignore[arg-type]  # no setting is of joints
             fly=statement.fly,
             via=None if statement.via is None else self.target(statement.via)[0],
             name=name,

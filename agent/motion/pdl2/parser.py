@@ -60,7 +60,7 @@ def parse_tree(text: str) -> tree.ProgramTree:
 
 def place_of(token: Token) -> Place:
     """Where a token stands."""
-    return Place(token.line, token.column, str(token))
+    return Place(token.line or 0, token.column or 0, str(token))
 
 
 def _check_lines(program: tree.ProgramTree, lines: list[str]) -> None:

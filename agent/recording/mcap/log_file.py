@@ -40,15 +40,24 @@ class Samples(Protocol):
     `current` (K, n) of the motors [A]; `received` is the receive time [s], 0 where the driver has none.
     """
 
-    sequence: np.ndarray
-    time: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray | None
-    torque: np.ndarray | None
-    reference_position: np.ndarray | None
-    reference_velocity: np.ndarray | None
-    received: float
-    current: np.ndarray | None
+    @property
+    def sequence(self) -> np.ndarray: ...
+    @property
+    def time(self) -> np.ndarray: ...
+    @property
+    def position(self) -> np.ndarray: ...
+    @property
+    def velocity(self) -> np.ndarray | None: ...
+    @property
+    def torque(self) -> np.ndarray | None: ...
+    @property
+    def reference_position(self) -> np.ndarray | None: ...
+    @property
+    def reference_velocity(self) -> np.ndarray | None: ...
+    @property
+    def received(self) -> float: ...
+    @property
+    def current(self) -> np.ndarray | None: ...
 
 
 class LogFile:

@@ -83,10 +83,10 @@ def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.n
     moving = noise > 0
     scaled = position[:, moving] / noise[moving]
     for _ in range(_ROUNDS):
-        for hole in np.flatnonzero(np.diff(number) > 1):
-            first, stop = max(int(hole) - _AROUND, 0), min(int(hole) + _AROUND + 2, len(number))
+        for hole in np.flatnonzero(np.diff(number) > 1).tolist():
+            first, stop = max(hole - _AROUND, 0), min(hole + _AROUND + 2, len(number))
             here = hole - first
-            best, least = None, np.inf
+            best, least = number[first:stop], np.inf
             for shift in range(-min(_DOUBT, here), min(_DOUBT, stop - hole - 2) + 1):
                 trial = number[first:stop].copy()
                 trial[here + 1 : here + 1 + max(shift, 0)] -= 1

@@ -78,6 +78,10 @@ def recognise(chain: KinematicChain) -> SphericalWristGeometry | None:
     last = wrist.T @ axes[5]
     wrist_angle = float(np.arctan2(last[0], last[2]))
     turned = tcp[:3, :3].T @ wrist @ _about_y(wrist_angle)
+
+    def sense(axis: int, across: int) -> float:
+        return float(np.sign(axes[axis] @ base[:, across]))
+
     selection = np.zeros((12, 16))
     entries = [0, 1, 2, 4, 5, 6, 8, 9, 10]  # of the rotation in a flattened pose
     selection[:9, entries] = np.kron(base.T, turned.T)
@@ -91,7 +95,7 @@ def recognise(chain: KinematicChain) -> SphericalWristGeometry | None:
         forearm=float(lengths[1]),
         upper_arm_angle=float(np.arctan2(upper_arm[0], upper_arm[2])),
         forearm_angle=float(np.arctan2(forearm[0], forearm[2])),
-        senses=tuple(float(np.sign(axis @ base[:, k])) for axis, k in zip(axes[:3], (2, 1, 1), strict=True)),
+        senses=(sense(0, 2), sense(1, 1), sense(2, 1)),
         wrist_angle=wrist_angle,
         forearm_rotation=wrist.T @ base,
         selection=selection,

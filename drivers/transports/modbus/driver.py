@@ -14,11 +14,10 @@ from typing import Any
 
 import numpy as np
 from pymodbus.client import ModbusTcpClient
-from pymodbus.client.base import ModbusBaseSyncClient
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.protocol import Gap, Identity, SampleBlock, Status
-from drivers.transports.modbus.link import ModbusLink, SilentError
+from drivers.transports.modbus.link import Client, ModbusLink, SilentError
 from drivers.transports.modbus.ring import RingReader
 from drivers.transports.motion import Motion
 from drivers.transports.tcp import open_socket, parse_address
@@ -29,7 +28,7 @@ _POLL = 0.02  # s between two looks for new samples
 _ANSWER_POLL = 0.005
 _GOODBYE = 1.0  # s for the answer to the last message
 
-MakeClient = Callable[[Callable[[bool, bytes], bytes]], ModbusBaseSyncClient]
+MakeClient = Callable[[Callable[[bool, bytes], bytes]], Client]
 
 
 class ModbusDriver:
@@ -235,7 +234,7 @@ class ModbusDriver:
         connection = open_socket(self.address, self._timeout)
         host, port = parse_address(self.address)
 
-        def make(trace: Callable[[bool, bytes], bytes]) -> ModbusBaseSyncClient:
+        def make(trace: Callable[[bool, bytes], bytes]) -> Client:
             client = ModbusTcpClient(host, port=port, timeout=self._timeout, retries=0, trace_packet=trace)
             client.socket = connection
             return client
@@ -311,15 +310,15 @@ class ModbusDriver:
             if ring is not None and ring.wants_room:
                 self._beat()
             self._beat_if_due()
-            if ring is None:
-                return interval
-            more = ring.poll()
+            more = ring is not None and ring.poll()
         except SilentError:
             more = False  # one answer may be lost; silence is counted below
+        if ring is None or self._motion is None:
+            return interval
         if self._motion.over:
             self._unguard()
             return interval
-        self._check_room()
+        self._check_room(self._motion)
         self._check_silence(ring)
         return 0.0 if more else min(_POLL, interval / 2)
 
@@ -335,12 +334,12 @@ class ModbusDriver:
         if ring is not None:
             ring.shown_from = taken
 
-    def _check_room(self) -> None:
-        if self._motion.too_full:
+    def _check_room(self, motion: Motion) -> None:
+        if motion.too_full:
             stop = {**self._blank(), "command": wire.Command.STOP, "request": next(self._requests)}
             self._connected().write(wire.COMMAND, **stop)
-            waiting = self._motion.size >> 20
-            self._motion.finish(
+            waiting = motion.size >> 20
+            motion.finish(
                 DriverError(f"{waiting} MiB of samples wait to be read; the motion was stopped: is the disk full?")
             )
 

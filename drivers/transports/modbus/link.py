@@ -20,6 +20,8 @@ from pymodbus.pdu import ModbusPDU
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.wire.modbus import Block
 
+Client = ModbusTcpClient | ModbusSerialClient
+
 # What goes wrong is told by exceptions; the library would print it as well.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
@@ -50,7 +52,7 @@ class ModbusLink:
 
     def __init__(
         self,
-        make_client: Callable[[Callable[[bool, bytes], bytes]], ModbusTcpClient | ModbusSerialClient],
+        make_client: Callable[[Callable[[bool, bytes], bytes]], Client],
         peer: str,
         unit: int,
         on_turn: Callable[[], float],

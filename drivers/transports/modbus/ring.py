@@ -104,7 +104,10 @@ class RingReader:
         slots = wire.unpack_slots(np.array(registers, np.uint16), self._joints, self.expected)
         taken = len(slots.sequence)
         if taken:
-            self._motion.take(SampleBlock(slots.sequence, slots.time_ns * 1e-9, *slots.values, received=time.time()), 0)
+            times, (q, qd, torque, reference, reference_rate) = slots.time_ns * 1e-9, slots.values
+            self._motion.take(
+                SampleBlock(slots.sequence, times, q, qd, torque, reference, reference_rate, time.time()), 0
+            )
             self.expected += taken
             self._damaged = 0
         if taken < count:  # the one after is damaged: again, but not for ever

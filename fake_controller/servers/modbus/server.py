@@ -157,7 +157,7 @@ class _Connection(ServerRequestHandler):
         self._faults = faults
         self._cut = cut or self.close
 
-    def send(self, data: bytes, addr: tuple | None = None) -> None:
+    def send(self, data: bytes, addr: tuple[Any, ...] | None = None) -> None:
         """Called by the library with a whole answer. A delay holds up the loop: there is nobody else to serve."""
         # The answer to a heartbeat tells nothing.
         spare = getattr(self.last_pdu, "address", None) == HEARTBEAT.address
