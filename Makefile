@@ -27,6 +27,7 @@ lint: env
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
+	$(BIN)/mypy
 
 test: env lint
 	$(BIN)/python -m pytest -n 2 -m "not verify"

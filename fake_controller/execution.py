@@ -41,6 +41,11 @@ class Slice:
         return len(self.position)
 
 
+def _end_of(chain: Chain) -> np.ndarray:
+    assert chain.trajectory is not None
+    return chain.trajectory.q[-1]
+
+
 class CannotMove(Exception):
     """A chain that the interpolator refuses; `line` of the program, 0 where it has none."""
 
@@ -99,14 +104,14 @@ class Planner:
         for statement in statements:
             if isinstance(statement, Delay):
                 if moves:
-                    yield (chain := self._plan(moves, start))
-                    start, moves = chain.trajectory.q[-1], []
+                    yield (planned := self._plan(moves, start))
+                    start, moves = _end_of(planned), []
                 yield Chain(None, Termination.NOSETTLE, 0.0, min(statement.seconds, MAX_DELAY))
                 continue
             moves.append(statement)
             if not statement.fly or len(moves) == MAX_CHAIN:
-                yield (chain := self._plan(moves, start))
-                start, moves = chain.trajectory.q[-1], []
+                yield (planned := self._plan(moves, start))
+                start, moves = _end_of(planned), []
         if moves:
             yield self._plan(moves, start)
 

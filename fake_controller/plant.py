@@ -66,7 +66,11 @@ class Plant:
         model: IdentifiedModel | None = None,
     ):
         self.robot = robot
-        self.machine, self._beyond = (draw_machine(robot, seed), None) if model is None else _like(model)
+        self._beyond: BeyondMachine | None = None
+        if model is None:
+            self.machine = draw_machine(robot, seed)
+        else:
+            self.machine, self._beyond = _like(model)
         self._beyond_series, self._beyond_start = np.zeros((1, robot.dof)), 0.0
         for effect in effects:
             load_effect(effect).install(self.machine)

@@ -101,7 +101,9 @@ class BlindCheck:
         from agent.recording import read_log
         from agent.robot import load_robot
 
-        np.save(path, read_log(log, load_robot(self.robot)).reference_position)
+        set_points = read_log(log, load_robot(self.robot)).reference_position
+        assert set_points is not None
+        np.save(path, set_points)
 
     def _make_model(self, case: Case) -> None:
         """Estimate from effect-free motions of the same machine, other ones than those of its runs."""

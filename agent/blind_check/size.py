@@ -32,7 +32,9 @@ def torque_change(robot: RobotDescription, logs: Sequence[Path], others: Sequenc
         assert log.effort is not None
         assert other.effort is not None
         squares, count = np.zeros(robot.dof), 0
-        here, there = (moving_stretches(entry.reference_position, REST) for entry in (log, other))
+        here, there = (
+            moving_stretches(positions, REST) for positions in (log.reference_position, other.reference_position)
+        )
         for (a, b), (c, d) in zip(here, there, strict=False):
             length = min(b - a, d - c)
             if length < 2 * _MEAN:

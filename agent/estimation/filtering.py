@@ -16,7 +16,7 @@ sinc under a Gaussian and that of |H|² decays exponentially, so nothing reaches
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +27,7 @@ from agent.recording.log import Log
 
 DEFAULT_CUTOFF = 30.0
 #: Gaps of at most so many periods of the cut-off are bridged: little of what passes the filter turns within one.
+_Response = Callable[[np.ndarray], np.ndarray]  # over frequency [Hz]
 _BRIDGED = 1.0
 _HALF_BAND = 4.0  # half of a transition band, in standard deviations of the Gaussian that makes it
 _PIECE = 30_000  # samples worked on at a time
@@ -235,7 +236,7 @@ def smooth_and_differentiate(
     return q, qd, qdd
 
 
-def _respond(signals: np.ndarray, rate: float, responses: list[np.ndarray], kept: slice) -> list[np.ndarray]:
+def _respond(signals: np.ndarray, rate: float, responses: list[_Response], kept: slice) -> list[np.ndarray]:
     """Apply responses over frequency [Hz] to (S, m) signals continued by point reflection, and return `kept` of each.
 
     The spectrum is cut at the new Nyquist frequency where `kept` takes every k-th sample, so only responses that pass

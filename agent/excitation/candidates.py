@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -22,7 +22,10 @@ from agent.safety.cell import Cell
 from agent.safety.clearance import CellReport
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from agent.recipe import KeepOut
+    from agent.robot.collision import Box
 
 #: The search takes the regressor at every so many interpolated samples; limits are checked at every one.
 EVERY = 10
@@ -85,7 +88,8 @@ class Candidates:
         )
         self._criterion = Criterion(problem.robot, problem.tool)
         self._dynamics = Dynamics(problem.robot, problem.tool)
-        self._cell = Cell(problem.robot, problem.tool, problem.keep_out, problem.joint_ranges)
+        boxes = cast("Sequence[Box]", problem.keep_out)  # it has all that a box has
+        self._cell = Cell(problem.robot, problem.tool, boxes, problem.joint_ranges)
         self._cell.check_boxes(problem.settings.fly_distance)
         self._rotors = np.array([joint.rotor_inertia or 0.0 for joint in problem.robot.joints])
         self._max_torque = np.array([joint.max_torque or np.inf for joint in problem.robot.joints])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -12,8 +12,11 @@ from agent.core.errors import InputError
 from agent.recipe import Recipe
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from agent.motion.program import Move, Statement
     from agent.motion.trajectory import Trajectory
+    from agent.robot.collision import Box
 
 
 def plan_statements(recipe: Recipe, text: str, path: str, start: np.ndarray) -> tuple[str, list[Trajectory]]:
@@ -84,4 +87,5 @@ def _chain_key(moves: list[Move]) -> tuple[Any, ...]:
 def _cell(recipe: Recipe) -> Any:
     from agent.safety.cell import Cell
 
-    return Cell(recipe.robot, recipe.tool, recipe.cell.keep_out, recipe.cell.joint_ranges)
+    boxes = cast("Sequence[Box]", recipe.cell.keep_out)  # it has all that a box has
+    return Cell(recipe.robot, recipe.tool, boxes, recipe.cell.joint_ranges)

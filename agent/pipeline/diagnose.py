@@ -86,11 +86,12 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
         with step(run, "record", console):
             recordings = record_plan(loaded, plan, run, console, runs, yes)
         with step(run, "diagnose", console):
-            here = replace(question, report=run.file("report.html"))
+            report = run.file("report.html")
+            here = replace(question, report=report)
             result = _diagnose(loaded.robot, [recording.path for recording in recordings], here, console)
             run.write_json("result.json", result)
             if question.report is not None:
-                write_atomically(question.report, here.report.read_text(encoding="utf-8"))
+                write_atomically(question.report, report.read_text(encoding="utf-8"))
         run.complete(True)
     console.say(ending_text(run, loaded))
     return result

@@ -157,7 +157,7 @@ def _errors(runs: Sequence[PastRun]) -> Section:
     shown = known[:: max(1, len(known) // _MOST_POINTS)]
     plot, axes = new_plot(height=2.6)
     number = np.arange(len(shown))
-    worst = np.array([100 * run.worst if shares else run.worst_torque for run in shown], dtype=float)
+    worst = np.array([run.worst if shares else run.worst_torque for run in shown], dtype=float) * (100 if shares else 1)
     accepted = np.array([run.accepted for run in shown], dtype=bool)
     axes[0, 0].plot(number[accepted], worst[accepted], ".", color=SERIES[2], label="accepted")
     axes[0, 0].plot(number[~accepted], worst[~accepted], "x", color=SERIES[3], label="rejected")

@@ -70,7 +70,7 @@ def render(page: Page) -> str:
         }
         for section in page.sections
     ]
-    scenes = any(part["kind"] == "scene" for section in sections for part in section["parts"])
+    scenes = any(isinstance(part, Scene) for section in page.sections for part in section.parts)
     return template.render(
         page=page, sections=sections, css=_asset("page.css"), script=_asset("scene.js") if scenes else ""
     )

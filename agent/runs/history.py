@@ -58,7 +58,7 @@ class History:
         rows = self._connection.execute(
             f"SELECT {columns} FROM runs WHERE {where} ORDER BY started, run", tuple(wanted.values())
         )
-        return [PastRun(*row, json.loads(data)) for *row, data in rows]
+        return [PastRun(*(*row[:-1], json.loads(row[-1]))) for row in rows]
 
     def parameters(self, runs: Iterable[str] | None = None) -> dict[str, list[PastParameter]]:
         """Parameters by run, of all or of some, in the model's order."""

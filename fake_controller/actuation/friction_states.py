@@ -36,7 +36,7 @@ class ThermalFriction(JointEffect):
 class _ThermalMass(FrictionTerm):
     def __init__(self, effect: ThermalFriction):
         self._effect = effect
-        self.temperature = effect.start
+        self.temperature: float = effect.start
 
     def level(self, level: float, speed: float, load: float) -> float:
         return level * (1.0 - self._effect.coulomb_rate * self.temperature)

@@ -28,8 +28,10 @@ class Load(Protocol):
 class Gear(Protocol):
     """A gear that gives way. `stiffness` [N·m/rad] and `damping` [N·m·s/rad] where it is stiffest."""
 
-    stiffness: float
-    damping: float
+    @property
+    def stiffness(self) -> float: ...
+    @property
+    def damping(self) -> float: ...
 
     def torque(self, twist: float, twist_rate: float) -> float:
         """[N·m] on the load side, for the motor's lead over the axle [rad] and its rate."""

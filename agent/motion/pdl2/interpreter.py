@@ -77,7 +77,7 @@ class _Run:
         scope = program.scope
         self.robot = program._robot
         self.types = scope.variables
-        self.variables: dict[str | tuple[str, int], Value] = {**scope.initial}
+        self.variables: dict[str | tuple[str, int], Value] = {name: value for name, value in scope.initial.items()}
         self.system: dict[str, Value] = {}
         sizes = {name: kind.size for name, kind in scope.variables.items() if kind.size is not None}
         self.memory = Memory(scope.constants, self.variables, self.system, sizes)

@@ -18,7 +18,7 @@ from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
-from drivers.wire.modbus import Block
+from drivers.wire.registers import Block
 
 Client = ModbusTcpClient | ModbusSerialClient
 

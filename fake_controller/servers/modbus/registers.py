@@ -14,6 +14,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from drivers.errors import ProtocolError
 from drivers.wire import modbus as wire
 from drivers.wire.reasons import EndReason, Refusal
+from drivers.wire.registers import Block
 from fake_controller.controller import CONTROLLER, PERIOD, Controller
 from fake_controller.controller import VERSION as CONTROLLER_VERSION
 from fake_controller.execution import Slice
@@ -138,7 +139,7 @@ class RegisterMap:
                 result[low - address : high - address] = content[low - block.address : high - block.address]
         return result
 
-    def _content(self, block: wire.Block) -> list[int]:
+    def _content(self, block: Block) -> list[int]:
         controller, state = self._controller, self._controller.state
         robot = controller.robot
         if block is wire.IDENTITY:

@@ -97,9 +97,11 @@ class ModbusServer:
             self._name(self._deaf.getsockname())
             return
         device, faults = self.registers.device(), self.controller.faults
-        self._server = _TcpServer(device, faults, framer=FramerType.SOCKET, address=self._where)
+        self._server: _TcpServer | _LineServer = _TcpServer(
+            device, faults, framer=FramerType.SOCKET, address=self._where
+        )
         await _listen(self._server)
-        self._name(self._server.transport.sockets[0].getsockname())
+        self._name(self._server.transport.sockets[0].getsockname())  # type: ignore[attr-defined]
 
     async def _end(self) -> None:
         if self.controller.faults.refusing:
@@ -213,7 +215,7 @@ class _TcpServer(ModbusTcpServer):
         connection = _TcpConnection(self, self._faults)
         if len(self.active_connections) >= MAX_CONNECTIONS:
             # Its transport comes with the next turn of the loop; there is nothing to close before that.
-            self.loop.call_soon(self.loop.call_soon, connection.close)
+            self.loop.call_soon(lambda: self.loop.call_soon(connection.close))
         else:
             self._faults.heal()
         return connection
