@@ -39,7 +39,7 @@ class Shown(ABC):
         return f"<div><p><b>{escape(self.headline())}</b></p>{self.svg()}{text}</div>"
 
 
-def bars(names: Sequence[str], series: Mapping[str, Sequence[float]], unit: str) -> str:
+def bars(names: Sequence[str], series: Mapping[str, Sequence[float] | np.ndarray], unit: str) -> str:
     """Horizontal bars: one group a name, one bar a series; values that are not finite have none."""
     values = np.array([list(row) for row in series.values()], dtype=float)
     finite = values[np.isfinite(values)]

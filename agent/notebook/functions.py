@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from agent.core.errors import InputError
 from agent.notebook.results import (
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 RobotLike = RobotDescription | str | Path
 LogsLike = Log | str | Path | Iterable[Log | str | Path]
-ModelLike = "IdentifiedModel | str | Path"
+ModelLike: TypeAlias = "IdentifiedModel | str | Path"
 
 
 def load_robot(robot: RobotLike) -> RobotDescription:
@@ -59,7 +59,8 @@ def read_logs(logs: LogsLike, robot: RobotLike) -> Logs:
     """
     from agent.pipeline.identify import read_logs as read
 
-    description, found = load_robot(robot), []
+    description = load_robot(robot)
+    found: list[Log] = []
     for one in [logs] if isinstance(logs, (str, Path, Log)) else logs:
         found += [one] if isinstance(one, Log) else read(_paths(one), description, quiet())
     return Logs(found)
