@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def reference() -> str:
     """The page."""
-    lines = ["# NominalModel", "", "Written from the code by `docs/make_reference.py`.", "", "## Commands", ""]
+    lines = ["# Reference", "", "Written from the code by `docs/make_reference.py`.", "", "## Commands", ""]
     lines += _commands()
     lines += ["## Exit codes", "", "| code | class | what |", "| --- | --- | --- |", *_exit_codes(), ""]
     lines += ["## Recipe keys", "", "| key | type | default |", "| --- | --- | --- |", *_keys(), ""]

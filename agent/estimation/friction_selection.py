@@ -1,4 +1,4 @@
-"""The friction select_friction_terms: which terms each axle gets, decided by held-out error.
+"""Selection of friction terms: which terms each axle gets, decided by held-out error.
 
 Every axle starts with the paper's three terms. How its sliding reverses is learned: from a grid of transition speeds
 and of presliding travels, then from two finer ones around the best. Further terms come one at a time per axle, where
@@ -32,7 +32,7 @@ _LEAST_GAIN = 0.02
 
 
 def paper_terms(reversals: Sequence[Reversal]) -> tuple[FrictionTerm, ...]:
-    """The seed paper's three terms for every axle, with a reversal each."""
+    """The paper's three terms for every axle, with a reversal each."""
     return tuple(
         term
         for axle, reversal in enumerate(reversals)
@@ -45,7 +45,7 @@ def paper_terms(reversals: Sequence[Reversal]) -> tuple[FrictionTerm, ...]:
 
 
 def select_friction_terms(observation: Observation, partition: Partition) -> Problem:
-    """Climb the select_friction_terms; the problem of fitting the terms it ends with."""
+    """The problem of fitting the terms that held-out error selects."""
     n = observation.robot.dof
     coupling = observation.robot.coupling
     fastest = np.max([np.abs(s.motion.qd @ coupling.T).max(axis=0) for s in observation.segments], axis=0)

@@ -14,12 +14,12 @@ from agent.notebook.functions import (
     report,
     validate,
 )
-from agent.notebook.results import Calibration, Catalogue, DiagnosisResult, Logs, Model, PlannedLoop, TorqueValidation
+from agent.notebook.results import Calibration, GapDiagnosis, Listing, Logs, Model, PlannedLoop, TorqueValidation
 
 __all__ = [
     "Calibration",
-    "Catalogue",
-    "DiagnosisResult",
+    "GapDiagnosis",
+    "Listing",
     "Logs",
     "Model",
     "PlannedLoop",

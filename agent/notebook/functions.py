@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, TypeAlias
 from agent.core.errors import InputError
 from agent.notebook.results import (
     Calibration,
-    Catalogue,
-    DiagnosisResult,
+    GapDiagnosis,
+    Listing,
     Logs,
     Model,
     PlannedLoop,
@@ -120,7 +120,7 @@ def diagnose(
     *,
     allow_mixed: bool = False,
     force: bool = False,
-) -> DiagnosisResult:
+) -> GapDiagnosis:
     """Where model and robot disagree and why; without a model, against one fitted to the same logs.
 
     Raises:
@@ -134,12 +134,10 @@ def diagnose(
     given = read_logs(logs, description)
     check_one_machine(given, reference, allow_mixed)
     check_plausible(description, given, force, quiet())
-    return DiagnosisResult(search(description, given, reference, cutoff, without))
+    return GapDiagnosis(search(description, given, reference, cutoff, without))
 
 
-def report(
-    result: DiagnosisResult | TorqueValidation | Calibration | str | Path, out: str | Path | None = None
-) -> Path:
+def report(result: GapDiagnosis | TorqueValidation | Calibration | str | Path, out: str | Path | None = None) -> Path:
     """Write the page of a diagnosis or a validation to `out`; of a calibration or a run folder, make it again there.
 
     Raises:
@@ -196,19 +194,19 @@ def calibrate(
     return Calibration(run_job(load_recipe(recipe), quiet(), Path(logs), stopped, yes))
 
 
-def effects() -> Catalogue:
+def effects() -> Listing:
     """The effects that a diagnosis looks for, by name."""
     from agent.model.effects import CATALOGUE
 
-    return Catalogue("effects", CATALOGUE, {name: effect.signature for name, effect in CATALOGUE.items()})
+    return Listing("effects", CATALOGUE, {name: effect.signature for name, effect in CATALOGUE.items()})
 
 
-def drivers() -> Catalogue:
+def drivers() -> Listing:
     """The drivers that recipes may name: built-in ones and those of installed packages."""
     from drivers.registry import available
 
     names = {name: f"`controller: {{driver: {name}}}` in a recipe" for name in available()}
-    return Catalogue("drivers", names, names)
+    return Listing("drivers", names, names)
 
 
 def _paths(pattern: str | Path) -> list[Path]:
@@ -232,8 +230,8 @@ def _model(model: ModelLike) -> IdentifiedModel:
     return IdentifiedModel.load(model) if isinstance(model, (str, Path)) else model
 
 
-def _page(result: DiagnosisResult | TorqueValidation) -> str:
-    if isinstance(result, DiagnosisResult):
+def _page(result: GapDiagnosis | TorqueValidation) -> str:
+    if isinstance(result, GapDiagnosis):
         from agent.diagnosis import simulate
         from agent.report.diagnosis_page import diagnosis_report
 

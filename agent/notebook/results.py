@@ -99,7 +99,7 @@ class TorqueValidation(Shown):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DiagnosisResult(Shown):
+class GapDiagnosis(Shown):
     """Where model and robot disagree, which effect causes it, and how far the gap closes with it."""
 
     diagnosis: Diagnosis
@@ -160,7 +160,7 @@ class Calibration(Shown):
         return bars(validation["joints"], {"unseen motions": shares}, "%")
 
 
-class Catalogue(Shown, dict[str, Any]):
+class Listing(Shown, dict[str, Any]):
     """Things by name, each with one line about it."""
 
     def __init__(self, what: str, entries: Mapping[str, Any], about: Mapping[str, str]):

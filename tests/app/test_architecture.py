@@ -1,0 +1,53 @@
+"""What the documentation says of the code is there: packages, files, names."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+TOPS = ("agent", "drivers", "fake_controller")
+
+
+def test_every_package_is_named_and_every_name_is_a_package():
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").split("## One via-point")[0]
+    named = {name.rstrip("/") for name in re.findall(r"`((?:agent|drivers|fake_controller)(?:/[a-z_0-9/]+)?)`", text)}
+    there = {path.parent.relative_to(ROOT).as_posix() for top in TOPS for path in (ROOT / top).rglob("__init__.py")}
+    assert named == there
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_paths_that_a_page_names_exist(page: Path):
+    text = page.read_text(encoding="utf-8")
+    for name in re.findall(r"\b((?:agent|drivers|fake_controller|tests|benchmarks)/[\w/]+(?:\.\w+)?)", text):
+        assert (ROOT / name.rstrip("/")).exists(), name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_modules_and_their_names_exist(page: Path):
+    text = page.read_text(encoding="utf-8")
+    for name in re.findall(r"`((?:agent|drivers|fake_controller)(?:\.\w+)+)`", text):
+        assert _resolves(name), name
+
+
+def _resolves(name: str) -> bool:
+    """Whether a dotted name is a module, or something in one."""
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        try:
+            found = importlib.util.find_spec(".".join(parts[:count]))
+        except ModuleNotFoundError:
+            continue
+        if found is not None:
+            value = importlib.import_module(found.name)
+            for part in parts[count:]:
+                if not hasattr(value, part):
+                    return False
+                value = getattr(value, part)
+            return True
+    return False
