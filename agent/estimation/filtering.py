@@ -23,6 +23,7 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.estimation.clock import Clock
+from agent.estimation.quiet_velocity import quiet_velocity
 from agent.recording.log import Log
 
 DEFAULT_CUTOFF = 30.0
@@ -133,6 +134,15 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
             grid = slice(piece.start * every, min(piece.stop * every, clock.size))
             position, torque, set_points = clock.signals(grid)
             q, qd, qdd = smooth_and_differentiate(position, clock.rate, flat, stop, every)
+            qd = quiet_velocity(
+                position,
+                clock.rate,
+                qd,
+                stop,
+                lambda factor, p=position, r=clock.rate, e=every: smooth_and_differentiate(
+                    p, r, factor * flat, factor * stop, e
+                )[1],
+            )
             if torque is not None:
                 torque = smooth_and_differentiate(torque, clock.rate, flat, stop, every)[0] if every > 1 else torque
             if set_points is not None:
