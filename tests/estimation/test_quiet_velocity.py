@@ -14,13 +14,14 @@ _RATE = 500.0
 
 def _move_and_creep(seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times, position and velocity (S, 1): moves of up to 1 rad/s, between which the joint creeps."""
+    from scipy.integrate import cumulative_trapezoid
     from scipy.ndimage import gaussian_filter1d
 
     rng = np.random.default_rng(seed)
     t = np.arange(int(20 * _RATE)) / _RATE
     steps = np.repeat(rng.uniform(-1, 1, 20) * (np.arange(20) % 2 == 0), int(_RATE))
     speed = gaussian_filter1d(steps, 0.05 * _RATE) + 5e-4 * np.sin(2 * np.pi * 0.2 * t)
-    return t, np.cumsum(speed)[:, None] / _RATE, speed[:, None]
+    return t, cumulative_trapezoid(speed, t, initial=0.0)[:, None], speed[:, None]
 
 
 def _error(log, speed: np.ndarray, settings: FilterSettings) -> tuple[np.ndarray, np.ndarray]:
@@ -39,7 +40,7 @@ def test_rounded_positions_creep_where_the_joint_creeps(arm, make_log, monkeypat
     quiet, moving = _error(log, speed, FilterSettings(10.0))
     monkeypatch.setattr("agent.estimation.quiet_velocity._AUDIBLE", np.inf)
     plain, moving_plain = _error(log, speed, FilterSettings(10.0))
-    assert np.std(quiet) < 0.4 * np.std(plain)
+    assert np.std(quiet) < 0.65 * np.std(plain)
     assert np.std(moving) < 1.1 * np.std(moving_plain)
 
 
@@ -48,7 +49,7 @@ def test_rounded_positions_creep_where_the_joint_creeps(arm, make_log, monkeypat
 def test_exact_positions_keep_their_velocity(arm, make_log, seed, cutoff):
     t, position, speed = _move_and_creep(seed)
     error = np.concatenate(_error(make_log(arm(1), t, position, None), speed, FilterSettings(cutoff)))
-    assert np.abs(error).max() < 2e-3  # of 1 rad/s: one sample of the sum that makes the position
+    assert np.abs(error).max() < 2e-4  # of 1 rad/s: what the trapezoids leave
 
 
 @pytest.mark.parametrize("digits", [3, 4, 5])
