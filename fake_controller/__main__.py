@@ -83,8 +83,8 @@ def _controller(options: argparse.Namespace) -> Controller:
         InputError: a scenario or an effect that makes no sense, or an unknown robot.
     """
     from fake_controller.build import build_controller
-    from fake_controller.controller import State
     from fake_controller.scenario import SetupSection, load_scenario
+    from fake_controller.state import State
 
     scenario = None if options.scenario is None else load_scenario(options.scenario)
     setup = SetupSection(clock="real", seed=0) if scenario is None else scenario.setup

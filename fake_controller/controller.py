@@ -7,7 +7,7 @@ import time
 import traceback
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from itertools import chain
 from typing import Protocol
 
 import numpy as np
@@ -26,13 +26,12 @@ from fake_controller.interpreter import FACTORY, Interpreter
 from fake_controller.plant import Plant
 from fake_controller.programs import ProgramMemory, RefusedRequest, check_program
 from fake_controller.ring import Recorded, Ring, part_of
+from fake_controller.state import State, home
 
 CONTROLLER = "fake controller"
 VERSION = "1.0"
 PERIOD = 0.002  # s
 REMEMBERED_MOTIONS = 10_000
-
-_CALIBRATION_POSE = {"comau_ns16": np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])}
 
 
 class Listener(Protocol):
@@ -43,19 +42,6 @@ class Listener(Protocol):
 
     def on_end(self, reason: EndReason, samples: int, message: str) -> None:
         """The arm rests; there were so many samples."""
-
-
-@dataclass
-class State:
-    """What a person at the cell can change, and what the controller reports of it."""
-
-    drives_on: bool = True
-    mode: str = "auto"
-    emergency_stop: bool = False
-    alarms: tuple[str, ...] = ()
-    override: float = 1.0
-    cell_closed: bool = True
-    emulator: bool = True  # what it says of itself; tests need a controller that says it drives a machine
 
 
 class Controller:
@@ -217,7 +203,9 @@ class Controller:
             self._motion_ids[motion_id] = None
             if len(self._motion_ids) > REMEMBERED_MOTIONS:
                 self._motion_ids.popitem(last=False)
-            self._check_ready()
+            if self.moving:
+                raise RefusedRequest(Refusal.MOVING, "the arm moves already")
+            self.state.check_ready()
             stored = self._programs.find(name)
             if stored is None:
                 raise RefusedRequest(Refusal.UNKNOWN_PROGRAM, f"no program {name!r} is stored")
@@ -229,13 +217,14 @@ class Controller:
                 first = next(chains, None)
             except (CannotMove, Pdl2Error) as error:
                 raise RefusedRequest(Refusal.MOTION, str(error), error.line) from None
+            planned = chain([] if first is None else [first], chains)
             self._ring = Ring()
             self._switch = StopSwitch(self.state.override)
             self._count = self._counter_zero = 0
             self.motions_started += 1
             self._rests.clear()
             self._thread = threading.Thread(
-                target=self._move, args=(_chain(first, chains), self._switch, listener), name="motion", daemon=True
+                target=self._move, args=(planned, self._switch, listener), name="motion", daemon=True
             )
 
     def go(self) -> None:
@@ -275,25 +264,12 @@ class Controller:
         self.wait(10.0)
 
     def _apply_fault(self, fault: Fault) -> None:
-        state = self.state
+        stop = self.state.apply_fault(fault.name)
+        if stop is not None:
+            self.stop(*stop)
         match fault.name:
-            case "emergency_stop":
-                state.emergency_stop, state.drives_on = True, False
-                self.stop(EndReason.EMERGENCY_STOP, "the emergency stop was pressed")
-            case "drive_fault":
-                state.drives_on, state.alarms = False, (*state.alarms, "drive fault on axis 2")
-                self.stop(EndReason.DRIVE_FAULT, "the drive of axis 2 reports a fault")
-            case "alarm":
-                state.alarms = (*state.alarms, "62513 motor 3 too hot")
-                self.stop(EndReason.ALARM, "alarm 62513: motor 3 is too hot")
-            case "protective_stop":
-                state.cell_closed = False
-                self.stop(EndReason.PROTECTIVE_STOP, "the gate of the cell was opened")
-            case "teach_mode":
-                state.mode = "teach"
-                self.stop(EndReason.MODE_CHANGED, "the selector was turned to teach")
             case "override":
-                state.override = fault.amount
+                self.state.override = fault.amount
                 if self._switch is not None:
                     self._switch.speed = fault.amount
             case "off_path":
@@ -337,21 +313,6 @@ class Controller:
             self._ring = Ring()
             self.state = State(drives_on=False, emulator=self.state.emulator)
 
-    def _check_ready(self) -> None:
-        state = self.state
-        if self.moving:
-            raise RefusedRequest(Refusal.MOVING, "the arm moves already")
-        if state.emergency_stop:
-            raise RefusedRequest(Refusal.EMERGENCY_STOP, "the emergency stop is pressed")
-        if state.alarms:
-            raise RefusedRequest(Refusal.ALARM, f"active alarms: {', '.join(state.alarms)}")
-        if state.mode != "auto":
-            raise RefusedRequest(Refusal.TEACH_MODE, f"the mode is {state.mode}; programs start in auto only")
-        if not state.drives_on:
-            raise RefusedRequest(Refusal.DRIVES_OFF, "the drives are off")
-        if not state.cell_closed:
-            raise RefusedRequest(Refusal.CELL_OPEN, "the cell is open")
-
     def _move(self, chains: Iterator[Chain], switch: StopSwitch, listener: Listener) -> None:
         period_ns = round(PERIOD * 1e9)
         origin = self.clock.now() + period_ns
@@ -385,15 +346,3 @@ class Controller:
             listener.on_end(reason, self._count - self._counter_zero, message)
         finally:
             self._rests.set()
-
-
-def home(robot: RobotDescription) -> np.ndarray:
-    """(n,) where a robot stands when it is switched on: its calibration pose, or zero within its limits."""
-    lower, upper = robot.position_limits
-    return _CALIBRATION_POSE.get(robot.name, np.clip(np.zeros(robot.dof), lower, upper))
-
-
-def _chain(first: Chain | None, others: Iterator[Chain]) -> Iterator[Chain]:
-    if first is not None:
-        yield first
-        yield from others

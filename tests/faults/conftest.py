@@ -17,9 +17,10 @@ import pytest
 from agent.cli.main import main
 from agent.recording import read_log
 from fake_controller.build import build_controller
-from fake_controller.controller import PERIOD, Controller, State
+from fake_controller.controller import PERIOD, Controller
 from fake_controller.faults import Fault, Faults
 from fake_controller.servers import BROKER, WIRES, Server, open_server
+from fake_controller.state import State
 from tests.conftest import patience
 
 RECIPE = """

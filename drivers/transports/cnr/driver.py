@@ -15,23 +15,22 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from drivers.errors import ConfigurationError, DriverError, RefusedError, SafetyRefused
+from drivers.errors import ConfigurationError, DriverError, RefusedError
 from drivers.protocol import Gap, Identity, SampleBlock, Status
 from drivers.transports.cnr.address import CnrAddress
+from drivers.transports.cnr.commands import command_start, insist_on_stop, wait_for_a_person
+from drivers.transports.cnr.facts import motion_facts
 from drivers.transports.cnr.files import Machine, ProgramFolder
 from drivers.transports.cnr.frames import pose_of_frame
-from drivers.transports.cnr.motion import HAND_REST, Arm, CnrMotion, stop_reason
-from drivers.transports.cnr.samples import BrokerLink, Counts
+from drivers.transports.cnr.motion import Arm, CnrMotion, stop_reason
+from drivers.transports.cnr.samples import BrokerLink
 from drivers.transports.cnr.sockets import Answer, Sockets
-from drivers.wire import cnr as wire
 from drivers.wire.cnr import Feedback, MessageType, Mode, Point
 from drivers.wire.reasons import EndReason
 
 #: The feedback program rests so long between two messages [s].
 FEEDBACK_PERIOD = 0.02
 _SAMPLE_PATIENCE = 1.0  # s without a sample, at least
-_HAND_TIMEOUT = 600.0  # s for somebody to press START
-_STOP_AGAIN = 0.05  # s between two stop commands of which the first was not taken
 
 _log = logging.getLogger(__name__)
 
@@ -81,21 +80,8 @@ class CnrDriver:
     @property
     def facts(self) -> dict[str, str]:
         """How the clocks of controller and samples lay in the last motion, and what did not come as it should."""
-        motion, broker = self._motion, self._broker
-        if motion is None or motion.match is None:
-            return {}
-        facts = {} if broker is None else _counted(broker.joiner.counts)
-        if motion.begun_at is not None:
-            facts["motion_start_s"] = f"{motion.begun_at:.6f}"
-        alignment = motion.match.alignment()
-        if alignment is not None:
-            facts["clock_offset_s"] = f"{alignment.offset:.9f}"
-            facts["clock_offset_uncertainty_s"] = f"{alignment.offset_deviation:.3g}"
-            facts["clock_offset_at_controller_time_s"] = f"{alignment.middle:.3f}"
-            facts["clock_drift_ppm"] = f"{1e6 * alignment.drift:.3g}"
-            facts["clock_drift_uncertainty_ppm"] = f"{1e6 * alignment.drift_deviation:.3g}"
-            facts["clock_feedbacks"] = str(alignment.count)
-        return facts
+        broker = self._broker
+        return {} if self._motion is None else motion_facts(self._motion, broker and broker.joiner.counts)
 
     def connect(self) -> None:
         """Open the sockets, read who is there, and listen to the broker."""
@@ -224,7 +210,8 @@ class CnrDriver:
                 motion.motion.stopping = True
             answer = sockets.command(self.STOP)
         if motion is not None:
-            answer = self._insist_on_stop(sockets, motion, answer)
+            tell = self.tell if self._address.by_hand else None
+            answer = insist_on_stop(sockets, motion, self.STOP, answer, self._start_timeout, tell)
         rests = sockets.wait_feedback(lambda: not sockets.feedback().is_moving, self._start_timeout)
         if motion is not None:
             rests = rests and motion.motion.wait(self._start_timeout)
@@ -251,18 +238,6 @@ class CnrDriver:
             raise DriverError(f"the link to {self._address.host} is not open; connect first")
         self._sockets.check()
         return self._sockets
-
-    def _insist_on_stop(self, sockets: Sockets, motion: CnrMotion, answer: Answer | None) -> Answer | None:
-        """Say it again where the controller did not take it: it does not before its flag says that the arm moves."""
-        until, told = time.monotonic() + self._start_timeout, False
-        while answer is not None and not answer.success and not motion.motion.wait(_STOP_AGAIN):
-            if time.monotonic() > until:
-                return answer
-            if self._address.by_hand and not told:
-                told = True
-                self.tell("the controller does not take the stop command: press HOLD at the teach pendant, now")
-            answer = sockets.command(self.STOP)
-        return answer
 
     def _moves(self, feedback: Feedback) -> bool:
         motion = self._motion
@@ -300,26 +275,8 @@ class CnrDriver:
         return motion
 
     def _command_start(self, sockets: Sockets, what: str, point: Point) -> Answer:
-        """The answer to a start that was carried out.
-
-        Raises:
-            RefusedError: it was not; nothing has moved.
-            DriverError: no answer.
-        """
-        answer = sockets.command(MessageType.START, point, self._start_timeout)
-        if answer is None:
-            raise DriverError(
-                f"the controller at {self._address.host} did not answer {what} within {self._start_timeout:g} s; the "
-                "link was closed, which stops the arm. Go and look at it"
-            )
-        if not answer.success:
-            state = sockets.fresh_status()
-            if sockets.feedback().is_moving:
-                raise DriverError(
-                    f"the controller refused {what}, because the arm moves already; it was told to stop. Do its "
-                    "programs take back the permission to move at the end of a trajectory, as docs/real-robot.md asks?"
-                )
-            raise _refused_start(what, state, point.sequence_number != 0)
+        """The answer to a start that was carried out; raises as `command_start`."""
+        answer = command_start(sockets, self._address.host, what, point, self._start_timeout)
         assert self._motion is not None
         self._motion.started = True
         return answer
@@ -328,13 +285,7 @@ class CnrDriver:
         motion = self._motion
         assert motion is not None
         motion.started = True
-        self.tell(
-            f"at the controller: select program {name}, drives on, selector at auto, and press START within "
-            f"{_HAND_TIMEOUT / 60:.0f} minutes. The recording begins with the first motion and ends when the arm has "
-            f"rested for {HAND_REST:g} s"
-        )
-        if not sockets.wait_feedback(lambda: motion.begun, _HAND_TIMEOUT):
-            raise DriverError(f"nobody started {name} within {_HAND_TIMEOUT / 60:.0f} minutes; nothing was recorded")
+        wait_for_a_person(sockets, motion, name, self.tell)
 
     def _abandon(self) -> None:
         """Nothing was started after all."""
@@ -395,24 +346,3 @@ class CnrDriver:
         motion, sockets = self._motion, self._sockets
         if motion is not None and sockets is not None and not motion.motion.over:
             self._end_with(sockets, motion, error)
-
-
-def _refused_start(what: str, state: wire.Status, stored: bool) -> RefusedError:
-    reason = stop_reason(state)
-    if reason is None:
-        advice = (
-            "is the program translated and free of errors, does the trajectory program know how to start a stored one? "
-            "(start=hand in the address does without)"
-            if stored
-            else "was another trajectory left in its queue?"
-        )
-        return RefusedError(f"the controller refused {what} and does not say why; {advice}")
-    kind = SafetyRefused if reason[0] is EndReason.EMERGENCY_STOP else RefusedError
-    return kind(f"the controller refused {what}: {reason[1]}")
-
-
-def _counted(counts: Counts) -> dict[str, str]:
-    """What did not come as it should, for a log; nothing where all did."""
-    missing = {f"missing_{name}": str(count) for name, count in counts.missing.items()}
-    others = {"late": counts.late, "duplicate": counts.duplicate, "damaged": counts.damaged}
-    return {**missing, **{f"{name}_messages": str(count) for name, count in others.items()}}

@@ -12,12 +12,12 @@ import uuid
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import numpy as np
 from pymodbus.client import ModbusTcpClient
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.protocol import Gap, Identity, SampleBlock, Status
 from drivers.transports.modbus.link import Client, ModbusLink, SilentError
+from drivers.transports.modbus.replies import identity_of, status_of
 from drivers.transports.modbus.ring import RingReader
 from drivers.transports.motion import Motion
 from drivers.transports.tcp import open_socket, parse_address
@@ -119,35 +119,14 @@ class ModbusDriver:
         link = self._connected()
         identity = link.read(wire.IDENTITY)
         names = itertools.chain.from_iterable(link.read(block)["names"] for block in wire.NAMES)
-        return Identity(
-            robot=identity["robot"],
-            serial=identity["serial"],
-            controller=identity["controller"],
-            version=identity["software"],
-            joint_names=tuple(itertools.islice(names, identity["joints"])),
-            period=identity["period"] * 1e-9,
-        )
+        return identity_of(identity, itertools.islice(names, identity["joints"]))
 
     def status(self) -> Status:
         """Ask for the state."""
         link = self._connected()
         values = link.read(wire.STATUS)
         alarms = link.read(wire.ALARMS)["text"].splitlines() if values["alarms"] else []
-        flags = wire.Flag(values["flags"])
-        return Status(
-            drives_on=wire.Flag.DRIVES_ON in flags,
-            mode=next((name for name, code in wire.MODES.items() if code == values["mode"]), "unknown"),
-            emergency_stop=wire.Flag.EMERGENCY_STOP in flags,
-            # More alarms than fit are alarms all the same.
-            alarms=tuple(alarms) or (("unnamed",) if values["alarms"] else ()),
-            override=values["override"],
-            cell_closed=wire.Flag.CELL_CLOSED in flags,
-            moving=wire.Flag.MOVING in flags,
-            program=values["program"],
-            checksum=values["checksum"].hex() if values["program"] else "",
-            position=np.array(values["position"][: self._joints]),
-            emulator=wire.Flag.EMULATOR in flags,
-        )
+        return status_of(values, alarms, self._joints)
 
     def upload(self, name: str, text: str) -> str:
         """Store a program; returns the SHA-256 (hex) of the text as the controller stored it.

@@ -15,10 +15,10 @@ from drivers.errors import ProtocolError
 from drivers.wire import modbus as wire
 from drivers.wire.reasons import EndReason, Refusal
 from drivers.wire.registers import Block
-from fake_controller.controller import CONTROLLER, PERIOD, Controller
-from fake_controller.controller import VERSION as CONTROLLER_VERSION
+from fake_controller.controller import Controller
 from fake_controller.execution import Slice
 from fake_controller.programs import RefusedRequest
+from fake_controller.servers.modbus.told import told_of
 from fake_controller.servers.replies import Upload
 
 MEMORY = 400_000  # samples kept for a client that reads slower than the arm moves: 13 minutes
@@ -140,43 +140,9 @@ class RegisterMap:
         return result
 
     def _content(self, block: Block) -> list[int]:
-        controller, state = self._controller, self._controller.state
-        robot = controller.robot
-        if block is wire.IDENTITY:
-            return block.pack(
-                magic=wire.MAGIC,
-                version=wire.VERSION,
-                joints=self._joints,
-                period=round(PERIOD * 1e9),
-                slots=self._slots,
-                robot=controller.name,
-                serial=controller.serial,
-                controller=CONTROLLER,
-                software=CONTROLLER_VERSION,
-            )
-        if block in wire.NAMES:
-            first = wire.NAMES.index(block) * wire.NAMES_PER_BLOCK
-            return block.pack(names=robot.joint_names[first : first + wire.NAMES_PER_BLOCK])
-        if block is wire.STATUS:
-            flags = {
-                wire.Flag.DRIVES_ON: state.drives_on,
-                wire.Flag.EMERGENCY_STOP: state.emergency_stop,
-                wire.Flag.CELL_CLOSED: state.cell_closed,
-                wire.Flag.MOVING: controller.moving,
-                wire.Flag.EMULATOR: state.emulator,
-            }
-            name, checksum = controller.stored
-            return block.pack(
-                flags=sum(flag for flag, on in flags.items() if on),
-                mode=wire.MODES.get(state.mode, 0),
-                alarms=len(state.alarms),
-                override=state.override,
-                position=controller.position,
-                program=name,
-                checksum=bytes.fromhex(checksum),
-            )
-        if block is wire.ALARMS:
-            return block.pack(text="\n".join(state.alarms))
+        told = told_of(self._controller, block)
+        if told is not None:
+            return told
         if block is wire.ANSWER:
             return block.pack(**self._answer)
         if block is wire.PROGRESS:
