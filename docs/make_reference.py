@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ def reference() -> str:
     lines += _commands()
     lines += ["## Exit codes", "", "| code | class | what |", "| --- | --- | --- |", *_exit_codes(), ""]
     lines += ["## Recipe keys", "", "| key | type | default |", "| --- | --- | --- |", *_keys(), ""]
-    lines += ["## Effects", "", "| name | what |", "| --- | --- |", *_effects(), ""]
+    lines += ["## Effects", "", *_effects(), ""]
     return "\n".join(lines)
 
 
@@ -106,11 +105,30 @@ def _default(field: Any) -> str:
 
 
 def _effects() -> Iterator[str]:
-    from agent.diagnosis import CATALOGUE
+    """The built-in ones: what is installed beside them is not ours to describe."""
+    from agent.model.effects import CATALOGUE
 
-    for name, effect in CATALOGUE.items():
-        words = (sys.modules[type(effect).__module__].__doc__ or "").strip().splitlines()
-        yield f"| `{name}` | {words[0] if words else ''} |"
+    yield "s: direction of sliding as the model's friction reverses; w, x: speed and angle of the axle; τ: torque of"
+    yield "the model. Special cases: simpler forms that it has to do better than. Matters from: root mean square torque"
+    yield "over nominal."
+    yield ""
+    names = ("name", "family", "where", "in words", "form", "shows as", "confused with", "special cases")
+    yield f"| {' | '.join(names)} | matters from | source |"
+    yield "|" + " --- |" * 10
+    for effect in CATALOGUE.built_in:
+        cells = (
+            f"`{effect.name}`",
+            effect.family,
+            effect.scope,
+            effect.phrase,
+            effect.formula,
+            effect.signature,
+            ", ".join(effect.confused_with) or "-",
+            ", ".join(effect.special_cases) or "-",
+            f"{100 * effect.practical:g} %",
+            effect.source,
+        )
+        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
 if __name__ == "__main__":

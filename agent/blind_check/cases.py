@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.model.effects import CATALOGUE
 from agent.robot import RobotDescription
 
 #: Runs that share one individual machine and its reference model.
@@ -17,8 +18,6 @@ GROUP = 8
 SHARES = {"none": 0.375, "one": 0.375, "two": 0.1, "outside": 0.08, "small": 0.07}
 
 OUTSIDE = ("rough_bearing", "wandering_torque", "rubbing_brake")
-_ARM = ("payload", "base_tilt", "inertial_mismatch", "contact", "time_delay", "interpolator_mismatch")
-_GEARS = {"joint_elasticity", "backlash"}
 
 
 @dataclass(frozen=True)
@@ -91,20 +90,26 @@ def _collide(effects: tuple[dict[str, Any], ...]) -> bool:
     if len(effects) < 2:
         return False
     first, second = effects
-    gears = {first["effect"], second["effect"]} <= _GEARS
+    gears = _twists(first["effect"]) and _twists(second["effect"])
     return first["effect"] == second["effect"] or (gears and first["joints"] == second["joints"])
+
+
+def _twists(name: str) -> bool:
+    """Whether an effect is one of a gear that gives way."""
+    return name in CATALOGUE and "twist" in CATALOGUE[name].shapes
 
 
 def draw_effect(name: str, robot: RobotDescription, strength: float, rng: np.random.Generator) -> dict[str, Any]:
     """Where and how an effect sits on the arm, `strength` times as large as usual."""
     n = robot.dof
     allowed = range(n)
-    if name in _GEARS:
+    if _twists(name):
         allowed = range(min(n, 3))  # the hand's gears are too stiff to tell at these rates
     elif name == "encoder_offset" and n > 2:
         allowed = range(1, min(n - 1, 3))  # about the vertical it shows in no torque, in the hand in hardly any
     joint = int(rng.choice(list(allowed)))
-    joints = [] if name in _ARM else [robot.joint_names[joint]]
+    whole = name in CATALOGUE and CATALOGUE[name].scope in ("arm", "base")
+    joints = [] if whole else [robot.joint_names[joint]]
     if name == "wrist_coupling":
         first, second = sorted(rng.choice(range(max(0, n - 3), n), 2, replace=False))
         joints = [robot.joint_names[first], robot.joint_names[second]]

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from agent.model.effects.effect import Columns
     from agent.model.signals import MotionSignals
 
-_NO_TORQUE = "interpolator_mismatch"
 
 
 class BlackBox(Effect):
@@ -61,7 +60,7 @@ def reference_closures(
     trial = Trial(diagnosis, gap)
     chosen: list[Any] = []
     for effect in effects:
-        if effect["effect"] not in CATALOGUE or effect["effect"] == _NO_TORQUE:
+        if effect["effect"] not in CATALOGUE or CATALOGUE[effect["effect"]].shows_in == "path":
             return {}
         found = trial.best(effect["effect"], effect["joints"], chosen)
         if found is None:

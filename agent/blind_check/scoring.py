@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from agent.diagnosis.labels import in_torque
+
 Entry = Mapping[str, Any]
 
 #: An ambiguous answer counts as right where its class has no more members than this and holds the truth.
@@ -182,7 +184,7 @@ def _closures(entries: Sequence[Entry]) -> dict[str, Any]:
 
 def _power(entries: Sequence[Entry]) -> list[dict[str, Any]]:
     """Share found and named by how much the effect changes the torque; the set-points have no such size."""
-    seen = [e for e in entries if e["effects"][0]["effect"] != "interpolator_mismatch"]
+    seen = [e for e in entries if in_torque(e["effects"][0])]
     rows = []
     for low, high in pairwise(_POWER_EDGES):
         here = [e for e in seen if low <= e["size"] < high]

@@ -15,7 +15,7 @@ from agent.estimation.estimate import EstimationSettings, estimate
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.observation import Observation, observe
 from agent.estimation.prior import physical_prior
-from agent.model.identified import EFFECTS, IdentifiedModel
+from agent.model.identified import IdentifiedModel, torque_of
 from agent.model.signals import MotionSignals, NominalModel
 from agent.recording.log import Log
 from agent.robot import RobotDescription
@@ -166,9 +166,7 @@ def _known_effects(model: IdentifiedModel, signals: MotionSignals) -> np.ndarray
     total = np.zeros(signals.q.shape)
     motion = {"time": signals.time, "q": signals.q, "qd": signals.qd, "qdd": signals.qdd}
     for entry in model.effects:
-        if entry.effect not in EFFECTS:
-            raise InputError(f"the model has an effect {entry.effect!r} that this version cannot evaluate")
-        total = total + EFFECTS[entry.effect](model, entry, motion, signals.predicted + total)
+        total = total + torque_of(entry)(model, entry, motion, signals.predicted + total)
     return signals.low_pass(total)
 
 

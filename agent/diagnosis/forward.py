@@ -18,6 +18,7 @@ import numpy as np
 
 from agent.diagnosis.extended_model import extended_model
 from agent.estimation.filtering import FilterSettings, Motion, motions, smooth_and_differentiate
+from agent.model.effects import CATALOGUE
 from agent.model.friction_terms import AxleMotion, axle_columns
 from agent.model.identified import IdentifiedModel
 from agent.model.signals import NominalModel
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 LONGEST = 10.0
 _ROUNDS = 2
 _POSITION_GAIN = 30.0  # 1/s
-_READING = ("torque_constant", "torque_offset", "time_delay")  # of the measurement: they move no arm
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ def _cut(motion: Motion) -> Motion:
 
 def _follow(model: IdentifiedModel, motion: Motion, number: int) -> tuple[np.ndarray, np.ndarray]:
     """Positions (S, n) and filtered torque (S', n) of a model's arm that is given a motion's set-points."""
-    reading = tuple(entry for entry in model.effects if entry.effect in _READING)
+    reading = tuple(entry for entry in model.effects if not CATALOGUE[entry.effect].moves_arm)
     arm = _Arm(replace(model, effects=tuple(e for e in model.effects if e not in reading)), motion, number)
     position, extra = motion.set_points, arm.beyond(motion.set_points)
     for _ in range(_ROUNDS):

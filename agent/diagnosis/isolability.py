@@ -5,27 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from agent.diagnosis.fit import Candidate, Score
-from agent.model.effects import Effect
-
-#: One physical change comes before a general refit, a torque of its own before a shape that could be anything.
-_PLAIN_FIRST = {"inertial_mismatch": 8, "dress_pack": 1, "thermal_friction": 1, "contact": 1}
-
-#: Shapes over speed and over position: two of one kind on one joint would only imitate a third.
-_KINDS = (
-    {
-        "stribeck",
-        "asymmetric_friction",
-        "load_dependent_friction",
-        "viscous_nonlinearity",
-        "thermal_friction",
-        "presliding",
-        "friction_change",
-        "torque_constant",
-    },
-    {"torque_offset", "gravity_spring", "dress_pack", "asymmetric_friction"},
-    {"joint_elasticity", "backlash"},
-    {"payload", "inertial_mismatch"},
-)
 
 
 def plausible(score: Score) -> bool:
@@ -43,10 +22,8 @@ def structurally_equivalent(candidate: Candidate, score: Score) -> bool:
 
 def imitates(chosen: Sequence[Candidate], score: Score) -> bool:
     """Whether one of the chosen effects has a shape of the same kind on the same joint."""
-    name = score.candidate.effect.name
-    return any(
-        c.joints == score.candidate.joints and any({name, c.effect.name} <= kind for kind in _KINDS) for c in chosen
-    )
+    other = score.candidate
+    return any(c.joints == other.joints and set(c.effect.shapes) & set(other.effect.shapes) for c in chosen)
 
 
 def best_by_place(scores: Sequence[Score]) -> dict[tuple[str, tuple[int, ...]], Score]:
@@ -62,5 +39,4 @@ def best_by_place(scores: Sequence[Score]) -> dict[tuple[str, tuple[int, ...]], 
 
 def complexity(candidate: Candidate) -> int:
     """Number of parameters, with a surcharge for what could be anything."""
-    effect: Effect = candidate.effect
-    return effect.n_parameters(candidate.settings) + _PLAIN_FIRST.get(effect.name, 0)
+    return candidate.effect.n_parameters(candidate.settings) + candidate.effect.complexity_surcharge

@@ -1,34 +1,11 @@
-"""What the page and the terminal call an effect: words for somebody who has never read the vocabulary."""
+"""What the page and the terminal say of a result, in plain words."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-IN_WORDS = {
-    "stribeck": "friction rises as the joint slows down",
-    "asymmetric_friction": "friction differs between the two directions",
-    "load_dependent_friction": "friction grows with the load on the gear",
-    "viscous_nonlinearity": "the speed-dependent part of friction bends",
-    "thermal_friction": "friction drifts as the drive warms up",
-    "presliding": "friction builds up over a travel after each reversal",
-    "friction_change": "the friction level is not the model's any more",
-    "joint_elasticity": "the gear gives way like a spring",
-    "backlash": "the gear has play",
-    "torque_ripple": "the torque ripples with the angle of motor or gear",
-    "wrist_coupling": "one motor turns along with another axis",
-    "payload": "there is a mass at the flange that the model does not have",
-    "gravity_spring": "a balancer or spring pulls differently",
-    "dress_pack": "a hose or cable pulls at the joint",
-    "base_tilt": "the base does not stand as the model has it",
-    "inertial_mismatch": "a link weighs otherwise than in the model",
-    "contact": "something pushed the arm for a while",
-    "torque_constant": "the measured torque is scaled wrongly",
-    "torque_offset": "the measured torque is shifted by a constant",
-    "time_delay": "torque and position are not recorded at the same time",
-    "encoder_offset": "the zero position of the joint is off",
-    "interpolator_mismatch": "the controller runs another path than was planned",
-}
+from agent.model.effects import CATALOGUE
 
 REGIMES = {
     "standstill": "standing still",
@@ -43,13 +20,17 @@ REGIMES = {
     "motor_phase": "with the motor's angle",
 }
 
-#: The effect that shows in the path and not in torque.
-PATH = "interpolator_mismatch"
+
+def in_torque(cause: Mapping[str, Any]) -> bool:
+    """Whether a cause of a result shows in torque, and not in the path alone; so does one that is not known here."""
+    effect = CATALOGUE.get(cause["effect"])
+    return effect is None or effect.shows_in == "torque"
 
 
 def torque_gap(result: Mapping[str, Any]) -> bool:
     """Whether a result has a gap in torque, so that it makes sense to say where it is and what of it is closed."""
-    return result["verdict"] != "no_gap" and [cause["effect"] for cause in result["causes"]] != [PATH]
+    causes = result["causes"]
+    return result["verdict"] != "no_gap" and (not causes or any(in_torque(cause) for cause in causes))
 
 
 def place(entry: Mapping[str, Any]) -> str:
@@ -74,6 +55,6 @@ def closes(cause: Mapping[str, Any]) -> str:
     closure = cause["closure"]
     if closure is None:
         return ""
-    if cause["effect"] != PATH:
+    if in_torque(cause):
         return f"closes {100 * closure:.0f} % of the gap"
     return f"closes {100 * closure:.0f} % of the gap between planned and executed path"

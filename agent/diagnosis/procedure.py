@@ -33,9 +33,6 @@ LEAST_SURE = 0.5  # probability of the first cause's class: what is rather wrong
 MOST = 3
 _FIRSTS = 4
 
-#: Effects whose nonlinear parameters are chosen by what is left, so anew for every scan.
-_RESIDUAL_DRIVEN = ("torque_ripple", "contact", "payload", "time_delay", "joint_elasticity", "backlash")
-
 
 class Search:
     """A catalogue tried on a fit; `given`: to a model from elsewhere, whose error without an effect is known."""
@@ -134,14 +131,14 @@ class Search:
             for joints in effect.places(fit.reference.robot):
                 if (effect.name, joints) in taken or not all(self.moves[j] for j in joints):
                     continue
-                if fixed or effect.name in _RESIDUAL_DRIVEN:
+                if fixed or effect.residual_driven:
                     wanted += [(effect, joints, settings) for settings in effect.settings(fit, joints)]
         beside = " and ".join(c.effect.name for c in fit.chosen) or "the model alone"
         self._progress(f"scan {len(self._scanned) + 1}, beside {beside}: {len(wanted)} forms are made")
         new = fit.candidates(wanted)
         self._progress(f"scan {len(self._scanned) + 1}, beside {beside}: {len(self.pool) + len(new)} forms are tried")
         if fixed:
-            self.pool = [c for c in new if c.effect.name not in _RESIDUAL_DRIVEN]
+            self.pool = [c for c in new if not c.effect.residual_driven]
             pool = self.tried = new
         else:
             pool = [c for c in self.pool if c.place not in taken] + new
@@ -166,7 +163,7 @@ class Search:
                 effect, joints = best[place].candidate.effect, place[1]
                 wanted += [(effect, joints, near) for near in effect.nearby(best[place].candidate.settings, factor)]
             finer = fit.candidates(wanted)
-            self.pool += [c for c in finer if c.effect.name not in _RESIDUAL_DRIVEN]
+            self.pool += [c for c in finer if not c.effect.residual_driven]
             for score in fit.score(finer):
                 if plausible(score) and score.gain > best[score.candidate.place].gain:
                     best[score.candidate.place] = score
@@ -187,7 +184,10 @@ class Search:
             joints = list(score.candidate.blocks)
             if repeats and (not np.any(noticed[joints]) or np.sum(over[joints]) < STANDS_OUT * score.gain):
                 continue  # a model that was fitted with it would look the same
-            if any(self._as_good(score, limit, best) for limit in effect.special_cases):
+            if any(
+                self._as_good(score, limit, best)
+                for limit in effect.simpler(score.candidate.settings, fit.reference.robot)
+            ):
                 continue
             result.append(score)
         return tuple(sorted(result, key=lambda s: -s.gain))
@@ -204,13 +204,11 @@ class Search:
     def _as_good(self, score: Score, limit: str, best: dict) -> bool:
         """Whether a simpler limit of the form does as well, so that the form has nothing to show for itself."""
         joints = score.candidate.joints
-        if limit == "payload" and score.candidate.settings.get("link") != self.fit.reference.robot.dof:
-            return False
         places = [(limit, ())] if CATALOGUE[limit].scope != "joint" else [(limit, (j,)) for j in joints]
         simpler = [best[place] for place in places if place in best and plausible(best[place])]
         margin = max(NEAR_FLOOR * self.rows, 0.5 * NEAR * score.gain)
-        if score.candidate.effect.name == "asymmetric_friction" and limit in self.allowed:
-            return False  # compared as a rival: an offset and a Coulomb asymmetry have equally many parameters
+        if score.candidate.effect.rivals_special_cases and limit in self.allowed:
+            return False
         return any(score.gain - other.gain < margin for other in simpler)
 
     def size(self, fit: Fit, score: Score) -> float:

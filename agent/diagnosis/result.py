@@ -12,7 +12,6 @@ from agent.diagnosis.dataset import Dataset
 from agent.diagnosis.evidence import share_intervals
 from agent.diagnosis.finding import Finding
 from agent.diagnosis.gap import SMALL, Gap, held_out_gap
-from agent.diagnosis.labels import PATH
 from agent.diagnosis.motion_gap import MotionGap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.regimes import regimes
@@ -44,12 +43,12 @@ def build(
     robot, names = dataset.robot, dataset.robot.joint_names
     causes, verdict, closure = _causes(dataset, finding, gap), finding.verdict, gap.closure
     if motion is not None and motion.described:
-        if PATH in search.allowed and verdict == "no_gap":  # the gap that there is, is that of the path
+        of_path = [name for name in _of_path() if name in search.allowed]
+        if of_path and verdict == "no_gap":  # the gap that there is, is that of the path
             verdict, closure = "explained", motion.closure
         elif verdict == "no_gap":
             verdict = "unknown"
-        if PATH in search.allowed:
-            causes.append(_path_cause(motion))
+        causes += [_path_cause(name, motion) for name in of_path[:1]]
     verdict, causes = settle(verdict, causes, closure)
     result = {
         "schema": SCHEMA,
@@ -92,9 +91,14 @@ def judge(dataset: Dataset, search: Search, finding: Finding) -> tuple[Finding, 
             return replace(finding, verdict=verdict), gap
 
 
-def _path_cause(motion: MotionGap) -> dict[str, Any]:
+def _of_path() -> list[str]:
+    """Effects that show in the set-points and not in torque."""
+    return [name for name, effect in CATALOGUE.items() if effect.shows_in == "path"]
+
+
+def _path_cause(name: str, motion: MotionGap) -> dict[str, Any]:
     return {
-        "effect": PATH,
+        "effect": name,
         "joints": [],
         "closure": motion.closure,
         "probability": _SET_POINTS_AS_RECORDED,
@@ -165,14 +169,15 @@ def not_testable(dataset: Dataset, search: Search) -> list[dict[str, Any]]:
     for candidate in search.tried:
         tried.setdefault(candidate.place, []).append(candidate)
     result = []
-    for name in sorted(search.allowed - {PATH}, key=list(CATALOGUE).index):
-        effect = CATALOGUE[name]
+    for name, effect in CATALOGUE.items():
+        if name not in search.allowed or effect.shows_in == "path":
+            continue
         for joints in effect.places(robot):
             candidates = tried.get((name, joints), [])
             where = ", ".join(names[j] for j in joints) or None
             if not candidates:
                 still = [names[j] for j in joints if not search.moves[j]]
-                why = f"{', '.join(still)} never moves in these logs" if still else _why_absent(name)
+                why = f"{', '.join(still)} never moves in these logs" if still else effect.why_absent
                 if why:
                     result.append({"effect": name, "joint": where, "why": why})
                 continue
@@ -182,7 +187,8 @@ def not_testable(dataset: Dataset, search: Search) -> list[dict[str, Any]]:
             if size > 1:
                 result.append({"effect": name, "joint": where, "why": _why_small(effect, size, dataset.given)})
     if all(log.planned_position is None or log.reference_position is None for log in dataset.logs):
-        result.append({"effect": PATH, "joint": None, "why": "the logs lack planned or executed set-points"})
+        why = "the logs lack planned or executed set-points"
+        result += [{"effect": name, "joint": None, "why": why} for name in _of_path()]
     return result
 
 
@@ -197,15 +203,6 @@ def _why_small(effect: Effect, size: float, given: bool) -> str:
     )
 
 
-def _why_absent(name: str) -> str:
-    return {
-        "backlash": "no torque reversal in these logs",
-        "gravity_spring": "a prismatic joint",
-        "base_tilt": "no gravity in the robot description",
-        "torque_ripple": "the joint turns too little to see a period",
-    }.get(name, "")
-
-
 def next_experiment(causes: Sequence[dict[str, Any]], verdict: str) -> dict[str, Any] | None:
     """A motion that would tell the first cause from what equals it; None where nothing is open."""
     if verdict == "unknown":
@@ -216,23 +213,7 @@ def next_experiment(causes: Sequence[dict[str, Any]], verdict: str) -> dict[str,
     if verdict != "ambiguous" or not causes:
         return None
     pair = [causes[0]["effect"], *(entry["effect"] for entry in causes[0]["equivalent_to"][:1])]
-    return {"separates": pair, "motion": _motion_for(set(pair))}
-
-
-def _motion_for(pair: set[str]) -> str:
-    if pair & {"torque_offset", "asymmetric_friction"}:
-        return "single-joint ramps at several constant speeds both ways, with standstills of 2 s in between"
-    if pair & {"stribeck", "presliding", "backlash"}:
-        return "slow reversals of growing travel on this joint, then constant speeds from 1 to 20 % of the highest"
-    if pair & {"gravity_spring", "dress_pack", "encoder_offset", "base_tilt"}:
-        return "slow motion of this joint over its whole range, with the joints above it in two different postures"
-    if pair & {"thermal_friction"}:
-        return "the same cycle repeated from cold for 20 minutes"
-    if pair & {"payload", "inertial_mismatch"}:
-        return "standstills in ten postures with the wrist turned, then fast wrist motions, without and with the tool"
-    if pair & {"joint_elasticity", "time_delay"}:
-        return "short sharp reversals of this joint with the arm stretched and folded"
-    return "constant speeds both ways on this joint at three loads (arm stretched, half, folded)"
+    return {"separates": pair, "motion": min(CATALOGUE[name].experiment for name in pair).motion}
 
 
 def _fold_names(dataset: Dataset) -> list[dict[str, Any]]:

@@ -81,7 +81,7 @@ class IdentifiedModel(ModelData):
         torque = rigid + friction
         motion = {"time": time, "q": q, "qd": qd, "qdd": qdd}
         for entry in self.effects:
-            torque = torque + _effect(entry)(self, entry, motion, torque)
+            torque = torque + torque_of(entry)(self, entry, motion, torque)
         return torque, friction
 
     def prediction_interval(
@@ -276,9 +276,14 @@ def _axle(robot: RobotDescription, joint: str) -> int:
     return robot.joint_names.index(joint)
 
 
-def _effect(entry: ModelEffect) -> EffectTorque:
+def torque_of(entry: ModelEffect) -> EffectTorque:
+    """The form of an effect.
+
+    Raises:
+        InputError: an effect that is neither built in nor installed.
+    """
     if entry.effect not in EFFECTS:
-        import_module("agent.model.with_effects")  # registers the forms it knows
+        import_module("agent.model.with_effects").register()
     if entry.effect not in EFFECTS:
         raise InputError(f"the model has an effect {entry.effect!r} that this version cannot evaluate")
     return EFFECTS[entry.effect]

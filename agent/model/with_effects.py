@@ -39,4 +39,6 @@ def effect_torque(model: IdentifiedModel, entry: ModelEffect, motion: dict[str, 
     return total
 
 
-EFFECTS.update({name: effect_torque for name in CATALOGUE})
+def register() -> None:
+    """Let models evaluate every effect of the catalogue."""
+    EFFECTS.update(dict.fromkeys(CATALOGUE, effect_torque))

@@ -8,7 +8,7 @@ from typing import Any
 from agent.diagnosis.evidence import DRAWS
 from agent.diagnosis.finding import Step
 from agent.diagnosis.forward import Simulated, simulation_part
-from agent.diagnosis.labels import IN_WORDS, REGIMES, closes, how_sure, name, place, torque_gap
+from agent.diagnosis.labels import REGIMES, closes, how_sure, name, place, torque_gap
 from agent.diagnosis.result import Diagnosis
 from agent.model.effects import CATALOGUE
 from agent.report.diagnosis_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
@@ -46,7 +46,9 @@ def headline(result: Mapping[str, Any]) -> str:
     cause = result["causes"][0]
     sure = how_sure(result["verdict"], cause["probability"])
     effect = cause["effect"]
-    text = f"{place(cause)}: {sure} {name(effect)}: {IN_WORDS[effect]} (probability {cause['probability']:.2f})."
+    text = (
+        f"{place(cause)}: {sure} {name(effect)}: {CATALOGUE[effect].phrase} (probability {cause['probability']:.2f})."
+    )
     if not torque_gap(result):
         text += " In torque, model and robot agree."
     return _sentence(text)
@@ -83,13 +85,13 @@ def _about_cause(cause: Mapping[str, Any]) -> Iterator[str]:
     effect = CATALOGUE[cause["effect"]]
     closed = f" On motion that it was not fitted to: {closes(cause)}." if closes(cause) else ""
     together = " for it and what cannot be told from it" if cause["equivalent_to"] else ""
-    opening = f"{place(cause)}, {name(effect.name)}: {IN_WORDS[effect.name]}. "
+    opening = f"{place(cause)}, {name(effect.name)}: {effect.phrase}. "
     yield f"{_sentence(opening)}Probability {cause['probability']:.2f}{together}.{closed}"
     yield f"Look at: {effect.look_at}."
     yield f"It shows as: {effect.signature}."
     if cause["equivalent_to"]:
         others = "; ".join(
-            f"{name(other['effect'])} on {place(other)} ({IN_WORDS[other['effect']]})"
+            f"{name(other['effect'])} on {place(other)} ({CATALOGUE[other['effect']].phrase})"
             for other in cause["equivalent_to"]
         )
         yield f"These logs cannot tell it from: {others}."

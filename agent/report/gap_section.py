@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from agent.diagnosis.labels import in_torque, torque_gap
 from agent.report.page import Section, Table
 from agent.robot.torque_figures import SHARE, figure_text
 
-_PATH = "interpolator_mismatch"
 _VERDICTS = {
     "no_gap": "Nothing of practical size beyond what the model's own prediction error allows.",
     "explained": "Explained",
@@ -19,7 +19,7 @@ _VERDICTS = {
 def diagnosis_summary(result: dict[str, Any]) -> str:
     """One sentence from a result of schema diagnosis/1."""
     # the controller's path is a matter of its own: it is in the table, not in the sentence about torque
-    named = [cause for cause in result["causes"] if cause["effect"] != _PATH] or result["causes"]
+    named = [cause for cause in result["causes"] if in_torque(cause)] or result["causes"]
     if not named:
         return _VERDICTS[result["verdict"]]
     causes = " and ".join(_cause(cause) for cause in named)
@@ -45,8 +45,7 @@ def diagnosis_section(result: dict[str, Any]) -> Section:
     gap = result["gap"]
     units = gap.get("units", [SHARE] * len(gap["joints"]))  # earlier versions do not say it
     # where there is no gap in torque, no joint has a share of it
-    somewhere = result["verdict"] != "no_gap" and [cause["effect"] for cause in result["causes"]] != [_PATH]
-    shares = {entry["joint"]: entry["share"] for entry in result["where"] if somewhere}
+    shares = {entry["joint"]: entry["share"] for entry in result["where"] if torque_gap(result)}
     where = [
         (joint, figure_text(before, unit, 3), figure_text(after, unit, 3), _percent(shares.get(joint)))
         for joint, before, after, unit in zip(gap["joints"], gap["before"], gap["after"], units, strict=True)
@@ -59,7 +58,7 @@ def diagnosis_section(result: dict[str, Any]) -> Section:
 
 def _cause(cause: dict[str, Any]) -> str:
     joints = ", ".join(cause["joints"]) or "the whole arm"
-    gap = "the gap between planned and executed path" if cause["effect"] == _PATH else "the gap"
+    gap = "the gap" if in_torque(cause) else "the gap between planned and executed path"
     closure = "" if cause["closure"] is None else f", closing {100 * cause['closure']:.0f} % of {gap}"
     return f"{cause['effect'].replace('_', ' ')} on {joints}{closure}"
 

@@ -3,17 +3,23 @@
 import numpy as np
 
 from agent.model.effects.effect import Effect, on_axle
+from agent.model.effects.experiments import RAMPS_AND_STANDSTILLS
 
 
 class AsymmetricFriction(Effect):
     """τ = a |s| + b |w|, or either term alone; the first is an offset as long as the joint slides."""
 
     name = "asymmetric_friction"
+    family = "friction"
     formula = "a · |s| + b · |w|"
     source = "Armstrong-Hélouvry, Control of Machines with Friction (1991); Janot, Gautier, Brunot, EMPS benchmark"
     signature = "residual of one sign while the joint moves either way, gone at standstill or growing with speed"
     confused_with = ("torque_offset",)
+    phrase = "friction differs between the two directions"
     look_at = "one-sided bearing load, seals, preload of a screw or belt"
+    shapes = ("speed", "position")
+    experiment = RAMPS_AND_STANDSTILLS
+    rivals_special_cases = True
     special_cases = ("torque_offset",)
 
     def settings(self, survey, joints):

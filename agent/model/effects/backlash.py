@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from agent.model.effects.experiments import SLOW_REVERSALS
 from agent.model.effects.two_mass import TwoMass
 
 _GAPS = np.geomspace(2e-4, 1.3e-2, 11)  # rad
@@ -13,11 +14,17 @@ class Backlash(TwoMass):
     """τ_k = −a ṗ, d the motor's lead over a link behind teeth with play (see `two_mass`), a near 1."""
 
     name = "backlash"
+    family = "transmission"
     formula = "−ṗ, p = M_kk ḋ, ṗ + c ḋ + k z(d) = τ_link, z = d beyond ± gap / 2"
     source = "Nordin, Gutman, Automatica 38 (2002)"
     signature = "pulses right after the load torque changes sign, quiet elsewhere"
     confused_with = ("presliding", "joint_elasticity")
+    phrase = "the gear has play"
     look_at = "play of the gear: turn the link by hand with the motor braked"
+    shapes = ("twist",)
+    experiment = SLOW_REVERSALS
+    why_absent = "no torque reversal in these logs"
+    residual_driven = True
     refined = ("gap", "stiffness", "damping")
     special_cases = ("joint_elasticity",)
     grid = tuple((float(frequency), _DAMPING, float(gap)) for frequency in _FREQUENCIES for gap in _GAPS)

@@ -3,18 +3,23 @@
 import numpy as np
 
 from agent.model.effects.effect import Effect
+from agent.model.effects.experiments import WHOLE_RANGE
 
 
 class BaseTilt(Effect):
     """τ = a τ_g(e₁) + b τ_g(e₂): torque of gravity of its full size along two directions across the model's."""
 
     name = "base_tilt"
+    family = "load"
     scope = "base"
     formula = "a · τ(g e₁) + b · τ(g e₂), e₁ ⟂ e₂ ⟂ g"
     source = "Atkeson, An, Hollerbach, Int. J. Robotics Research 5 (1986): the regressor is linear in gravity"
     signature = "residual of standing still on all joints that carry weight, joint 1 too"
     confused_with = ("encoder_offset", "inertial_mismatch", "payload")
+    phrase = "the base does not stand as the model has it"
     look_at = "level of the base, mounting angle in the robot description"
+    experiment = WHOLE_RANGE
+    why_absent = "no gravity in the robot description"
 
     def settings(self, survey, joints):
         return [{}] if np.linalg.norm(survey.reference.robot.gravity) > 0 else []

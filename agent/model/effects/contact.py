@@ -20,12 +20,16 @@ class Contact(Effect):
     """τ = −Jᵀ F over one segment of time in each of some logs, F constant but for its edges: a force on the tip."""
 
     name = "contact"
+    family = "load"
     scope = "arm"
     formula = "−J(q)ᵀ · F · window(t)"
     source = "Haddadin, De Luca, Albu-Schäffer, IEEE Trans. Robotics 33 (2017)"
     signature = "residual in one segment of time that does not come back with the next cycle"
     confused_with = ()
+    phrase = "something pushed the arm for a while"
     look_at = "what the arm touched at that time: a person, a fixture, a caught hose"
+    residual_driven = True
+    complexity_surcharge = 1
     once = True
 
     def settings(self, survey, joints):

@@ -3,6 +3,7 @@
 import numpy as np
 
 from agent.model.effects.effect import Effect
+from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.friction_terms import dahl
 
 _NODES = 6
@@ -17,12 +18,17 @@ class DressPack(Effect):
     """
 
     name = "dress_pack"
+    family = "load"
     formula = "a + b · q + d · z(q), or curve(q) + d · z(q)"
     source = "hose as a spring with inner friction (Dahl, AIAA J. 14, 1976); natural splines (de Boor, 1978)"
     signature = "residual that depends on the joint's own position, without the shape of gravity"
     confused_with = ("gravity_spring", "torque_offset", "friction_change")
     structurally_equivalent = ("gravity_spring",)
+    phrase = "a hose or cable pulls at the joint"
     look_at = "hoses and cables at this joint: stiff, caught or too short"
+    shapes = ("position",)
+    experiment = WHOLE_RANGE
+    complexity_surcharge = 1
     special_cases = ("torque_offset",)
 
     def settings(self, survey, joints):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
+from agent.model.effects.experiments import THREE_LOADS, Experiment
 from agent.model.signals import MotionSignals, NominalModel
 
 if TYPE_CHECKING:
@@ -33,28 +34,50 @@ class FitContext(Protocol):
 
 
 class Effect(ABC):
-    """One effect of the vocabulary.
+    """One effect of the vocabulary: its fitted form, and all that is known about it.
 
-    `scope` is joint, pair, arm or base. `special_cases` are the simpler forms that it turns into at the border of its
-    parameters: it has to do better than they do to be named. `structurally_equivalent` are forms that equal it by
-    definition unless the data tell them apart: where they do as well it is not named with confidence, in the
-    catalogue or not. `practical` is the smallest torque that matters, root mean square over nominal. `once` marks an
-    effect that happens once, so that another log tells nothing about it; `refined` are the nonlinear parameters worth
-    a finer search.
+    `family` is the part of the arm it belongs to: friction, transmission, load, measurement or path. `signature` is how
+    it shows in the residual, `phrase` what it is for somebody who has never read the vocabulary, and `look_at` what to
+    check on the arm. `confused_with` are its usual confusions, and `experiment` the motion that tells it from them.
+
+    `scope` is joint, pair, arm or base. `shows_in` is torque, or path: the set-points alone. One that `moves_arm` is
+    not of the measurement alone. `practical` is the smallest torque that matters, root mean square over nominal.
+
+    `special_cases` are the simpler forms that it turns into at the border of its parameters: it has to do better than
+    they do to be named, unless `rivals_special_cases` says that they are as free and so rivals.
+    `structurally_equivalent` are forms that equal it by definition unless the data tell them apart: where they do as
+    well it is not named with confidence, in the catalogue or not. `shapes` are what its torque is a curve over (speed,
+    position, twist, mass): a second effect with such a shape on the same joint would only imitate a third.
+    `complexity_surcharge` counts as further parameters where the simplest form is taken: one physical change comes
+    before a general refit.
+
+    `once` marks an effect that happens once, so that another log tells nothing about it; `refined` are the nonlinear
+    parameters worth a finer search; `residual_driven` ones are chosen from what is left, so anew in every scan.
+    `why_absent` says why `settings` may be empty.
     """
 
     name: ClassVar[str]
+    family: ClassVar[str]
     scope: ClassVar[str] = "joint"
     formula: ClassVar[str]
     source: ClassVar[str]
     signature: ClassVar[str]
     confused_with: ClassVar[tuple[str, ...]] = ()
     practical: ClassVar[float] = 0.01
+    phrase: ClassVar[str]
     look_at: ClassVar[str]
+    experiment: ClassVar[Experiment] = THREE_LOADS
+    shows_in: ClassVar[str] = "torque"
+    moves_arm: ClassVar[bool] = True
+    shapes: ClassVar[tuple[str, ...]] = ()
     special_cases: ClassVar[tuple[str, ...]] = ()
+    rivals_special_cases: ClassVar[bool] = False
     structurally_equivalent: ClassVar[tuple[str, ...]] = ()
+    complexity_surcharge: ClassVar[int] = 0
     once: ClassVar[bool] = False
     refined: ClassVar[tuple[str, ...]] = ()
+    residual_driven: ClassVar[bool] = False
+    why_absent: ClassVar[str] = ""
 
     def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:
         """Joints (from 0) it may sit on."""
@@ -63,6 +86,10 @@ class Effect(ABC):
     def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         """Nonlinear parameters to try; one empty dictionary where there are none."""
         return [{}]
+
+    def simpler(self, settings: Mapping[str, float], robot: RobotDescription) -> tuple[str, ...]:
+        """Those of its special cases that it has with these nonlinear parameters."""
+        return self.special_cases
 
     def nearby(self, settings: Mapping[str, float], factor: float) -> list[dict[str, float]]:
         """Settings with one of the nonlinear parameters that are worth a finer search a `factor` up or down."""

@@ -3,6 +3,7 @@
 import numpy as np
 
 from agent.model.effects.effect import Effect
+from agent.model.effects.experiments import WHOLE_RANGE
 
 _STEP = 1e-4  # rad
 
@@ -11,11 +12,14 @@ class EncoderOffset(Effect):
     """τ = −a ∂τ_bodies / ∂q_k on all joints, by central differences: the joint stands at q_k − a."""
 
     name = "encoder_offset"
+    family = "measurement"
     formula = "−a · ∂τ_bodies / ∂q_k"
     source = "torque expanded in q_k; Khalil, Dombre, Modeling, Identification and Control of Robots (2002)"
     signature = "residual like gravity turned about one joint, on this and the neighbouring joints"
     confused_with = ("inertial_mismatch", "gravity_spring", "base_tilt")
+    phrase = "the zero position of the joint is off"
     look_at = "calibration mark of this joint; a motor, belt or encoder that was changed"
+    experiment = WHOLE_RANGE
 
     def names(self, settings):
         return ("offset",)

@@ -7,11 +7,14 @@ class FrictionChange(Effect):
     """τ = a s + b w, or either term alone."""
 
     name = "friction_change"
+    family = "friction"
     formula = "a · s + b · w"
     source = "Bittencourt, Axelsson, identification of wear in a robot joint, report LiTH-ISY-R-3058 (2013)"
     signature = "residual with the sign of the speed at all speeds, and growing in proportion to it"
     confused_with = ("torque_constant", "thermal_friction", "load_dependent_friction")
+    phrase = "the friction level is not the model's any more"
     look_at = "wear and lubrication of the gear, brake that drags, bearing preload"
+    shapes = ("speed",)
 
     def settings(self, survey, joints):
         return [{"coulomb": 1.0}, {"viscous": 1.0}, {"coulomb": 1.0, "viscous": 1.0}]

@@ -3,18 +3,24 @@
 import numpy as np
 
 from agent.model.effects.effect import Effect
+from agent.model.effects.experiments import WHOLE_RANGE
 
 
 class GravitySpring(Effect):
     """τ = a cos q + b sin q, or with the second harmonic, which a spring between two pivots has as well."""
 
     name = "gravity_spring"
+    family = "load"
     formula = "Σ a_h · cos(h q) + b_h · sin(h q), h = 1 or 1, 2"
     source = "two pivots and a spring: Klimchik, Wu, Caro, Dumas, Furet, Pashkevich, arXiv:1311.6674 (2013)"
     signature = "residual that is a smooth function of the joint's own angle, like a pendulum's"
     confused_with = ("dress_pack", "inertial_mismatch", "torque_offset")
     structurally_equivalent = ("dress_pack",)
+    phrase = "a balancer or spring pulls differently"
     look_at = "balancer: spring, gas pressure of the cylinder, its pivots"
+    shapes = ("position",)
+    experiment = WHOLE_RANGE
+    why_absent = "a prismatic joint"
     special_cases = ("torque_offset",)
 
     def settings(self, survey, joints):

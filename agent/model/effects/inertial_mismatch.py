@@ -3,6 +3,7 @@
 import numpy as np
 
 from agent.model.effects.effect import Effect
+from agent.model.effects.experiments import POSTURES
 
 _NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 
@@ -11,17 +12,26 @@ class InertialMismatch(Effect):
     """τ = Y_k a: ten parameters of one link, or those of all links, each within its prior deviation."""
 
     name = "inertial_mismatch"
+    family = "load"
     scope = "arm"
     formula = "Y_k · Δπ_k"
     source = "Atkeson, An, Hollerbach, Int. J. Robotics Research 5 (1986)"
     signature = "residual of weight and inertia on the joints from the base up to one link"
     confused_with = ("payload", "gravity_spring", "encoder_offset", "torque_constant")
     structurally_equivalent = ("encoder_offset", "payload", "base_tilt", "gravity_spring")
+    phrase = "a link weighs otherwise than in the model"
     look_at = "what was bolted to or taken off this link; link data of the robot description"
+    shapes = ("mass",)
+    experiment = POSTURES
+    complexity_surcharge = 8
     special_cases = ("payload",)
 
     def settings(self, survey, joints):
         return [{"link": float(k + 1)} for k in range(survey.reference.robot.dof)]
+
+    def simpler(self, settings, robot):
+        """A payload is a mismatch of the last link."""
+        return self.special_cases if settings.get("link") == robot.dof else ()
 
     def names(self, settings):
         return tuple(f"{name}{int(settings['link'])}" for name in _NAMES)

@@ -7,11 +7,14 @@ class InterpolatorMismatch(Effect):
     """Set-points r(t) against planned ones p(t): r(t) ≈ p(a t + b), see `agent.diagnosis.motion_gap`."""
 
     name = "interpolator_mismatch"
+    family = "path"
     scope = "arm"
     formula = "r(t) − p(t)"
     source = "Villagrossi, Pedrocchi, Vicentini, Molinari Tosatti, AIM (2013): the interpolator decides the motion"
     signature = "torque at its floor, set-points away from the plan"
+    phrase = "the controller runs another path than was planned"
     look_at = "override, fly settings and acceleration ramps of the controller against those planned with"
+    shows_in = "path"
 
     def places(self, robot):
         return []

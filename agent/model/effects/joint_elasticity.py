@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from agent.model.effects.experiments import SHARP_REVERSALS
 from agent.model.effects.two_mass import TwoMass
 
 _FREQUENCIES = np.geomspace(3.0, 36.0, 34)  # Hz
@@ -12,11 +13,16 @@ class JointElasticity(TwoMass):
     """τ_k = −a ṗ, d the motor's lead over the link (see `two_mass`), a near 1: all joints feel the link."""
 
     name = "joint_elasticity"
+    family = "transmission"
     formula = "−ṗ, p = M_kk ḋ, ṗ + c ḋ + k d = τ_link"
     source = "Spong, J. Dynamic Systems, Measurement and Control 109 (1987)"
     signature = "ringing after fast load changes, at one frequency that falls with the inertia carried"
     confused_with = ("time_delay", "backlash", "inertial_mismatch")
+    phrase = "the gear gives way like a spring"
     look_at = "gear, belt and coupling of this joint: cracked, loose or undersized"
+    shapes = ("twist",)
+    experiment = SHARP_REVERSALS
+    residual_driven = True
     refined = ("stiffness", "damping")
     grid = tuple((float(frequency), damping, 0.0) for frequency in _FREQUENCIES for damping in _DAMPING)
     few = grid[1::14]

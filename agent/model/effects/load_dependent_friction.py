@@ -9,11 +9,14 @@ class LoadDependentFriction(Effect):
     """τ = a s |τ_load|."""
 
     name = "load_dependent_friction"
+    family = "friction"
     formula = "a · s · |τ_load|"
     source = "Bittencourt, Wernholt, Sander-Tavallaey, Brogårdh, IROS (2010)"
     signature = "residual with the sign of the speed, larger where the arm reaches out or accelerates"
     confused_with = ("friction_change", "torque_constant")
+    phrase = "friction grows with the load on the gear"
     look_at = "gear efficiency: tooth or wave-generator wear, overload"
+    shapes = ("speed",)
     special_cases = ("friction_change",)
 
     def names(self, settings):

@@ -3,6 +3,7 @@
 import numpy as np
 
 from agent.model.effects.effect import Effect
+from agent.model.effects.experiments import POSTURES
 
 _ROUNDS = 6
 _BALL = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
@@ -16,12 +17,17 @@ class Payload(Effect):
     """
 
     name = "payload"
+    family = "load"
     scope = "arm"
     formula = "Y_n · (m, m c, I(m, c)), a ball on the last link"
     source = "Atkeson, An, Hollerbach, Int. J. Robotics Research 5 (1986): loads"
     signature = "residual of weight and inertia on all joints, as of a mass at the flange"
     confused_with = ("inertial_mismatch", "base_tilt")
+    phrase = "there is a mass at the flange that the model does not have"
     look_at = "what hangs on the flange: tool, part, mass entered in the controller"
+    shapes = ("mass",)
+    experiment = POSTURES
+    residual_driven = True
 
     def settings(self, survey, joints):
         start: dict[str, float] = {}

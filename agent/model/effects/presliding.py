@@ -1,6 +1,7 @@
 """Friction that follows the position after a reversal before the contact slides."""
 
 from agent.model.effects.effect import Effect, on_axle, travelled
+from agent.model.effects.experiments import SLOW_REVERSALS
 from agent.model.friction_terms import Reversal
 
 
@@ -8,11 +9,15 @@ class Presliding(Effect):
     """τ = a (z − s): z is Dahl's state, dz = (1 − z sign(dx)) dx / travel, s the direction the model slides with."""
 
     name = "presliding"
+    family = "friction"
     formula = "a · (z(x) − s), dz = (1 − z · sign(dx)) dx / travel"
     source = "Dahl, AIAA J. 14 (1976); Swevers, Al-Bender, Ganseman, Prajogo, IEEE TAC 45 (2000)"
     signature = "residual right after reversals, fading with the distance travelled, whatever the speed"
     confused_with = ("stribeck", "backlash")
+    phrase = "friction builds up over a travel after each reversal"
     look_at = "gear wind-up and preloaded bearings; flexspline and seals that give way before they slide"
+    shapes = ("speed",)
+    experiment = SLOW_REVERSALS
     refined = ("travel",)
     special_cases = ("friction_change",)
 

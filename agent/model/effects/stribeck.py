@@ -3,6 +3,7 @@
 import numpy as np
 
 from agent.model.effects.effect import Effect, highest_speed, on_axle
+from agent.model.effects.experiments import SLOW_REVERSALS
 
 # Of the highest speed. Below it is how the friction reverses, in which a model and a machine differ without any effect.
 _SPEEDS = (0.02, 0.035, 0.06, 0.1, 0.17, 0.28)
@@ -12,11 +13,15 @@ class Stribeck(Effect):
     """τ = a s exp(−(|w| / v)^δ): v the speed over which it fades, δ 1 or 2."""
 
     name = "stribeck"
+    family = "friction"
     formula = "a · s · exp(−(|w| / v)^δ)"
     source = "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994)"
     signature = "residual with the sign of the speed, at low speed only"
     confused_with = ("friction_change", "presliding", "viscous_nonlinearity")
+    phrase = "friction rises as the joint slows down"
     look_at = "lubrication and seals of the gear: starved or cold grease lets friction rise at low speed"
+    shapes = ("speed",)
+    experiment = SLOW_REVERSALS
     refined = ("speed",)
     special_cases = ("friction_change",)
 

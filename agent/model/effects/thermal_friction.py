@@ -3,6 +3,7 @@
 import numpy as np
 
 from agent.model.effects.effect import Effect, on_axle
+from agent.model.effects.experiments import FROM_COLD
 
 _LONGEST_SESSION = 12 * 3600.0  # s
 
@@ -11,11 +12,16 @@ class ThermalFriction(Effect):
     """τ = (a + b exp(−t / T)) s + (c + d exp(−t / T)) w, t from the start of each log, or of the first of a session."""
 
     name = "thermal_friction"
+    family = "friction"
     formula = "(a + b · exp(−t / T)) · s + (c + d · exp(−t / T)) · w"
     source = "Bittencourt, Wernholt, Sander-Tavallaey, Brogårdh, IROS (2010)"
     signature = "residual with the sign of the speed that changes from cycle to cycle"
     confused_with = ("friction_change", "torque_constant")
+    phrase = "friction drifts as the drive warms up"
     look_at = "temperature of gear and motor: let the arm warm up, or compare a cold and a warm run"
+    shapes = ("speed",)
+    experiment = FROM_COLD
+    complexity_surcharge = 1
     refined = ("time_constant",)
     special_cases = ("friction_change",)
 

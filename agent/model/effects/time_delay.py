@@ -3,6 +3,7 @@
 import numpy as np
 
 from agent.model.effects.effect import Effect
+from agent.model.effects.experiments import SHARP_REVERSALS
 
 _TRIED = (-0.02, -0.012, -0.007, -0.004, -0.002, -0.001, 0.001, 0.002, 0.004, 0.007, 0.012, 0.02)
 
@@ -11,12 +12,17 @@ class TimeDelay(Effect):
     """τ = a (τ_model(t − d) − τ_model(t)), a near 1: the whole predicted torque is shifted."""
 
     name = "time_delay"
+    family = "measurement"
     scope = "arm"
     formula = "τ(t − d) − τ(t)"
     source = "by definition: the torque channel shifted against the position channel"
     signature = "residual on all joints wherever torque changes fast"
     confused_with = ("joint_elasticity",)
+    phrase = "torque and position are not recorded at the same time"
     look_at = "time stamps and filters of the torque and position channels"
+    experiment = SHARP_REVERSALS
+    residual_driven = True
+    moves_arm = False
 
     def settings(self, survey, joints):
         tried = [{"delay": delay} for delay in _TRIED]

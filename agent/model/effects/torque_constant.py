@@ -7,11 +7,15 @@ class TorqueConstant(Effect):
     """τ = a τ_model of the axle: bodies, rotor and friction alike."""
 
     name = "torque_constant"
+    family = "measurement"
     formula = "a · τ_axle"
     source = "Gautier, Briot, J. Dynamic Systems, Measurement and Control 136 (2014)"
     signature = "residual in proportion to the whole torque of the joint, and of no other joint"
     confused_with = ("friction_change", "inertial_mismatch")
+    phrase = "the measured torque is scaled wrongly"
     look_at = "torque constant and current scaling of this drive; demagnetised or replaced motor"
+    shapes = ("speed",)
+    moves_arm = False
 
     def names(self, settings):
         return ("scale_error",)

@@ -3,18 +3,24 @@
 import numpy as np
 
 from agent.model.effects.effect import Effect, on_axle
+from agent.model.effects.experiments import RAMPS_AND_STANDSTILLS
 
 
 class TorqueOffset(Effect):
     """τ = a."""
 
     name = "torque_offset"
+    family = "measurement"
     formula = "a"
     source = "by definition: a constant added to the torque channel"
     signature = "constant residual"
     confused_with = ("asymmetric_friction", "gravity_spring", "dress_pack")
     structurally_equivalent = ("asymmetric_friction",)
+    phrase = "the measured torque is shifted by a constant"
     look_at = "zero of the current sensor of this drive; a constant force such as a hose or a balancer"
+    shapes = ("position",)
+    experiment = RAMPS_AND_STANDSTILLS
+    moves_arm = False
 
     def names(self, settings):
         return ("offset",)

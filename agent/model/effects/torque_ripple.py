@@ -13,11 +13,15 @@ class TorqueRipple(Effect):
     """τ = a cos(ν x) + b sin(ν x), with or without the second harmonic, x the axle's angle, ν periods a turn of it."""
 
     name = "torque_ripple"
+    family = "transmission"
     formula = "Σ a_h · cos(h ν x) + b_h · sin(h ν x), h = 1 or 1, 2"
     source = "Hung, Ding, IEE Proc. B 140 (1993)"
     signature = "a line in the residual over the angle of motor or gear, whatever the speed"
     confused_with = ()
+    phrase = "the torque ripples with the angle of motor or gear"
     look_at = "motor orders: cogging, current sensor offsets; gear orders: damaged teeth, wave generator"
+    why_absent = "the joint turns too little to see a period"
+    residual_driven = True
 
     def settings(self, survey, joints):
         """Highest peaks of the residual's spectrum over the angle, by sums in narrow bins and one transform."""

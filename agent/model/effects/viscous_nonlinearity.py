@@ -9,11 +9,14 @@ class ViscousNonlinearity(Effect):
     """τ = a f(w) + b w with f(w) = v asinh(w / v) (shear thinning, Eyring), w |w| or w³."""
 
     name = "viscous_nonlinearity"
+    family = "friction"
     formula = "a · v · asinh(w / v) + b · w, or a · |w|^(p−1) w + b · w"
     source = "Waiboer, Aarts, Jonker, ECCOMAS (2005); Eyring, J. Chem. Phys. 4 (1936)"
     signature = "residual with the sign of the speed, bent at high speed"
     confused_with = ("friction_change", "stribeck")
+    phrase = "the speed-dependent part of friction bends"
     look_at = "grease: viscosity, fill level, churning at high speed"
+    shapes = ("speed",)
     special_cases = ("friction_change",)
 
     def settings(self, survey, joints):

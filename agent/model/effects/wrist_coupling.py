@@ -22,11 +22,13 @@ class WristCoupling(Effect):
     """
 
     name = "wrist_coupling"
+    family = "transmission"
     scope = "pair"
     formula = "τ = C'ᵀ f(C' q̇) − Cᵀ f(C q̇), C' is C with r more in row j, column i"
     source = "power is kept, so torques go by the transpose: Khalil, Dombre (2002), coupled transmissions"
     signature = "residual on two wrist axes, each with the speed and acceleration of the other"
     confused_with = ("friction_change",)
+    phrase = "one motor turns along with another axis"
     look_at = "motor_coupling in the robot description; coupling compensation of the controller"
     special_cases = ("friction_change",)
     refined = ("ratio",)

@@ -1,0 +1,32 @@
+"""Motions that tell effects apart. Each effect names the one that suits it best; of two the lower `order` is run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, order=True)
+class Experiment:
+    """A motion in words; `order` says which comes first where two effects name different ones."""
+
+    order: int
+    motion: str
+
+
+RAMPS_AND_STANDSTILLS = Experiment(
+    10, "single-joint ramps at several constant speeds both ways, with standstills of 2 s in between"
+)
+SLOW_REVERSALS = Experiment(
+    20, "slow reversals of growing travel on this joint, then constant speeds from 1 to 20 % of the highest"
+)
+WHOLE_RANGE = Experiment(
+    30, "slow motion of this joint over its whole range, with the joints above it in two different postures"
+)
+FROM_COLD = Experiment(40, "the same cycle repeated from cold for 20 minutes")
+POSTURES = Experiment(
+    50, "standstills in ten postures with the wrist turned, then fast wrist motions, without and with the tool"
+)
+SHARP_REVERSALS = Experiment(60, "short sharp reversals of this joint with the arm stretched and folded")
+THREE_LOADS = Experiment(
+    70, "constant speeds both ways on this joint at three loads (arm stretched, half, folded)"
+)  # what tells most pairs apart

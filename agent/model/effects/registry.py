@@ -1,0 +1,72 @@
+"""Effects by name: the built-in ones, and what others install under the entry point group below.
+
+An entry point is an `Effect`, as a class or an object, with the name of its entry. One that cannot be loaded, or that
+takes a name that is taken, is reported and left out. `docs/how-to-effect.md` shows one.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cached_property
+from importlib.metadata import EntryPoint, entry_points
+
+from agent.model.effects.effect import Effect
+
+GROUP = "calibration_agent.effects"
+
+_DESCRIBED_BY = ("name", "family", "formula", "source", "signature", "phrase", "look_at")
+_log = logging.getLogger(__name__)
+
+
+class Catalogue(Mapping[str, Effect]):
+    """Effects by name: the built-in ones in the order of the vocabulary, then those installed, by name."""
+
+    def __init__(self, built_in: Iterable[Effect]):
+        self._built_in = {effect.name: effect for effect in built_in}
+
+    @property
+    def built_in(self) -> tuple[Effect, ...]:
+        """Those that need no installation."""
+        return tuple(self._built_in.values())
+
+    def __getitem__(self, name: str) -> Effect:
+        return self._all[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all)
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def reload(self) -> None:
+        """Look again for what is installed; without it that happens once, at the first question."""
+        self.__dict__.pop("_all", None)
+
+    @cached_property
+    def _all(self) -> dict[str, Effect]:
+        found = dict(self._built_in)
+        for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+            if point.name in found:
+                _log.warning("effect %r (%s) is left out: the name is taken", point.name, point.value)
+            elif (effect := _load(point)) is not None:
+                found[point.name] = effect
+        return found
+
+
+def _load(point: EntryPoint) -> Effect | None:
+    try:
+        kind = point.load()
+        effect = kind() if isinstance(kind, type) else kind
+    except Exception as error:  # whatever a stranger's module does when it is imported
+        _log.warning("effect %r (%s) cannot be loaded and is left out: %s", point.name, point.value, error)
+        return None
+    if not isinstance(effect, Effect):
+        _log.warning("effect %r (%s) is left out: it is no agent.model.effects.Effect", point.name, point.value)
+        return None
+    missing = [what for what in _DESCRIBED_BY if not getattr(effect, what, "")]
+    if missing or effect.name != point.name:
+        why = f"it lacks {', '.join(missing)}" if missing else f"it calls itself {effect.name!r}"
+        _log.warning("effect %r (%s) is left out: %s", point.name, point.value, why)
+        return None
+    return effect

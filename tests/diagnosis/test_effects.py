@@ -1,0 +1,106 @@
+"""An effect is one class in one file: nothing else knows its name, and others can install more."""
+
+from __future__ import annotations
+
+import logging
+import re
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import agent.diagnosis
+import agent.report
+from agent.diagnosis import CATALOGUE, check_effects, diagnose, extended_model
+from agent.estimation import IdentifiedModel, estimate
+from agent.model.effects import GROUP
+from agent.report.diagnosis_page import diagnosis_report
+from agent.validation import validate
+from fake_controller.plant import Plant
+from tests.diagnosis.test_small_arms import make_arm, record
+
+ROOT = Path(__file__).resolve().parents[2]
+FAMILIES = {"friction", "transmission", "load", "measurement", "path"}
+#: What the documentation shows: an effect that pulls a joint to an angle, with a grid of angles and one width.
+HOW_TO = (ROOT / "docs/how-to-effect.md").read_text(encoding="utf-8")
+SOURCE = textwrap.dedent(HOW_TO.split("```python\n")[1].split("```")[0])
+
+
+@pytest.fixture
+def plug_in(tmp_path, monkeypatch):
+    """`plug_in(name, source)` installs a distribution with one effect of that name."""
+
+    def install(name: str, source: str) -> None:
+        (tmp_path / f"effect_{name}.py").write_text(source, encoding="utf-8")
+        info = tmp_path / f"effect_{name}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: effect-{name}\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[{GROUP}]\n{name} = effect_{name}:Magnet\n")
+        monkeypatch.syspath_prepend(str(tmp_path))
+        CATALOGUE.reload()
+
+    yield install
+    monkeypatch.undo()
+    CATALOGUE.reload()
+
+
+def test_no_name_of_an_effect_is_left_in_the_procedure_and_its_pages():
+    folder = Path(agent.diagnosis.__file__).parent
+    pages = Path(agent.report.__file__).parent
+    named = re.compile("|".join(rf"""["']{name}["']""" for name in CATALOGUE))
+    found = {
+        path.name: named.findall(path.read_text(encoding="utf-8"))
+        for path in [*folder.glob("*.py"), *pages.glob("*.py")]
+    }
+    assert {name: hits for name, hits in found.items() if hits} == {}
+
+
+def test_every_effect_says_what_it_is():
+    for effect in CATALOGUE.values():
+        assert effect.family in FAMILIES
+        assert effect.shows_in == ("path" if effect.family == "path" else "torque")
+        assert all((effect.phrase, effect.experiment.motion, effect.practical > 0))
+    assert len({effect.phrase for effect in CATALOGUE.values()}) == len(CATALOGUE)
+
+
+def test_an_installed_effect_is_found_told_of_and_kept_in_the_model(plug_in, tmp_path):
+    plug_in("magnet", SOURCE)
+    check_effects(["magnet"])
+    robot = make_arm("RR")
+
+    def logs(pull: float) -> list:
+        made = []
+        for seed in (21, 22) if pull else (11, 12):
+            log = record(Plant(robot, seed=3), f"motion_{seed}", seed)
+            away = log.position[:, 1] - 0.25
+            log.effort[:, 1] += pull * away * np.exp(-((away / 0.1) ** 2))
+            made.append(log)
+        return made
+
+    found = diagnose(robot, logs(400.0), estimate(robot, logs(0.0)))
+    cause = found.result["causes"][0]
+    assert (cause["effect"], cause["joints"]) == ("magnet", ["joint_2"])
+    assert cause["parameters"]["strength"] == pytest.approx(400.0, rel=0.1)
+    assert "a magnet pulls the joint" in diagnosis_report(found)
+    extended_model(found).save(tmp_path / "model.json")
+    better = validate(IdentifiedModel.load(tmp_path / "model.json"), logs(400.0))["overall"]
+    assert max(better["rmse"]) < 0.5 * max(validate(found.dataset.model, logs(400.0))["overall"]["rmse"])
+
+
+@pytest.mark.parametrize(
+    ("name", "source", "told"),
+    [
+        ("broken", "raise RuntimeError('no such file')", "no such file"),
+        ("payload", SOURCE.replace("magnet", "payload"), "the name is taken"),
+        ("mute", SOURCE.replace('phrase = "a magnet pulls the joint"', ""), "lacks phrase"),
+        ("other", SOURCE, "calls itself 'magnet'"),
+        ("none", "class Magnet: pass", "is no agent.model.effects.Effect"),
+    ],
+)
+def test_an_effect_that_is_none_is_told_of_and_left_out(plug_in, caplog, name, source, told):
+    usual = list(CATALOGUE)
+    with caplog.at_level(logging.WARNING):
+        plug_in(name, source.replace('"magnet"', f'"{name}"') if name == "mute" else source)
+        assert list(CATALOGUE) == usual
+    assert told in caplog.text
