@@ -10,6 +10,7 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.diagnosis.fit import Fit, Fold
+from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.standstill import STANDING
 from agent.estimation.estimate import EstimationSettings, estimate
 from agent.estimation.filtering import FilterSettings
@@ -20,17 +21,7 @@ from agent.model.signals import MotionSignals, NominalModel
 from agent.recording.log import Log
 from agent.robot import RobotDescription
 
-#: Segments of a motion [s] that are drawn as one wherever chance is asked.
-BLOCK = 1.0
-
-_PARITY = 0.1  # s
-_GUARD = 0.2  # s
-_BLOCKS = 5
-_SHORTEST = 3.0  # s of a log alone
-_STICTION = 0.58  # of the Coulomb level: torque anywhere below it, root mean square
-_NEAR_STANDSTILL = 0.05  # s
-_USUAL_ERROR = 0.04
-_LEAST_BACKGROUND = 0.002  # of nominal
+_BLOCKS = 5  # of one log without cycles
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +43,15 @@ class Dataset:
     logs: tuple[Log, ...]
     rate: float
     cutoff: float
+    limits: DecisionLimits = LIMITS
 
 
 def assemble(
-    robot: RobotDescription, model: IdentifiedModel | None, logs: Sequence[Log], cutoff: float | None
+    robot: RobotDescription,
+    model: IdentifiedModel | None,
+    logs: Sequence[Log],
+    cutoff: float | None,
+    limits: DecisionLimits = LIMITS,
 ) -> Dataset:
     """Residuals of a model, given or fitted, on logs.
 
@@ -75,9 +71,9 @@ def assemble(
     observation = observe(model.rigid, logs, settings)
     n = robot.dof
     scale = reference.scale
-    background = np.maximum(_moving_error(model), _LEAST_BACKGROUND * scale)
+    background = np.maximum(_moving_error(model), limits.least_background * scale)
     if not given:
-        background = _expected_error(robot, observation)
+        background = _expected_error(robot, observation, limits.unknown_error)
     signals: list[MotionSignals] = []
     rows: list[list[np.ndarray]] = [[] for _ in range(n)]
     index: list[np.ndarray] = []
@@ -92,30 +88,41 @@ def assemble(
             left = segment.torque[:, joint] - columns @ model.values[places] - extra[:, joint]
             rows[joint].append(np.column_stack([columns, left]))
     speed = np.concatenate([s.qd[s.kept] for s in signals])
-    sigma = _background(reference, background, speed, signals)
+    sigma = _background(reference, background, speed, signals, limits)
     joined = [np.concatenate(parts) / sigma[:, joint, None] for joint, parts in enumerate(rows)]
     time = np.concatenate([s.time[s.kept] for s in signals])
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
     residual = np.stack([block[:, -1] for block in joined], axis=1) * sigma
-    cell, folds, single = _folds(time, log, logs)
+    cell, folds, single = _folds(time, log, logs, limits)
     if given:
         precision, shift = _stored_precision(model), np.zeros(len(model.values))
     else:
         prior = physical_prior(observation, model.terms, model.provenance["link_prior"])
         precision, shift = prior.precision, prior.precision @ (prior.mean - model.values)
-    block = _stretches(time, log, logs)
+    block = _segments(time, log, logs, limits.block)
     fit = Fit(reference, signals, joined, index, sigma, precision, shift, cell, block, folds, single)
     rate = 1 / float(np.median(np.diff(time)))
     return Dataset(
-        robot, model, given, fit, residual, speed, time, log, tuple(logs), rate, observation.segments[0].motion.cutoff
+        robot,
+        model,
+        given,
+        fit,
+        residual,
+        speed,
+        time,
+        log,
+        tuple(logs),
+        rate,
+        observation.segments[0].motion.cutoff,
+        limits,
     )
 
 
-def _expected_error(robot: RobotDescription, observation: Observation) -> np.ndarray:
-    """(n,) [N·m] what a model of these logs usually leaves, where no other logs tell: 4 % of the torque."""
+def _expected_error(robot: RobotDescription, observation: Observation, share: float) -> np.ndarray:
+    """(n,) [N·m] what a model of these logs usually leaves, where no other logs tell: a share of the torque."""
     torque = np.concatenate([segment.torque for segment in observation.segments])
-    usual = _USUAL_ERROR * np.std(torque, axis=0)
-    least = np.where(np.isfinite(robot.nominal_torque), 0.5 * _USUAL_ERROR / 4 * robot.nominal_torque, 0.0)
+    usual = share * np.std(torque, axis=0)
+    least = np.where(np.isfinite(robot.nominal_torque), share / 8 * robot.nominal_torque, 0.0)
     return np.maximum(np.maximum(usual, least), 1e-9)
 
 
@@ -128,7 +135,11 @@ def _moving_error(model: IdentifiedModel) -> np.ndarray:
 
 
 def _background(
-    reference: NominalModel, moving: np.ndarray, speed: np.ndarray, signals: Sequence[MotionSignals]
+    reference: NominalModel,
+    moving: np.ndarray,
+    speed: np.ndarray,
+    signals: Sequence[MotionSignals],
+    limits: DecisionLimits,
 ) -> np.ndarray:
     """(S', n) [N·m] what the model itself gets wrong: its held-out error (n,), more within 0.1 s of standing still.
 
@@ -140,11 +151,11 @@ def _background(
     for k, term in enumerate(model.terms):
         if term.form == "coulomb":
             level[term.axle] = abs(model.values[count + k])
-    still = np.maximum(_STICTION * level @ np.abs(reference.coupling), 2 * moving)
+    still = np.maximum(limits.stiction * level @ np.abs(reference.coupling), 2 * moving)
     fastest = np.abs(speed).max(axis=0)
     standing = np.abs(speed) <= STANDING * fastest
     rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
-    reach = int(_NEAR_STANDSTILL * rate)
+    reach = int(limits.near_rest * rate)
     near = standing.copy()
     for shift in range(1, reach + 1):
         near[shift:] |= standing[:-shift]
@@ -194,14 +205,16 @@ def plain_model(robot: RobotDescription, logs: Sequence[Log], cutoff: float | No
     )
 
 
-def _folds(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np.ndarray, list[Fold], list[Fold]]:
+def _folds(
+    time: np.ndarray, log: np.ndarray, logs: Sequence[Log], limits: DecisionLimits
+) -> tuple[np.ndarray, list[Fold], list[Fold]]:
     """Cells of rows, folds that leave out a motion, and folds that leave out every other segment of a motion too."""
-    parity = (time / _PARITY).astype(int) % 2
+    parity = (time / limits.parity).astype(int) % 2
     if len(logs) > 1:
         group = log.copy()
         names = [entry.name for entry in logs]
     else:
-        group, names = _blocks(time, logs[0])
+        group, names = _blocks(time, logs[0], limits)
     cell = np.where(group >= 0, 2 * group + parity, -1)
     count = 2 * (int(group.max()) + 1)
     of_cell = np.arange(count) // 2
@@ -215,8 +228,8 @@ def _folds(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np.n
     return cell, folds, single
 
 
-def _stretches(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> np.ndarray:
-    """(S',) segment of BLOCK seconds that a row lies in, counted over all logs, the same in every cycle of one."""
+def _segments(time: np.ndarray, log: np.ndarray, logs: Sequence[Log], lasting: float) -> np.ndarray:
+    """(S',) segment of `lasting` seconds that a row lies in, counted over all logs, the same in every cycle of one."""
     found = np.zeros(len(time), dtype=int)
     for number, entry in enumerate(logs):
         here = log == number
@@ -224,19 +237,19 @@ def _stretches(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> np.nda
         since = time[here]
         if len(starts) > 1:
             since = since - starts[np.maximum(np.searchsorted(starts, since, side="right") - 1, 0)]
-        segment = np.maximum(since // BLOCK, -1).astype(int) + 1
+        segment = np.maximum(since // lasting, -1).astype(int) + 1
         found[here] = segment + (found.max() + 1 if number else 0)
     return np.unique(found, return_inverse=True)[1]
 
 
-def _blocks(time: np.ndarray, log: Log) -> tuple[np.ndarray, list[str]]:
+def _blocks(time: np.ndarray, log: Log, limits: DecisionLimits) -> tuple[np.ndarray, list[str]]:
     """One log: its cycles where it has three or more, else five blocks; rows near a border are in none."""
     starts = np.asarray(log.cycle_starts, dtype=float)
     first, last = float(time[0]), float(time[-1])
-    if last - first < _SHORTEST:
+    if last - first < limits.shortest:
         raise InputError(
             f"{log.path}: {last - first:.1f} s are left of the only log once it is filtered; parts of it are held out "
-            f"from each other, which takes {_SHORTEST:g} s: record longer, or give a second log"
+            f"from each other, which takes {limits.shortest:g} s: record longer, or give a second log"
         )
     inside = starts[(starts > first) & (starts < last)]
     if len(inside) >= 2:
@@ -244,7 +257,7 @@ def _blocks(time: np.ndarray, log: Log) -> tuple[np.ndarray, list[str]]:
     else:
         borders = np.linspace(first, last, _BLOCKS + 1)[1:-1]
     group = np.searchsorted(borders, time, side="right")
-    near = np.min(np.abs(time[:, None] - borders[None, :]), axis=1) < _GUARD
+    near = np.min(np.abs(time[:, None] - borders[None, :]), axis=1) < limits.guard
     edges = [first, *borders, last]
     names = [f"{log.name} {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)]
     return np.where(near, -1, group), names

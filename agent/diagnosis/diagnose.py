@@ -8,15 +8,15 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.diagnosis.dataset import assemble
+from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.motion_gap import MotionGap, motion_gap
 from agent.diagnosis.procedure import Search
-from agent.diagnosis.result import Diagnosis, build, judge
+from agent.diagnosis.result import Diagnosis, build
+from agent.diagnosis.verdict import judge
 from agent.model.effects import CATALOGUE
 from agent.model.identified import IdentifiedModel
 from agent.recording.log import Log
 from agent.robot import RobotDescription
-
-_CLIPPED = 0.002  # of the samples at exactly the largest torque
 
 
 def diagnose(
@@ -26,6 +26,7 @@ def diagnose(
     cutoff: float | None = None,
     without: Sequence[str] = (),
     progress: Callable[[str], None] = lambda text: None,
+    limits: DecisionLimits = LIMITS,
 ) -> Diagnosis:
     """Diagnose logs against a model, or against one fitted to them; `progress` is told how far it has come.
 
@@ -37,11 +38,11 @@ def diagnose(
     check_effects(without)
     logs, twice = _distinct(logs)
     progress("filtering, and fitting the model in every fold" if model is None else "filtering")
-    dataset = assemble(robot, model, logs, cutoff)
-    search = Search(dataset.fit, without, dataset.given, progress)
-    finding, gap = judge(dataset, search, search.run())
-    motion = motion_gap(logs)
-    warnings = (*twice, *_warnings(robot, logs, model is not None), *_path_warnings(motion))
+    dataset = assemble(robot, model, logs, cutoff, limits)
+    search = Search(dataset.fit, without, dataset.given, progress, limits)
+    finding, gap = judge(dataset, search.run(), dataset.fit)
+    motion = motion_gap(logs, limits)
+    warnings = (*twice, *_warnings(robot, logs, model is not None, limits), *_path_warnings(motion))
     return build(dataset, finding, gap, search, motion, warnings)
 
 
@@ -80,7 +81,7 @@ def _samples(log: Log) -> tuple[bytes, bytes]:
     return log.position.tobytes(), b"" if log.effort is None else log.effort.tobytes()
 
 
-def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool) -> Iterator[str]:
+def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool, limits: DecisionLimits) -> Iterator[str]:
     """What limits the conclusions."""
     if len(logs) == 1:
         yield "one motion only: parts of it are held out from each other, which another motion would test harder"
@@ -91,11 +92,11 @@ def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool) -> Iter
         largest = np.abs(log.effort).max(axis=0)
         clipped = np.mean(np.abs(log.effort) >= largest * (1 - 1e-9), axis=0)
         for joint, share in enumerate(clipped):
-            if share > _CLIPPED and largest[joint] > 0 and len(np.unique(log.effort[:, joint])) > 50:
+            if share > limits.clipped and largest[joint] > 0 and len(np.unique(log.effort[:, joint])) > 50:
                 yield (
                     f"{log.name}: the torque of {robot.joint_names[joint]} stays at its largest value for "
                     f"{100 * share:.1f} % of the time: it looks clipped, and what happens there is not seen"
                 )
     for joint, name in enumerate(robot.joint_names):
-        if all(np.ptp(log.position[:, joint]) < 1e-4 for log in logs):
+        if all(np.ptp(log.position[:, joint]) <= limits.moves for log in logs):
             yield f"{name} never moves: nothing but its weight can be judged"

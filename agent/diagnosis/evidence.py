@@ -18,42 +18,40 @@ from itertools import pairwise
 import numpy as np
 
 from agent.diagnosis.fit import Candidate, Fit
-
-DRAWS = 199
-FALSE_ALARMS = 0.01
-POWER = 0.8
+from agent.diagnosis.limits import LIMITS, DecisionLimits
 
 
 @dataclass(frozen=True, eq=False)
 class Null:
-    """Gains Σ e² / σ² under drawn signs: `highest` (DRAWS,) of all candidates, `own` (DRAWS,) of each.
+    """Gains Σ e² / σ² under drawn signs: `highest` (draws,) of all candidates, `own` (draws,) of each.
 
-    An effect of `size` practical sizes changes a candidate's gain by cross (DRAWS,) · size + square · size².
+    An effect of `size` practical sizes changes a candidate's gain by cross (draws,) · size + square · size².
     """
 
     highest: np.ndarray
     own: dict[Candidate, np.ndarray]
     cross: dict[Candidate, np.ndarray]
     square: dict[Candidate, float]
+    limits: DecisionLimits = LIMITS
 
     @property
     def threshold(self) -> float:
         """Gain that the search as a whole exceeds in one of a hundred cases where there is nothing."""
-        return float(np.quantile(self.highest, 1 - FALSE_ALARMS))
+        return float(np.quantile(self.highest, 1 - self.limits.false_alarms))
 
     def p_value(self, gain: float) -> float:
-        """Share of draws in which anything anywhere gains as much, at least 1 / (DRAWS + 1)."""
-        return float((1 + np.sum(self.highest >= gain)) / (DRAWS + 1))
+        """Share of draws in which anything anywhere gains as much, at least 1 / (draws + 1)."""
+        return float((1 + np.sum(self.highest >= gain)) / (len(self.highest) + 1))
 
     def minimum_detectable_size(self, candidate: Candidate, threshold: float) -> float:
-        """Size, in practical sizes, from which on POWER of the draws gain more than a threshold."""
+        """Size, in practical sizes, from which on a share `power` of the draws gain more than a threshold."""
         a, b, c = self.square[candidate], self.cross[candidate], self.own[candidate] - threshold
         if a <= 0:
             return float("inf")
-        return float(np.quantile((-b + np.sqrt(np.maximum(b * b - 4 * a * c, 0))) / (2 * a), POWER))
+        return float(np.quantile((-b + np.sqrt(np.maximum(b * b - 4 * a * c, 0))) / (2 * a), self.limits.power))
 
 
-def null_gains(fit: Fit, candidates: Sequence[Candidate]) -> Null:
+def null_gains(fit: Fit, candidates: Sequence[Candidate], limits: DecisionLimits = LIMITS) -> Null:
     """Gains of candidates on the background of a fit without effects; those that happen once are left out.
 
     With X, Z the columns of model and candidate, R = H⁻¹ XᵀZ and Z̃ = Z − X R what the model cannot follow, an error e
@@ -65,7 +63,7 @@ def null_gains(fit: Fit, candidates: Sequence[Candidate]) -> Null:
     spans = dict(zip(wanted, (slice(a, b) for a, b in pairwise(ends)), strict=True))
     unit, fold_of, block_of = _units(fit)
     background = _background(fit)
-    signs = np.random.default_rng(0).choice((-1.0, 1.0), (DRAWS, int(block_of.max()) + 1))[:, block_of]
+    signs = np.random.default_rng(0).choice((-1.0, 1.0), (limits.draws, int(block_of.max()) + 1))[:, block_of]
     model, effects = np.zeros((len(fold_of), fit.size)), np.zeros((len(fold_of), int(ends[-1])))
     for joint, (rows, index) in enumerate(zip(fit.rows, fit.index, strict=True)):
         target = background[:, joint, None]
@@ -74,7 +72,7 @@ def null_gains(fit: Fit, candidates: Sequence[Candidate]) -> Null:
         if here:
             places = np.concatenate([np.arange(ends[-1])[spans[c]] for c in here])
             effects[:, places] += _sums(np.hstack([c.blocks[joint] for c in here]) * target, unit)
-    own, cross = ({c: np.zeros(DRAWS) for c in wanted} for _ in range(2))
+    own, cross = ({c: np.zeros(limits.draws) for c in wanted} for _ in range(2))
     square = dict.fromkeys(wanted, 0.0)
     direction = {c: fit.practical(c) for c in wanted}
     moments = dict(fit.moments(wanted))
@@ -99,7 +97,7 @@ def null_gains(fit: Fit, candidates: Sequence[Candidate]) -> Null:
             own[c] += np.sum(values * (2 * slope - values @ energy), axis=1)
             cross[c] += 2 * slope @ direction[c]
             square[c] += float(direction[c] @ energy @ direction[c])
-    return Null(np.max(np.stack(list(own.values())), axis=0), own, cross, square)
+    return Null(np.max(np.stack(list(own.values())), axis=0), own, cross, square, limits)
 
 
 def _units(fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -134,7 +132,7 @@ def share_intervals(rows: np.ndarray, floor: np.ndarray, block: np.ndarray, conf
     found, unit = np.unique(block[good], return_inverse=True)
     energy = _sums(rows[good] ** 2, unit)
     count = np.bincount(unit)
-    drawn = np.random.default_rng(0).integers(len(found), size=(DRAWS, len(found)))
+    drawn = np.random.default_rng(0).integers(len(found), size=(LIMITS.draws, len(found)))
     excess = np.maximum(energy[drawn].sum(axis=1) / count[drawn].sum(axis=1)[:, None] - floor**2, 0)
     share = excess / np.maximum(excess.sum(axis=1, keepdims=True), 1e-300)
     tail = 0.5 * (1 - confidence)

@@ -8,10 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.diagnosis.fit import Candidate, Fit, Score
-
-_COEFFICIENTS = (-1.0, 0.35, 0.43)
-_MOST_LEAD = 50.0
-_LEAST_OPEN = 0.002
+from agent.diagnosis.limits import LIMITS, DecisionLimits
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,11 +25,11 @@ class Step:
 class Finding:
     """The outcome: the fit with its causes, who equals whom, how much of the excess is closed, and the steps.
 
-    `rivals[k]` are places that the data cannot tell from cause k, `chance[k]` is how often anything gains as much as it
-    where there is nothing (see `evidence`), `lead[k]` how many margins the best place outside its class falls behind.
-    `least` is the gain that a cause has to have, and `by_chance` the one that the whole search exceeds in one of a
-    hundred cases where there is nothing. `runners` are the next best places beside the first cause: they equal it where
-    it turns out to close too little.
+    `rivals[k]` are places that the data cannot tell from cause k, `p_value[k]` is how often anything gains as much as
+    it where there is nothing (see `evidence`), `margin_ratio[k]` how many margins the best place outside its class
+    falls behind. `least` is the gain that a cause has to have, and `by_chance` the one that the whole search exceeds in
+    one of a hundred cases where there is nothing. `runners` are the next best places beside the first cause: they equal
+    it where it turns out to close too little.
     """
 
     verdict: str
@@ -46,6 +43,7 @@ class Finding:
     least: float
     by_chance: float
     runners: tuple[tuple[str, tuple[int, ...]], ...] = ()
+    limits: DecisionLimits = LIMITS
 
     def doubted(self) -> Finding:
         """The same causes, where the first closes so little that the runners-up do as well."""
@@ -67,16 +65,15 @@ class Finding:
     @property
     def probability(self) -> tuple[float, ...]:
         """Of each cause's class."""
-        return tuple(class_probability(margin_ratio, self.closed) for margin_ratio in self.margin_ratio)
+        return tuple(class_probability(margin_ratio, self.closed, self.limits) for margin_ratio in self.margin_ratio)
 
 
-def class_probability(margin_ratio: float, closed: float) -> float:
+def class_probability(margin_ratio: float, closed: float, limits: DecisionLimits = LIMITS) -> float:
     """Of a cause's class, from its margin ratio and the part of the excess closed: a logistic, three coefficients.
 
     They were fitted to runs of another simulation (docs/decisions/diagnosis-probability.md).
     """
-    constant, by_lead, by_closed = _COEFFICIENTS
-    score = (
-        constant + by_lead * np.log1p(min(margin_ratio, _MOST_LEAD)) - by_closed * np.log(max(1 - closed, _LEAST_OPEN))
-    )
+    constant, by_margin, by_closed = limits.probability
+    still_open = max(1 - closed, limits.least_open)
+    score = constant + by_margin * np.log1p(min(margin_ratio, limits.most_margin)) - by_closed * np.log(still_open)
     return float(1 / (1 + np.exp(-score)))

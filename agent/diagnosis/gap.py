@@ -9,11 +9,7 @@ import numpy as np
 
 from agent.diagnosis.dataset import Dataset
 from agent.diagnosis.fit import Fit
-
-LEAST_GAIN = 0.5  # of a small gap on the causes' joints, half of that of a larger one, or they explain too little
-SMALL = 0.01  # of nominal: a gap so small that nothing closes is the model's own
-_NO_CLOSURE = 1.1
-_USUAL = 2.0  # times a model's error on other motions, from where on a joint's error is more than that
+from agent.diagnosis.limits import LIMITS, DecisionLimits
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +30,7 @@ class Gap:
     floor: np.ndarray | None
     gain: float
     largest: float
+    limits: DecisionLimits = LIMITS
 
     @property
     def closure(self) -> float | None:
@@ -47,12 +44,21 @@ class Gap:
     @property
     def hardly_closed(self) -> bool:
         """Whether causes gain where the background is small, and leave the gap of their own joints open."""
-        return self.gain < (LEAST_GAIN if self.largest < SMALL else LEAST_GAIN / 2)
+        return self.gain < self.limits.plain_gain * (1.0 if self.small else 0.5)
+
+    @property
+    def small(self) -> bool:
+        """Whether the gap of the causes' joints is so small that it may be the model's own."""
+        return self.largest < self.limits.small_gap
 
     def _part(self, worse: np.ndarray, better: np.ndarray) -> float | None:
         b = np.mean(self.before**2)
         f = 0.0 if self.floor is None else float(np.mean(self.floor**2))
-        return None if b < _NO_CLOSURE**2 * f or b <= 0 else float((np.mean(worse**2) - np.mean(better**2)) / (b - f))
+        return (
+            None
+            if b < self.limits.no_closure**2 * f or b <= 0
+            else float((np.mean(worse**2) - np.mean(better**2)) / (b - f))
+        )
 
 
 def held_out_gap(dataset: Dataset, fit: Fit) -> Gap:
@@ -64,7 +70,7 @@ def held_out_gap(dataset: Dataset, fit: Fit) -> Gap:
     raw = np.where(np.isnan(left[:, :1]), np.nan, raw)
     before, after = rms(raw) / unit, rms(left) / unit
     gain, largest = _on_own_joints(fit, raw, left)
-    return Gap(raw, left, unit, before, after, _floor(dataset, left, unit, before), gain, largest)
+    return Gap(raw, left, unit, before, after, _floor(dataset, left, unit, before), gain, largest, dataset.limits)
 
 
 def _on_own_joints(fit: Fit, raw: np.ndarray, left: np.ndarray) -> tuple[float, float]:
@@ -109,4 +115,4 @@ def _floor(dataset: Dataset, left: np.ndarray, unit: np.ndarray, before: np.ndar
         return floor
     # what does not repeat, a contact or a torque that wanders, is no floor: a model's error on other motions bounds it
     usual = dataset.model.held_out_rmse / unit
-    return np.where(before > _USUAL * usual, np.minimum(floor, usual), floor)
+    return np.where(before > dataset.limits.usual_error * usual, np.minimum(floor, usual), floor)

@@ -8,10 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.diagnosis.verdict import CLOSES
+from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.recording.log import Log
-
-NOTABLE = 1e-4  # rad, root mean square on the worst joint
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,16 +22,17 @@ class MotionGap:
     rate: float
     shift: float
     blend: float
+    limits: DecisionLimits = LIMITS
 
     @property
     def notable(self) -> bool:
         """Whether there is anything to explain."""
-        return bool(self.before.max() > NOTABLE)
+        return bool(self.before.max() > self.limits.path_gap)
 
     @property
     def described(self) -> bool:
         """Whether there is something to explain, and rate, shift and blend that all motions share explain it."""
-        return self.notable and (self.closure or 0.0) >= CLOSES
+        return self.notable and (self.closure or 0.0) >= self.limits.explained
 
     @property
     def closure(self) -> float | None:
@@ -42,7 +41,7 @@ class MotionGap:
         return float((b - a) / b) if b > 0 else None
 
 
-def motion_gap(logs: Sequence[Log]) -> MotionGap | None:
+def motion_gap(logs: Sequence[Log], limits: DecisionLimits = LIMITS) -> MotionGap | None:
     """The gap over all logs; None where a log lacks planned or executed set-points."""
     pairs = []
     for log in logs:
@@ -53,7 +52,7 @@ def motion_gap(logs: Sequence[Log]) -> MotionGap | None:
             return None
         pairs.append((log.t[good], log.planned_position[good], log.reference_position[good]))
     before = _rms([executed - planned for _, planned, executed in pairs])
-    as_it_is = MotionGap(before, before, _floor(logs, [e - p for _, p, e in pairs]), 1.0, 0.0, 0.0)
+    as_it_is = MotionGap(before, before, _floor(logs, [e - p for _, p, e in pairs]), 1.0, 0.0, 0.0, limits)
     if not as_it_is.notable:
         return as_it_is
     fitted = [_fit(*pair) for pair in pairs]
@@ -63,7 +62,7 @@ def motion_gap(logs: Sequence[Log]) -> MotionGap | None:
         rate, blend = (float(np.median([other[k] for other in others])) for k in (0, 2))
         errors.append(pair[2] - _executed(*pair[:2], rate, fitted[number][1], blend))
     rate, shift, blend = (float(np.median([one[k] for one in fitted])) for k in range(3))
-    found = MotionGap(before, _rms(errors), _floor(logs, errors), rate, shift, blend)
+    found = MotionGap(before, _rms(errors), _floor(logs, errors), rate, shift, blend, limits)
     # other corners and ramps are no change of rate: what one motion teaches then makes another one worse
     return found if np.sum(found.after**2) < np.sum(before**2) else as_it_is
 

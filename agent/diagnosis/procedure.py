@@ -11,27 +11,10 @@ from agent.diagnosis.evidence import Null, null_gains
 from agent.diagnosis.finding import Finding, Step
 from agent.diagnosis.fit import Candidate, Fit, Score
 from agent.diagnosis.isolability import best_by_place, complexity, imitates, plausible, structurally_equivalent
+from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.standstill import at_rest
-from agent.diagnosis.verdict import CLOSES
+from agent.diagnosis.verdict import abstained, named
 from agent.model.effects import CATALOGUE
-
-#: All in units of the background energy of all rows, Σ e² / σ² of a model that is right.
-LEAST_GAIN = 0.02  # an effect must gain as much to be named
-LEAST_SHARE = 0.35  # of what is still unexplained, for every further effect
-FITS = (0.975, 0.98, 0.98)  # of it by one, two, three effects, or the forms are not beyond doubt
-EXCESS = 0.6  # over the background on one joint before something counts as unexplained
-NEAR = 0.04  # of what is explained: of forms this close the simplest is taken, unless the best one fits far better
-NEAR_FLOOR = 0.02
-ALIKE = 0.003  # of what is explained: forms this close cannot be told apart, however well the better one fits
-STANDS_OUT = 0.5  # of its gain must be energy over the background on its joints, log by log
-CLEAR = 2.0  # times the background away from standstill, or a joint's gap may be the model's own
-PRACTICAL = 0.005  # of nominal, root mean square: a smaller effect, or gap over the background in motion, is let be
-MUCH = 0.0075  # of nominal: a gap told of though nothing explains it, or one over the background of all rows
-RUNNER_UP = 0.5  # of a cause's gain, by the next best forms where the cause itself fits doubtfully
-UNFIT = 0.5  # of what a cause leaves, explained by a shape of its own kind
-LEAST_SURE = 0.5  # probability of the first cause's class: what is rather wrong than right is not named
-MOST = 3
-_FIRSTS = 4
 
 
 class Search:
@@ -43,18 +26,19 @@ class Search:
         without: Sequence[str] = (),
         given: bool = True,
         progress: Callable[[str], None] = lambda text: None,
+        limits: DecisionLimits = LIMITS,
     ):
-        self.fit, self.given, self._progress = fit, given, progress
+        self.fit, self.given, self._progress, self.limits = fit, given, progress, limits
         self.allowed = {name for name in CATALOGUE if name not in without}
         self.rows = float(fit.count.sum())
         self.pool: list[Candidate] = []
         self.tried: list[Candidate] = []
         self.null: Null | None = None
-        self.least = LEAST_GAIN * self.rows
+        self.least = self.limits.least_gain * self.rows
         self._scanned: dict[frozenset[Candidate], Step] = {}
         joints = range(fit.reference.robot.dof)
-        self._at_rest = at_rest(fit.signals)
-        self.moves = tuple(any(np.ptp(s.q[:, j]) > 1e-4 for s in fit.signals) for j in joints)
+        self._at_rest = at_rest(fit.signals, limits)
+        self.moves = tuple(any(np.ptp(s.q[:, j]) > limits.moves for s in fit.signals) for j in joints)
 
     def run(self) -> Finding:
         """Search until nothing worth naming is left."""
@@ -62,30 +46,32 @@ class Search:
         before = self.joint_energy(base)
         first = self.scan(base)
         steps = [first]
-        matters = bool(np.any(self._noticed(base, MUCH)))
+        matters = bool(np.any(self._noticed(base, self.limits.unexplained_torque)))
         if not first.eligible and not matters:
-            return self._nothing("no_gap", steps)
+            return self._nothing(abstained(False), steps)
         best: tuple[float, tuple[Candidate, ...]] | None = None
         for start in self._starts(first):
             chosen = self._forward((start,), steps)
             error = base.with_chosen(chosen)
             result = self._total(error)
-            if best is None or best[0] - result > max(NEAR_FLOOR * self.rows, NEAR * (base.error() - best[0])):
+            if best is None or best[0] - result > max(
+                self.limits.near_floor * self.rows, self.limits.near * (base.error() - best[0])
+            ):
                 best = result, chosen
-            if self.closed(before, error) > 0.9 and len(chosen) == 1:
+            if self.closed(before, error) > self.limits.enough and len(chosen) == 1:
                 break
-        abstained = "unknown" if matters else "no_gap"
+        nothing = abstained(matters)
         if best is None:
-            return self._nothing(abstained, steps)
+            return self._nothing(nothing, steps)
         fit = base.with_chosen(self._pruned(best[1]))
         closed = self.closed(before, fit)
-        if closed < CLOSES:
-            return self._nothing(abstained, steps, closed)
+        if closed < self.limits.explained:
+            return self._nothing(nothing, steps, closed)
         finding = self._verdict(fit, closed, steps)
-        return finding if finding.probability[0] > LEAST_SURE else self._nothing(abstained, steps, closed)
+        return finding if finding.probability[0] > self.limits.least_sure else self._nothing(nothing, steps, closed)
 
     def _nothing(self, verdict: str, steps: list[Step], closed: float = 0.0) -> Finding:
-        return Finding(verdict, self.fit, (), (), (), (), closed, tuple(steps), *self._bounds)
+        return Finding(verdict, self.fit, (), (), (), (), closed, tuple(steps), *self._bounds, limits=self.limits)
 
     @property
     def _bounds(self) -> tuple[float, float]:
@@ -97,23 +83,24 @@ class Search:
         single = any(c.effect.once for c in fit.chosen)
         return np.nanmean((fit.out_of_fold(single) / fit.sigma) ** 2, axis=0)
 
-    def _noticed(self, fit: Fit, least: float = PRACTICAL) -> np.ndarray:
-        """(n,) joints whose gap is of a size: `least` over the background in motion, or `MUCH` over it in all rows."""
+    def _noticed(self, fit: Fit, least: float | None = None) -> np.ndarray:
+        """(n,) joints whose gap has a size: `least` over the background in motion, or the reported size in all rows."""
+        least = self.limits.practical_torque if least is None else least
         background = fit.sigma.min(axis=0) / fit.reference.scale  # where the joint moves
         left = fit.out_of_fold() / fit.reference.scale
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # a joint that always rests has no mean
             moving = np.sqrt(np.nanmean(np.where(self._at_rest, np.nan, left) ** 2, axis=0))
-        clear = (moving > CLEAR * background) & (moving**2 > background**2 + least**2)
+        clear = (moving > self.limits.clear_of_background * background) & (moving**2 > background**2 + least**2)
         energy = self.joint_energy(fit)
         over = np.sqrt(np.maximum(energy - 1, 0)) * background
-        return clear | ((energy > 1 + EXCESS) & (over > MUCH))
+        return clear | ((energy > 1 + self.limits.excess_energy) & (over > self.limits.unexplained_torque))
 
     def closed(self, before: np.ndarray, fit: Fit) -> float:
         """How much of the excess over the background is gone; 1 where there was none to speak of."""
         after = self.joint_energy(fit)
         excess = np.sum(np.maximum(before - 1, 0))
-        left = np.sum(np.maximum(after - 1, 0) * (after > 1 + 0.5 * EXCESS))
+        left = np.sum(np.maximum(after - 1, 0) * (after > 1 + 0.5 * self.limits.excess_energy))
         return float(1 - left / excess) if excess > 0.1 else float(left < 0.1)
 
     def scan(self, fit: Fit) -> Step:
@@ -145,7 +132,7 @@ class Search:
         best = best_by_place(fit.score(pool))
         if fixed:
             self._progress(f"what {len(self.tried)} forms gain by chance")
-            self.null = null_gains(fit, self.tried)
+            self.null = null_gains(fit, self.tried, self.limits)
             self.least = max(self.least, self.null.threshold)
         self._progress(f"scan {len(self._scanned) + 1}, beside {beside}: the leading forms are refined")
         best = self._refined(fit, best)
@@ -154,7 +141,9 @@ class Search:
 
     def _refined(self, fit: Fit, best: dict) -> dict:
         """Search the nonlinear parameters of the leading places more finely."""
-        leaders = sorted((s for s in best.values() if s.gain > 0.5 * LEAST_GAIN * self.rows), key=lambda s: -s.gain)[:6]
+        leaders = sorted(
+            (s for s in best.values() if s.gain > 0.5 * self.limits.least_gain * self.rows), key=lambda s: -s.gain
+        )[:6]
         for factor in (1.25, 1.1, 1.04, 1.015):
             if factor < 1.1:
                 leaders = [s for s in leaders if best[s.candidate.place].gain > 0.5 * leaders[0].gain]
@@ -178,11 +167,11 @@ class Search:
             effect = score.candidate.effect
             if name not in self.allowed or not plausible(score) or score.gain < self.least:
                 continue
-            if self.size(fit, score) < PRACTICAL:
+            if self.size(fit, score) < self.limits.practical_torque:
                 continue
             repeats = self.given and not effect.once
             joints = list(score.candidate.blocks)
-            if repeats and (not np.any(noticed[joints]) or np.sum(over[joints]) < STANDS_OUT * score.gain):
+            if repeats and (not np.any(noticed[joints]) or np.sum(over[joints]) < self.limits.own_excess * score.gain):
                 continue  # a model that was fitted with it would look the same
             if any(
                 self._as_good(score, limit, best)
@@ -206,7 +195,7 @@ class Search:
         joints = score.candidate.joints
         places = [(limit, ())] if CATALOGUE[limit].scope != "joint" else [(limit, (j,)) for j in joints]
         simpler = [best[place] for place in places if place in best and plausible(best[place])]
-        margin = max(NEAR_FLOOR * self.rows, 0.5 * NEAR * score.gain)
+        margin = max(self.limits.near_floor * self.rows, 0.5 * self.limits.near * score.gain)
         if score.candidate.effect.rivals_special_cases and limit in self.allowed:
             return False
         return any(score.gain - other.gain < margin for other in simpler)
@@ -228,13 +217,16 @@ class Search:
             return []
         leader = self._simplest(step)
         rest = [s for s in step.eligible if s is not leader and s.gain > 0.1 * step.eligible[0].gain]
-        return [leader.candidate, *(s.candidate for s in rest[: _FIRSTS - 1])]
+        return [leader.candidate, *(s.candidate for s in rest[: self.limits.starts - 1])]
 
     def _near(self, step: Step) -> list[Score]:
         """Forms that do as well as the best, as far as that one fits: what it leaves is its own doubt."""
         best = step.eligible[0]
         left = self._excess(self.fit.with_chosen((*step.chosen, best.candidate)), tuple(best.candidate.blocks))
-        margin = max(NEAR_FLOOR * self.rows, min(NEAR * best.gain, max(ALIKE * best.gain, left)))
+        margin = max(
+            self.limits.near_floor * self.rows,
+            min(self.limits.near * best.gain, max(self.limits.alike * best.gain, left)),
+        )
         return [s for s in step.eligible if best.gain - s.gain <= margin]
 
     def _simplest(self, step: Step) -> Score:
@@ -246,10 +238,10 @@ class Search:
             fit = self.fit.with_chosen(chosen)
             step = self.scan(fit)
             steps.append(step)
-            if len(chosen) == MOST or not step.eligible:
+            if len(chosen) == self.limits.most_effects or not step.eligible:
                 return chosen
             left = self._excess(fit)
-            least = max(2 * self.least, LEAST_SHARE * left)
+            least = max(2 * self.least, self.limits.further_effect * left)
             worth = [s for s in step.eligible if s.gain > least and not imitates(chosen, s)]
             if not worth:
                 return chosen
@@ -270,14 +262,14 @@ class Search:
         for candidate in chosen:
             others = tuple(c for c in chosen if c is not candidate)
             if others and self._total(self.fit.with_chosen(others)) - self._total(self.fit.with_chosen(chosen)) < max(
-                self.least, 0.002 * self.fit.error()
+                self.least, self.limits.redundant * self.fit.error()
             ):
                 return self._pruned(others)
         return chosen
 
     def _unfit(self, fit: Fit) -> Score | None:
         """A shape of the same kind on the same joint that explains half of what a cause leaves."""
-        least = max(2 * self.least, UNFIT * self._excess(fit))
+        least = max(2 * self.least, self.limits.unfit * self._excess(fit))
         left = self.scan(fit).eligible
         return next((s for s in left if s.gain > least and imitates(fit.chosen, s)), None)
 
@@ -290,7 +282,9 @@ class Search:
             without = self.fit.with_chosen(others)
             step = self.scan(without)
             lost = self._total(without) - total
-            margin = max(NEAR_FLOOR * self.rows, ALIKE * lost, self._excess(fit, tuple(candidate.blocks)))
+            margin = max(
+                self.limits.near_floor * self.rows, self.limits.alike * lost, self._excess(fit, tuple(candidate.blocks))
+            )
             rivals, runners, behind = [], [], np.inf
             equals = [
                 s.candidate.place
@@ -301,16 +295,16 @@ class Search:
                 if score.candidate.place == candidate.place:
                     continue
                 short = lost - score.gain
-                better = short < -NEAR_FLOOR * self.rows
+                better = short < -self.limits.near_floor * self.rows
                 equal = better or complexity(score.candidate) <= complexity(candidate) + 1
                 if short <= margin and equal:
                     rivals.append(score.candidate.place)
                 elif short > margin:
                     behind = min(behind, short / margin)
-                    if score.gain > RUNNER_UP * lost:
+                    if score.gain > self.limits.runner_up * lost:
                         runners.append(score.candidate.place)
-            named = [place for place in equals if place[0] in self.allowed]
-            rivals = list(dict.fromkeys([*named, *rivals]))[:2]
+            known = [place for place in equals if place[0] in self.allowed]
+            rivals = list(dict.fromkeys([*known, *rivals]))[:2]
             ranked.append((lost, candidate, tuple(rivals), behind, bool(equals), tuple(runners[:2])))
         ranked.sort(key=lambda entry: -entry[0])
         causes = tuple(entry[1] for entry in ranked)
@@ -322,13 +316,11 @@ class Search:
         assert self.null is not None
         p_value = tuple(self.null.p_value(entry[0]) for entry in ranked)
         margin_ratio = tuple(float(entry[3]) for entry in ranked)
-        doubtful = closed < FITS[len(causes) - 1]
+        doubtful = closed < self.limits.good_fit[len(causes) - 1]
         if doubtful and not rivals[0]:
             rivals[0] = ranked[0][5]
-        # A form that fits doubtfully, with nothing near it, is less probable but not equal to anything.
-        verdict = "ambiguous" if rivals[0] or ranked[0][4] else "explained"
         return Finding(
-            verdict,
+            named(bool(rivals[0] or ranked[0][4])),
             self.fit.with_chosen(causes),
             causes,
             tuple(rivals),
@@ -338,4 +330,5 @@ class Search:
             tuple(steps),
             *self._bounds,
             runners=ranked[0][5],
+            limits=self.limits,
         )

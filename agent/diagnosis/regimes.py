@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from agent.diagnosis.answer import RegimeShare
 from agent.diagnosis.dataset import Dataset
 
 #: Regimes of speed, load and position, as the map of a report shows them.
@@ -30,7 +31,7 @@ _PROBABILITY = 0.9
 _PHASES = 12
 
 
-def regimes(dataset: Dataset, error: np.ndarray, joint: int, floor: float = 0.0) -> list[dict]:
+def regimes(dataset: Dataset, error: np.ndarray, joint: int, floor: float = 0.0) -> tuple[RegimeShare, ...]:
     """Shares of Σ (e² − f²) of one joint's (S,) held-out error above its `floor` f; regimes overlap.
 
     `interval` is 90 % of a bootstrap over blocks of a second, as errors last (Künsch, Annals of Statistics 17, 1989);
@@ -39,17 +40,17 @@ def regimes(dataset: Dataset, error: np.ndarray, joint: int, floor: float = 0.0)
     excess = np.where(np.isfinite(error), error**2 - floor**2, 0.0)
     blocks = _block_numbers(dataset)
     found = [
-        {"name": name, **_share(excess, mask, blocks), "of_samples": float(np.mean(mask))}
+        RegimeShare(name, *_share(excess, mask, blocks), float(np.mean(mask)))
         for name, mask in masks(dataset, joint).items()
     ]
     found += [
-        {"name": f"frequency {_band_name(*band)}", "share": share, "interval": None, "of_samples": 1.0}
+        RegimeShare(f"frequency {_band_name(*band)}", float(share), None, 1.0)
         for band, share in zip(BANDS, band_shares(dataset, error), strict=True)
     ]
     phase = motor_phase_share(dataset, error, joint)
     if phase is not None:
-        found.append({"name": "motor_phase", "share": phase, "interval": None, "of_samples": 1.0})
-    return sorted((entry for entry in found if entry["share"] >= _LEAST), key=lambda entry: -entry["share"])
+        found.append(RegimeShare("motor_phase", phase, None, 1.0))
+    return tuple(sorted((entry for entry in found if entry.share >= _LEAST), key=lambda entry: -entry.share))
 
 
 def masks(dataset: Dataset, joint: int) -> dict[str, np.ndarray]:
@@ -142,15 +143,15 @@ def _block_numbers(dataset: Dataset) -> np.ndarray:
     return np.unique(np.column_stack([dataset.log, within]), axis=0, return_inverse=True)[1].ravel()
 
 
-def _share(excess: np.ndarray, mask: np.ndarray, blocks: np.ndarray) -> dict:
+def _share(excess: np.ndarray, mask: np.ndarray, blocks: np.ndarray) -> tuple[float, tuple[float, float] | None]:
     inside, total = np.bincount(blocks, excess * mask), np.bincount(blocks, excess)
     if total.sum() <= 0:
-        return {"share": 0.0, "interval": None}
+        return 0.0, None
     draws = np.random.default_rng(0).multinomial(len(total), np.full(len(total), 1 / len(total)), _RESAMPLED)
     of_draws = draws @ inside / np.maximum(draws @ total, 1e-9 * total.sum())
     tail = 0.5 * (1 - _PROBABILITY)
-    interval = np.clip(np.quantile(of_draws, [tail, 1 - tail]), 0, 1)
-    return {"share": float(np.clip(inside.sum() / total.sum(), 0, 1)), "interval": interval.tolist()}
+    low, high = np.clip(np.quantile(of_draws, [tail, 1 - tail]), 0, 1)
+    return float(np.clip(inside.sum() / total.sum(), 0, 1)), (float(low), float(high))
 
 
 def _band_name(low: float, high: float) -> str:

@@ -6,15 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.model.signals import MotionSignals
 
 #: Of the highest speed: a joint that is no faster stands.
 STANDING = 0.004
-_LONG = 0.1  # s, or it only passes through a reversal
-_NEAR = 0.05  # s around it, over which the filter carries the torque
 
 
-def at_rest(signals: Sequence[MotionSignals]) -> np.ndarray:
+def at_rest(signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -> np.ndarray:
     """(S', n) bool, all motions in a row: whether a joint stands there for a while, or close by."""
     from scipy.ndimage import binary_dilation, binary_opening
 
@@ -23,6 +22,6 @@ def at_rest(signals: Sequence[MotionSignals]) -> np.ndarray:
     for motion in signals:
         rate = 1 / float(np.median(np.diff(motion.time)))
         standing = np.abs(motion.qd) <= STANDING * fastest
-        long = binary_opening(standing, np.ones((max(int(_LONG * rate), 1), 1)))
-        parts.append(binary_dilation(long, np.ones((2 * int(_NEAR * rate) + 1, 1)))[motion.kept])
+        long = binary_opening(standing, np.ones((max(int(limits.long_rest * rate), 1), 1)))
+        parts.append(binary_dilation(long, np.ones((2 * int(limits.near_rest * rate) + 1, 1)))[motion.kept])
     return np.concatenate(parts)

@@ -74,4 +74,8 @@ class Trial:
         after = float(np.mean(np.nanmean(left**2, axis=0)))
         before = float(np.mean(np.square(self._gap["before"])))
         floor = 0.0 if self._gap["floor"] is None else float(np.mean(np.square(self._gap["floor"])))
-        return None if before < 1.1**2 * floor or before <= 0 else (before - after) / (before - floor)
+        return (
+            None
+            if before < self._dataset.limits.no_closure**2 * floor or before <= 0
+            else (before - after) / (before - floor)
+        )

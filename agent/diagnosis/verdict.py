@@ -1,24 +1,93 @@
-"""What a verdict promises (CONTRACTS.md, 6), in one place: nothing leaves the procedure that breaks it."""
+"""The rules of the verdict (CONTRACTS.md, 6), all of them: nothing leaves the procedure that breaks one.
+
+A search says what equals what (`named`), or that nothing may be named (`abstained`). `judge` takes away what the
+figures on motion held out do not bear out, the path adds its own (`with_path`), and `settle` holds the promises last.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
 
-CLOSES = 0.75  # of the gap, by all causes together, or it is not explained
-HARDLY = 0.25  # of the gap: causes that close less are not named, whatever equals them
-PART = 0.03  # of the gap: a cause that closes less has no size
+from agent.diagnosis.answer import Cause, Place
+from agent.diagnosis.dataset import Dataset
+from agent.diagnosis.finding import Finding
+from agent.diagnosis.fit import Fit
+from agent.diagnosis.gap import Gap, held_out_gap
+from agent.diagnosis.limits import LIMITS, DecisionLimits
 
 
-def has_size(cause: Mapping[str, Any]) -> bool:
+def abstained(matters: bool) -> str:
+    """Where nothing may be named: there is a gap all the same, or none."""
+    return "unknown" if matters else "no_gap"
+
+
+def named(equalled: bool) -> str:
+    """Where causes are named: whether something equals the first. One that fits doubtfully is only less probable."""
+    return "ambiguous" if equalled else "explained"
+
+
+def judge(dataset: Dataset, finding: Finding, plain: Fit) -> tuple[Finding, Gap]:
+    """A finding as far as its figures on motion held out bear it out, and these figures; `plain`: without effects."""
+    while True:
+        gap = held_out_gap(dataset, finding.fit)
+        if not finding.causes:
+            return finding, gap
+        if finding.verdict == "explained" and gap.closure is not None and gap.closure < dataset.limits.explained:
+            finding = finding.doubted()
+        causes = causes_of(dataset, finding, gap)
+        verdict, kept = settle(finding.verdict, causes, gap.closure, dataset.limits)
+        if not kept or gap.hardly_closed:
+            finding = finding.without_causes(abstained(verdict != "no_gap" and not gap.small), plain)
+        elif len(kept) < len(causes):
+            finding = finding.only([k for k, cause in enumerate(causes) if cause in kept], plain)
+        else:
+            return replace(finding, verdict=verdict), gap
+
+
+def causes_of(dataset: Dataset, finding: Finding, gap: Gap) -> tuple[Cause, ...]:
+    """The causes of a finding with their figures."""
+    fit, joints = finding.fit, dataset.robot.joint_names
+    single = any(c.effect.once for c in fit.chosen)
+    parts = zip(finding.causes, fit.values, finding.rivals, finding.probability, strict=True)
+    return tuple(
+        Cause(
+            candidate.effect.name,
+            tuple(joints[j] for j in candidate.joints),
+            gap.closure_without(fit.out_of_fold(single, number)),
+            probability,
+            {**_floats(candidate.settings.items()), **_floats(zip(candidate.names, values, strict=True))},
+            tuple(Place(name, tuple(joints[j] for j in there)) for name, there in rivals),
+        )
+        for number, (candidate, values, rivals, probability) in enumerate(parts)
+    )
+
+
+def _floats(pairs) -> dict[str, float]:
+    return {name: float(value) for name, value in pairs}
+
+
+def with_path(
+    verdict: str, closure: float | None, closure_of_path: float | None, named: bool
+) -> tuple[str, float | None]:
+    """Verdict and closure where the executed path is not the planned one: the gap that there is may be the path's.
+
+    `named`: whether the effect of the path may be.
+    """
+    if verdict != "no_gap":
+        return verdict, closure
+    return ("explained", closure_of_path) if named else ("unknown", closure)
+
+
+def has_size(cause: Cause, limits: DecisionLimits = LIMITS) -> bool:
     """Whether a cause has parameters that are not all zero, and closes a part of its gap by itself."""
-    closure = cause["closure"]
-    return closure is not None and closure >= PART and any(value != 0 for value in cause["parameters"].values())
+    closes = cause.closure is not None and cause.closure >= limits.part
+    return closes and any(value != 0 for value in cause.parameters.values())
 
 
 def settle(
-    verdict: str, causes: Sequence[Mapping[str, Any]], closure: float | None
-) -> tuple[str, list[Mapping[str, Any]]]:
+    verdict: str, causes: Sequence[Cause], closure: float | None, limits: DecisionLimits = LIMITS
+) -> tuple[str, tuple[Cause, ...]]:
     """The verdict that the figures allow, and the causes that may be named with it.
 
     - `explained` has causes, and they close three quarters of the gap;
@@ -27,12 +96,12 @@ def settle(
     - a cause without a size is none.
     """
     if verdict in ("no_gap", "unknown"):
-        return verdict, []
+        return verdict, ()
     if closure is None:
-        return "no_gap", []
-    named = [cause for cause in causes if has_size(cause)]
-    if not named or closure < HARDLY:
-        return "unknown", []
-    if named[0]["equivalent_to"]:
-        return "ambiguous", named
-    return ("explained", named) if verdict == "explained" and closure >= CLOSES else ("unknown", [])
+        return "no_gap", ()
+    left = tuple(cause for cause in causes if has_size(cause, limits))
+    if not left or closure < limits.hardly:
+        return "unknown", ()
+    if left[0].equivalent_to:
+        return "ambiguous", left
+    return ("explained", left) if verdict == "explained" and closure >= limits.explained else ("unknown", ())

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from agent.diagnosis.evidence import DRAWS
 from agent.diagnosis.finding import Step
 from agent.diagnosis.forward import Simulated, simulation_part
 from agent.diagnosis.labels import REGIMES, closes, how_sure, name, place, torque_gap
@@ -197,8 +196,8 @@ def _steps_section(diagnosis: Diagnosis) -> Section:
     ]
     finding = diagnosis.finding
     text.append(
-        f"Over the signs of its background drawn anew {DRAWS} times, the highest gain of the whole search exceeds "
-        f"{finding.by_chance / rows:.3f} in one of a hundred; a cause needs {finding.least / rows:.3f}."
+        f"Over the signs of its background drawn anew {finding.limits.draws} times, the highest gain of the whole "
+        f"search exceeds {finding.by_chance / rows:.3f} in one of a hundred; a cause needs {finding.least / rows:.3f}."
     )
     if finding.p_value:
         text.append(

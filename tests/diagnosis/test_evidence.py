@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.diagnosis.evidence import FALSE_ALARMS, POWER, null_gains, share_intervals
+from agent.diagnosis.evidence import null_gains, share_intervals
 from agent.diagnosis.fit import Candidate, Fit
+from agent.diagnosis.limits import LIMITS
 from agent.model.effects import CATALOGUE
 
 WATCHED = (("friction_change", (1,)), ("stribeck", (1,)), ("gravity_spring", (2,)), ("torque_constant", (0,)))
@@ -60,8 +61,8 @@ def test_chance_falls_with_the_gain_and_never_reaches_nought(fit, candidates):
     chances = [null.p_value(gain) for gain in (-np.inf, 0.5 * null.threshold, null.threshold, 1e9)]
     assert chances[0] == 1.0
     assert chances == sorted(chances, reverse=True)
-    assert 0 < chances[-1] <= FALSE_ALARMS
-    assert chances[-2] <= FALSE_ALARMS + 1 / len(null.highest)
+    assert 0 < chances[-1] <= LIMITS.false_alarms
+    assert chances[-2] <= LIMITS.false_alarms + 1 / len(null.highest)
 
 
 def test_a_smaller_threshold_is_passed_by_a_smaller_effect(fit, candidates):
@@ -98,8 +99,8 @@ def test_the_smallest_size_is_found_as_often_as_is_said(fit, candidates, measure
             (score,) = other.score([other.candidate(candidate.effect, joints, candidate.settings)])
             found += score.gain > null.threshold
         share = found / draws
-        ok = abs(share - POWER) < 0.16
-        measured(f"{name}: the smallest size is found", share, "", f"about {POWER:g}", ok)
+        ok = abs(share - LIMITS.power) < 0.16
+        measured(f"{name}: the smallest size is found", share, "", f"about {LIMITS.power:g}", ok)
         assert ok
 
 

@@ -1,0 +1,123 @@
+"""What a diagnosis answers, typed: the document of CONTRACTS.md, 6, key by key. `to_dict` is the only way to JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+SCHEMA = "diagnosis/1"
+
+
+@dataclass(frozen=True)
+class Place:
+    """An effect somewhere; `joints` is empty for one of the whole arm or base."""
+
+    effect: str
+    joints: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A named effect: what it closes by itself (None: nothing to close), of its class the probability, parameters (SI),
+    and what these data cannot tell from it."""
+
+    effect: str
+    joints: tuple[str, ...]
+    closure: float | None
+    probability: float
+    parameters: Mapping[str, float]
+    equivalent_to: tuple[Place, ...] = ()
+
+
+@dataclass(frozen=True)
+class RegimeShare:
+    """A regime's share of a joint's gap, with its 90 % interval, and the share of time spent there."""
+
+    name: str
+    share: float
+    interval: tuple[float, float] | None
+    of_samples: float
+
+
+@dataclass(frozen=True)
+class JointShare:
+    """A joint's share of the gap with its 90 % interval, and where in the motion it lies."""
+
+    joint: str
+    share: float
+    interval: tuple[float, float]
+    regimes: tuple[RegimeShare, ...]
+
+
+@dataclass(frozen=True)
+class TorqueGap:
+    """Held-out error per joint, in `units`: without the causes, with them, and what does not repeat."""
+
+    joints: tuple[str, ...]
+    units: tuple[str, ...]
+    before: tuple[float, ...]
+    after: tuple[float, ...]
+    floor: tuple[float, ...] | None
+
+
+@dataclass(frozen=True)
+class PathGap:
+    """RMSE per joint between planned and executed set-points [rad or m]; None where a log lacks either."""
+
+    before: tuple[float, ...] | None = None
+    after: tuple[float, ...] | None = None
+    floor: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class NotTestable:
+    """An effect that would not have been found at its practical size, and why; `joint` is None for the whole arm."""
+
+    effect: str
+    joint: str | None
+    why: str
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """A motion that tells effects apart."""
+
+    separates: tuple[str, ...]
+    motion: str
+
+
+@dataclass(frozen=True)
+class FoldNames:
+    """What was held out of one fit, and what it was fitted on."""
+
+    held_out: str
+    fitted_on: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class DiagnosisResult:
+    """The whole document."""
+
+    verdict: str
+    gap: TorqueGap
+    motion_gap: PathGap
+    closure: float | None
+    where: tuple[JointShare, ...]
+    causes: tuple[Cause, ...]
+    not_testable: tuple[NotTestable, ...]
+    next_experiment: NextExperiment | None
+    folds: tuple[FoldNames, ...]
+    warnings: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, ready for JSON."""
+        return {"schema": SCHEMA, **_plain(self)}
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value):
+        return {entry.name: _plain(getattr(value, entry.name)) for entry in fields(value)}
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    return [_plain(entry) for entry in value] if isinstance(value, tuple) else value

@@ -1,0 +1,148 @@
+"""The limits by which a diagnosis decides, as data: value, unit, meaning, where it comes from, and how much it moves.
+
+A source is `derived` (a formula or a definition gives the number), `tuned` (on simulated runs; the script in
+`benchmarks/fit_decision_limits.py` does it again on one set of draws and judges on another), or `chosen` (what
+somebody at the machine would call small, or what a motion lasts). Background energy is Σ e² / σ² of a model that is
+right, so one to a row; a gain is taken from it, held out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Limit:
+    """What is known about one limit. `sensitivity`: how far verdicts move when it moves by a quarter."""
+
+    name: str
+    value: Any
+    unit: str
+    meaning: str
+    source: str
+    sensitivity: str
+
+
+def _limit(value: Any, unit: str, meaning: str, source: str, sensitivity: str = "not measured") -> Any:
+    about = {"unit": unit, "meaning": meaning, "source": source, "sensitivity": sensitivity}
+    return field(default=value, metadata=about)
+
+
+_DRAWS = "tuned on simulated runs with withheld effects"
+_CONTRACT = "derived: the definition of the verdict (CONTRACTS.md, 6)"
+
+
+@dataclass(frozen=True)
+class DecisionLimits:
+    """All of them; `described` lists what is known about each."""
+
+    # What may be named
+    least_gain: float = _limit(
+        0.02, "background energy of all rows", "an effect must gain as much to be named, chance or not", _DRAWS
+    )
+    practical_torque: float = _limit(
+        0.005, "nominal torque, RMS", "a smaller effect, or gap over the background in motion, is let be", "chosen"
+    )
+    unexplained_torque: float = _limit(
+        0.0075, "nominal torque, RMS", "minimum unexplained gap that is reported, and gap of all rows", _DRAWS
+    )
+    clear_of_background: float = _limit(
+        2.0, "background", "a joint's error in motion beyond which it is not the model's own", _DRAWS
+    )
+    excess_energy: float = _limit(
+        0.6, "background energy of a row", "over it on one joint before something counts as unexplained", _DRAWS
+    )
+    own_excess: float = _limit(
+        0.5, "gain", "energy over the background on the effect's joints, or the model may have absorbed it", _DRAWS
+    )
+    false_alarms: float = _limit(
+        0.01, "probability", "that the search names anything where there is nothing", "derived: level of the test"
+    )
+    power: float = _limit(
+        0.8, "probability", "of finding an effect that is called testable", "derived: usual power of a test"
+    )
+    draws: int = _limit(
+        199, "", "of the background's signs; p-values are multiples of 1 / 200", "derived: 2 draws beyond 99 %"
+    )
+
+    # Which of several
+    near: float = _limit(0.04, "gain of the best", "forms this close are as good; the simplest is taken", _DRAWS)
+    near_floor: float = _limit(0.02, "background energy of all rows", "the same, at least", _DRAWS)
+    alike: float = _limit(
+        0.003, "gain of the best", "forms this close cannot be told apart, however well the better one fits", _DRAWS
+    )
+    further_effect: float = _limit(0.35, "energy still unexplained", "that every further effect must explain", _DRAWS)
+    redundant: float = _limit(0.002, "energy of all rows", "what an effect must add beside the others", _DRAWS)
+    enough: float = _limit(0.9, "excess energy", "closed by one effect, so that no other start is tried", _DRAWS)
+    runner_up: float = _limit(0.5, "gain of the cause", "by the next best forms where it fits doubtfully", _DRAWS)
+    unfit: float = _limit(
+        0.5, "energy that a cause leaves", "explained by a shape of its own kind: the two are rivals", _DRAWS
+    )
+    good_fit: tuple[float, ...] = _limit(
+        (0.975, 0.98, 0.98), "excess energy", "closed by one, two, three effects, or the forms are in doubt", _DRAWS
+    )
+    most_effects: int = _limit(3, "effects", "sought at most", "chosen: what an answer can be checked for")
+    starts: int = _limit(4, "effects", "that the search begins with, best first", "chosen: time")
+
+    # What a verdict promises
+    explained: float = _limit(0.75, "gap", "that all causes close together, or it is not explained", _CONTRACT)
+    hardly: float = _limit(0.25, "gap", "causes that close less are not named, whatever equals them", "chosen")
+    part: float = _limit(0.03, "gap", "a cause that closes less by itself has no size", "chosen")
+    least_sure: float = _limit(
+        0.5, "probability", "of the first cause's class: what is rather wrong than right is not named", "derived"
+    )
+    probability: tuple[float, float, float] = _limit(
+        (-1.0, 0.35, 0.43),
+        "logistic",
+        "constant, by ln(1 + margin ratio), by −ln(1 − closed), of a class's probability",
+        "tuned on runs of another simulation (decisions/diagnosis-probability.md)",
+    )
+    most_margin: float = _limit(50.0, "margins", "that count for the probability", _DRAWS)
+    least_open: float = _limit(0.002, "excess energy", "left open, at least, for the probability", _DRAWS)
+    path_probability: float = _limit(
+        0.97,
+        "probability",
+        "of a cause in the path: set-points are numbers, only a log that misplaces them errs",
+        "chosen",
+    )
+
+    # In plain held-out error
+    plain_gain: float = _limit(
+        0.5, "squared error on the causes' joints", "taken away from a small gap, half of it from a larger one", _DRAWS
+    )
+    small_gap: float = _limit(
+        0.01, "nominal torque, RMS", "a gap so small that nothing closes is the model's own", _DRAWS
+    )
+    no_closure: float = _limit(1.1, "floor", "a gap below it has no closure", _CONTRACT)
+    usual_error: float = _limit(
+        2.0, "held-out error of the model", "from where on a joint's error is more than the model's own", _DRAWS
+    )
+    path_gap: float = _limit(1e-4, "rad or m, RMS", "between planned and executed path that is notable", "chosen")
+
+    # Background
+    stiction: float = _limit(
+        1 / 3**0.5, "Coulomb level", "RMS of torque at rest", "derived: uniform within ± Coulomb, 1 / √3"
+    )
+    least_background: float = _limit(0.002, "nominal torque", "error that every model has", "chosen")
+    unknown_error: float = _limit(
+        0.04, "RMS torque", "what a model usually leaves, where no other logs tell", "tuned on simulated arms"
+    )
+    clipped: float = _limit(0.002, "samples", "at exactly the largest torque before it looks clipped", "chosen")
+    moves: float = _limit(1e-4, "rad or m", "that a joint travels, or it never moves", "chosen")
+
+    # Segments of time
+    block: float = _limit(1.0, "s", "of motion that are drawn as one: errors last as long", "chosen")
+    parity: float = _limit(0.1, "s", "held out in turn, for what happens once", "chosen")
+    guard: float = _limit(0.2, "s", "either side of a border between folds of one log", "chosen: the filter's reach")
+    shortest: float = _limit(3.0, "s", "of the only log", "chosen: five folds with guards")
+    near_rest: float = _limit(0.05, "s", "around standstill over which the filter carries its torque", "chosen")
+    long_rest: float = _limit(0.1, "s", "of standstill, or a joint only passes through a reversal", "chosen")
+
+
+LIMITS = DecisionLimits()
+
+
+def described(limits: DecisionLimits = LIMITS) -> tuple[Limit, ...]:
+    """What is known about each."""
+    return tuple(Limit(entry.name, getattr(limits, entry.name), **entry.metadata) for entry in fields(limits))
