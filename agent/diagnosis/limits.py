@@ -29,7 +29,8 @@ def _limit(value: Any, unit: str, meaning: str, source: str, sensitivity: str = 
     return field(default=value, metadata=about)
 
 
-_DRAWS = "tuned on simulated runs with withheld effects"
+#: Source of the limits that a script may fit.
+TUNED = "tuned on simulated runs with withheld effects"
 _CONTRACT = "derived: the definition of the verdict (CONTRACTS.md, 6)"
 
 
@@ -39,22 +40,22 @@ class DecisionLimits:
 
     # What may be named
     least_gain: float = _limit(
-        0.02, "background energy of all rows", "an effect must gain as much to be named, chance or not", _DRAWS
+        0.02, "background energy of all rows", "an effect must gain as much to be named, chance or not", TUNED
     )
     practical_torque: float = _limit(
         0.005, "nominal torque, RMS", "a smaller effect, or gap over the background in motion, is let be", "chosen"
     )
     unexplained_torque: float = _limit(
-        0.0075, "nominal torque, RMS", "minimum unexplained gap that is reported, and gap of all rows", _DRAWS
+        0.0075, "nominal torque, RMS", "minimum unexplained gap that is reported, and gap of all rows", TUNED
     )
     clear_of_background: float = _limit(
-        2.0, "background", "a joint's error in motion beyond which it is not the model's own", _DRAWS
+        2.0, "background", "a joint's error in motion beyond which it is not the model's own", TUNED
     )
     excess_energy: float = _limit(
-        0.6, "background energy of a row", "over it on one joint before something counts as unexplained", _DRAWS
+        0.6, "background energy of a row", "over it on one joint before something counts as unexplained", TUNED
     )
     own_excess: float = _limit(
-        0.5, "gain", "energy over the background on the effect's joints, or the model may have absorbed it", _DRAWS
+        0.5, "gain", "energy over the background on the effect's joints, or the model may have absorbed it", TUNED
     )
     false_alarms: float = _limit(
         0.01, "probability", "that the search names anything where there is nothing", "derived: level of the test"
@@ -67,20 +68,20 @@ class DecisionLimits:
     )
 
     # Which of several
-    near: float = _limit(0.04, "gain of the best", "forms this close are as good; the simplest is taken", _DRAWS)
-    near_floor: float = _limit(0.02, "background energy of all rows", "the same, at least", _DRAWS)
+    near: float = _limit(0.04, "gain of the best", "forms this close are as good; the simplest is taken", TUNED)
+    near_floor: float = _limit(0.02, "background energy of all rows", "the same, at least", TUNED)
     alike: float = _limit(
-        0.003, "gain of the best", "forms this close cannot be told apart, however well the better one fits", _DRAWS
+        0.003, "gain of the best", "forms this close cannot be told apart, however well the better one fits", TUNED
     )
-    further_effect: float = _limit(0.35, "energy still unexplained", "that every further effect must explain", _DRAWS)
-    redundant: float = _limit(0.002, "energy of all rows", "what an effect must add beside the others", _DRAWS)
-    enough: float = _limit(0.9, "excess energy", "closed by one effect, so that no other start is tried", _DRAWS)
-    runner_up: float = _limit(0.5, "gain of the cause", "by the next best forms where it fits doubtfully", _DRAWS)
+    further_effect: float = _limit(0.35, "energy still unexplained", "that every further effect must explain", TUNED)
+    redundant: float = _limit(0.002, "energy of all rows", "what an effect must add beside the others", TUNED)
+    enough: float = _limit(0.9, "excess energy", "closed by one effect, so that no other start is tried", TUNED)
+    runner_up: float = _limit(0.5, "gain of the cause", "by the next best forms where it fits doubtfully", TUNED)
     unfit: float = _limit(
-        0.5, "energy that a cause leaves", "explained by a shape of its own kind: the two are rivals", _DRAWS
+        0.5, "energy that a cause leaves", "explained by a shape of its own kind: the two are rivals", TUNED
     )
     good_fit: tuple[float, ...] = _limit(
-        (0.975, 0.98, 0.98), "excess energy", "closed by one, two, three effects, or the forms are in doubt", _DRAWS
+        (0.975, 0.98, 0.98), "excess energy", "closed by one, two, three effects, or the forms are in doubt", TUNED
     )
     most_effects: int = _limit(3, "effects", "sought at most", "chosen: what an answer can be checked for")
     starts: int = _limit(4, "effects", "that the search begins with, best first", "chosen: time")
@@ -98,8 +99,8 @@ class DecisionLimits:
         "constant, by ln(1 + margin ratio), by −ln(1 − closed), of a class's probability",
         "tuned on runs of another simulation (decisions/diagnosis-probability.md)",
     )
-    most_margin: float = _limit(50.0, "margins", "that count for the probability", _DRAWS)
-    least_open: float = _limit(0.002, "excess energy", "left open, at least, for the probability", _DRAWS)
+    most_margin: float = _limit(50.0, "margins", "that count for the probability", TUNED)
+    least_open: float = _limit(0.002, "excess energy", "left open, at least, for the probability", TUNED)
     path_probability: float = _limit(
         0.97,
         "probability",
@@ -109,14 +110,14 @@ class DecisionLimits:
 
     # In plain held-out error
     plain_gain: float = _limit(
-        0.5, "squared error on the causes' joints", "taken away from a small gap, half of it from a larger one", _DRAWS
+        0.5, "squared error on the causes' joints", "taken away from a small gap, half of it from a larger one", TUNED
     )
     small_gap: float = _limit(
-        0.01, "nominal torque, RMS", "a gap so small that nothing closes is the model's own", _DRAWS
+        0.01, "nominal torque, RMS", "a gap so small that nothing closes is the model's own", TUNED
     )
     no_closure: float = _limit(1.1, "floor", "a gap below it has no closure", _CONTRACT)
     usual_error: float = _limit(
-        2.0, "held-out error of the model", "from where on a joint's error is more than the model's own", _DRAWS
+        2.0, "held-out error of the model", "from where on a joint's error is more than the model's own", TUNED
     )
     path_gap: float = _limit(1e-4, "rad or m, RMS", "between planned and executed path that is notable", "chosen")
 
