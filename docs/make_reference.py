@@ -19,6 +19,7 @@ def reference() -> str:
     lines += ["## Exit codes", "", "| code | class | what |", "| --- | --- | --- |", *_exit_codes(), ""]
     lines += ["## Recipe keys", "", "| key | type | default |", "| --- | --- | --- |", *_keys(), ""]
     lines += ["## Effects", "", *_effects(), ""]
+    lines += ["## Limits of the diagnosis", "", *_limits(), ""]
     return "\n".join(lines)
 
 
@@ -129,6 +130,20 @@ def _effects() -> Iterator[str]:
             effect.source,
         )
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _limits() -> Iterator[str]:
+    from agent.diagnosis.limits import described
+
+    yield "Sensitivity: how far verdicts move when a limit moves by a quarter."
+    yield ""
+    yield "| limit | value | unit | meaning | source | sensitivity |"
+    yield "|" + " --- |" * 6
+    for limit in described():
+        values = limit.value if isinstance(limit.value, tuple) else (limit.value,)
+        value = ", ".join(f"{entry:.3g}" for entry in values)
+        cells = (f"`{limit.name}`", value, limit.unit, limit.meaning, limit.source, limit.sensitivity)
+        yield "| " + " | ".join(cells) + " |"
 
 
 if __name__ == "__main__":
