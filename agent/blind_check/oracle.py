@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from agent.model.signals import MotionSignals
 
 
-
 class BlackBox(Effect):
     """`freedom` smooth random functions on one joint."""
 
