@@ -157,8 +157,8 @@ def _figures(scores: Scores) -> Iterator[str]:
         ("median closure", "diagnosis"),
         ("  of the oracle's", "of_oracle"),
         ("  oracle", "oracle"),
-        ("  wrong effect of equal freedom", "wrong_effect"),
-        ("  black box of equal freedom", "black_box"),
+        ("  wrong effect, as many parameters", "wrong_effect"),
+        ("  black box, as many parameters", "black_box"),
     ):
         yield f"{what:42} {'-' if closure[key] is None else format(closure[key], '.3f')}"
     brier = scores["calibration"]["brier"]

@@ -28,7 +28,7 @@ def paper(problem: Problem) -> Estimate:
     if silent:
         note += (
             f" {silent} of {moments.parameters} parameter directions are not in these data: the solution of minimum "
-            "norm is taken, and no standard deviation speaks of them."
+            "norm is taken, and their standard deviations are what such an arm could have."
         )
     return Estimate(_minimum_norm(total), weights, moments, held_out, _minimum_norm, 0.0, note)
 

@@ -19,18 +19,21 @@ import numpy as np
 from agent.estimation.moments import Moments, standstill
 from agent.estimation.prior import Prior
 from agent.estimation.problem import Estimate, Problem
-from agent.estimation.solving import inverse, pseudo_inverse
+from agent.estimation.solving import inverse, pseudo_inverse, scaled_rank
 
 _SPECTRUM = 256  # rows in one piece of the estimate of a spectrum
 
 
 def covariance(problem: Problem, found: Estimate) -> np.ndarray:
-    """(p, p) covariance of an estimate; zero in directions that an estimate without prior leaves open."""
+    """(p, p) covariance of an estimate; of directions that one without prior leaves open, the prior's."""
     prior, partition = problem.prior, problem.partition
     total = found.moments.weighted(found.weights)
-    matrix = total[:-1, :-1] + found.prior_weight * prior.precision
-    bread = inverse(matrix) if found.prior_weight > 0 else pseudo_inverse(matrix)
-    stationary = bread @ (_noise(problem, found) + found.prior_weight**2 * prior.precision) @ bread.T
+    if found.prior_weight > 0:
+        bread = inverse(total[:-1, :-1] + found.prior_weight * prior.precision)
+        stationary = bread @ (_noise(problem, found) + found.prior_weight**2 * prior.precision) @ bread.T
+    else:
+        bread = pseudo_inverse(total[:-1, :-1])
+        stationary = bread @ _noise(problem, found) @ bread.T + _left_open(total[:-1, :-1], prior)
     estimates = np.array(
         [
             found.solver(total - found.moments.weighted(found.weights, partition.cluster == cluster))
@@ -41,10 +44,17 @@ def covariance(problem: Problem, found: Estimate) -> np.ndarray:
     if count < 2:
         return stationary
     jackknife = (count - 1) / count * np.sum((estimates - estimates.mean(axis=0)) ** 2, axis=0)
-    variance = np.diag(stationary)
-    ratio = np.divide(jackknife, variance, out=np.ones_like(variance), where=variance > 0)
+    ratio = jackknife / np.diag(stationary)
     widen = np.sqrt(np.where(ratio > 1 + 2 * np.sqrt(2 / (count - 1)), ratio, 1.0))
     return stationary * np.outer(widen, widen)
+
+
+def _left_open(matrix: np.ndarray, prior: Prior) -> np.ndarray:
+    """(p, p) second moment of what a solution of minimum norm lacks: N θ, N = 1 - A⁺ A, with θ as in the prior."""
+    if scaled_rank(matrix) == len(matrix):
+        return np.zeros_like(matrix)
+    null = np.eye(len(matrix)) - pseudo_inverse(matrix) @ matrix
+    return null @ (inverse(prior.precision) + np.outer(prior.mean, prior.mean)) @ null.T
 
 
 def _noise(problem: Problem, found: Estimate) -> np.ndarray:

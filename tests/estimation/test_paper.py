@@ -84,6 +84,8 @@ def test_what_the_data_do_not_show_is_of_minimum_norm_and_is_said(log, tmp_path)
     silent = [k for k, name in enumerate(model.names) if re.fullmatch(r"f[12]_2", name)]
     assert len(silent) == 2
     assert np.all(model.values[silent] == 0)
+    assert np.all(model.standard_deviations[silent] > 0.05), "what the data do not show is not known"
+    assert np.all(np.linalg.eigvalsh(model.covariance) > -1e-9 * np.abs(model.covariance).max())
     assert any("minimum norm" in note for note in model.notes)
     assert not any("prior (" in note for note in model.notes)
     model.save(tmp_path / "model.json")
