@@ -21,6 +21,7 @@ import numpy as np
 from agent.estimation.prior import link_prior
 from agent.estimation.problem import Estimate, Problem, cross_validate
 from agent.estimation.solving import clear_gain, iterate_weights, solve_sum
+from agent.robot.parameter_layout import ParameterLayout
 
 _TRUSTS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of the prior_weight against noise alone
 _SOLIDITY = 1e-4  # smallest eigenvalue of a pseudo-inertia, in units of the link's own scale
@@ -74,22 +75,22 @@ class _Programme:
         self._constraints(problem)
 
     def _constraints(self, problem: Problem) -> None:
-        n = problem.observation.robot.dof
-        links = np.append(self.scale, 0.0)[: 10 * n].reshape(n, 10)
+        layout = ParameterLayout.of(problem.observation.robot)
+        links = layout.blocks(self.scale)
         blocks, floors = [], []
-        for link in range(n):
+        for link in range(layout.n_links):
             rows = np.zeros((10, len(self.scale)))
-            rows[:, 10 * link : 10 * link + 10] = _PSEUDO_INERTIA
+            rows[:, layout.link(link)] = _PSEUDO_INERTIA
             # in units of the link's own mass and length, so that one tolerance serves all
             unit = np.sqrt([links[link, 4] / links[link, 0]] * 3 + [1.0])
             weight = np.array([1 / (unit[i] * unit[j] * links[link, 0]) for i, j in _TRIANGLE])
             blocks.append(rows * weight[:, None] * self.scale)
             offset = (rows * weight[:, None]) @ self.mean
             floors.append(_SOLIDITY * np.array([float(i == j) for i, j in _TRIANGLE]) - offset)
-        positive = [_unit(10 * n + k, len(self.scale)) for k in range(n)]
+        positive = [_unit(k, len(self.scale)) for k in range(layout.rotors.start, layout.rotors.stop)]
         rest: dict[int, np.ndarray] = {}
         for k, term in enumerate(problem.terms):
-            row = _unit(10 * n + n + k, len(self.scale))
+            row = _unit(layout.size + k, len(self.scale))
             if term.form in ("coulomb", "viscous"):
                 positive.append(row)
             if term.form in ("coulomb", "stribeck"):
@@ -98,7 +99,7 @@ class _Programme:
         linear = np.array(positive)
         self._cone_rows = np.vstack([linear * self.scale, *blocks])
         self._cone_floor = np.concatenate([-linear @ self.mean, *floors])
-        self._linear, self._links = len(linear), n
+        self._linear, self._links = len(linear), layout.n_links
 
     def parameters(self, total: np.ndarray) -> np.ndarray:
         """(p,) from a weighted sum of moments."""

@@ -23,6 +23,7 @@ from agent.estimation.least_squares import finish
 from agent.estimation.moments import collect
 from agent.estimation.observation import rigid_columns
 from agent.estimation.problem import Estimate, Problem
+from agent.robot.parameter_layout import ParameterLayout
 
 _LONGEST_LAG = 0.1  # s
 
@@ -48,7 +49,8 @@ def _simulate(problem: Problem, start: Estimate, motion: Motion) -> Motion:
 
     robot = problem.observation.robot
     assert start.standard is not None
-    links, rotors = np.split(start.standard, [10 * robot.dof])
+    layout = ParameterLayout.of(robot)
+    links, rotors = start.standard[layout.links], start.standard[layout.rotors]
     dynamics = problem.observation.rigid.dynamics.with_parameters(links)
     friction = {name: np.zeros(robot.dof) for name in ("coulomb", "viscous", "quadratic")}
     for term, value in zip(problem.terms, start.parameters[problem.observation.rigid.count :], strict=True):

@@ -14,6 +14,7 @@ import numpy as np
 
 from agent.estimation.observation import Observation
 from agent.model.friction_terms import FORMS, FrictionTerm
+from agent.robot.parameter_layout import ParameterLayout
 
 _LINK_DOUBT = 0.5  # standard deviation of a link's mass, first moment and inertia, relative
 _FREE_DOUBT = (
@@ -61,7 +62,7 @@ def link_prior(observation: Observation, source: str = DESCRIPTION) -> tuple[np.
     be as large as the torque and acceleration seen allow.
     """
     robot, dynamics = observation.robot, observation.rigid.dynamics
-    links = dynamics.standard_parameters().reshape(-1, 10)
+    links = ParameterLayout.of(robot).blocks(dynamics.standard_parameters())
     if source == SIZE:
         links = np.zeros_like(links)
     rng = np.random.default_rng(0)

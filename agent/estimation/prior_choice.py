@@ -15,6 +15,7 @@ import numpy as np
 from agent.estimation.prior import DESCRIPTION, SIZE
 from agent.estimation.problem import Problem, cross_validate
 from agent.estimation.solving import clear_gain, iterate_weights, solve_sum
+from agent.robot.parameter_layout import LINK_PARAMETERS
 
 _LEAST_GAIN = 0.05  # of the squared error held out
 _ALIKE = 1e-6  # relative difference of masses that are the same
@@ -39,7 +40,7 @@ def choose_links(problem: Problem) -> Problem:
 
 def placeholders(standard: np.ndarray) -> bool:
     """Whether links (10 n,) have no mass, or most of them the mass of another one: nobody measured those."""
-    mass = np.sort(standard[::10])
+    mass = np.sort(standard[:: len(LINK_PARAMETERS)])
     if mass[-1] <= 0:
         return True
     same = np.diff(mass) <= _ALIKE * mass[-1]

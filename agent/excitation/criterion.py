@@ -25,6 +25,7 @@ from agent.robot.base_parameters import base_parameters
 from agent.robot.drivetrain import rotor_regressor
 from agent.robot.dynamics import Dynamics, Tool
 from agent.robot.friction import PAPER_TERMS, friction_regressor
+from agent.robot.parameter_layout import ParameterLayout
 
 #: Columns of unit length with a reciprocal condition number below this are not excited independently of each other.
 DEPENDENT = 1e-10
@@ -41,7 +42,7 @@ class Criterion:
         self._dynamics = Dynamics(robot, tool)
         base = base_parameters(robot, rotors=True)
         names = dict(zip((int(k) for k in base.independent), base.names, strict=True))
-        inertial = 10 * robot.dof
+        inertial = ParameterLayout.of(robot).rotors.start
         self._inertial = [k for k in names if k < inertial]
         self._rotors = [k - inertial for k in names if k >= inertial]
         self.weights = torque_weights(robot)

@@ -7,6 +7,7 @@ import numpy as np
 from agent.model.data import ModelData
 from agent.model.friction_terms import FORMS, FrictionTerm
 from agent.robot import RobotDescription
+from agent.robot.parameter_layout import ParameterLayout
 
 _REVERSING = ("coulomb", "stribeck", "load")
 
@@ -15,18 +16,18 @@ def check_model(model: ModelData) -> None:
     """Raise ValueError where a model read from a file cannot be used."""
     robot = model.robot
     check_robot(robot)
-    n, b, p = robot.dof, len(model.independent), len(model.values)
+    n, size, b, p = robot.dof, ParameterLayout.of(robot).size, len(model.independent), len(model.values)
     if p != b + len(model.terms) or model.covariance.shape != (p, p) or len(model.combinations) != b:
         raise ValueError("the numbers of parameters and the size of their covariance differ")
-    if model.projection.shape != (b, 11 * n) or len(model.standard_names) != 11 * n:
+    if model.projection.shape != (b, size) or len(model.standard_names) != size:
         raise ValueError("the projection does not fit the numbers of base and standard parameters")
-    if np.any(model.independent < 0) or np.any(model.independent >= 11 * n):
-        raise ValueError(f"independent counts standard parameters, 0 to {11 * n - 1}")
+    if np.any(model.independent < 0) or np.any(model.independent >= size):
+        raise ValueError(f"independent counts standard parameters, 0 to {size - 1}")
     arrays = {
         "residual_rmse": (model.residual_rmse, (n,)),
         "held_out_rmse": (model.held_out_rmse, (n,)),
         "weights": (model.weights, (2, n)),
-        "standard_parameters": (model.standard, (11 * n,)),
+        "standard_parameters": (model.standard, (size,)),
         "group_rmse": (model.group_rmse, (2, n)),
         "standstill_speed": (model.standstill_speed, (n,)),
     }

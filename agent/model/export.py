@@ -24,6 +24,7 @@ import numpy as np
 from agent.core.errors import RejectedError
 from agent.model.full_parameters import check_physical, full_parameters
 from agent.model.identified import IdentifiedModel
+from agent.robot.parameter_layout import ParameterLayout
 
 _STATES = 50
 _TOLERANCE = 1e-9  # of the largest torque
@@ -66,6 +67,7 @@ def urdf_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -
     Joints that the description leaves out are held, hence fixed. Gravity is there for MuJoCo, which would take 9.81.
     """
     robot = model.robot
+    layout = ParameterLayout.of(robot)
     root = ElementTree.fromstring(robot.urdf)
     joints = {joint.get("name"): joint for joint in root.findall("joint")}
     children: dict[str | None, list[str]] = {}
@@ -80,7 +82,7 @@ def urdf_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -
         for fixed in _descendants(moved, children):
             for old in links[fixed].findall("inertial"):
                 links[fixed].remove(old)
-        links[moved].insert(0, _inertial(standard[10 * k : 10 * k + 10]))
+        links[moved].insert(0, _inertial(standard[layout.link(k)]))
         for old in joints[name].findall("dynamics"):
             joints[name].remove(old)
         damping, friction = lines[k] * (own[k] ** 2, own[k])
@@ -98,20 +100,21 @@ def mujoco_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray)
     from agent.robot.kinematics.chain import joint_axes
 
     robot, dynamics = model.robot, model.rigid.dynamics
+    layout = ParameterLayout.of(robot)
     root = Element("mujoco", model=robot.name)
     SubElement(root, "compiler", angle="radian", autolimits="true")
     SubElement(root, "option", gravity=_text(*robot.gravity))
     body = SubElement(root, "worldbody")
     joints = {joint.get("name"): joint for joint in ElementTree.fromstring(robot.urdf).findall("joint")}
     before, zero = np.eye(4), np.zeros((1, robot.dof))
-    armature = robot.gear_ratios**2 * standard[10 * robot.dof :]
+    armature = robot.gear_ratios**2 * standard[layout.rotors]
     tendons = []
     for k, (joint, axis) in enumerate(zip(robot.joints, joint_axes(robot), strict=True)):
         link = _end(joints[joint.name], "child")
         frame = dynamics.link_poses(zero, link)[0]
         body = SubElement(body, "body", {"name": link, **_placement(np.linalg.solve(before, frame))})
         before = frame
-        block = standard[10 * k : 10 * k + 10]
+        block = standard[layout.link(k)]
         inertia = _about_centre(block)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
         SubElement(
             body, "inertial", pos=_text(*(block[1:4] / block[0])), mass=_text(block[0]), fullinertia=_text(*inertia)
@@ -140,7 +143,8 @@ def mujoco_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray)
 def friction_data(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -> dict[str, Any]:
     """Content of friction.json: what drives the joints."""
     robot = model.robot
-    rotors = standard[10 * robot.dof :]
+    layout = ParameterLayout.of(robot)
+    rotors = standard[layout.rotors]
     values = model.values[len(model.independent) :]
     reflected = robot.coupling.T @ np.diag(robot.gear_ratios**2 * rotors) @ robot.coupling
     axles = []

@@ -19,6 +19,7 @@ import numpy as np
 from agent.core.errors import RejectedError
 from agent.model.identified import IdentifiedModel
 from agent.robot import RobotDescription
+from agent.robot.parameter_layout import ParameterLayout
 
 _ROUNDS = 200
 _DECREMENT = 1e-9
@@ -50,8 +51,8 @@ def full_parameters(model: IdentifiedModel) -> np.ndarray:
 
 def check_physical(robot: RobotDescription, standard: np.ndarray) -> None:
     """Raise RejectedError unless every link (11 n,) has a mass distribution and no rotor inertia is negative."""
-    links, rotors = np.split(np.asarray(standard, dtype=float), [10 * robot.dof])
-    for block, rotor, name in zip(links.reshape(-1, 10), rotors, robot.joint_names, strict=True):
+    layout, standard = ParameterLayout.of(robot), np.asarray(standard, dtype=float)
+    for block, rotor, name in zip(layout.blocks(standard), standard[layout.rotors], robot.joint_names, strict=True):
         matrix = pseudo_inertia(block)
         size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         if np.any(np.diag(matrix) <= 0) or np.linalg.eigvalsh(matrix / np.outer(size, size))[0] <= _THINNEST:
@@ -88,30 +89,29 @@ _BASIS = _basis()
 
 def _nearest(model: IdentifiedModel) -> np.ndarray | None:
     """(11 n,) nearest to the URDF, or None where there is none."""
-    n = model.robot.dof
+    layout = ParameterLayout.of(model.robot)
     start = _reference(model)
-    inverse = [np.linalg.inv(pseudo_inertia(block)) for block in start[: 10 * n].reshape(n, 10)]
-    slope = np.concatenate([*(np.einsum("kij,ji->k", _BASIS, s) for s in inverse), 1 / start[10 * n :]])
+    slope = _logarithms(start, layout)
     # in units of the curvature at the start, and with rows of unit length
-    scale = 1 / np.sqrt(np.diag(_curvature(start, n)))
+    scale = 1 / np.sqrt(np.diag(_curvature(start, layout)))
     rows = model.projection * scale
     length = np.linalg.norm(rows, axis=1)
     rows, target = rows / length[:, None], model.base_values / length
     unknown, dual = start / scale, np.zeros(len(rows))
 
     def residual(unknown: np.ndarray, dual: np.ndarray) -> np.ndarray:
-        gradient = scale * (slope - _logarithms(scale * unknown, n))
+        gradient = scale * (slope - _logarithms(scale * unknown, layout))
         return np.concatenate([gradient + rows.T @ dual, rows @ unknown - target])
 
     left = residual(unknown, dual)
     size, b = len(unknown), len(rows)
     for _ in range(_ROUNDS):
         kkt = np.zeros((size + b, size + b))
-        kkt[:size, :size] = _curvature(scale * unknown, n) * np.outer(scale, scale)
+        kkt[:size, :size] = _curvature(scale * unknown, layout) * np.outer(scale, scale)
         kkt[:size, size:], kkt[size:, :size] = rows.T, rows
         step = np.linalg.solve(kkt, -left)
         share = 1.0
-        while not _inside(scale * (unknown + share * step[:size]), n) or np.linalg.norm(
+        while not _inside(scale * (unknown + share * step[:size]), layout) or np.linalg.norm(
             new := residual(unknown + share * step[:size], dual + share * step[size:])
         ) > (1 - 0.01 * share) * np.linalg.norm(left):
             share /= 2
@@ -126,31 +126,31 @@ def _nearest(model: IdentifiedModel) -> np.ndarray | None:
     # the last digits: the shortest correction onto P π = β
     found = found + scale * (np.linalg.pinv(rows) @ (target - rows @ (found / scale)))
     fits = np.linalg.norm(rows @ unknown - target) <= 1e-8 * np.linalg.norm(target)
-    return found if fits and _inside(found, n) else None
+    return found if fits and _inside(found, layout) else None
 
 
-def _logarithms(standard: np.ndarray, n: int) -> np.ndarray:
+def _logarithms(standard: np.ndarray, layout: ParameterLayout) -> np.ndarray:
     """(11 n,) gradient of Σ log det S + Σ log J."""
-    inverse = [np.linalg.inv(pseudo_inertia(block)) for block in standard[: 10 * n].reshape(n, 10)]
-    return np.concatenate([*(np.einsum("kij,ji->k", _BASIS, s) for s in inverse), 1 / standard[10 * n :]])
+    inverse = [np.linalg.inv(pseudo_inertia(block)) for block in layout.blocks(standard)]
+    return np.concatenate([*(np.einsum("kij,ji->k", _BASIS, s) for s in inverse), 1 / standard[layout.rotors]])
 
 
-def _curvature(standard: np.ndarray, n: int) -> np.ndarray:
+def _curvature(standard: np.ndarray, layout: ParameterLayout) -> np.ndarray:
     """(11 n, 11 n) Hessian of -Σ log det S - Σ log J."""
-    hessian = np.zeros((11 * n, 11 * n))
-    for k, block in enumerate(standard[: 10 * n].reshape(n, 10)):
+    hessian = np.zeros((layout.size, layout.size))
+    for k, block in enumerate(layout.blocks(standard)):
         turned = np.linalg.inv(pseudo_inertia(block)) @ _BASIS
-        hessian[10 * k : 10 * k + 10, 10 * k : 10 * k + 10] = np.einsum("aij,bji->ab", turned, turned)
-    place = np.arange(10 * n, 11 * n)
-    hessian[place, place] = standard[10 * n :] ** -2
+        hessian[layout.link(k), layout.link(k)] = np.einsum("aij,bji->ab", turned, turned)
+    place = np.arange(layout.rotors.start, layout.rotors.stop)
+    hessian[place, place] = standard[layout.rotors] ** -2
     return hessian
 
 
-def _inside(standard: np.ndarray, n: int) -> bool:
-    if np.any(standard[10 * n :] <= 0) or np.any(standard[: 10 * n : 10] <= 0):
+def _inside(standard: np.ndarray, layout: ParameterLayout) -> bool:
+    if np.any(standard[layout.rotors] <= 0) or np.any(layout.blocks(standard)[:, 0] <= 0):
         return False
     try:
-        for block in standard[: 10 * n].reshape(n, 10):
+        for block in layout.blocks(standard):
             np.linalg.cholesky(pseudo_inertia(block))
     except np.linalg.LinAlgError:
         return False
@@ -161,7 +161,7 @@ def _reference(model: IdentifiedModel) -> np.ndarray:
     """(11 n,) of the URDF and the description, made physical where they are not."""
     robot, dynamics = model.robot, model.rigid.dynamics
     n = robot.dof
-    links = dynamics.standard_parameters().reshape(n, 10)
+    links = ParameterLayout.of(robot).blocks(dynamics.standard_parameters())
     q = np.random.default_rng(0).uniform(-3, 3, (50, n))
     reach = max(float(np.linalg.norm(dynamics.tip_pose(q)[:, :3, 3], axis=1).max()), 0.1)
     total = max(float(links[:, 0].sum()), float(np.abs(model.base_values).max()), 1e-3)

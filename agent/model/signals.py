@@ -11,6 +11,7 @@ import numpy as np
 from agent.model.friction_terms import AxleMotion, Reversal, axle_columns
 from agent.model.identified import IdentifiedModel
 from agent.robot import RobotDescription
+from agent.robot.parameter_layout import ParameterLayout
 
 if TYPE_CHECKING:
     from agent.robot.dynamics import Dynamics
@@ -37,10 +38,11 @@ class NominalModel:
         correction = np.linalg.solve(spread, model.base_values - model.projection @ mean)
         standard = mean + prior_std**2 * (model.projection.T @ correction)
         self.prior_std = prior_std
-        self.links: Dynamics = nominal.with_parameters(standard[: 10 * self.robot.dof])
+        layout = ParameterLayout.of(self.robot)
+        self.links: Dynamics = nominal.with_parameters(standard[layout.links])
         #: links whose mass matrix is sound: those of the description where the spread ones could not be bodies
         self.solid = self.links if _sound(self.links, nominal) else nominal
-        self.rotors = standard[10 * self.robot.dof :]
+        self.rotors = standard[layout.rotors]
         self.coupling = self.robot.coupling
         self.from_joints = np.linalg.inv(self.coupling)
         self.reversals = tuple(self._reversal(axle) for axle in range(self.robot.dof))
@@ -69,7 +71,7 @@ def _doubt(robot: RobotDescription, nominal: Dynamics, links: np.ndarray) -> tup
     rng = np.random.default_rng(0)
     tips = nominal.tip_pose(rng.uniform(-3, 3, (50, robot.dof)))[:, :3, 3]
     reach = max(float(np.linalg.norm(tips, axis=1).max()), 0.1)
-    blocks = links.reshape(-1, 10)
+    blocks = ParameterLayout.of(robot).blocks(links)
     mass = np.maximum(blocks[:, 0], 0.02 * max(blocks[:, 0].sum(), 1e-3))
     gyration = np.sqrt(np.maximum(blocks[:, [4, 6, 9]].sum(axis=1), 0) / 2 / mass)
     radius = np.maximum(gyration, 0.1 * reach)

@@ -16,6 +16,7 @@ import numpy as np
 from agent.robot.description import RobotDescription
 from agent.robot.drivetrain import rotor_regressor
 from agent.robot.kinematics.chain import joint_axes
+from agent.robot.parameter_layout import LINK_PARAMETERS, ParameterLayout
 
 #: A column of unit length is dependent when less than this is left of it. Of an independent one a quarter or more is
 #: left on the arms tried, of a dependent one round-off, or 5e-6 where the URDF has pi with four digits.
@@ -57,13 +58,14 @@ def base_parameters(robot: RobotDescription, rotors: bool = True) -> BaseParamet
     They depend on geometry, gravity, gear ratios and motor coupling alone, not on the inertial parameters.
     """
     standard = _random_regressor(robot, rotors)
-    names = _standard_names(robot.dof, rotors)
+    layout = ParameterLayout.of(robot, rotors)
+    names = layout.names
     scale = np.linalg.norm(standard, axis=0)
     # A rotor's column is never zero, and its gear ratio squared would hide those of links.
-    idle = np.arange(len(scale)) < 10 * robot.dof
-    idle &= scale < NEGLIGIBLE * scale[: 10 * robot.dof].max()
+    idle = np.arange(len(scale)) < layout.links.stop
+    idle &= scale < NEGLIGIBLE * scale[layout.links].max()
     standard[:, idle], scale[idle] = 0.0, 1.0
-    independent, projection = _reduce(standard / scale, _preference(robot, rotors))
+    independent, projection = _reduce(standard / scale, _preference(robot, layout))
     projection = _clean(projection * scale / scale[independent, None])
     texts = tuple(_combination(row, k, names) for row, k in zip(projection, independent, strict=True))
     return BaseParameters(independent, projection, texts, names)
@@ -81,24 +83,15 @@ def _random_regressor(robot: RobotDescription, rotors: bool) -> np.ndarray:
     return columns.reshape(-1, columns.shape[2])
 
 
-def _standard_names(dof: int, rotors: bool) -> tuple[str, ...]:
-    from agent.robot.dynamics import STANDARD_PARAMETERS
-
-    links = [f"{name}{link}" for link in range(1, dof + 1) for name in STANDARD_PARAMETERS]
-    return tuple(links + [f"J{joint}" for joint in range(1, dof + 1)] * rotors)
-
-
-def _preference(robot: RobotDescription, rotors: bool) -> list[int]:
+def _preference(robot: RobotDescription, layout: ParameterLayout) -> list[int]:
     """Order in which columns are offered: links from base to tip, then rotors."""
-    from agent.robot.dynamics import STANDARD_PARAMETERS
-
     order: list[int] = []
     for link, (axis, joint) in enumerate(zip(joint_axes(robot), robot.joints, strict=True)):
         about = ("Ixx", "Iyy", "Izz")[int(np.argmax(np.abs(axis)))]
         first = "m" if joint.prismatic else about
         rest = [name for name in ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m") if name != first]
-        order += [10 * link + STANDARD_PARAMETERS.index(name) for name in (first, *rest)]
-    return order + list(range(10 * robot.dof, 11 * robot.dof)) * rotors
+        order += [layout.link(link).start + LINK_PARAMETERS.index(name) for name in (first, *rest)]
+    return order + list(range(layout.rotors.start, layout.rotors.stop))
 
 
 def _reduce(columns: np.ndarray, order: list[int]) -> tuple[np.ndarray, np.ndarray]:

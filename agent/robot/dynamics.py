@@ -12,9 +12,7 @@ import pinocchio as pin
 
 from agent.core.errors import InputError
 from agent.robot.description import RobotDescription
-
-#: Order of a link's ten standard parameters: mass [kg], first moments [kg·m], inertia about the joint frame [kg·m²].
-STANDARD_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+from agent.robot.parameter_layout import ParameterLayout
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class Dynamics:
 
     def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """(S, n, 10 n) regressor of the standard inertial parameters: τ = Y π, links base to tip."""
-        columns = np.empty((len(q), self.dof, 10 * self.dof))
+        columns = np.empty((len(q), self.dof, ParameterLayout.of(self.robot, rotors=False).size))
         for k in range(len(columns)):
             columns[k] = pin.computeJointTorqueRegressor(self._model, self._data, q[k], qd[k], qdd[k])
         return columns
@@ -82,8 +80,8 @@ class Dynamics:
         other = copy(self)
         other._model = pin.Model(self._model)
         other._data = other._model.createData()
-        for k, block in enumerate(np.reshape(parameters, (self.dof, 10))):
-            block = np.where(np.arange(10) == 0, np.where(abs(block[0]) < 1e-12, 1e-12, block[0]), block)
+        for k, block in enumerate(ParameterLayout.of(self.robot).blocks(parameters)):
+            block = np.where(np.arange(len(block)) == 0, np.where(abs(block[0]) < 1e-12, 1e-12, block[0]), block)
             other._model.inertias[k + 1] = pin.Inertia.FromDynamicParameters(block)
         return other
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.robot.drivetrain import rotor_regressor
+from agent.robot.parameter_layout import ParameterLayout
 
 if TYPE_CHECKING:
     from agent.robot.description import RobotDescription
@@ -52,7 +53,7 @@ class RigidBodies:
         """(S, Σ b_i) what is other than zero of `columns`: for each joint those that `support` lists."""
         joints = np.repeat(np.arange(self.robot.dof), [len(support) for support in self.support])
         standard = self.independent[np.concatenate(self.support)]
-        place = joints * (11 * self.robot.dof) + standard
+        place = joints * ParameterLayout.of(self.robot).size + standard
         columns = np.empty((len(place), len(q)))
         for part in _chunks(len(q)):
             regressor = self._regressor(q[part], qd[part], qdd[part])
@@ -64,9 +65,9 @@ class RigidBodies:
         # of all links with these base parameters some with mass, which Newton and Euler need: cheaper than the columns
         bodies = np.append(np.tile(_BODY, self.robot.dof), np.zeros(self.robot.dof))
         bodies = bodies + self._inverse @ (parameters - self.projection @ bodies)
-        links, rotors = np.split(bodies, [10 * self.robot.dof])
-        torque = self.dynamics.with_parameters(links).inverse_dynamics(q, qd, qdd)
-        return torque + rotor_regressor(self.robot, qdd) @ rotors
+        layout = ParameterLayout.of(self.robot)
+        torque = self.dynamics.with_parameters(bodies[layout.links]).inverse_dynamics(q, qd, qdd)
+        return torque + rotor_regressor(self.robot, qdd) @ bodies[layout.rotors]
 
     @cached_property
     def _inverse(self) -> np.ndarray:

@@ -1,0 +1,30 @@
+"""Where standard parameters stand: one order for names, regressors and bodies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.robot import load_robot
+from agent.robot.dynamics import Dynamics
+from agent.robot.parameter_layout import ParameterLayout
+from agent.robot.rigid_bodies import rigid_bodies
+
+
+def test_the_layout_fits_the_regressor_and_its_names():
+    robot = load_robot("comau_ns16")
+    layout = ParameterLayout.of(robot)
+    bodies, names, _ = rigid_bodies(robot)
+    assert names == layout.names
+    assert bodies.projection.shape[1] == layout.size == len(names)
+    assert names[layout.link(2).start] == "m3"
+    assert names[layout.rotors] == tuple(f"J{k + 1}" for k in range(robot.dof))
+    masses = layout.blocks(Dynamics(robot).standard_parameters())[:, 0]
+    assert masses.shape == (robot.dof,)
+    assert (masses > 0).all()
+
+
+def test_links_and_drives_may_differ_in_number():
+    layout = ParameterLayout(n_links=8, n_rotors=6)
+    standard = np.arange(layout.size)
+    assert len(layout.names) == 86
+    assert np.array_equal(np.concatenate([layout.blocks(standard).ravel(), standard[layout.rotors]]), standard)
