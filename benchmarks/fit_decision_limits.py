@@ -1,6 +1,7 @@
 """Fits the tuned limits of the diagnosis on one set of draws and judges them on another.
 
-`python benchmarks/fit_decision_limits.py --keep FOLDER [--robot R] [--cases N] [--seed S] [--seconds T]`
+`python benchmarks/fit_decision_limits.py --keep FOLDER [--robot R] [--cases N] [--seed S] [--seconds T]
+[--only LIMIT…]`
 
 Runs are drawn as the blind check draws them (`agent.blind_check.cases`), followed by the fake controller's plant, and
 diagnosed with the limits as they are, and with each tuned limit a step down and up. A limit moves where the cost of
@@ -15,7 +16,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,12 +52,12 @@ def moved(limits: DecisionLimits, name: str, factor: float) -> DecisionLimits:
     return replace(limits, **{name: tuple(map(scaled, value)) if isinstance(value, tuple) else scaled(value)})
 
 
-def variations() -> dict[str, DecisionLimits]:
-    """The limits as they are, and each tuned one a step down and up."""
+def variations(only: Sequence[str] | None = None) -> dict[str, DecisionLimits]:
+    """The limits as they are, and each tuned one, or some of them, a step down and up."""
     steps = {"/": 1 / STEP, "×": STEP}
     found = {AS_IS: LIMITS}
     for limit in described():
-        if limit.source == TUNED:
+        if limit.source == TUNED and (only is None or limit.name in only):
             found |= {f"{limit.name} {sign}": moved(LIMITS, limit.name, factor) for sign, factor in steps.items()}
     return found
 
@@ -137,11 +138,12 @@ def main() -> None:
     parser.add_argument("--robot", default="comau_ns16")
     parser.add_argument("--cases", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1, help="of the draws fitted on; the next one is judged on")
+    parser.add_argument("--only", nargs="*", help="these limits")
     parser.add_argument("--keep", type=Path, required=True, help="folder for models and diagnoses")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after the run that passes it")
     arguments = parser.parse_args()
     arguments.keep.mkdir(parents=True, exist_ok=True)
-    robot, wanted, begin = load_robot(arguments.robot), variations(), time.monotonic()
+    robot, wanted, begin = load_robot(arguments.robot), variations(arguments.only), time.monotonic()
     draws, others = (Draws(robot, arguments.cases, arguments.seed + k, arguments.keep) for k in (0, 1))
 
     def out_of_time(steps: Iterator[None]) -> bool:
