@@ -27,7 +27,7 @@ from agent.estimation import FilterSettings  # noqa: E402
 from agent.estimation.blocks import partition  # noqa: E402
 from agent.estimation.consistent import consistent  # noqa: E402
 from agent.estimation.filtering import Motion, motions  # noqa: E402
-from agent.estimation.friction_selection import ladder  # noqa: E402
+from agent.estimation.friction_selection import select_friction_terms  # noqa: E402
 from agent.estimation.least_squares import weighted  # noqa: E402
 from agent.estimation.observation import observe  # noqa: E402
 from agent.estimation.problem import Estimate, Problem  # noqa: E402
@@ -112,7 +112,7 @@ def fitted(log: Log, unseen: list[Motion]) -> dict[str, float]:
     robot = local_vs_global.load_recipe(ROOT / "recipes/ns16_quickstart.yaml").robot
     rigid, names, combinations = rigid_bodies(robot)
     observation = observe(rigid, [log], FilterSettings(30.0))
-    problem = ladder(observation, partition(observation.segments)).with_own_prior_weight()
+    problem = select_friction_terms(observation, partition(observation.segments)).with_own_prior_weight()
     return {
         name: error(build_model(problem, fit(problem), name, names, combinations, [log]), unseen)
         for name, fit in FITS.items()

@@ -206,7 +206,7 @@ class RobotDescription:
             name=_file_name(data["name"]),
             urdf=data["urdf"],
             tip_frame=data["tip_frame"],
-            gravity=_vector(data["gravity"]),
+            gravity=_vector(data["gravity"], "gravity"),
             cartesian_limits=None if limits is None else CartesianLimits(**limits),
             joints=joints,
             motor_coupling=tuple(tuple(row) for row in data["motor_coupling"]),
@@ -264,7 +264,7 @@ def _load_file(path: Path) -> RobotDescription:
         name=entry.name,
         urdf=urdf,
         tip_frame=entry.tip_frame,
-        gravity=_vector(entry.gravity),
+        gravity=_vector(entry.gravity, "gravity"),
         cartesian_limits=None if entry.cartesian_limits is None else CartesianLimits(**entry.cartesian_limits.__dict__),
         joints=tuple(_joint(path, joint, elements) for joint in entry.joints),
         motor_coupling=_coupling(path, entry),
@@ -275,7 +275,9 @@ def _load_file(path: Path) -> RobotDescription:
     )
 
 
-def _vector(values: list[float]) -> tuple[float, float, float]:
+def _vector(values: list[float], name: str = "a point") -> tuple[float, float, float]:
+    if len(values) != 3:
+        raise ValueError(f"{name} is three numbers")
     x, y, z = values
     return x, y, z
 
