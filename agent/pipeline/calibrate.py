@@ -110,13 +110,14 @@ def _greet(recipe: Recipe, console: Console) -> None:
 
 def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
     from agent.estimation import EstimationSettings, IdentifiedModel, estimate
-    from agent.pipeline.identify import read_logs
+    from agent.pipeline.identify import check_run, read_logs
 
     if run.finished("estimate"):
         run.check_file("model.json", run.state.get("model_sha256"))
         return IdentifiedModel.load(run.file("model.json"))
     console.step("estimating")
     logs = read_logs([run.file(EXCITATION)], recipe.robot, console)
+    check_run(recipe.robot, logs, None, console)
     model = estimate(
         recipe.robot,
         logs,
@@ -131,11 +132,12 @@ def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
 
 
 def _validate(recipe: Recipe, run: RunFolder, model: Any, console: Console) -> list[Any]:
-    from agent.pipeline.identify import read_logs
+    from agent.pipeline.identify import check_one_machine, read_logs
     from agent.validation import predict_log
 
     console.step("validating on unseen motions")
     logs = read_logs(validation_logs(run), recipe.robot, console)
+    check_one_machine(logs, model, allow_mixed=False)
     return [predict_log(model, log) for log in logs]
 
 

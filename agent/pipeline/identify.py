@@ -58,8 +58,14 @@ def check_one_machine(logs: Sequence[Any], model: Any, allow_mixed: bool) -> Non
             )
 
 
-def check_plausible(robot: Any, logs: Sequence[Any], force: bool, console: Console) -> None:
-    """Refuse logs that no motion of this robot can have made; with `force` only say so.
+def check_plausible(
+    robot: Any,
+    logs: Sequence[Any],
+    force: bool,
+    console: Console,
+    advice: str = "Nothing is written; mend it, or go on with --force",
+) -> None:
+    """Refuse logs that no motion of this robot can have made, with what to do; with `force` only say so.
 
     Raises:
         RejectedError: with the likeliest reason first.
@@ -69,9 +75,23 @@ def check_plausible(robot: Any, logs: Sequence[Any], force: bool, console: Conso
     found = doubts(robot, logs)
     if found and not force:
         names = ", ".join(log.name for log in logs)
-        raise RejectedError(f"{names}: {'; '.join(found)}. Nothing is written; mend it, or go on with --force")
+        raise RejectedError(f"{names}: {'; '.join(found)}. {advice}")
     for doubt in found:
         console.warn(doubt)
+
+
+def check_run(robot: Any, logs: Sequence[Any], model: Any, console: Console) -> None:
+    """The same two for what a run recorded to fit it: of one machine (of the model's, if any), and plausible.
+
+    Raises:
+        InputError, RejectedError: as `check_one_machine` and `check_plausible` do.
+    """
+    check_one_machine(logs, model, allow_mixed=False)
+    advice = (
+        "No model is made of it. Mend the description or what the controller sends, then start a new run; "
+        "`agent estimate --force` fits the logs of this one all the same"
+    )
+    check_plausible(robot, logs, False, console, advice)
 
 
 def say_used(logs: Sequence[Any], cutoff: float, order: int, console: Console) -> None:

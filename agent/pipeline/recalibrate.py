@@ -175,12 +175,13 @@ def _check_machine(reference: Reference, link: Link) -> None:
 
 def _estimate(recipe: Recipe, reference: Reference, run: RunFolder, console: Console) -> tuple[Log, Refit, Comparison]:
     from agent.estimation.refit import refit
-    from agent.pipeline.identify import read_logs
+    from agent.pipeline.identify import check_run, read_logs
     from agent.validation.compare import compare_models
 
     what = recipe.recalibrate.parameters
     console.step("estimating friction again" if what == "friction" else "estimating all parameters again")
     (log,) = read_logs([run.file(EXCITATION)], recipe.robot, console)
+    check_run(recipe.robot, [log], reference.model, console)
     found = refit(reference.model, [log], what, recipe.tool)
     found.model.save(run.file("model.json"))
     run.note(model_sha256=sha256_file(run.file("model.json")))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from agent.core.console import Console
-from agent.core.errors import InputError
-from agent.link.record import Place, Recording, open_link, report_losses
+from agent.core.errors import ControllerError, InputError
+from agent.link.record import Link, Place, Recording, open_link, report_losses
 from agent.pipeline.planning import Plan, programs
 from agent.recipe import Recipe
 from agent.runs.folder import RunFolder, sha256_file
@@ -26,6 +26,8 @@ def record_plan(recipe: Recipe, plan: Plan, run: RunFolder, console: Console, lo
     missing = {name: motion for name, motion in motions.items() if name not in done}
     if missing:
         with open_link(recipe, console, yes, logs) as link:
+            if done:
+                _check_machine(run, link)
             run.note(serial=link.identity.serial)
             ready = programs(recipe, list(missing.values()), link.position())
             console.step(f"recording {len(missing)} motions, {sum(total for *_, total in ready):.0f} s in all")
@@ -44,6 +46,15 @@ def record_plan(recipe: Recipe, plan: Plan, run: RunFolder, console: Console, lo
 def validation_logs(run: RunFolder) -> list[Path]:
     """Logs of the validation motions of a run."""
     return sorted(run.path.glob("validation_[0-9][0-9].mcap"))
+
+
+def _check_machine(run: RunFolder, link: Link) -> None:
+    known, here = run.state.get("serial"), link.identity.serial
+    if known and here and known != here:
+        raise ControllerError(
+            f"{link.address}: this machine has serial {here}; the motions that {run.path.name} has recorded are of "
+            f"{known}, and one model is of one machine. Connect that one, or start a new run without --resume"
+        )
 
 
 def _recorded(run: RunFolder, name: str) -> Recording | None:

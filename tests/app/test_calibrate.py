@@ -17,6 +17,8 @@ from agent.robot import load_robot
 from drivers.transports.tcp import TcpDriver
 from fake_controller.plant import Plant
 
+JOINTS = [f"joint_{k + 1}" for k in range(6)]
+
 
 def score_of_the_truth(folder: Path) -> np.ndarray:
     """(n,) normalised RMSE on moving samples of the plant's own parameters, on the validation logs of a run."""
@@ -137,12 +139,40 @@ def test_a_stopped_run_goes_on(
     slow.end()
     folder = only_run(tmp_path / "logs")
     port = slow.address.rsplit(":", 1)[1]
-    start_controller("--clock", "fast", "--port", port)
+    same = start_controller("--clock", "fast", "--port", port)
     run = run_agent("calibrate", recipe, "--resume", folder.name)
     assert run.returncode == 0, run.stderr
     assert "search" not in run.stderr.split("fitness")[0], "the plan was finished and is not searched again"
     assert (folder / "excitation.stopped1.mcap").exists()
-    assert json.loads((folder / "state.json").read_text(encoding="utf-8"))["status"] == "finished"
+    state = json.loads((folder / "state.json").read_text(encoding="utf-8"))
+    assert state["status"] == "finished"
+
+    same.end()
+    start_controller("--port", port, "--seed", "8")
+    state |= {"status": "stopped", "steps": {name: state["steps"][name] for name in ("plan", "excitation.mcap")}}
+    (folder / "state.json").write_text(json.dumps(state), encoding="utf-8")
+    other = run_agent("calibrate", recipe, "--resume", folder.name)
+    assert other.returncode == 4
+    assert "serial FAKE-0008" in other.stderr
+    assert "are of FAKE-0007" in other.stderr
+
+
+def test_torque_that_no_arm_can_have_makes_no_model(
+    only_run, start_controller, write_recipe, run_agent, tmp_path: Path
+):
+    effects = tmp_path / "millimetres.json"
+    effects.write_text(
+        json.dumps([{"effect": "torque_constant", "joints": JOINTS, "parameters": {"scale": 1000}}]), encoding="utf-8"
+    )
+    recipe = write_recipe(start_controller("--effects", str(effects)).address, motions=1, cycles=1)
+    run = run_agent("calibrate", recipe)
+    assert run.returncode == 3, run.stderr
+    assert "excitation.mcap: torques look like N·mm" in run.stderr
+    folder = only_run(tmp_path / "logs")
+    assert not (folder / "model.json").exists()
+    stopped = json.loads((folder / "state.json").read_text(encoding="utf-8"))["stopped"]
+    assert stopped["step"] == "estimate"
+    assert "N·mm" in stopped["reason"]
 
 
 def test_a_controller_killed_in_mid_motion(

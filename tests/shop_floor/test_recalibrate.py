@@ -114,6 +114,24 @@ def test_a_gate_that_is_missed_leaves_the_current_model(shop, run_agent):
     assert run_agent("apply", _runs(shop)[-1].name).returncode == 2, "a rejected model is not applied by hand either"
 
 
+def test_torque_that_no_arm_can_have_makes_no_model(shop, run_agent, tmp_path, start_controller):
+    effects = tmp_path / "millimetres.json"
+    joints = [f"joint_{k + 1}" for k in range(6)]
+    effects.write_text(
+        json.dumps([{"effect": "torque_constant", "joints": joints, "parameters": {"scale": 1000}}]), encoding="utf-8"
+    )
+    other = start_controller("--effects", str(effects))
+    recipe = shop / "recipe.yaml"
+    text = re.sub(r'address: "[^"]*"', f'address: "{other.address}"', recipe.read_text(encoding="utf-8"))
+    recipe.write_text(text, encoding="utf-8")
+    before = _current(shop).read_bytes()
+    run = run_agent("recalibrate", "recipe.yaml", "--yes")
+    assert run.returncode == 3, run.stderr
+    assert "excitation.mcap: torques look like N·mm" in run.stderr
+    assert not (_runs(shop)[-1] / "model.json").exists()
+    assert _current(shop).read_bytes() == before
+
+
 def test_another_machine_of_the_type_is_refused(shop, run_agent, start_controller):
     other = start_controller("--seed", "8")
     recipe = shop / "recipe.yaml"
