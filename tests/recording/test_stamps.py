@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from agent.core.errors import InputError
 from agent.estimation.filtering import FilterSettings, motions, used_text
 from agent.recording import read_log
+from agent.recording.grid import sample_numbers, settled
 
 
 @pytest.fixture
@@ -150,11 +151,21 @@ def jittering(kind, count, period, rng):
         for k in places:
             true[[k, k + 1]] = true[[k + 1, k]]
         return true
+    if kind == "normal":
+        return true + rng.normal(0, 1 / 3, count) * period
     return true + rng.uniform(-1 / 3, 1 / 3, count) * period
 
 
 @pytest.mark.parametrize(
-    ("kind", "lost"), [("late", 0.0), ("late", 0.1), ("late, in order", 0.1), ("swapped", 0.0), ("either way", 0.1)]
+    ("kind", "lost"),
+    [
+        ("late", 0.0),
+        ("late", 0.1),
+        ("late, in order", 0.1),
+        ("swapped", 0.0),
+        ("either way", 0.1),
+        ("normal", 0.1),
+    ],
 )
 @pytest.mark.parametrize("rate", [100.0, 500.0])
 def test_a_grid_is_found_behind_stamps_that_jitter(log_at, rate, lost, kind):
@@ -169,6 +180,17 @@ def test_a_grid_is_found_behind_stamps_that_jitter(log_at, rate, lost, kind):
     delay = np.mean(stamps - true[kept])
     away = motion.qd[middle, 0] - 1.25 * np.cos(2.5 * (motion.time[middle] + stamps[0] - delay))
     assert np.abs(away).max() < 0.02
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 13])
+def test_samples_that_are_missing_near_to_each_other_are_found(seed):
+    rng = np.random.default_rng(seed)
+    true = np.flatnonzero(rng.random(800) >= 0.1)
+    true = true - true[0]
+    position = 0.5 * np.sin(true[:, None] / 250 + 0.3 * np.arange(3)) + 1e-6 * rng.normal(size=(len(true), 3))
+    place = np.sort(true + rng.normal(0, 1 / 3, len(true)))
+    number = settled(sample_numbers(place / 250, 250.0), place, position)
+    np.testing.assert_array_equal(number, true)
 
 
 def test_gaps_that_are_short_for_the_filter_are_bridged(log_at):

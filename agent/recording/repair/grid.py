@@ -11,11 +11,12 @@ import numpy as np
 
 _BEGIN = 200  # samples that tell the phase of the grid
 _LOOKED_AT = 20_000  # samples that tell its rate
-_SEARCHED = 0.15  # of the rate, to either side
+_SEARCHED = 0.25  # of the rate, to either side
 _FINE = 16  # parts of a period that stamps are counted in
 _NOISE = 4.0  # times what samples of any phase would have: by chance one rate in a million has as much
 #: Rows by which the place of a missing sample may be wrong, rows that tell, and rounds over all of them.
 _DOUBT, _AROUND, _ROUNDS = 4, 9, 2
+_ROUGH = 10.0  # mean squared distance from the cubic, in noise: more is no noise
 
 
 def grid_rate(stamps: np.ndarray, rate: float) -> float:
@@ -71,7 +72,8 @@ def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.n
     """(S,) the numbers with each missing sample where positions (S, n) are smoothest and stamps least off.
 
     `place` (S,) are the stamps in periods. Jitter leaves open by a few rows where a sample is missing; positions are
-    near a cubic of nine rows to either side, and by how far is told by the rows that lie in one piece.
+    near a cubic of nine rows to either side, and by how far is told by the rows that lie in one piece. Two missing
+    samples so near to each other hide each other's place: where moving one leaves the rows rough, both are moved.
     """
     if len(number) < _AROUND:
         return number
@@ -85,21 +87,36 @@ def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.n
     for _ in range(_ROUNDS):
         for hole in np.flatnonzero(np.diff(number) > 1).tolist():
             first, stop = max(hole - _AROUND, 0), min(hole + _AROUND + 2, len(number))
-            here = hole - first
-            best, least = number[first:stop], np.inf
-            for shift in range(-min(_DOUBT, here), min(_DOUBT, stop - hole - 2) + 1):
-                trial = number[first:stop].copy()
-                trial[here + 1 : here + 1 + max(shift, 0)] -= 1
-                trial[here + 1 + min(shift, 0) : here + 1] += 1
-                away = (trial - number[hole]) / _AROUND
-                basis = np.linalg.qr(np.vander(away, 4))[0]
-                rows = scaled[first:stop]
-                cost = np.sum(rows**2) - np.sum((basis.T @ rows) ** 2)
-                cost += np.var(trial - place[first:stop]) * len(trial) / spread**2
-                if cost < least:
-                    best, least = trial, cost
-            number[first:stop] = best
+            rows, stamps, here = scaled[first:stop], place[first:stop], hole - first
+
+            def cost(trial: np.ndarray, rows: np.ndarray = rows, stamps: np.ndarray = stamps) -> float:
+                basis = np.linalg.qr(np.vander((trial - trial[len(trial) // 2]) / _AROUND, 4))[0]
+                rough = float(np.sum(rows**2) - np.sum((basis.T @ rows) ** 2))
+                return rough + float(np.var(trial - stamps)) * len(trial) / spread**2
+
+            trials = _moved(number[first:stop], here)
+            if not trials:
+                continue
+            costs = [cost(trial) for trial in trials]
+            if min(costs) > _ROUGH * rows.size:
+                for other in np.flatnonzero(np.diff(number[first:stop]) > 1).tolist():
+                    if other != here:
+                        trials += [both for one in _moved(number[first:stop], other) for both in _moved(one, here)]
+                costs += [cost(trial) for trial in trials[len(costs) :]]
+            number[first:stop] = trials[int(np.argmin(costs))]
     return number
+
+
+def _moved(number: np.ndarray, hole: int) -> list[np.ndarray]:
+    """The numbers (S,) with a sample that is missing after row `hole` missing some rows earlier or later."""
+    trials = []
+    if number[hole + 1] - number[hole] > 1:
+        for shift in range(-min(_DOUBT, hole), min(_DOUBT, len(number) - hole - 2) + 1):
+            trial = number.copy()
+            trial[hole + 1 : hole + 1 + max(shift, 0)] -= 1
+            trial[hole + 1 + min(shift, 0) : hole + 1] += 1
+            trials.append(trial)
+    return trials
 
 
 def line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
