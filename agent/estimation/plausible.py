@@ -8,7 +8,7 @@ mistake left less than 0.89 of what is unexplained; a real one left at most 0.29
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.estimation.filtering import FilterSettings, motions, resolve_cutoff
+from agent.estimation.velocity_check import velocity_doubts
 from agent.recording.log import Log
 from agent.robot import RobotDescription
 
@@ -28,39 +29,51 @@ _STEEL = 7850.0  # kg/m³
 _TOO_STRONG = 100.0  # times what the description says of the drive
 _TOO_FAR = 5.0  # times the joint's range
 _TOO_FAST = 10.0  # times its highest speed
-_RATES = (0.7, 1.4)  # velocity over derivative of position: between them filters and lag
 _DRIVING = 0.15  # of a joint's torque, by which friction and inertia together must push the wrong way
+_SURE = 5.0  # standard deviations of that push, and
+_ENOUGH = 4.0  # independent samples for each parameter: a short log tells no mistake from chance
+_FAR = 0.2  # rad or m that a joint that is asked to go does not stay behind, however weak its servo
 _MOVING = 1e-2  # rad or m that a joint travels to count as moving
 
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
-    """S low-passed samples: q, qd, qdd, torque and the direction of motion, all (S, n)."""
+    """S low-passed samples: q, qd, qdd, torque and the direction of motion, all (S, n); so many are independent."""
 
     q: np.ndarray
     qd: np.ndarray
     qdd: np.ndarray
     torque: np.ndarray
     direction: np.ndarray
+    independent: float
+
+    def thinned(self, every: int) -> _Samples:
+        """Every k-th."""
+        signals = (self.q, self.qd, self.qdd, self.torque, self.direction)
+        return _Samples(*(values[::every] for values in signals), independent=self.independent)
 
 
+_Regressor = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 _Mistake = tuple[str, RobotDescription, _Samples]
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
     """unexplained: part of the torque that is left, per joint (n,) and of all; pushing (n,): part of each joint's
-    torque by which friction, and by which its own inertia, drives it on; positive ones are wrong."""
+    torque by which friction, and by which its own inertia, drives it on, and how far that is known; positive ones are
+    wrong. enough: whether the samples are many enough for their parameters to compare fits."""
 
     joints: np.ndarray
     unexplained: float
     pushing: np.ndarray
+    deviation: np.ndarray
+    enough: bool
 
 
 def doubts(robot: RobotDescription, logs: Sequence[Log]) -> list[str]:
     """Why these logs cannot be of this robot, the likeliest reason first; empty where nothing speaks against them."""
     logs = [log for log in logs if log.effort is not None]
-    found = list(_signals(robot, logs)) or list(_velocities(logs)) or list(_stuck(robot, logs))
+    found = list(_signals(robot, logs)) or list(velocity_doubts(logs)) or list(_stuck(robot, logs))
     if found:
         return found
     samples = _samples(logs)
@@ -83,7 +96,7 @@ def _signals(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
     if too_strong := _too_strong(robot, turning, moving, strong):
         yield too_strong
     live = moving & ~dead
-    if live.any() and np.all(weakest.min(axis=0)[live] >= 0) and _swings(logs, efforts, live):
+    if live.any() and np.all(weakest.min(axis=0)[live] >= 0) and _comes_to_nothing(logs, efforts, live):
         yield (
             f"the torque of {', '.join(names[live])} is never negative, whichever way it moves: it is an amount "
             "without a sign, as some drives report their current"
@@ -94,7 +107,7 @@ def _stuck(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
     for k, name in enumerate(robot.joint_names):
         set_points = [log.reference_position for log in logs if log.reference_position is not None]
         still = all(np.ptp(log.position[:, k]) == 0 for log in logs)
-        if still and any(np.ptp(_known(asked[:, k])) > _MOVING for asked in set_points):
+        if still and any(np.ptp(_known(asked[:, k])) > _FAR for asked in set_points):
             yield f"{name} is stuck, or its position is not recorded: it never changes while its set-points move"
 
 
@@ -102,14 +115,15 @@ def _known(values: np.ndarray) -> np.ndarray:
     return np.append(values[np.isfinite(values)], 0.0)[:-1] if np.isfinite(values).any() else np.zeros(1)
 
 
-def _swings(logs: Sequence[Log], efforts: Sequence[np.ndarray], live: np.ndarray) -> bool:
-    """Whether torque that carries a load one way only is no explanation: several joints move both ways, or it comes
-    down to nothing."""
-    if np.count_nonzero(live) > 1:
-        return True
-    joint = int(np.argmax(live))
-    values = np.concatenate([effort[:, joint] for effort in efforts])
-    return bool(np.quantile(values, 0.05) < 0.02 * np.quantile(values, 0.99))
+def _comes_to_nothing(logs: Sequence[Log], efforts: Sequence[np.ndarray], live: np.ndarray) -> bool:
+    """Whether a joint that moves both ways has torque down to nothing: carrying a load one way is no explanation."""
+    for k in np.flatnonzero(live):
+        way = np.concatenate([np.diff(log.position[:, k]) for log in logs])
+        both = min(way[way > 0].sum(), -way[way < 0].sum()) > 0.2 * np.abs(way).sum()
+        values = np.concatenate([effort[:, k] for effort in efforts])
+        if both and np.quantile(values, 0.05) < 0.1 * np.quantile(values, 0.99):
+            return True
+    return False
 
 
 def _degrees(robot: RobotDescription, logs: Sequence[Log], moving: np.ndarray) -> str | None:
@@ -161,51 +175,9 @@ def _too_strong(robot: RobotDescription, turning: np.ndarray, moving: np.ndarray
     return None
 
 
-def _velocities(logs: Sequence[Log]) -> Iterator[str]:
-    for log in logs:
-        if log.velocity is None:
-            continue
-        wrong = {}
-        for k, name in enumerate(log.joint_names):
-            ratio = _velocity_ratio(log, k)
-            if ratio is not None and not _RATES[0] <= ratio <= _RATES[1]:
-                wrong[name] = ratio
-        if wrong:
-            ratio = float(np.median(list(wrong.values())))
-            why = "the stamps, or the rate it was made with, are wrong"
-            if ratio < 0:
-                why = "one of the two is flipped"
-            elif 40 < ratio < 80:
-                why = "is its unit deg/s?"
-            yield (
-                f"{log.name}: the velocity of {', '.join(wrong)} is {ratio:.3g} times the derivative of its position: "
-                f"{why}"
-            )
-            return
-
-
-def _velocity_ratio(log: Log, joint: int) -> float | None:
-    """Displacement by velocity over displacement by position, over tenths of a second; None where they disagree in
-    shape or nothing moves."""
-    assert log.velocity is not None
-    travelled, by_velocity = [], []
-    window = max(2, int(0.1 * log.sample_rate))
-    for first, stop in log.segments:
-        t, q, qd = (values[first:stop] for values in (log.t, log.position[:, joint], log.velocity[:, joint]))
-        path = np.append(0.0, np.cumsum(0.5 * (qd[1:] + qd[:-1]) * np.diff(t)))
-        travelled.append(q[window::window] - q[:-window:window][: len(q[window::window])])
-        by_velocity.append(path[window::window] - path[:-window:window][: len(path[window::window])])
-    x, y = np.concatenate(travelled), np.concatenate(by_velocity)
-    if len(x) < 10 or np.abs(x).sum() < 10 * _MOVING or not y.any():
-        return None
-    slope = float(x @ y / (x @ x))
-    correlation = float(x @ y / np.sqrt((x @ x) * (y @ y)))
-    return slope if abs(correlation) > 0.95 else None
-
-
 def _samples(logs: Sequence[Log]) -> _Samples | None:
     """Samples of all logs that are long enough to be filtered; None where that leaves too few."""
-    parts = []
+    parts, independent = [], 0.0
     for log in logs:
         cutoff = min(_CUTOFF, resolve_cutoff(log, FilterSettings()))
         try:
@@ -217,18 +189,21 @@ def _samples(logs: Sequence[Log]) -> _Samples | None:
             still = 0.01 * np.maximum(np.abs(motion.qd).max(axis=0), 1e-9)
             signals = (motion.q, motion.qd, motion.qdd, motion.torque, np.tanh(motion.qd / still))
             parts.append(motion.low_pass(np.hstack(signals)))
+            independent += 2 * cutoff * float(np.ptp(motion.time[motion.kept]))
             log.scratch.release()
     rows = np.concatenate(parts) if parts else np.empty((0, 5))
     rows = rows[:: max(1, len(rows) // _SAMPLES)]
     if len(rows) * rows.shape[1] // 5 < 100:
         return None
-    return _Samples(*np.split(rows, 5, axis=1))
+    return _Samples(*np.split(rows, 5, axis=1), independent=independent)
 
 
 def _mechanics(robot: RobotDescription, samples: _Samples) -> Iterator[str]:
     plain = _fit(robot, samples)
     names = robot.joint_names
-    pushed = np.flatnonzero(plain.pushing > _DRIVING)
+    if not plain.enough:
+        return
+    pushed = np.flatnonzero(plain.pushing > np.maximum(_DRIVING, _SURE * plain.deviation))
     still = np.flatnonzero(np.ptp(samples.q, axis=0) < 1e-6)
     share = f"a rigid arm explains {100 * max(0.0, 1 - plain.unexplained):.0f} % of the torque, whatever its parameters"
     size = np.std(samples.torque, axis=0)
@@ -253,16 +228,10 @@ def _mechanics(robot: RobotDescription, samples: _Samples) -> Iterator[str]:
 def _likeliest(robot: RobotDescription, samples: _Samples) -> str | None:
     """The mistake that explains clearly more than the log as it is; None where none does."""
     every = max(1, len(samples.q) // _TRIED)
-    some = [values[::every] for values in (samples.q, samples.qd, samples.qdd, samples.torque, samples.direction)]
-    as_it_is = _fit(robot, _Samples(*some)).joints
-    tried = [(what, _fit(here, thin).joints) for what, here, thin in _thinned(_mistakes(robot, samples), every)]
+    as_it_is = _fit(robot, samples.thinned(every)).joints
+    tried = [(what, _fit(here, s.thinned(every)).joints) for what, here, s in _mistakes(robot, samples)]
     what, left = min(tried, key=lambda entry: entry[1].mean())
     return what if left.mean() < _BETTER * as_it_is.mean() else None
-
-
-def _thinned(mistakes: Iterator[_Mistake], every: int) -> Iterator[_Mistake]:
-    for what, robot, s in mistakes:
-        yield what, robot, _Samples(*(values[::every] for values in (s.q, s.qd, s.qdd, s.torque, s.direction)))
 
 
 def _other_gravity(robot: RobotDescription, samples: _Samples) -> Iterator[_Mistake]:
@@ -316,20 +285,37 @@ def _fit(robot: RobotDescription, s: _Samples) -> _Fit:
     a = (columns / scale[None, :, None]).reshape(count * n, -1)
     length = np.linalg.norm(a, axis=0)
     length[length == 0] = 1.0
-    solution = np.linalg.lstsq(a / length, (s.torque / scale).ravel(), rcond=1e-7)[0] / length
+    u, sizes, directions = np.linalg.svd(a / length, full_matrices=False)
+    known = sizes > 1e-7 * sizes[0]
+    solution = directions[known].T @ ((u[:, known].T @ (s.torque / scale).ravel()) / sizes[known]) / length
     error = s.torque - columns @ solution
-    bodies = columns.shape[2] - 3 * n
-    braking = np.concatenate([np.zeros(bodies), solution[bodies : bodies + 2 * n], np.zeros(n)])
-    rub = columns @ braking
-    power = np.mean(rub * s.qd, axis=0) / np.maximum(np.sqrt(np.mean(s.qd**2, axis=0)), 1e-12)
-    push = np.empty(n)
-    some = s.q[:: max(1, count // 10)]
-    at_rest = rigid(some, 0 * some, 0 * some)
-    for k in range(n):
-        unit = np.tile(np.eye(n)[k], (len(some), 1))
-        inertia = (rigid(some, 0 * some, unit) - at_rest)[:, k] @ solution[:bodies]
-        own_torque = np.mean(inertia) * np.sqrt(np.mean(s.qdd[:, k] ** 2))
-        push[k] = -(power[k] + own_torque)
     total = np.linalg.norm(s.torque)
     joints = np.linalg.norm(error, axis=0) / (scale * np.sqrt(count))
-    return _Fit(joints, float(np.linalg.norm(error) / total) if total > 0 else 0.0, push / scale)
+    independent = n * min(count, s.independent)
+    spare = independent - np.count_nonzero(known)
+    push = _push(robot, s, columns, rigid) / scale[:, None] / length
+    variance = np.mean(joints**2) * count * n / max(spare, 1e-9)
+    scatter = np.linalg.norm(push @ directions.T / np.maximum(sizes, 1e-7 * sizes[0]), axis=1)
+    return _Fit(
+        joints,
+        float(np.linalg.norm(error) / total) if total > 0 else 0.0,
+        push @ (solution * length),
+        np.sqrt(variance) * scatter,
+        bool(independent > _ENOUGH * np.count_nonzero(known)),
+    )
+
+
+def _push(robot: RobotDescription, s: _Samples, columns: np.ndarray, rigid: _Regressor) -> np.ndarray:
+    """(n, p): torque by which each joint drives itself on, by friction and by its own inertia, a unit of parameter."""
+    n = robot.dof
+    bodies = columns.shape[2] - 3 * n
+    push = np.zeros((n, columns.shape[2]))
+    some = s.q[:: max(1, len(s.q) // 10)]
+    at_rest = rigid(some, 0 * some, 0 * some)
+    for k in range(n):
+        speed = max(float(np.sqrt(np.mean(s.qd[:, k] ** 2))), 1e-12)
+        rub = np.mean(columns[:, k] * s.qd[:, k, None], axis=0) / speed
+        push[k, bodies : bodies + 2 * n] = -rub[bodies : bodies + 2 * n]
+        inertia = (rigid(some, 0 * some, np.tile(np.eye(n)[k], (len(some), 1))) - at_rest)[:, k]
+        push[k, :bodies] = -np.mean(inertia, axis=0) * np.sqrt(np.mean(s.qdd[:, k] ** 2))
+    return push

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from agent.motion.trajectory import Trajectory
     from agent.robot.collision import Box
 
+#: Rad or m by which an arm that comes round again may start elsewhere on the same way: joints written in a program, and
+#: those that inverse kinematics gives for a pose, differ in their last digits.
+_SAME = 1e-6
+
 
 def plan_statements(recipe: Recipe, text: str, path: str, start: np.ndarray) -> tuple[str, list[Trajectory]]:
     """Name of a PDL2 program, and its set-points from stop to stop when the arm stands at `start` (n,).
@@ -34,14 +38,16 @@ def plan_statements(recipe: Recipe, text: str, path: str, start: np.ndarray) -> 
         recipe.search.interpolator, recipe.robot, recipe.tool, period=1.0 / recipe.record.rate
     )
     chains: list[Trajectory] = []
-    known: dict[tuple[Any, ...], Trajectory] = {}
+    known: dict[tuple[Any, ...], list[Trajectory]] = {}
     for moves in _stop_to_stop(program.run()):
-        key = (_chain_key(moves), np.round(start, 9).tobytes())
-        if key not in known:
-            known[key] = interpolator.plan(moves, start)
-        if np.ptp(known[key].q, axis=0).any():
-            chains.append(known[key])
-            start = known[key].q[-1]
+        alike = known.setdefault(_chain_key(moves), [])
+        chain = next((one for one in alike if np.allclose(one.q[0], start, rtol=0, atol=_SAME)), None)
+        if chain is None:
+            chain = interpolator.plan(moves, start)
+            alike.append(chain)
+        if np.ptp(chain.q, axis=0).any():
+            chains.append(chain)
+            start = chain.q[-1]
     return program.name, chains
 
 

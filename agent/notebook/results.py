@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.core.console import Console
+from agent.core.figures import error_text
 from agent.diagnosis import Diagnosis
 from agent.model.identified import IdentifiedModel
 from agent.notebook.card import Shown, bars, lines
@@ -18,7 +19,7 @@ from agent.pipeline.identify import validation_text
 from agent.pipeline.plan import PlanFiles
 from agent.recording import Log
 from agent.report.diagnosis_page import headline
-from agent.robot.torque_figures import SHARE, error_text, torque_units
+from agent.robot.torque_figures import SHARE, torque_units
 from agent.validation import Prediction, summary
 
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.core.console import Console
+from agent.core.figures import error_text
 from agent.link.controller import answering
 from agent.link.record import Recording
 from agent.pipeline import planning
@@ -16,7 +17,7 @@ from agent.pipeline.ending import current_run, ending_text, going_on
 from agent.pipeline.record_plan import EXCITATION, record_plan, validation_logs
 from agent.pipeline.result import build_result, provenance, run_data, typical_motion
 from agent.recipe import Recipe
-from agent.robot.torque_figures import error_text, not_judged_text, outcome_text
+from agent.robot.torque_figures import not_judged_text, outcome_text
 from agent.runs.approved import approve, check_approved
 from agent.runs.current_model import register_run, run_key
 from agent.runs.folder import RunFolder, sha256_file

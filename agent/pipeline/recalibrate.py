@@ -11,6 +11,7 @@ import numpy as np
 
 from agent.core.console import Console
 from agent.core.errors import ControllerError
+from agent.core.figures import error_text
 from agent.link.planned import check_cell, plan_statements
 from agent.link.record import Link, Recording, open_link, report_losses
 from agent.pipeline.calibrate import step
@@ -21,7 +22,7 @@ from agent.pipeline.reference import Reference, find_reference, last_accepted
 from agent.pipeline.reports import watch_lines
 from agent.pipeline.result import provenance
 from agent.recipe import Recipe
-from agent.robot.torque_figures import error_text, not_judged_text, outcome_text, torque_units, without_nominal
+from agent.robot.torque_figures import not_judged_text, outcome_text, torque_units, without_nominal
 from agent.runs.approved import approve
 from agent.runs.current_model import apply_run, register_run, run_key
 from agent.runs.due import too_early, wrong_clock

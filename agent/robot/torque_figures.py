@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
+
+from agent.core.figures import error_text
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
 
 #: Unit of a figure that is a share of nominal torque.
 SHARE = "of nominal"
-
-
-def error_text(share: float | None, torque: float | None, unit: str = "N·m", digits: int = 2) -> str:
-    """`share` of nominal torque in percent; where it is None or NaN the torque itself; "-" without either."""
-    if share is not None and math.isfinite(share):
-        return f"{100 * share:.{digits}f} %"
-    if torque is not None and math.isfinite(torque):
-        return f"{torque:.3g} {unit}"
-    return "-"
 
 
 def torque_units(robot: RobotDescription) -> tuple[str, ...]:

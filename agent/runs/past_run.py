@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.core.errors import InputError
-from agent.robot.torque_figures import error_text
+from agent.core.figures import error_text
 
 #: Clocks differ by so much without being wrong.
 AHEAD = timedelta(minutes=5)

@@ -81,6 +81,24 @@ def test_real_logs_are_not_refused(shared_data, robot, logs):
         assert not doubts(description, [read_log(path, description)]), path
 
 
+@pytest.mark.parametrize(
+    ("robot", "log"),
+    [
+        ("gap-dev/robot.yaml", "gap-dev/baseline/excite.mcap"),
+        ("real-dev/kr300/robot_real.yaml", "real-dev/kr300/A.mcap"),
+        ("real-dev/tiago/robot.yaml", "real-dev/tiago/fit.mcap"),
+        ("real-dev/bam_xl330/robot.yaml", "real-dev/bam_xl330/kp100_sin_time_square.mcap"),
+    ],
+)
+def test_a_short_log_is_not_refused(shared_data, robot, log):
+    """A few seconds tell no mistake from chance."""
+    description = load_robot(str(shared_data / robot))
+    whole = read_log(shared_data / log, description)
+    for start in np.linspace(0, whole.t[-1] - 2, 3):
+        assert not doubts(description, [whole.between(start, start + 2)])
+    assert not doubts(description, [whole.between(0, 1)])
+
+
 def test_an_unsigned_current_of_a_real_arm_is_refused(shared_data):
     robot = load_robot(str(shared_data / "real-dev/so101/robot.yaml"))
     log = read_log(shared_data / "real-dev/so101/custom_motion.mcap", robot)

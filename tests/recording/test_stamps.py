@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from agent.core.errors import InputError
 from agent.estimation.filtering import FilterSettings, motions, used_text
 from agent.recording import read_log
-from agent.recording.grid import sample_numbers, settled
+from agent.recording.repair.grid import sample_numbers, settled
 
 
 @pytest.fixture

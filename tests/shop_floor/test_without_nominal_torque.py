@@ -10,12 +10,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from agent.core.figures import error_text
 from agent.pipeline.calibrate import Outcome
 from agent.pipeline.drift_check import worse_joints
 from agent.report.figures import motion_box_plot
 from agent.report.run_report import _headline
 from agent.robot import RobotDescription, load_robot
-from agent.robot.torque_figures import error_text, figure_text, not_judged_text
+from agent.robot.torque_figures import figure_text, not_judged_text
 from agent.runs.history import History, history_table, open_history
 
 NAMES = ("j1", "j2")
