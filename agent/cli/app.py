@@ -129,7 +129,7 @@ def calibrate(
     stopped = None if resume is None else find_run(logs, resume)
     outcome = run_job(load_recipe(recipe), console, logs=logs, resume=stopped, yes=yes)
     if as_json:
-        print_json(outcome.result)
+        print_json(outcome.result.to_dict())
     else:
         print(outcome.summary(), file=sys.stderr)
         print(outcome.run)

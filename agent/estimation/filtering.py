@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -139,9 +140,7 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
                 clock.rate,
                 qd,
                 stop,
-                lambda factor, p=position, r=clock.rate, e=every: smooth_and_differentiate(
-                    p, r, factor * flat, factor * stop, e
-                )[1],
+                partial(_velocity, position, clock.rate, (flat, stop), every),
             )
             if torque is not None:
                 torque = smooth_and_differentiate(torque, clock.rate, flat, stop, every)[0] if every > 1 else torque
@@ -244,6 +243,11 @@ def smooth_and_differentiate(
     signals = _respond(position, rate, responses, slice(0, len(position), every))
     q, qd, qdd = (np.ascontiguousarray(signal) for signal in signals)
     return q, qd, qdd
+
+
+def _velocity(position: np.ndarray, rate: float, band: tuple[float, float], every: int, factor: float) -> np.ndarray:
+    """(S, n) with both edges of the band [Hz] times `factor`."""
+    return smooth_and_differentiate(position, rate, factor * band[0], factor * band[1], every)[1]
 
 
 def _respond(signals: np.ndarray, rate: float, responses: list[_Response], kept: slice) -> list[np.ndarray]:

@@ -156,9 +156,8 @@ class Calibration(Shown):
         return self.outcome.summary().strip()
 
     def svg(self) -> str:
-        validation = self.outcome.result["validation"]
-        shares = [100 * float(v) if v is not None else np.nan for v in validation["normalised_rmse"]]
-        return bars(validation["joints"], {"unseen motions": shares}, "%")
+        validation = self.outcome.result.validation
+        return bars(validation.joints, {"unseen motions": 100 * validation.normalised_rmse}, "%")
 
 
 class Listing(Shown, dict[str, Any]):

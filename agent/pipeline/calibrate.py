@@ -15,7 +15,7 @@ from agent.link.record import Recording
 from agent.pipeline import planning
 from agent.pipeline.ending import current_run, ending_text, going_on
 from agent.pipeline.record_plan import EXCITATION, record_plan, validation_logs
-from agent.pipeline.result import build_result, provenance, run_data, typical_motion
+from agent.pipeline.result import CalibrationResult, build_result, provenance, run_data, typical_motion
 from agent.recipe import Recipe
 from agent.robot.torque_figures import not_judged_text, outcome_text
 from agent.runs.approved import approve, check_approved
@@ -27,40 +27,44 @@ from agent.safety.preconditions import check_period
 
 @dataclass(frozen=True)
 class Outcome:
-    """Run folder, the content of its `result.json`, whether the gate accepted it, and what comes next."""
+    """Run folder, the content of its `result.json`, and what comes next."""
 
     run: Path
-    result: dict[str, Any]
-    accepted: bool
+    result: CalibrationResult
     ending: str = ""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the gate accepted the model."""
+        return self.result.accepted
 
     def summary(self) -> str:
         """One screen."""
         from agent.estimation import condition_text
 
-        result, validation = self.result, self.result["validation"]
+        result, validation = self.result, self.result.validation
         axes = "  ".join(
             f"{name} {error_text(share, torque, unit)}"
             for name, share, torque, unit in zip(
-                validation["joints"],
-                validation["normalised_rmse"],
-                validation["rmse"],
-                validation["units"],
+                validation.joints,
+                validation.normalised_rmse,
+                validation.rmse,
+                validation.units,
                 strict=True,
             )
         )
-        not_judged = result["gate"]["not_judged"]
-        of = "RMSE" if len(not_judged) == len(validation["joints"]) else "of nominal torque"
+        not_judged = result.gate.not_judged
+        of = "RMSE" if len(not_judged) == len(validation.joints) else "of nominal torque"
         return "\n".join(
             [
                 "",
-                f"fitness             {result['search']['fitness']:.2f}  (log10 det(HᵀH/M), higher is better)",
-                f"condition number    {condition_text(result['estimation']['condition_number'])}  (below 100 is good)",
+                f"fitness             {result.search.fitness:.2f}  (log10 det(HᵀH/M), higher is better)",
+                f"condition number    {condition_text(result.estimation.condition_number)}  (below 100 is good)",
                 f"prediction error    {axes}",
-                f"                    {of}, {validation['motions']} unseen motions at {validation['speed']:g} m/s",
+                f"                    {of}, {validation.motions} unseen motions at {validation.speed:g} m/s",
                 "result              "
-                + outcome_text(self.accepted, result["reason"], not_judged, validation["joints"])
-                + f"  (gate {100 * result['gate']['normalised_rmse']:.1f} % of nominal torque on every axis)",
+                + outcome_text(self.accepted, result.reason, not_judged, validation.joints)
+                + f"  (gate {100 * result.gate.normalised_rmse:.1f} % of nominal torque on every axis)",
                 f"report              {self.run / 'report.html'}",
                 self.ending,
                 "",
@@ -159,20 +163,27 @@ def _report(
     from agent.validation import predict_log
 
     sources = provenance(run.path, run.state, [run.file(EXCITATION), *validation_logs(run)])
-    result = build_result(recipe, plan, recordings, model, predictions, sources)
     log = read_log(run.file(EXCITATION), recipe.robot)
-    result["serial"] = run.state["serial"]
-    result["conditions"] = conditions(log, predict_log(model, log), recordings[0])
-    result |= against_last(run, log, console)
-    current = current_run(run.path.parent, recipe.robot.name, result["serial"])
-    result["current_model"] = run.path.name if result["accepted"] and current is None else current
-    run.write_json("result.json", result)
+    result = build_result(
+        recipe,
+        plan,
+        recordings,
+        model,
+        predictions,
+        provenance=sources,
+        serial=run.state["serial"],
+        conditions=conditions(log, predict_log(model, log), recordings[0]),
+        **against_last(run, log, console),
+    )
+    current = current_run(run.path.parent, recipe.robot.name, result.serial)
+    result = replace(result, current_model=run.path.name if result.accepted and current is None else current)
+    run.write_json("result.json", result.to_dict())
     typical = typical_motion(predictions)
     write_analysis(run.file("analysis.mcap"), read_log(run.file(typical.log), recipe.robot), typical)
     further = further_sections(RunContent(run.path, recipe, model, predictions))
-    run.write_text("report.html", run_report(run_data(recipe, plan, result, model, predictions, further)))
-    run.complete(result["accepted"])
-    return Outcome(run.path, result, result["accepted"])
+    run.write_text("report.html", run_report(run_data(recipe, plan, result.to_dict(), model, predictions, further)))
+    run.complete(result.accepted)
+    return Outcome(run.path, result)
 
 
 @contextmanager

@@ -34,7 +34,7 @@ class PlanFiles:
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""
         return {
-            "schema": "plan/1",
+            "schema": "planned-loop/1",
             "folder": str(self.folder),
             "fitness": self.search["fitness"],
             "cycle_s": self.motion.loop.trajectory.duration,

@@ -219,6 +219,8 @@ def replan(recipe: Recipe, path: Path) -> Plan:
         InputError: it is damaged, or no plan for this recipe.
     """
     stored = read_json(path)
+    if isinstance(stored, dict) and "folder" in stored:  # its schema was `plan/1` once, as a run's is
+        raise InputError(f"{path}: is what `agent plan` wrote of a loop, not the plan of a run; start a new run")
     try:
         return _replanned(recipe, stored)
     except (InputError, LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,18 +22,108 @@ if TYPE_CHECKING:
     from agent.validation import Prediction
 
 
+@dataclass(frozen=True)
+class GateFigures:
+    """The gate, and the joints that have no nominal torque and are not judged by it."""
+
+    normalised_rmse: float
+    not_judged: list[str]
+
+
+@dataclass(frozen=True)
+class SearchFigures:
+    """How the loop was found; `fitness` is log10 det(HᵀH/M), `motion` a line about the loop."""
+
+    method: str
+    seed: int
+    fitness: float
+    evaluations: int
+    motion: str
+
+
+@dataclass(frozen=True)
+class EstimationFigures:
+    """How the model was fitted."""
+
+    method: str
+    cutoff_hz: float
+    parameters: int
+    base_parameters: int
+    condition_number: float
+    notes: list[str]
+
+
+@dataclass(frozen=True, eq=False)
+class ValidationFigures:
+    """Prediction of unseen motions at `speed` [m/s]; (n,) `rmse` in `units`, of samples where the arm moves.
+
+    `normalised_rmse` (n,) is not a number where a joint has no nominal torque. The last two count standstill too.
+    """
+
+    motions: int
+    speed: float
+    joints: list[str]
+    units: list[str]
+    rmse: np.ndarray
+    normalised_rmse: np.ndarray
+    normalised_rmse_all_samples: list[float | None]
+    relative_error_all_joints: float | None
+
+
+@dataclass(frozen=True)
+class RecordingFigures:
+    """One log of the run: samples, those that never came, and its length [s]."""
+
+    log: str
+    samples: int
+    lost: int
+    duration: float
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationResult:
+    """The content of `result.json`.
+
+    `accepted` is the gate's word, `reason` why not. `conditions` are those of the excitation; `reference` is the last
+    accepted run of the same loop and `diagnosis` why its model predicts worse now, if it does; `current_model` the run
+    whose model is the robot's.
+    """
+
+    robot: str
+    accepted: bool
+    reason: str
+    gate: GateFigures
+    search: SearchFigures
+    estimation: EstimationFigures
+    validation: ValidationFigures
+    recordings: list[RecordingFigures]
+    provenance: dict[str, str]
+    serial: str
+    conditions: dict[str, Any]
+    reference: str
+    diagnosis: dict[str, Any] | None
+    current_model: str | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The document `calibration/1`."""
+        return {"schema": "calibration/1", **asdict(self)}
+
+
 def build_result(
     recipe: Recipe,
     plan: Plan,
     recordings: Sequence[Recording],
     model: IdentifiedModel,
     predictions: Sequence[Prediction],
+    *,
     provenance: dict[str, str],
-) -> dict[str, Any]:
-    """The content of `result.json`.
-
-    `accepted` is the gate's word: every axis that has a nominal torque, moving samples of all motions pooled.
-    """
+    serial: str,
+    conditions: dict[str, Any],
+    reference: str,
+    diagnosis: dict[str, Any] | None,
+) -> CalibrationResult:
+    """What was found, and the gate's word on it: every axis that has a nominal torque, moving samples of all motions
+    pooled."""
     from agent.validation import summary
 
     overall = summary(predictions)["overall"]
@@ -45,44 +136,45 @@ def build_result(
         for name, figure in zip(model.robot.joint_names, figures, strict=True)
         if name not in not_judged and not figure <= gate
     ]
-    return {
-        "schema": "calibration/1",
-        "robot": recipe.robot.name,
-        "accepted": not broken,
-        "reason": "; ".join(
+    return CalibrationResult(
+        robot=recipe.robot.name,
+        accepted=not broken,
+        reason="; ".join(
             f"{name}: prediction error {100 * figure:.2f} %, the gate is {100 * gate:.2f} %" for name, figure in broken
         ),
-        "gate": {"normalised_rmse": gate, "not_judged": list(not_judged)},
-        "search": {
-            "method": recipe.search.method,
-            "seed": recipe.search.seed,
-            "fitness": plan.search["fitness"],
-            "evaluations": plan.search["evaluated"],
-            "motion": planned_motion_data(recipe, plan.excitation).description[0],
-        },
-        "estimation": {
-            "method": model.method,
-            "cutoff_hz": model.cutoff,
-            "parameters": len(model.values),
-            "base_parameters": len(model.base_values),
-            "condition_number": model.condition_number,
-            "notes": list(model.notes),
-        },
-        "validation": {
-            "motions": len(predictions),
-            "speed": recipe.validate.speed,
-            "joints": list(recipe.robot.joint_names),
-            "units": list(torque_units(recipe.robot)),
-            "rmse": moving,
-            "normalised_rmse": figures,
-            "normalised_rmse_all_samples": overall["normalised_rmse"],
-            "relative_error_all_joints": overall["relative_error_all_joints"],
-        },
-        "recordings": [
-            {"log": r.path.name, "samples": r.samples, "lost": r.lost, "duration": r.duration} for r in recordings
-        ],
-        "provenance": provenance,
-    }
+        gate=GateFigures(gate, list(not_judged)),
+        search=SearchFigures(
+            method=recipe.search.method,
+            seed=recipe.search.seed,
+            fitness=plan.search["fitness"],
+            evaluations=plan.search["evaluated"],
+            motion=planned_motion_data(recipe, plan.excitation).description[0],
+        ),
+        estimation=EstimationFigures(
+            method=model.method,
+            cutoff_hz=model.cutoff,
+            parameters=len(model.values),
+            base_parameters=len(model.base_values),
+            condition_number=model.condition_number,
+            notes=list(model.notes),
+        ),
+        validation=ValidationFigures(
+            motions=len(predictions),
+            speed=recipe.validate.speed,
+            joints=list(recipe.robot.joint_names),
+            units=list(torque_units(recipe.robot)),
+            rmse=moving,
+            normalised_rmse=figures,
+            normalised_rmse_all_samples=overall["normalised_rmse"],
+            relative_error_all_joints=overall["relative_error_all_joints"],
+        ),
+        recordings=[RecordingFigures(r.path.name, r.samples, r.lost, r.duration) for r in recordings],
+        provenance=provenance,
+        serial=serial,
+        conditions=conditions,
+        reference=reference,
+        diagnosis=diagnosis,
+    )
 
 
 def pooled_rmse(predictions: Sequence[Prediction]) -> np.ndarray:

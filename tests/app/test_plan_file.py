@@ -84,6 +84,16 @@ def test_a_plan_that_was_changed_is_a_plan_or_one_message(planned, data):
     assert all(np.isfinite(motion.loop.trajectory.q).all() for motion in (made.excitation, *made.validation))
 
 
+@pytest.mark.parametrize("schema", ["planned-loop/1", "plan/1"])  # the second until it had a name of its own
+def test_what_agent_plan_wrote_is_no_plan_of_a_run(planned, tmp_path, schema):
+    recipe, _, plan = planned
+    path = tmp_path / "plan.json"
+    document = {"schema": schema, "folder": "p", "fitness": 1.0, "cycle_s": 9.0, "search": plan["search"]}
+    path.write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(InputError, match="what `agent plan` wrote of a loop, not the plan of a run"):
+        replan(recipe, path)
+
+
 @settings(max_examples=100, deadline=None)
 @given(st.data())
 def test_a_state_that_was_changed_is_gone_on_with_or_one_message(tmp_path_factory, data):
