@@ -80,8 +80,8 @@ class CnrDriver:
     @property
     def facts(self) -> dict[str, str]:
         """How the clocks of controller and samples lay in the last motion, and what did not come as it should."""
-        broker = self._broker
-        return {} if self._motion is None else motion_facts(self._motion, broker and broker.joiner.counts)
+        counts = None if self._broker is None else self._broker.joiner.counts
+        return {} if self._motion is None else motion_facts(self._motion, counts)
 
     def connect(self) -> None:
         """Open the sockets, read who is there, and listen to the broker."""
