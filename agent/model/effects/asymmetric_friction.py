@@ -1,9 +1,14 @@
 """Friction that differs by direction."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+
 import numpy as np
 
-from agent.model.effects.effect import Effect, on_axle
+from agent.model.effects.effect import Columns, Effect, FitContext, on_axle
 from agent.model.effects.experiments import RAMPS_AND_STANDSTILLS
+from agent.model.signals import MotionSignals
 
 
 class AsymmetricFriction(Effect):
@@ -22,16 +27,16 @@ class AsymmetricFriction(Effect):
     rivals_special_cases = True
     special_cases = ("torque_offset",)
 
-    def settings(self, survey, joints):
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         return [{"coulomb": 1.0}, {"viscous": 1.0}, {"coulomb": 1.0, "viscous": 1.0}]
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return tuple(f"{kind}_asymmetry" for kind in ("coulomb", "viscous") if kind in settings)
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         (axle,) = joints
         parts = {"coulomb": np.abs(signals.direction(axle)), "viscous": signals.axles.magnitude[:, axle]}
         return on_axle(signals.reference, axle, *(parts[kind] for kind in parts if kind in settings))
 
-    def n_parameters(self, settings):
+    def n_parameters(self, settings: Mapping[str, float]) -> int:
         return len(settings)

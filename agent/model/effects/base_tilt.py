@@ -1,9 +1,14 @@
 """Gravity that is not where the model has it."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+
 import numpy as np
 
-from agent.model.effects.effect import Effect
+from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import WHOLE_RANGE
+from agent.model.signals import MotionSignals
 
 
 class BaseTilt(Effect):
@@ -21,13 +26,13 @@ class BaseTilt(Effect):
     experiment = WHOLE_RANGE
     why_absent = "no gravity in the robot description"
 
-    def settings(self, survey, joints):
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         return [{}] if np.linalg.norm(survey.reference.robot.gravity) > 0 else []
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("tilt_1", "tilt_2")
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         gravity = np.array(signals.reference.robot.gravity)
         down = gravity / np.linalg.norm(gravity)
         first = np.cross(down, np.eye(3)[np.argmin(np.abs(down))])
@@ -40,5 +45,5 @@ class BaseTilt(Effect):
         stacked = np.stack(torques, axis=2)
         return {joint: stacked[:, joint] for joint in range(signals.q.shape[1])}
 
-    def plausible(self, settings, values):
+    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
         return float(np.hypot(values["tilt_1"], values["tilt_2"])) < 0.5

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from agent.model.effects.effect import Effect
+from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.signals import MotionSignals
 
 _DURATIONS = (0.3, 0.4, 0.55, 0.75, 1.0, 1.35, 1.8, 2.4, 3.2, 4.2)  # s
@@ -32,7 +33,7 @@ class Contact(Effect):
     complexity_surcharge = 1
     once = True
 
-    def settings(self, survey, joints):
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         """Where three force components leave least: single windows, then one in each of several logs.
 
         A model's own error makes windows too. A contact stands out from the other segments of its length, and does
@@ -60,11 +61,11 @@ class Contact(Effect):
         entries = [(log, *window) for log, window in best_of.items()]
         return settings + [_windows(entries[:count]) for count in range(2, len(entries) + 1)]
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         logs = [key.removeprefix("start_") for key in settings if key.startswith("start_")]
         return tuple(f"force_{axis}_{log}" for log in logs for axis in "xyz")
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         n = signals.q.shape[1]
         logs = [int(key.removeprefix("start_")) for key in settings if key.startswith("start_")]
         block = np.zeros((len(signals.time), n, 3 * len(logs)))
@@ -109,7 +110,7 @@ class _Sums:
         return starts, np.einsum("ka,ka->k", side, np.linalg.solve(gram, side[:, :, None])[:, :, 0])
 
 
-def _elsewhere_in_cycle(cycle_starts, starts: np.ndarray, gain: np.ndarray, best: int) -> float:
+def _elsewhere_in_cycle(cycle_starts: Sequence[float], starts: np.ndarray, gain: np.ndarray, best: int) -> float:
     """Largest gain at the same place, give or take half a step, of another cycle; nought where there is none."""
     edges = np.asarray(cycle_starts, dtype=float)
     here = int(np.searchsorted(edges, starts[best] + 1e-9)) - 1

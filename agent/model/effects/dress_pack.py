@@ -1,10 +1,15 @@
 """Hose or cable that bends with the joint."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+
 import numpy as np
 
-from agent.model.effects.effect import Effect
+from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.friction_terms import dahl
+from agent.model.signals import MotionSignals
 
 _NODES = 6
 _TRAVEL = 0.03  # of the range, until the hose slides in itself
@@ -31,24 +36,24 @@ class DressPack(Effect):
     complexity_surcharge = 1
     special_cases = ("torque_offset",)
 
-    def settings(self, survey, joints):
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         low = float(min(s.q[:, joints[0]].min() for s in survey.signals))
         high = max(float(max(s.q[:, joints[0]].max() for s in survey.signals)), low + 1e-9)
         curve, rubbing = {"low": low, "high": high}, {"travel": _TRAVEL * (high - low)}
         return [{}, rubbing, curve, {**curve, **rubbing}]
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         nodes = tuple(f"torque_{k}" for k in range(_NODES)) if "low" in settings else ("constant", "stiffness")
         return (*nodes, "hysteresis") if "travel" in settings else nodes
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         q = signals.q[:, joints[0]]
         parts = _curve(q, settings["low"], settings["high"]) if "low" in settings else [np.ones(len(q)), q]
         if "travel" in settings:
             parts = [*parts, dahl(q, np.array([settings["travel"]]))[:, 0]]
         return {joints[0]: np.column_stack(parts)}
 
-    def n_parameters(self, settings):
+    def n_parameters(self, settings: Mapping[str, float]) -> int:
         return len(self.names(settings))
 
 

@@ -1,9 +1,14 @@
 """Zero position that differs from the model's."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+
 import numpy as np
 
-from agent.model.effects.effect import Effect
+from agent.model.effects.effect import Columns, Effect
 from agent.model.effects.experiments import WHOLE_RANGE
+from agent.model.signals import MotionSignals
 
 _STEP = 1e-4  # rad
 
@@ -21,10 +26,10 @@ class EncoderOffset(Effect):
     look_at = "calibration mark of this joint; a motor, belt or encoder that was changed"
     experiment = WHOLE_RANGE
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("offset",)
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         step = np.zeros(signals.q.shape[1])
         step[joints[0]] = _STEP
         links = signals.reference.links
@@ -32,5 +37,5 @@ class EncoderOffset(Effect):
         change = (behind - ahead) / (2 * _STEP)
         return {joint: change[:, joint, None] for joint in range(signals.q.shape[1])}
 
-    def plausible(self, settings, values):
+    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
         return abs(values["offset"]) < 0.3

@@ -1,6 +1,11 @@
 """Coulomb or viscous level that is not the model's any more."""
 
-from agent.model.effects.effect import Effect, on_axle
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from agent.model.effects.effect import Columns, Effect, FitContext, on_axle
+from agent.model.signals import MotionSignals
 
 
 class FrictionChange(Effect):
@@ -16,16 +21,16 @@ class FrictionChange(Effect):
     look_at = "wear and lubrication of the gear, brake that drags, bearing preload"
     shapes = ("speed",)
 
-    def settings(self, survey, joints):
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         return [{"coulomb": 1.0}, {"viscous": 1.0}, {"coulomb": 1.0, "viscous": 1.0}]
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return tuple(f"{kind}_change" for kind in ("coulomb", "viscous") if kind in settings)
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         (axle,) = joints
         parts = {"coulomb": signals.direction(axle), "viscous": signals.axles.speed[:, axle]}
         return on_axle(signals.reference, axle, *(parts[kind] for kind in parts if kind in settings))
 
-    def n_parameters(self, settings):
+    def n_parameters(self, settings: Mapping[str, float]) -> int:
         return len(settings)

@@ -1,9 +1,14 @@
 """Counterbalance, spring or cylinder between two pivots."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+
 import numpy as np
 
-from agent.model.effects.effect import Effect
+from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import WHOLE_RANGE
+from agent.model.signals import MotionSignals
 
 
 class GravitySpring(Effect):
@@ -23,18 +28,18 @@ class GravitySpring(Effect):
     why_absent = "a prismatic joint"
     special_cases = ("torque_offset",)
 
-    def settings(self, survey, joints):
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         if survey.reference.robot.joints[joints[0]].prismatic:
             return []
         return [{"harmonics": 1.0}, {"harmonics": 2.0}]
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return tuple(f"{part}_{h}" for h in range(1, int(settings["harmonics"]) + 1) for part in ("cosine", "sine"))
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         q = signals.q[:, joints[0]]
         parts = [f(h * q) for h in range(1, int(settings["harmonics"]) + 1) for f in (np.cos, np.sin)]
         return {joints[0]: np.column_stack(parts)}
 
-    def n_parameters(self, settings):
+    def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 2 * int(settings["harmonics"])

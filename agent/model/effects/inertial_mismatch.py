@@ -1,9 +1,15 @@
 """Link inertial parameters that differ from the model's."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+
 import numpy as np
 
-from agent.model.effects.effect import Effect
+from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import POSTURES
+from agent.model.signals import MotionSignals
+from agent.robot import RobotDescription
 
 _NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 
@@ -26,23 +32,25 @@ class InertialMismatch(Effect):
     complexity_surcharge = 8
     special_cases = ("payload",)
 
-    def settings(self, survey, joints):
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         return [{"link": float(k + 1)} for k in range(survey.reference.robot.dof)]
 
-    def simpler(self, settings, robot):
+    def simpler(self, settings: Mapping[str, float], robot: RobotDescription) -> tuple[str, ...]:
         """A payload is a mismatch of the last link."""
         return self.special_cases if settings.get("link") == robot.dof else ()
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return tuple(f"{name}{int(settings['link'])}" for name in _NAMES)
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         last = int(settings["link"])
         return {joint: signals.standard[:, joint, 10 * (last - 1) : 10 * last] for joint in range(last)}
 
-    def prior_std(self, survey, joints, settings):
+    def prior_std(
+        self, survey: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
+    ) -> np.ndarray | None:
         last = int(settings["link"])
         return np.asarray(survey.reference.prior_std[10 * (last - 1) : 10 * last])
 
-    def n_parameters(self, settings):
+    def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 10

@@ -1,6 +1,12 @@
 """Executed path or timing that is not the planned one: seen in the set-points, not in torque."""
 
-from agent.model.effects.effect import Effect
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from agent.model.effects.effect import Columns, Effect
+from agent.model.signals import MotionSignals
+from agent.robot import RobotDescription
 
 
 class InterpolatorMismatch(Effect):
@@ -16,11 +22,11 @@ class InterpolatorMismatch(Effect):
     look_at = "override, fly settings and acceleration ramps of the controller against those planned with"
     shows_in = "path"
 
-    def places(self, robot):
+    def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:
         return []
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ()
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         return {}

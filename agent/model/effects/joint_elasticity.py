@@ -1,5 +1,9 @@
 """Two-mass resonance between motor and link."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+
 import numpy as np
 
 from agent.model.effects.experiments import SHARP_REVERSALS
@@ -27,5 +31,5 @@ class JointElasticity(TwoMass):
     grid = tuple((float(frequency), damping, 0.0) for frequency in _FREQUENCIES for damping in _DAMPING)
     few = grid[1::14]
 
-    def plausible(self, settings, values):
+    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
         return 0.3 < values["share"] < 2.5

@@ -1,8 +1,13 @@
 """Friction that grows with the torque the gear transmits."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+
 import numpy as np
 
-from agent.model.effects.effect import Effect, on_axle
+from agent.model.effects.effect import Columns, Effect, on_axle
+from agent.model.signals import MotionSignals
 
 
 class LoadDependentFriction(Effect):
@@ -19,9 +24,9 @@ class LoadDependentFriction(Effect):
     shapes = ("speed",)
     special_cases = ("friction_change",)
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("coefficient",)
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         (axle,) = joints
         return on_axle(signals.reference, axle, signals.direction(axle) * np.abs(signals.axles.load[:, axle]))

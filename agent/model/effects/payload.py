@@ -1,9 +1,14 @@
 """Mass at the flange that the model does not have."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+
 import numpy as np
 
-from agent.model.effects.effect import Effect
+from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import POSTURES
+from agent.model.signals import MotionSignals
 
 _ROUNDS = 6
 _BALL = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
@@ -29,7 +34,7 @@ class Payload(Effect):
     experiment = POSTURES
     residual_driven = True
 
-    def settings(self, survey, joints):
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         start: dict[str, float] = {}
         for _ in range(_ROUNDS):
             mass, *moment = survey.fit(self, joints, start)[:4]
@@ -38,7 +43,7 @@ class Payload(Effect):
             start = dict(zip(("m0", "hx0", "hy0", "hz0"), map(float, (mass, *moment)), strict=True))
         return [start]
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         first = ("mass", "moment_x", "moment_y", "moment_z")
         return (
             (*first, "inertia")
@@ -46,7 +51,7 @@ class Payload(Effect):
             else (*first, *(f"inertia_{k}" for k in ("xx", "xy", "yy", "xz", "yz", "zz")))
         )
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         n = signals.q.shape[1]
         link = signals.standard[:, :, 10 * (n - 1) :]
         if settings:
@@ -60,14 +65,16 @@ class Payload(Effect):
             link = link @ change
         return {joint: link[:, joint] for joint in range(n)}
 
-    def prior_std(self, survey, joints, settings):
+    def prior_std(
+        self, survey: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
+    ) -> np.ndarray | None:
         return np.array([20.0, 5.0, 5.0, 5.0, *([0.5] if settings else [2.0] * 6)])
 
-    def plausible(self, settings, values):
+    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
         moment = np.array([values["moment_x"], values["moment_y"], values["moment_z"]])
         return values["mass"] > 0.01 and bool(np.linalg.norm(moment) < 1.0 * values["mass"])
 
-    def n_parameters(self, settings):
+    def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 4
 
 

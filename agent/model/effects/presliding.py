@@ -1,8 +1,13 @@
 """Friction that follows the position after a reversal before the contact slides."""
 
-from agent.model.effects.effect import Effect, on_axle, travelled
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from agent.model.effects.effect import Columns, Effect, FitContext, on_axle, travelled
 from agent.model.effects.experiments import SLOW_REVERSALS
 from agent.model.friction_terms import Reversal
+from agent.model.signals import MotionSignals
 
 
 class Presliding(Effect):
@@ -21,14 +26,14 @@ class Presliding(Effect):
     refined = ("travel",)
     special_cases = ("friction_change",)
 
-    def settings(self, survey, joints):
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         low, high = travelled(survey, joints[0])
         return [{"travel": (high - low) * fraction} for fraction in (2e-4, 5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016, 0.03)]
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("level",)
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         (axle,) = joints
         state = signals.axles.direction(axle, Reversal("travel", settings["travel"]))
         return on_axle(signals.reference, axle, state - signals.direction(axle))

@@ -1,9 +1,14 @@
 """Friction that rises as the sliding slows down."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+
 import numpy as np
 
-from agent.model.effects.effect import Effect, highest_speed, on_axle
+from agent.model.effects.effect import Columns, Effect, FitContext, highest_speed, on_axle
 from agent.model.effects.experiments import SLOW_REVERSALS
+from agent.model.signals import MotionSignals
 
 # Of the highest speed. Below it is how the friction reverses, in which a model and a machine differ without any effect.
 _SPEEDS = (0.02, 0.035, 0.06, 0.1, 0.17, 0.28)
@@ -25,14 +30,14 @@ class Stribeck(Effect):
     refined = ("speed",)
     special_cases = ("friction_change",)
 
-    def settings(self, survey, joints):
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         fastest = highest_speed(survey, joints[0])
         return [{"speed": fastest * fraction, "shape": shape} for fraction in _SPEEDS for shape in (1.0, 2.0)]
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("rise",)
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         (axle,) = joints
         fading = (signals.axles.magnitude[:, axle] / settings["speed"]) ** settings["shape"]
         return on_axle(signals.reference, axle, signals.direction(axle) * np.exp(-np.minimum(fading, 700)))

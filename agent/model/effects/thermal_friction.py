@@ -1,9 +1,14 @@
 """Friction that drifts while the drive warms up."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+
 import numpy as np
 
-from agent.model.effects.effect import Effect, on_axle
+from agent.model.effects.effect import Columns, Effect, FitContext, on_axle
 from agent.model.effects.experiments import FROM_COLD
+from agent.model.signals import MotionSignals
 
 _LONGEST_SESSION = 12 * 3600.0  # s
 
@@ -25,7 +30,7 @@ class ThermalFriction(Effect):
     refined = ("time_constant",)
     special_cases = ("friction_change",)
 
-    def settings(self, survey, joints):
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         longest = max(float(s.time[-1]) for s in survey.signals)
         session = max(s.started + float(s.time[-1]) for s in survey.signals)
         each = [{"time_constant": fraction * longest} for fraction in (0.08, 0.2, 0.5, 1.5, 5.0)]
@@ -33,15 +38,15 @@ class ThermalFriction(Effect):
             return each
         return each + [{"time_constant": fraction * session, "session": 1.0} for fraction in (0.1, 0.3, 0.8, 2.0)]
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("coulomb_change", "coulomb_drift", "viscous_change", "viscous_drift")
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         (axle,) = joints
         since = signals.time + (signals.started if "session" in settings else 0.0)
         fading = np.exp(-since / settings["time_constant"])
         slide, speed = signals.direction(axle), signals.axles.speed[:, axle]
         return on_axle(signals.reference, axle, slide, slide * fading, speed, speed * fading)
 
-    def n_parameters(self, settings):
+    def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 5

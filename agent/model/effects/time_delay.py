@@ -1,9 +1,14 @@
 """Torque and position channels that are not simultaneous."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+
 import numpy as np
 
-from agent.model.effects.effect import Effect
+from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import SHARP_REVERSALS
+from agent.model.signals import MotionSignals
 
 _TRIED = (-0.02, -0.012, -0.007, -0.004, -0.002, -0.001, 0.001, 0.002, 0.004, 0.007, 0.012, 0.02)
 
@@ -24,7 +29,7 @@ class TimeDelay(Effect):
     residual_driven = True
     moves_arm = False
 
-    def settings(self, survey, joints):
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         tried = [{"delay": delay} for delay in _TRIED]
         best = min(tried, key=lambda s: abs(float(survey.fit(self, joints, s)[0]) - 1))
         delay = best["delay"]
@@ -33,18 +38,18 @@ class TimeDelay(Effect):
             delay = float(np.copysign(max(abs(delay), 1e-4), delay))
         return [{"delay": delay}]
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("share",)
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         from scipy.interpolate import CubicSpline
 
         late = np.clip(signals.time - settings["delay"], signals.time[0], signals.time[-1])
         change = CubicSpline(signals.time, signals.predicted)(late) - signals.predicted
         return {joint: change[:, joint, None] for joint in range(signals.q.shape[1])}
 
-    def plausible(self, settings, values):
+    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
         return 0.5 < values["share"] < 1.5
 
-    def n_parameters(self, settings):
+    def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 1

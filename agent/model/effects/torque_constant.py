@@ -1,6 +1,11 @@
 """Measured torque that is scaled."""
 
-from agent.model.effects.effect import Effect, on_axle
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from agent.model.effects.effect import Columns, Effect, on_axle
+from agent.model.signals import MotionSignals
 
 
 class TorqueConstant(Effect):
@@ -17,8 +22,8 @@ class TorqueConstant(Effect):
     shapes = ("speed",)
     moves_arm = False
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("scale_error",)
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         return on_axle(signals.reference, joints[0], signals.axle_torque[:, joints[0]])

@@ -1,9 +1,14 @@
 """Measured torque that is shifted."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+
 import numpy as np
 
-from agent.model.effects.effect import Effect, on_axle
+from agent.model.effects.effect import Columns, Effect, on_axle
 from agent.model.effects.experiments import RAMPS_AND_STANDSTILLS
+from agent.model.signals import MotionSignals
 
 
 class TorqueOffset(Effect):
@@ -22,8 +27,8 @@ class TorqueOffset(Effect):
     experiment = RAMPS_AND_STANDSTILLS
     moves_arm = False
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("offset",)
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         return on_axle(signals.reference, joints[0], np.ones(len(signals.time)))

@@ -1,8 +1,13 @@
 """Torque that is periodic in the motor's or the gear's angle."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+
 import numpy as np
 
-from agent.model.effects.effect import Effect, on_axle, travelled
+from agent.model.effects.effect import Columns, Effect, FitContext, on_axle, travelled
+from agent.model.signals import MotionSignals
 
 _HIGHEST = 13.0  # periods a motor turn
 _LOWEST = 8.0  # periods a joint turn: below, springs and hoses are meant
@@ -23,7 +28,7 @@ class TorqueRipple(Effect):
     why_absent = "the joint turns too little to see a period"
     residual_driven = True
 
-    def settings(self, survey, joints):
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         """Highest peaks of the residual's spectrum over the angle, by sums in narrow bins and one transform."""
         (axle,) = joints
         low, high = travelled(survey, axle)
@@ -56,13 +61,13 @@ class TorqueRipple(Effect):
             gain[max(0, best - 8) : best + 9] = 0
         return found
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return tuple(f"{part}_{h}" for h in range(1, int(settings["harmonics"]) + 1) for part in ("cosine", "sine"))
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         phase = settings["order"] * signals.axles.position[:, joints[0]]
         parts = [f(h * phase) for h in range(1, int(settings["harmonics"]) + 1) for f in (np.cos, np.sin)]
         return on_axle(signals.reference, joints[0], *parts)
 
-    def n_parameters(self, settings):
+    def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 1 + 2 * int(settings["harmonics"])

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from agent.model.effects.effect import Effect, FitContext
+from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.signals import MotionSignals
 
 _RATE = 1500.0  # Hz of the integration, at least
@@ -77,7 +77,7 @@ class TwoMass(Effect):
     grid: ClassVar[tuple[tuple[float, float, float], ...]]
     few: ClassVar[tuple[tuple[float, float, float], ...]]
 
-    def settings(self, survey, joints):
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         (k,) = joints
         tried, columns = self._alone(survey)[k]
         best, gain = self._best(survey, k, tried, columns)
@@ -129,10 +129,12 @@ class TwoMass(Effect):
             parts.append(signals.low_pass(-np.stack([self._lead(signals, k, entry)[0] for entry in tried], axis=1)))
         return np.concatenate(parts)
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("share",)
 
-    def prepare(self, motions, wanted):
+    def prepare(
+        self, motions: Sequence[MotionSignals], wanted: Sequence[tuple[tuple[int, ...], Mapping[str, float]]]
+    ) -> None:
         keys = dict.fromkeys(_key(joints[0], settings) for joints, settings in wanted)
         known = [motion.__dict__.setdefault("_leads", {}) for motion in motions]
         new = [key for key in keys if any(key not in of_motion for of_motion in known)]
@@ -145,14 +147,14 @@ class TwoMass(Effect):
     def _lead(self, signals: MotionSignals, k: int, settings: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         return signals.__dict__["_leads"][_key(k, settings)]
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         (k,) = joints
         self.prepare([signals], [(joints, settings)])
         torque, second = self._lead(signals, k, settings)
         others = {j: -(signals.mass[:, j, k] * second)[:, None] for j in range(signals.q.shape[1])}
         return {**others, k: -torque[:, None].astype(float)}
 
-    def n_parameters(self, settings):
+    def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 2
 
 

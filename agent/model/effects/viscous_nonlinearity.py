@@ -1,8 +1,13 @@
 """Viscous friction that bends with speed."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+
 import numpy as np
 
-from agent.model.effects.effect import Effect, highest_speed, on_axle
+from agent.model.effects.effect import Columns, Effect, FitContext, highest_speed, on_axle
+from agent.model.signals import MotionSignals
 
 
 class ViscousNonlinearity(Effect):
@@ -19,7 +24,7 @@ class ViscousNonlinearity(Effect):
     shapes = ("speed",)
     special_cases = ("friction_change",)
 
-    def settings(self, survey, joints):
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         fastest = highest_speed(survey, joints[0])
         return [
             *({"speed": fastest * fraction} for fraction in (0.01, 0.03, 0.1, 0.3)),
@@ -27,10 +32,10 @@ class ViscousNonlinearity(Effect):
             {"power": 3.0},
         ]
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("bend", "viscous_change")
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         (axle,) = joints
         speed = signals.axles.speed[:, axle]
         if "power" in settings:

@@ -1,10 +1,15 @@
 """Motors that turn along with another axis."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+
 import numpy as np
 
-from agent.model.effects.effect import Effect
+from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.friction_terms import AxleMotion, axle_columns
 from agent.model.signals import MotionSignals
+from agent.robot import RobotDescription
 
 _RATIOS = (0.05, 0.068, 0.09, 0.12, 0.16, 0.22, 0.3, 0.4, 0.55, 0.74, 1.0)
 _FREE_RATIOS = (0.1, 0.3, 0.6, 1.0)
@@ -33,11 +38,11 @@ class WristCoupling(Effect):
     special_cases = ("friction_change",)
     refined = ("ratio",)
 
-    def places(self, robot):
+    def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:
         first = max(0, robot.dof - 3)
         return [(i, j) for i in range(first, robot.dof) for j in range(i + 1, robot.dof)]
 
-    def settings(self, survey, joints):
+    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         kinds = [
             *({"ratio": ratio} for ratio in _RATIOS),
             *({"ratio": ratio, "free": 1.0} for ratio in _FREE_RATIOS),
@@ -47,18 +52,18 @@ class WristCoupling(Effect):
             {**kind, "ratio": sign * kind["ratio"], **side} for kind in kinds for side in sides for sign in (-1.0, 1.0)
         ]
 
-    def nearby(self, settings, factor):
+    def nearby(self, settings: Mapping[str, float], factor: float) -> list[dict[str, float]]:
         """Several steps each way, as the gain peaks narrowly over the ratio; a free one with the model's friction."""
         tied = {name: value for name, value in settings.items() if name != "free"}
         kinds = [settings, tied] if "free" in settings else [settings]
         return [{**kind, "ratio": kind["ratio"] * factor**power} for kind in kinds for power in range(-3, 4)]
 
-    def names(self, settings):
+    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         if "free" not in settings:
             return ("rotor", "share")
         return ("rotor", "viscous", "coulomb", *(("transmission",) if "axle_side" in settings else ()))
 
-    def columns(self, signals, joints, settings):
+    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         i, j = joints
         ratio = settings["ratio"]
         alone, turned = (_friction(signals, j, i, part, "free" in settings) for part in (0.0, ratio))
@@ -78,10 +83,10 @@ class WristCoupling(Effect):
         felt = np.flatnonzero(np.abs(coupling[j]) + np.abs(carriers))
         return {int(k): coupling[j, k] * more + carriers[k] * ratio * carried for k in felt}
 
-    def plausible(self, settings, values):
+    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
         return values["rotor"] > 0 and 0.3 < values.get("share", 1.0) < 1.7 and values.get("transmission", -1.0) < 0
 
-    def n_parameters(self, settings):
+    def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 1 + len(self.names(settings))
 
 
