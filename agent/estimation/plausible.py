@@ -50,7 +50,8 @@ class _Samples:
     def thinned(self, every: int) -> _Samples:
         """Every k-th."""
         signals = (self.q, self.qd, self.qdd, self.torque, self.direction)
-        return _Samples(*(values[::every] for values in signals), independent=self.independent)
+        q, qd, qdd, torque, direction = (values[::every] for values in signals)
+        return _Samples(q, qd, qdd, torque, direction, self.independent)
 
 
 _Regressor = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -195,7 +196,8 @@ def _samples(logs: Sequence[Log]) -> _Samples | None:
     rows = rows[:: max(1, len(rows) // _SAMPLES)]
     if len(rows) * rows.shape[1] // 5 < 100:
         return None
-    return _Samples(*np.split(rows, 5, axis=1), independent=independent)
+    q, qd, qdd, torque, direction = np.split(rows, 5, axis=1)
+    return _Samples(q, qd, qdd, torque, direction, independent)
 
 
 def _mechanics(robot: RobotDescription, samples: _Samples) -> Iterator[str]:
