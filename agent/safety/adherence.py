@@ -125,8 +125,12 @@ class Adherence:
     def _along(self, time: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """(K,) places of positions that lead the way, in a window that goes with the time since the last of them."""
         begun = float(self._path.when[self._place])
-        expected = begun + np.maximum(time - self._last, 0.0)
-        return self._path.nearest(positions, np.full(len(time), begun - BACK), expected + AHEAD, expected)
+        passed = np.maximum(time - self._last, 0.0)
+        # At its pace the arm is here. A controller's blend may cut a turn off, and where the way back is the way out,
+        # what is nearest to the last place alone would go back from there.
+        expected = self._mark[1] + self._moved - self._mark[0] + passed
+        until = np.maximum(begun + passed, expected) + AHEAD
+        return self._path.nearest(positions, np.full(len(time), begun - BACK), until, expected)
 
     def _compare(
         self, what: str, allowed: Tolerance, time: np.ndarray, positions: np.ndarray, places: np.ndarray

@@ -124,6 +124,21 @@ def test_another_speed_is(swing, scale, set_points):
     assert "override is not at 100 %" in reason or "was planned around there" in reason or "off the" in reason
 
 
+@pytest.mark.parametrize("late", [0.1, 0.2])
+def test_a_way_back_along_the_way_out_is_no_delay(trajectory_through, late):
+    """The controller is a little late, and its blend cuts the turn off."""
+    knots = np.tile(HOME, (5, 1))
+    knots[:, 0] += np.array([0.0, 0.5, 0.8, 0.5, 0.0])
+    chain = trajectory_through(knots, 4.0)
+    turn = chain.q[:, 0].max()
+    driven = chain.q.copy()
+    driven[:, 0] = turn - np.hypot(turn - driven[:, 0], 0.012) + 0.012 * (1 - np.cos(np.pi * chain.t / 4.0)) / 2
+    waiting = np.tile(driven[:1], (round(late / PERIOD), 1))
+    times = np.arange(0.0, chain.t[-1], PERIOD)
+    moved = np.column_stack([np.interp(times, chain.t, column) for column in driven.T])
+    assert follow(watcher(chain), waiting, moved, chunk=64) is None
+
+
 def test_half_the_speed_is_seen_within_a_second(swing):
     chain = swing()
     _, when = follow(watcher(chain), paced(chain, 2.0))
