@@ -11,7 +11,7 @@ import numpy as np
 from agent.core.errors import InputError
 from agent.diagnosis.fit import Fit, Fold
 from agent.diagnosis.limits import LIMITS, DecisionLimits
-from agent.diagnosis.standstill import STANDING
+from agent.diagnosis.standstill import standing
 from agent.estimation.estimate import EstimationSettings, estimate
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.observation import Observation, observe
@@ -88,7 +88,7 @@ def assemble(
             left = segment.torque[:, joint] - columns @ model.values[places] - extra[:, joint]
             rows[joint].append(np.column_stack([columns, left]))
     speed = np.concatenate([s.qd[s.kept] for s in signals])
-    sigma = _background(reference, background, speed, signals, limits)
+    sigma = _background(reference, background, signals, limits)
     joined = [np.concatenate(parts) / sigma[:, joint, None] for joint, parts in enumerate(rows)]
     time = np.concatenate([s.time[s.kept] for s in signals])
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
@@ -137,7 +137,6 @@ def _moving_error(model: IdentifiedModel) -> np.ndarray:
 def _background(
     reference: NominalModel,
     moving: np.ndarray,
-    speed: np.ndarray,
     signals: Sequence[MotionSignals],
     limits: DecisionLimits,
 ) -> np.ndarray:
@@ -152,14 +151,13 @@ def _background(
         if term.form == "coulomb":
             level[term.axle] = abs(model.values[count + k])
     still = np.maximum(limits.stiction * level @ np.abs(reference.coupling), 2 * moving)
-    fastest = np.abs(speed).max(axis=0)
-    standing = np.abs(speed) <= STANDING * fastest
+    rest = np.concatenate([still[s.kept] for s, still in zip(signals, standing(signals, limits), strict=True)])
     rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
     reach = int(limits.near_rest * rate)
-    near = standing.copy()
+    near = rest.copy()
     for shift in range(1, reach + 1):
-        near[shift:] |= standing[:-shift]
-        near[:-shift] |= standing[shift:]
+        near[shift:] |= rest[:-shift]
+        near[:-shift] |= rest[shift:]
     return np.where(near, still, moving)
 
 

@@ -130,7 +130,7 @@ class DecisionLimits:
         0.04, "RMS torque", "what a model usually leaves, where no other logs tell", "tuned on simulated arms"
     )
     clipped: float = _limit(0.002, "samples", "at exactly the largest torque before it looks clipped", "chosen")
-    moves: float = _limit(1e-4, "rad or m", "that a joint travels, or it never moves", "chosen")
+    moves: float = _limit(3e-3, "rad or m", "that a joint travels in one log, or it never moves", "chosen")
 
     # Segments of time
     block: float = _limit(1.0, "s", "of motion that are drawn as one: errors last as long", "chosen")

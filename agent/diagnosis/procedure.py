@@ -12,6 +12,7 @@ from agent.diagnosis.finding import Finding, Step
 from agent.diagnosis.fit import Candidate, Fit, Score
 from agent.diagnosis.isolability import best_by_place, complexity, imitates, plausible, structurally_equivalent
 from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.needs import Excursions
 from agent.diagnosis.standstill import at_rest
 from agent.diagnosis.verdict import abstained, named
 from agent.model.effects import CATALOGUE
@@ -36,9 +37,8 @@ class Search:
         self.null: Null | None = None
         self.least = self.limits.least_gain * self.rows
         self._scanned: dict[frozenset[Candidate], Step] = {}
-        joints = range(fit.reference.robot.dof)
         self._at_rest = at_rest(fit.signals, limits)
-        self.moves = tuple(any(np.ptp(s.q[:, j]) > limits.moves for s in fit.signals) for j in joints)
+        self.excursions = Excursions.of(fit.signals, limits)
 
     def run(self) -> Finding:
         """Search until nothing worth naming is left."""
@@ -116,7 +116,7 @@ class Search:
         wanted = []
         for effect in CATALOGUE.values():
             for joints in effect.places(fit.reference.robot):
-                if (effect.name, joints) in taken or not all(self.moves[j] for j in joints):
+                if (effect.name, joints) in taken or self.excursions.lacking(effect, joints):
                     continue
                 if fixed or effect.residual_driven:
                     wanted += [(effect, joints, settings) for settings in effect.settings(fit, joints)]

@@ -142,8 +142,7 @@ def not_testable(dataset: Dataset, search: Search) -> list[NotTestable]:
             candidates = tried.get((name, joints), [])
             where = ", ".join(names[j] for j in joints) or None
             if not candidates:
-                still = [names[j] for j in joints if not search.moves[j]]
-                why = f"{', '.join(still)} never moves in these logs" if still else effect.why_absent
+                why = search.excursions.lacking(effect, joints) or effect.why_absent
                 if why:
                     result.append(NotTestable(name, where, why))
                 continue

@@ -9,19 +9,37 @@ import numpy as np
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.model.signals import MotionSignals
 
-#: Of the highest speed: a joint that is no faster stands.
+#: Of a joint's speed: one that is no faster stands.
 STANDING = 0.004
+#: Of the arm's speed, both over what the joints are able to: a joint that never goes faster is judged by this one.
+_OF_ARM = 0.25
+
+
+def standing(signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -> list[np.ndarray]:
+    """Per motion (S, n) bool: whether a joint stands. One that travels nowhere always does, whatever its noise."""
+    speeds = [np.abs(motion.qd) for motion in signals]
+    fastest = np.max([speed.max(axis=0) for speed in speeds], axis=0)
+    able = signals[0].reference.robot.max_velocity
+    usual = np.maximum(fastest, _OF_ARM * np.max(fastest / able) * able)
+    slowest = np.where(moves(signals, limits), STANDING * usual, np.inf)
+    return [speed <= slowest for speed in speeds]
+
+
+def moves(signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -> np.ndarray:
+    """(n,) bool: whether a joint travels anywhere in one of the motions."""
+    logs = {
+        motion.log_index: [other.q for other in signals if other.log_index == motion.log_index] for motion in signals
+    }
+    return np.max([np.ptp(np.concatenate(parts), axis=0) for parts in logs.values()], axis=0) > limits.moves
 
 
 def at_rest(signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -> np.ndarray:
     """(S', n) bool, all motions in a row: whether a joint stands there for a while, or close by."""
     from scipy.ndimage import binary_dilation, binary_opening
 
-    fastest = np.max([np.abs(motion.qd).max(axis=0) for motion in signals], axis=0)
     parts = []
-    for motion in signals:
+    for motion, still in zip(signals, standing(signals, limits), strict=True):
         rate = 1 / float(np.median(np.diff(motion.time)))
-        standing = np.abs(motion.qd) <= STANDING * fastest
-        long = binary_opening(standing, np.ones((max(int(limits.long_rest * rate), 1), 1)))
+        long = binary_opening(still, np.ones((max(int(limits.long_rest * rate), 1), 1)))
         parts.append(binary_dilation(long, np.ones((2 * int(limits.near_rest * rate) + 1, 1)))[motion.kept])
     return np.concatenate(parts)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -77,9 +77,9 @@ def set_points(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return q, np.gradient(q, PERIOD, axis=0)
 
 
-def record(plant: Plant, name: str, seed: int) -> Log:
-    """A log of one motion of a plant, as a reader would give it."""
-    q, qd = set_points(plant.robot.dof, seed)
+def record(plant: Plant, name: str, seed: int, share: Sequence[float] | float = 1.0) -> Log:
+    """A log of one motion of a plant, as a reader would give it; each joint makes a `share` of its motion."""
+    q, qd = (part * share for part in set_points(plant.robot.dof, seed))
     plant.rest(q[0])
     chunks = list(plant.run(q, qd))
     position, velocity, torque = (

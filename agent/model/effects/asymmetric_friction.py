@@ -22,6 +22,8 @@ class AsymmetricFriction(Effect):
     confused_with = ("torque_offset",)
     phrase = "friction differs between the two directions"
     look_at = "one-sided bearing load, seals, preload of a screw or belt"
+    needs_speed = 0.02
+    needs_reversals = 1
     shapes = ("speed", "position")
     experiment = RAMPS_AND_STANDSTILLS
     rivals_special_cases = True

@@ -26,6 +26,7 @@ class Backlash(TwoMass):
     confused_with = ("presliding", "joint_elasticity")
     phrase = "the gear has play"
     look_at = "play of the gear: turn the link by hand with the motor braked"
+    needs_reversals = 2
     shapes = ("twist",)
     experiment = SLOW_REVERSALS
     why_absent = "no torque reversal in these logs"

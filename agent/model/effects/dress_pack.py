@@ -31,6 +31,7 @@ class DressPack(Effect):
     structurally_equivalent = ("gravity_spring",)
     phrase = "a hose or cable pulls at the joint"
     look_at = "hoses and cables at this joint: stiff, caught or too short"
+    needs_travel = 0.2
     shapes = ("position",)
     experiment = WHOLE_RANGE
     complexity_surcharge = 1

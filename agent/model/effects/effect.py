@@ -54,6 +54,9 @@ class Effect(ABC):
     `once` marks an effect that happens once, so that another log tells nothing about it; `refined` are the nonlinear
     parameters worth a finer search; `residual_driven` ones are chosen from what is left, so anew in every scan.
     `why_absent` says why `settings` may be empty.
+
+    A joint shows an effect only if it travels `needs_travel` [rad, or 0.1 m], reaches `needs_speed` [rad/s, or 0.1 m/s]
+    and turns back `needs_reversals` times.
     """
 
     name: ClassVar[str]
@@ -78,6 +81,9 @@ class Effect(ABC):
     refined: ClassVar[tuple[str, ...]] = ()
     residual_driven: ClassVar[bool] = False
     why_absent: ClassVar[str] = ""
+    needs_travel: ClassVar[float] = 0.02
+    needs_speed: ClassVar[float] = 0.0
+    needs_reversals: ClassVar[int] = 0
 
     def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:
         """Joints (from 0) it may sit on."""

@@ -24,6 +24,7 @@ class EncoderOffset(Effect):
     confused_with = ("inertial_mismatch", "gravity_spring", "base_tilt")
     phrase = "the zero position of the joint is off"
     look_at = "calibration mark of this joint; a motor, belt or encoder that was changed"
+    needs_travel = 0.1
     experiment = WHOLE_RANGE
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:

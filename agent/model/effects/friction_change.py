@@ -19,6 +19,8 @@ class FrictionChange(Effect):
     confused_with = ("torque_constant", "thermal_friction", "load_dependent_friction")
     phrase = "the friction level is not the model's any more"
     look_at = "wear and lubrication of the gear, brake that drags, bearing preload"
+    needs_speed = 0.02
+    needs_reversals = 1
     shapes = ("speed",)
 
     def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:

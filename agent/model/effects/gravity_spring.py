@@ -23,6 +23,7 @@ class GravitySpring(Effect):
     structurally_equivalent = ("dress_pack",)
     phrase = "a balancer or spring pulls differently"
     look_at = "balancer: spring, gas pressure of the cylinder, its pivots"
+    needs_travel = 0.2
     shapes = ("position",)
     experiment = WHOLE_RANGE
     why_absent = "a prismatic joint"

@@ -21,6 +21,8 @@ class LoadDependentFriction(Effect):
     confused_with = ("friction_change", "torque_constant")
     phrase = "friction grows with the load on the gear"
     look_at = "gear efficiency: tooth or wave-generator wear, overload"
+    needs_speed = 0.02
+    needs_reversals = 1
     shapes = ("speed",)
     special_cases = ("friction_change",)
 

@@ -21,6 +21,7 @@ class Presliding(Effect):
     confused_with = ("stribeck", "backlash")
     phrase = "friction builds up over a travel after each reversal"
     look_at = "gear wind-up and preloaded bearings; flexspline and seals that give way before they slide"
+    needs_reversals = 2
     shapes = ("speed",)
     experiment = SLOW_REVERSALS
     refined = ("travel",)

@@ -25,6 +25,8 @@ class Stribeck(Effect):
     confused_with = ("friction_change", "presliding", "viscous_nonlinearity")
     phrase = "friction rises as the joint slows down"
     look_at = "lubrication and seals of the gear: starved or cold grease lets friction rise at low speed"
+    needs_speed = 0.05
+    needs_reversals = 1
     shapes = ("speed",)
     experiment = SLOW_REVERSALS
     refined = ("speed",)

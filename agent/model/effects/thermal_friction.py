@@ -24,6 +24,8 @@ class ThermalFriction(Effect):
     confused_with = ("friction_change", "torque_constant")
     phrase = "friction drifts as the drive warms up"
     look_at = "temperature of gear and motor: let the arm warm up, or compare a cold and a warm run"
+    needs_speed = 0.02
+    needs_reversals = 1
     shapes = ("speed",)
     experiment = FROM_COLD
     complexity_surcharge = 1

@@ -21,6 +21,8 @@ class ViscousNonlinearity(Effect):
     confused_with = ("friction_change", "stribeck")
     phrase = "the speed-dependent part of friction bends"
     look_at = "grease: viscosity, fill level, churning at high speed"
+    needs_speed = 0.1
+    needs_reversals = 1
     shapes = ("speed",)
     special_cases = ("friction_change",)
 

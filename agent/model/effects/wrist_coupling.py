@@ -35,6 +35,8 @@ class WristCoupling(Effect):
     confused_with = ("friction_change",)
     phrase = "one motor turns along with another axis"
     look_at = "motor_coupling in the robot description; coupling compensation of the controller"
+    needs_travel = 0.1
+    needs_speed = 0.05
     special_cases = ("friction_change",)
     refined = ("ratio",)
 

@@ -1,0 +1,55 @@
+"""A joint that did not move through what an effect needs gets none, and the result says why."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.diagnosis import CATALOGUE, diagnose
+from fake_controller.plant import Plant
+from tests.diagnosis.test_small_arms import learn, make_arm, record
+
+PARKED = (1.0, 1.0, 0.001)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return make_arm("RRR")
+
+
+@pytest.fixture(scope="module")
+def model(arm):
+    return learn(arm)
+
+
+@pytest.fixture(scope="module")
+def parked(arm):
+    """Two logs in which the last joint moves by 2 mrad."""
+    plant = Plant(arm, seed=3)
+    return [record(plant, name, seed, PARKED) for name, seed in (("one", 21), ("two", 22))]
+
+
+@pytest.mark.parametrize("torque", ["of its angle", "of its speed"])
+def test_a_joint_that_stands_has_no_effect(parked, arm, model, torque):
+    logs = []
+    for log in parked:
+        effort = log.effort.copy()
+        moved = log.position[:, 2] - log.position[0, 2] if torque == "of its angle" else log.velocity[:, 2]
+        effort[:, 2] += 8.0 * moved / np.abs(moved).max()
+        logs.append(replace(log, effort=effort))
+    result = diagnose(arm, logs, model).result
+    assert not [cause for cause in result["causes"] if "joint_3" in cause["joints"]]
+    why = {(entry["effect"], entry["joint"]): entry["why"] for entry in result["not_testable"]}
+    of_joints = [name for name, effect in CATALOGUE.items() if effect.scope == "joint"]
+    assert {why[name, "joint_3"] for name in of_joints} == {"joint_3 never moves in these logs"}
+
+
+def test_a_spring_takes_more_than_a_few_degrees(arm, model):
+    plant = Plant(arm, seed=3)
+    logs = [record(plant, name, seed, (1.0, 1.0, 0.06)) for name, seed in (("one", 21), ("two", 22))]
+    missing = {(e["effect"], e["joint"]): e["why"] for e in diagnose(arm, logs, model).result["not_testable"]}
+    assert "0.2 rad (or 0.1 m) it takes" in missing["gravity_spring", "joint_3"]
+    assert "0.2 rad (or 0.1 m) it takes" in missing["dress_pack", "joint_3"]
+    assert "it takes" not in missing.get(("friction_change", "joint_3"), "")
