@@ -210,7 +210,11 @@ def diagnose(
     logs: Annotated[list[Path] | None, typer.Argument(metavar="LOG...", help="MCAP logs")] = None,
     robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")] = None,
     model: Annotated[
-        Path | None, typer.Option("--model", metavar="MODEL", help="the model that is the simulator")
+        Path | None,
+        typer.Option("--model", metavar="MODEL", help="the simulator: a model file, an MJCF (arm.xml) or a URDF"),
+    ] = None,
+    joint_map: Annotated[
+        Path | None, typer.Option("--map", metavar="MAP.yaml", help="names of the simulator's joints in the logs")
     ] = None,
     record: Annotated[
         Path | None, typer.Option("--record", metavar="RECIPE", help="record first: the recipe's motions, no logs")
@@ -235,14 +239,17 @@ def diagnose(
     from agent.core.console import print_json
     from agent.pipeline.diagnose import Question, diagnose_files, diagnose_recording, diagnosis_text
 
-    question = Question(model, cutoff, tuple(without or ()), report, out, allow_mixed, force)
+    question = Question(model, joint_map, cutoff, tuple(without or ()), report, out, allow_mixed, force)
     console = console_for(verbose, quiet)
     if record is not None:
         if logs or robot:
             raise InputError("diagnose: --record records its own logs of the recipe's robot: leave out LOG and --robot")
         result = diagnose_recording(record, question, console, runs, yes)
-    elif not logs or not robot:
-        raise InputError("diagnose: name the robot and the logs (--robot R LOG...), or a recipe to record (--record)")
+    elif not logs or not (robot or model):
+        raise InputError(
+            "diagnose: name the robot or the simulator, and the logs (--robot R or --model MODEL, LOG...), or a recipe "
+            "to record (--record)"
+        )
     else:
         result = diagnose_files(robot, logs, question, console)
     if as_json:

@@ -12,9 +12,11 @@ from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.motion_gap import MotionGap, motion_gap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.result import Diagnosis, build
+from agent.diagnosis.simulator import with_expected_error
 from agent.diagnosis.verdict import judge
 from agent.model.effects import CATALOGUE
 from agent.model.identified import IdentifiedModel
+from agent.model.simulators import SIMULATOR
 from agent.recording.log import Log
 from agent.robot import RobotDescription
 
@@ -37,6 +39,8 @@ def diagnose(
         raise InputError("no logs were given, so there is nothing to diagnose")
     check_effects(without)
     logs, twice = _distinct(logs)
+    if model is not None and model.method == SIMULATOR:
+        model = with_expected_error(model, logs, limits)
     progress("filtering, and fitting the model in every fold" if model is None else "filtering")
     dataset = assemble(robot, model, logs, cutoff, limits)
     search = Search(dataset.fit, without, dataset.given, progress, limits)

@@ -67,6 +67,8 @@ def simulate(diagnosis: Diagnosis) -> list[Simulated]:
         extended = extended_model(diagnosis, without=number if held_out else None, once=True)
         before = _follow(dataset.model, motion, number)
         after = _follow(extended, motion, number) if extended.effects else before
+        if not all(np.all(np.isfinite(values)) for values in (*before, *after)):
+            continue  # a simulator without rotors, say, runs away behind a usual servo
         torque = motion.low_pass(motion.torque)
         found.append(
             Simulated(

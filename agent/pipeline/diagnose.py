@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.core.console import Console
+from agent.core.errors import InputError
 from agent.pipeline.identify import check_one_machine, check_output, check_plausible, read_logs, say_used
 from agent.robot import RobotDescription, load_robot
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
     from agent.diagnosis.forward import Simulated
+    from agent.model.identified import IdentifiedModel
 
 #: The model that was the simulator, as a run folder keeps it: the file that was named may be another one later.
 _SIMULATOR = "simulator.json"
@@ -33,11 +35,13 @@ _VERDICTS = {
 class Question:
     """What is asked of logs: against which model (None: one fitted to them), what is left out, what is written.
 
+    `model` is a model file, an MJCF or a URDF; `joint_map` says how joints of the latter two are called in the logs.
     `report` is the page, `out` the file of the model with the effects found; None: neither. `allow_mixed`: logs and
     model may be of several machines or tools; `force`: go on although a log is implausible.
     """
 
     model: Path | None = None
+    joint_map: Path | None = None
     cutoff: float | None = None
     without: tuple[str, ...] = ()
     report: Path | None = None
@@ -46,13 +50,15 @@ class Question:
     force: bool = False
 
 
-def diagnose_files(robot: str, paths: Sequence[Path], question: Question, console: Console) -> dict[str, Any]:
+def diagnose_files(robot: str | None, paths: Sequence[Path], question: Question, console: Console) -> dict[str, Any]:
     """Diagnose logs; returns the result of CONTRACTS.md, 6, and writes what is asked for.
+
+    Without a `robot` the model says what the arm is.
 
     Raises:
         InputError: a robot, model or log that cannot be used, an unknown effect, or an output that cannot be written.
     """
-    return _diagnose(load_robot(robot), paths, question, console)
+    return _diagnose(None if robot is None else load_robot(robot), paths, question, console)
 
 
 def diagnose_recording(recipe: Path, question: Question, console: Console, runs: Path, yes: bool) -> dict[str, Any]:
@@ -70,16 +76,18 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
     from agent.runs.folder import RunFolder, write_atomically
     from agent.runs.lock import robot_lock
 
-    _check(question, [])
     loaded = load_recipe(recipe)
+    _check(question, [])
+    simulator = _simulator(loaded.robot, [], question, console)
     few = min(loaded.validate.motions, _VALIDATION_MOTIONS)
     loaded = replace(loaded, validate=loaded.validate.model_copy(update={"motions": few}))
     with robot_lock(loaded.controller.driver, loaded.controller.address):
         run = RunFolder.create(runs, loaded.robot.name, loaded.path)
         run.note(kind="diagnose", question={"cutoff": question.cutoff, "without": question.without})
         approve(run, loaded)
-        if question.model is not None:
-            run.write_text(_SIMULATOR, question.model.read_text(encoding="utf-8"))
+        if simulator is not None:
+            run.write_text(_SIMULATOR, json.dumps(simulator.to_dict(), allow_nan=False))
+            question = replace(question, model=run.file(_SIMULATOR), joint_map=None)
         console.say(f"run {run.path}")
         with step(run, "plan", console):
             plan = planning.plan_once(loaded, run, console)
@@ -108,12 +116,14 @@ def diagnose_again(run: Path, robot: RobotDescription, console: Console) -> str:
 
     asked = json.loads((run / "state.json").read_text(encoding="utf-8"))["question"]
     model = run / _SIMULATOR
-    question = Question(model if model.exists() else None, asked["cutoff"], tuple(asked["without"]))
+    question = Question(model if model.exists() else None, cutoff=asked["cutoff"], without=tuple(asked["without"]))
     logs = [run / "excitation.mcap", *sorted(run.glob("validation_[0-9][0-9].mcap"))]
     return diagnosis_report(*_find(robot, logs, question, console))
 
 
-def _diagnose(robot: RobotDescription, paths: Sequence[Path], question: Question, console: Console) -> dict[str, Any]:
+def _diagnose(
+    robot: RobotDescription | None, paths: Sequence[Path], question: Question, console: Console
+) -> dict[str, Any]:
     from agent.diagnosis import simulation_part
 
     _check(question, paths)
@@ -132,12 +142,16 @@ def _diagnose(robot: RobotDescription, paths: Sequence[Path], question: Question
 
 
 def _find(
-    robot: RobotDescription, paths: Sequence[Path], question: Question, console: Console
+    robot: RobotDescription | None, paths: Sequence[Path], question: Question, console: Console
 ) -> tuple[Diagnosis, list[Simulated]]:
     from agent.diagnosis import diagnose, simulate
-    from agent.estimation import IdentifiedModel
+    from agent.model.simulators import SIMULATOR
 
-    reference = None if question.model is None else IdentifiedModel.load(question.model)
+    reference = _simulator(robot, paths, question, console)
+    if reference is not None and (robot is None or reference.method == SIMULATOR):
+        robot = reference.robot  # of the file, with the drives of the description
+    if robot is None:
+        raise InputError("diagnose: name the robot (--robot R), or a model that says what the arm is (--model MODEL)")
     console.step(f"reading {len(paths)} logs")
     logs = read_logs(list(paths), robot, console)
     check_one_machine(logs, reference, question.allow_mixed)
@@ -149,6 +163,30 @@ def _find(
     return found, simulate(found)
 
 
+def _simulator(
+    robot: RobotDescription | None, paths: Sequence[Path], question: Question, console: Console
+) -> IdentifiedModel | None:
+    """The model that is the simulator; None where none is named.
+
+    Raises:
+        InputError: a file that cannot be used, or of another arm.
+    """
+    from agent.model.identified import IdentifiedModel
+    from agent.model.simulators import is_simulator, load_joint_map, load_simulator
+    from agent.recording import read_log
+
+    if question.model is None or not is_simulator(question.model):
+        if question.joint_map is not None:
+            raise InputError("diagnose: --map names joints of an MJCF or URDF: give one with --model arm.xml|arm.urdf")
+        return None if question.model is None else IdentifiedModel.load(question.model)
+    names = None if question.joint_map is None else load_joint_map(question.joint_map)
+    log_joints = () if robot is not None else read_log(paths[0]).joint_names
+    found = load_simulator(question.model, robot, log_joints, names)
+    for note in found.notes:
+        console.warn(f"{question.model.name}: {note}")
+    return found.model
+
+
 def _check(question: Question, logs: Sequence[Path]) -> None:
     """What makes no sense is refused before the work, and before anything moves.
 
@@ -156,12 +194,9 @@ def _check(question: Question, logs: Sequence[Path]) -> None:
         InputError: an output that cannot be written or would overwrite an input, an unknown effect, or no model.
     """
     from agent.diagnosis import check_effects
-    from agent.estimation import IdentifiedModel
 
     check_effects(question.without)
-    if question.model is not None:
-        IdentifiedModel.load(question.model)
-    inputs = [*logs, *([question.model] if question.model else [])]
+    inputs = [*logs, *(path for path in (question.model, question.joint_map) if path)]
     for out in (question.report, question.out):
         if out is not None:
             check_output(out, inputs)

@@ -1,0 +1,223 @@
+"""What a simulator's file says of one serial arm, whatever its format, and the identified model made of it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from agent.core.errors import InputError
+from agent.model.data import ModelEffect
+from agent.model.friction_terms import FrictionTerm, Reversal
+from agent.model.identified import IdentifiedModel
+from agent.robot import Joint, RobotDescription
+from agent.robot.parameter_layout import ParameterLayout
+
+#: `method` of a model that was read from a simulator's file.
+SIMULATOR = "simulator"
+
+_USUAL_SPEED, _USUAL_ACCELERATION = np.pi, 10.0  # rad/s and rad/s², or m, of a joint whose file and robot say nothing
+_REVERSAL = 2e-3  # of the highest speed, over which Coulomb friction changes sign
+_EXACT = 1e-6  # standard deviation of a parameter that may not move, over its value
+_CUTOFF, _ORDER = 30.0, 8  # Hz, of the filter, where the caller knows no better
+_ANGLE, _LENGTH = 0.05, 0.03  # rad, and part of the reach, by which the axes of one and the same arm may differ
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedArm:
+    """One arm of a file: its chain as a URDF text, and per joint (n,), on the joint side: armature [kg·m²], damping
+    [N·m·s/rad], frictionloss [N·m], stiffness [N·m/rad] and the position [rad] where the spring is at rest.
+
+    `file_joints` are the joints' names in the file; in `urdf` they have those of the robot or the logs. `max_velocity`
+    is NaN where the file has none.
+    """
+
+    path: Path
+    name: str
+    urdf: str
+    tip_frame: str
+    gravity: tuple[float, float, float]
+    joint_names: tuple[str, ...]
+    file_joints: tuple[str, ...]
+    prismatic: tuple[bool, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+    max_velocity: np.ndarray
+    armature: np.ndarray
+    damping: np.ndarray
+    frictionloss: np.ndarray
+    stiffness: np.ndarray
+    rest: np.ndarray
+    notes: tuple[str, ...] = ()
+
+
+def described(arm: SimulatedArm, robot: RobotDescription | None) -> tuple[RobotDescription, tuple[str, ...]]:
+    """The robot that the file shows, with the drives of `robot` where there is one, and what is to be said about it.
+
+    Without one, every joint has gear ratio 1 and no nominal torque.
+
+    Raises:
+        InputError: the file's arm is not that of the description.
+    """
+    if robot is None:
+        joints = tuple(_plain_joint(arm, k) for k in range(len(arm.joint_names)))
+        return _description(arm, arm.name, joints, None), ()
+    for joint, prismatic in zip(robot.joints, arm.prismatic, strict=True):
+        if joint.prismatic != prismatic:
+            kinds = ("turns", "slides")
+            raise InputError(
+                f"{arm.path}: {joint.name} {kinds[prismatic]} here and {kinds[joint.prismatic]} in robot {robot.name}: "
+                "it is a model of another arm, or joints are matched wrongly (--map)"
+            )
+    found = _description(arm, robot.name, robot.joints, robot)
+    _check_same_arm(arm, found, robot)
+    return found, tuple(_robot_notes(robot))
+
+
+def _robot_notes(robot: RobotDescription) -> Iterator[str]:
+    if np.any(robot.coupling - np.eye(robot.dof)):
+        yield (
+            "armature, damping and frictionloss of the file act on its joints, so the motor coupling of the "
+            "description is no part of the simulator"
+        )
+
+
+def _plain_joint(arm: SimulatedArm, k: int) -> Joint:
+    speed = float(arm.max_velocity[k]) if np.isfinite(arm.max_velocity[k]) else _USUAL_SPEED
+    return Joint(
+        name=arm.joint_names[k],
+        prismatic=arm.prismatic[k],
+        gear_ratio=1.0,
+        nominal_motor_torque=None,
+        max_velocity=speed,
+        max_acceleration=_USUAL_ACCELERATION,
+        max_jerk=None,
+        rotor_inertia=None,
+        max_torque=None,
+        torque_constant=None,
+        lower=float(arm.lower[k]),
+        upper=float(arm.upper[k]),
+    )
+
+
+def _description(
+    arm: SimulatedArm, name: str, joints: tuple[Joint, ...], robot: RobotDescription | None
+) -> RobotDescription:
+    safe = re.sub(r"[^\w .+-]", "_", name).strip(" .+-")[:64] or "arm"
+    return RobotDescription(
+        name=safe,
+        urdf=arm.urdf,
+        tip_frame=arm.tip_frame,
+        gravity=arm.gravity,
+        cartesian_limits=None if robot is None else robot.cartesian_limits,
+        joints=joints,
+        motor_coupling=tuple(tuple(float(i == j) for j in range(len(joints))) for i in range(len(joints))),
+    )
+
+
+def _check_same_arm(arm: SimulatedArm, found: RobotDescription, robot: RobotDescription) -> None:
+    """Raise InputError where neighbouring axes lie to each other as no zero position or base frame explains."""
+    angles, distances, reach = _between_axes(found)
+    wanted, apart, other_reach = _between_axes(robot)
+    for k, (angle, distance) in enumerate(zip(np.abs(angles - wanted), np.abs(distances - apart), strict=True)):
+        if angle > _ANGLE or distance > _LENGTH * max(reach, other_reach):
+            pair = " and ".join(robot.joint_names[k : k + 2])
+            raise InputError(
+                f"{arm.path}: a model of another arm than robot {robot.name}: the axes of {pair} are "
+                f"{1e3 * distances[k]:.0f} mm and {np.degrees(angles[k]):.0f}° apart here, {1e3 * apart[k]:.0f} mm and "
+                f"{np.degrees(wanted[k]):.0f}° there; name the right file, or match the joints with --map"
+            )
+
+
+def _between_axes(robot: RobotDescription) -> tuple[np.ndarray, np.ndarray, float]:
+    """(n - 1,) angle [rad] and shortest distance [m] of neighbouring axes, and the sum of all distances.
+
+    They are link constants (Denavit and Hartenberg), the same whatever the zero position, direction or base frame.
+    """
+    from agent.robot.kinematics.chain import chain_of
+
+    axes, points, tip = chain_of(robot).axes_at_zero()
+    angles, distances = [], []
+    for k in range(robot.dof - 1):
+        normal, way = np.cross(axes[k], axes[k + 1]), points[k + 1] - points[k]
+        size = float(np.linalg.norm(normal))
+        angles.append(float(np.arcsin(min(size, 1.0))))
+        across = abs(normal @ way) / size if size > 1e-3 else np.linalg.norm(np.cross(axes[k], way))
+        distances.append(float(across))
+    reach = float(np.sum(np.linalg.norm(np.diff([*points, tip[:3, 3]], axis=0), axis=1)))
+    prismatic = np.array([joint.prismatic for joint in robot.joints])
+    known = ~(prismatic[:-1] | prismatic[1:])  # where a joint slides its axis has no place
+    return np.array(angles), np.where(known, distances, 0.0), reach
+
+
+def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, object]) -> IdentifiedModel:
+    """The identified model that predicts what the file's simulator does. `robot` is that of `described`.
+
+    Raises:
+        InputError: a mass matrix that is not positive, or joints that are not one serial chain.
+    """
+    from agent.robot.rigid_bodies import rigid_bodies
+
+    check_mass_matrix(arm, robot)
+    rigid, standard_names, combinations = rigid_bodies(robot)
+    n = robot.dof
+    standard = np.concatenate([rigid.dynamics.standard_parameters(), arm.armature / robot.gear_ratios**2])
+    terms, friction = [], []
+    for k, joint in enumerate(robot.joints):
+        terms.append(FrictionTerm(k, "coulomb", Reversal("speed", _REVERSAL * joint.max_velocity)))
+        terms.append(FrictionTerm(k, "viscous"))
+        friction += [arm.frictionloss[k], arm.damping[k]]
+    values = np.append(rigid.projection @ standard, friction)
+    size = np.abs(values) + 1e-3 * np.abs(values).max(initial=1e-6)
+    springs = tuple(
+        ModelEffect(
+            "dress_pack",
+            (robot.joint_names[k],),
+            {"constant": float(-arm.stiffness[k] * arm.rest[k]), "stiffness": float(arm.stiffness[k])},
+        )
+        for k in np.flatnonzero(arm.stiffness)
+    )
+    return IdentifiedModel(
+        robot=robot,
+        independent=rigid.independent,
+        projection=rigid.projection,
+        standard_names=standard_names,
+        combinations=combinations,
+        terms=tuple(terms),
+        values=values,
+        covariance=np.diag((_EXACT * size) ** 2),
+        cutoff=_CUTOFF,
+        order=_ORDER,
+        method=SIMULATOR,
+        weights=np.ones((2, n)),
+        residual_rmse=np.zeros(n),
+        held_out_rmse=np.zeros(n),
+        condition_number=float("inf"),
+        standard=standard,
+        notes=(f"read from {arm.path.name}, not identified: its parameters have no uncertainty", *arm.notes),
+        effects=springs,
+        provenance=dict(provenance),
+    )
+
+
+def check_mass_matrix(arm: SimulatedArm, robot: RobotDescription) -> None:
+    """Raise InputError where some posture has a direction that costs no kinetic energy, or less than none."""
+    from agent.robot.dynamics import Dynamics
+
+    links = Dynamics(robot)
+    low, high = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
+    for q in np.random.default_rng(0).uniform(low, high, (20, robot.dof)):
+        matrix = links.mass_matrix(q) + np.diag(arm.armature)
+        size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        least = float(np.linalg.eigvalsh(matrix / np.outer(size, size))[0])
+        if np.any(np.diag(matrix) <= 0) or least <= 1e-9:
+            blocks = ParameterLayout.of(robot).blocks(np.append(links.standard_parameters(), np.zeros(robot.dof)))
+            light = [name for name, block in zip(robot.joint_names, blocks, strict=True) if block[0] <= 0]
+            which = f"; moved by {', '.join(light)} there is no mass" if light else ""
+            raise InputError(
+                f"{arm.path}: the mass matrix is not positive, so this arm could not be simulated{which}; "
+                "give its links mass and inertia, or its joints armature"
+            )

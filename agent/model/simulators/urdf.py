@@ -1,0 +1,109 @@
+"""A URDF as a simulator: links and axes are Pinocchio's to read, `dynamics` of a joint is its damping and friction."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from agent.core.errors import InputError
+from agent.model.simulators.arm import SimulatedArm
+from agent.robot.urdf_checks import check_urdf
+
+_MOVABLE = ("revolute", "continuous", "prismatic")
+
+
+def read_urdf(
+    path: Path, root: Element, match: Callable[[Sequence[str]], Mapping[str, str]], gravity: tuple[float, float, float]
+) -> SimulatedArm:
+    """The arm of a URDF; joints that `match` leaves out are held at zero.
+
+    Raises:
+        InputError: numbers that are none, mimic joints in the arm, or joints that are not one chain.
+    """
+    by_child = {_end(joint, "child"): joint for joint in root.findall("joint")}
+    elements = {str(joint.get("name")): joint for joint in root.findall("joint")}
+    movable = [name for name, joint in elements.items() if joint.get("type") in _MOVABLE]
+    used = match(movable)
+    check_urdf(path, root, list(used))
+    floating = [name for name, joint in elements.items() if joint.get("type") in ("floating", "planar")]
+    if floating:
+        raise InputError(
+            f"{path}: joint {floating[0]!r} is {elements[floating[0]].get('type')}: a fixed base is needed"
+        )
+    chain = _chain(path, elements, by_child, list(used))
+    held = [name for name in movable if name not in used]
+    notes = (f"{', '.join(held)} held at zero: not among the joints compared",) if held else ()
+    for element in root.iter("joint"):
+        element.set("name", used.get(str(element.get("name")), str(element.get("name"))))
+    joints = [elements[name] for name in chain]
+    damping, friction = (
+        np.array([_number(j, "dynamics", key, 0.0) for j in joints]) for key in ("damping", "friction")
+    )
+    lower, upper, speed = (
+        np.array([_number(j, "limit", key, other) for j in joints])
+        for key, other in (("lower", -np.inf), ("upper", np.inf), ("velocity", np.nan))
+    )
+    turning = np.array([joint.get("type") == "continuous" for joint in joints]) | ~(lower < upper)
+    zero = np.zeros(len(chain))
+    option = root.find("mujoco/option")
+    if option is not None and option.get("gravity"):
+        x, y, z = (float(word) for word in str(option.get("gravity")).split())
+        gravity = (x, y, z)
+    return SimulatedArm(
+        path=path,
+        name=str(root.get("name") or path.stem),
+        urdf=ElementTree.tostring(root, encoding="unicode"),
+        tip_frame=_end(joints[-1], "child"),
+        gravity=gravity,
+        joint_names=tuple(used[name] for name in chain),
+        file_joints=tuple(chain),
+        prismatic=tuple(joint.get("type") == "prismatic" for joint in joints),
+        lower=np.where(turning, -np.inf, lower),
+        upper=np.where(turning, np.inf, upper),
+        max_velocity=np.where(speed > 0, speed, np.nan),
+        armature=zero,
+        damping=damping,
+        frictionloss=friction,
+        stiffness=zero,
+        rest=zero,
+        notes=notes,
+    )
+
+
+def _chain(path: Path, elements: Mapping[str, Element], by_child: Mapping[str, Element], used: list[str]) -> list[str]:
+    """The used joints from base to tip."""
+
+    def above(name: str) -> list[str]:
+        found, link = [name], _end(elements[name], "parent")
+        while link in by_child:
+            name = str(by_child[link].get("name"))
+            found.append(name)
+            link = _end(by_child[link], "parent")
+        return found
+
+    longest = max((above(name) for name in used), key=lambda names: len(set(names) & set(used)))
+    aside = [name for name in used if name not in longest]
+    if aside:
+        raise InputError(
+            f"{path}: {', '.join(aside)} is on another branch than {longest[0]}: one serial arm is compared at a time; "
+            "name its joints with --map"
+        )
+    return [name for name in reversed(longest) if name in used]
+
+
+def _end(joint: Element, which: str) -> str:
+    element = joint.find(which)
+    return "" if element is None else str(element.get("link"))
+
+
+def _number(joint: Element, tag: str, key: str, otherwise: float) -> float:
+    element = joint.find(tag)
+    text = None if element is None else element.get(key)
+    try:
+        return otherwise if text is None else float(text)
+    except ValueError:
+        raise InputError(f"joint {joint.get('name')!r}: {tag} {key}: a number is expected, not {text!r}") from None

@@ -1,0 +1,261 @@
+"""Simulators of others as models: the torque they give is that of their own engine, and what they cannot be is said."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.core.console import Console
+from agent.core.errors import InputError
+from agent.diagnosis import diagnose
+from agent.model.identified import IdentifiedModel
+from agent.model.simulators import load_joint_map, load_simulator
+from agent.pipeline.diagnose import Question, diagnose_files
+from agent.recording import read_log
+from agent.recording.mcap.log_file import STATES, LogFile
+from agent.robot import load_robot
+
+NAMES = ("pan", "lift", "slide")
+MJCF = """<mujoco model="bench">
+  <compiler angle="degree"/>
+  <option gravity="0.3 0 -9.7" density="1.2"/>
+  <worldbody>
+    <body name="table" pos="1 0 0"><geom type="box" size=".1 .1 .1"/></body>
+    <body name="cup" pos="1 0 1"><freejoint/><inertial pos="0 0 0" mass="0.2" diaginertia="1e-4 1e-4 1e-4"/></body>
+    <body name="stand" euler="0 10 0" pos="0 0 0.2">
+      <body name="turret" pos="0 0 0.1">
+        <joint name="pan" axis="0 0 1" range="-170 170" armature="0.4" damping="3" frictionloss="2"/>
+        <inertial pos="0.02 0.01 0.1" mass="6" fullinertia="0.08 0.07 0.05 0.004 0.002 0.001"/>
+        <body name="boom" pos="0.1 0 0.2" euler="0 0 30">
+          <joint name="lift" axis="0 1 0" pos="0 0 0.05" ref="20" armature="0.2" damping="1.5" frictionloss="1"
+                 stiffness="12" springref="-15"/>
+          <inertial pos="0.2 0 0" mass="4" diaginertia="0.02 0.06 0.07"/>
+          <body name="counterweight" pos="-0.1 0 0" euler="20 0 0">
+            <inertial pos="0 0 0.03" mass="1.5" diaginertia="0.003 0.002 0.001"/>
+          </body>
+          <body name="ram" pos="0.4 0 0">
+            <joint name="slide" type="slide" axis="1 0 0.2" damping="20" frictionloss="5" armature="1"/>
+            <inertial pos="0.1 0 0" mass="2" diaginertia="0.01 0.01 0.01"/>
+            <body name="finger" pos="0.2 0.02 0">
+              <joint name="finger" type="slide" axis="0 1 0"/>
+              <inertial pos="0 0.01 0" mass="0.3" diaginertia="1e-4 1e-4 1e-4"/>
+            </body>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <equality/>
+  <actuator><position joint="pan" kp="100"/></actuator>
+</mujoco>
+"""
+URDF = """<robot name="bench"><link name="base"/>
+<link name="a"><inertial><origin xyz="0.1 0 0"/><mass value="5"/>
+<inertia ixx="0.05" iyy="0.06" izz="0.07" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="pan" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/>
+<limit lower="-2" upper="2" velocity="3" effort="100"/><dynamics damping="1.5" friction="0.5"/></joint>
+<link name="b"><inertial><origin xyz="0.2 0 0"/><mass value="3"/>
+<inertia ixx="0.03" iyy="0.04" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="lift" type="revolute"><parent link="a"/><child link="b"/><origin xyz="0.3 0 0"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" velocity="3" effort="100"/></joint></robot>
+"""
+ROBOT = """name: bench
+urdf: arm.urdf
+tip_frame: b
+joints:
+  - {name: pan, gear_ratio: 50, nominal_motor_torque: 0.5, max_velocity: 3, max_acceleration: 10}
+  - {name: lift, gear_ratio: 80, nominal_motor_torque: 0.4, max_velocity: 3, max_acceleration: 10}
+"""
+
+
+def written(folder: Path, text: str, name: str) -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def robot(tmp_path):
+    written(tmp_path, URDF, "arm.urdf")
+    return load_robot(written(tmp_path, ROBOT, "robot.yaml"))
+
+
+def states(n: int, samples: int = 25) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return tuple(np.random.default_rng(1).uniform(-1, 1, (3, samples, n)))
+
+
+def mujoco_torque(path: Path, names, q, qd, qdd) -> np.ndarray:
+    """Of MuJoCo's inverse dynamics, joints found by name; friction is the sign of speed, the other joints stand."""
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_path(str(path))
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    model.opt.density = 0
+    data = mujoco.MjData(model)
+    at = [model.joint(name).qposadr[0] for name in names]
+    dof = [model.joint(name).dofadr[0] for name in names]
+    torque = np.empty(q.shape)
+    for k in range(len(q)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = model.qpos0, 0, 0
+        data.qpos[at], data.qvel[dof], data.qacc[dof] = q[k], qd[k], qdd[k]
+        mujoco.mj_inverse(model, data)
+        torque[k] = data.qfrc_inverse[dof]
+    return torque + np.sign(qd) * model.dof_frictionloss[dof]
+
+
+def test_an_mjcf_gives_the_torque_that_mujoco_gives(tmp_path):
+    path = written(tmp_path, MJCF, "arm.xml")
+    pytest.importorskip("mujoco")
+    found = load_simulator(path, None, NAMES)
+    q, qd, qdd = states(3)
+    qd = qd + 0.1 * np.sign(qd)  # beyond the reversal of friction
+    expected = mujoco_torque(path, NAMES, q, qd, qdd)
+    torque = found.model.predict(q, qd, qdd, np.arange(len(q)) / 100)
+    assert np.max(np.abs(torque - expected)) < 1e-6 * np.max(np.abs(expected))
+    assert found.model.robot.gravity == (0.3, 0, -9.7)
+    assert [joint.prismatic for joint in found.model.robot.joints] == [False, False, True]
+    assert found.model.robot.joints[0].upper == pytest.approx(np.radians(170))
+    notes = " ".join(found.notes)
+    assert "finger held" in notes
+    assert "ignored: no part of the arm" in notes
+    assert "density" in notes
+
+
+def test_a_simulator_is_saved_and_read_like_any_model(tmp_path):
+    pytest.importorskip("mujoco")
+    found = load_simulator(written(tmp_path, MJCF, "arm.xml"), None, NAMES).model
+    found.save(tmp_path / "model.json")
+    again = IdentifiedModel.load(tmp_path / "model.json")
+    q, qd, qdd = states(3)
+    time = np.arange(len(q)) / 100
+    np.testing.assert_allclose(again.predict(q, qd, qdd, time), found.predict(q, qd, qdd, time), rtol=1e-12)
+
+
+def test_a_urdf_gives_its_bodies_damping_and_friction_with_the_drives_of_the_robot(tmp_path, robot):
+    found = load_simulator(tmp_path / "arm.urdf", robot, ()).model
+    assert list(found.robot.gear_ratios) == [50, 80]
+    assert list(found.robot.nominal_torque) == [25, 32]
+    still, moving = np.zeros((1, 2)), np.array([[1.0, 0.0]])
+    torque = found.predict(still, moving, still) - found.predict(still, still, still)
+    assert torque[0, 0] == pytest.approx(2.0, rel=1e-6)
+    assert found.predict(still, still, still)[0, 1] == pytest.approx(-3 * 0.2 * 9.80665)
+    plain = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model
+    assert list(plain.robot.gear_ratios) == [1, 1]
+    assert np.all(np.isnan(plain.robot.nominal_torque))
+
+
+def test_joints_are_matched_by_a_map(tmp_path, robot):
+    path = written(tmp_path, URDF.replace('"pan"', '"shoulder"').replace('"lift"', '"elbow"'), "other.urdf")
+    with pytest.raises(InputError, match=r"matched none; only in robot bench: pan, lift; .* shoulder, elbow.*--map"):
+        load_simulator(path, robot, ())
+    names = load_joint_map(written(tmp_path, "joints: {shoulder: pan, elbow: lift}", "map.yaml"))
+    found = load_simulator(path, robot, (), names).model
+    q, qd, qdd = states(2)
+    same = load_simulator(tmp_path / "arm.urdf", robot, ()).model
+    np.testing.assert_allclose(found.predict(q, qd, qdd), same.predict(q, qd, qdd))
+    with pytest.raises(InputError, match=r"nobody is no joint of other\.urdf"):
+        load_simulator(path, robot, (), {"nobody": "pan"})
+    with pytest.raises(InputError, match="two joints"):
+        load_joint_map(written(tmp_path, "joints: {a: pan, b: pan}", "twice.yaml"))
+
+
+BODY = '<inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'
+BRANCHES = f'<body><joint name="pan" axis="0 0 1"/>{BODY}</body><body><joint name="lift" axis="0 1 0"/>{BODY}</body>'
+CHAIN = (
+    f'<body name="a"><joint name="pan" axis="0 0 1"/>{BODY}<body name="b" pos="0.3 0 0">'
+    f'<joint name="lift" axis="0 1 0"/>{BODY}</body></body>'
+)
+
+
+def scene(bodies: str, more: str = "") -> str:
+    return f"<mujoco><worldbody>{bodies}</worldbody>{more}</mujoco>"
+
+
+REFUSED = {
+    "not XML": ("<mujoco", "not valid XML"),
+    "something else": ("<sdf/>", "neither an MJCF"),
+    "xacro": ('<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:arm/></robot>', "xacro"),
+    "an include that is missing": ('<mujoco><include file="nope.xml"/></mujoco>', "nope.xml"),
+    "no mass": (scene(f'<body><joint name="pan"/><body>{BODY}<joint name="lift"/></body></body>'), "does not accept"),
+    "other joints": (scene(CHAIN.replace("pan", "one").replace("lift", "two")), "--map"),
+    "two arms": (scene(BRANCHES), "another branch"),
+    "a floating base": (scene(f'<body name="base"><freejoint/>{BODY}{CHAIN}</body>'), "floats"),
+    "a loop": (
+        scene(CHAIN, '<equality><connect body1="b" anchor="0 0 0"/></equality>'),
+        "closes a loop",
+    ),
+    "a joint that follows": (scene(CHAIN, '<equality><joint joint1="lift" joint2="pan"/></equality>'), "follows"),
+    "a tendon": (
+        scene(CHAIN, '<tendon><fixed damping="3"><joint joint="pan" coef="1"/></fixed></tendon>'),
+        "tendon",
+    ),
+    "an actuator with inertia": (
+        scene(CHAIN, '<actuator><motor joint="pan" armature="2"/></actuator>'),
+        "something acts on pan",
+    ),
+    "a massless URDF": (re.sub(r"(value|i[xyz][xyz])=\"[0-9.]+\"", r'\1="0"', URDF), "positive"),
+    "another arm": (URDF.replace('<origin xyz="0.3 0 0"/>', '<origin xyz="0.7 0 0"/>'), "another arm"),
+    "a slide for a hinge": (URDF.replace("revolute", "prismatic", 1), "slides here"),
+    "a joint short": (URDF.replace('"lift" type="revolute"', '"lift" type="fixed"'), "only in robot bench: lift"),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_cannot_be_used_is_refused_with_one_message(what, tmp_path, robot):
+    text, message = REFUSED[what]
+    if "<mujoco" in text:
+        pytest.importorskip("mujoco")
+    with pytest.raises(InputError, match=message) as refused:
+        load_simulator(written(tmp_path, text, "model.xml"), robot, ())
+    assert "model.xml" in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+RATE = 125.0
+
+
+def recorded(path: Path, model: IdentifiedModel, phase: float, added=lambda qd: 0 * qd) -> Path:
+    """A log of what a model predicts, and something more, on 16 s of sines."""
+    time = np.arange(int(16 * RATE)) / RATE
+    n = model.robot.dof
+    rates = np.array([[0.9, 2.3], [1.3, 2.9], [1.1, 3.1]])[:n]
+    q, qd, qdd = np.zeros((3, len(time), n))
+    for part, size in enumerate((0.6, 0.25)):
+        w = rates[:, part]
+        angle = np.outer(time, w) + phase * (1 + part) + np.arange(n)
+        q, qd, qdd = q + size * np.sin(angle), qd + size * w * np.cos(angle), qdd - size * w**2 * np.sin(angle)
+    torque = model.predict(q, qd, qdd, time) + added(qd)
+    torque = torque + 0.005 * np.std(torque, axis=0) * np.random.default_rng(3).normal(size=torque.shape)
+    file = LogFile(path, model.robot.joint_names, model.robot.name, "x", RATE)
+    file.write_states(STATES, 100 + time, q, qd, torque)
+    file.finish()
+    file.close()
+    return path
+
+
+def test_a_right_simulator_has_no_gap_and_needs_no_description(tmp_path, robot):
+    right = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model
+    logs = [recorded(tmp_path / f"{k}.mcap", right, k) for k in (1, 2)]
+    result = diagnose_files(None, logs, Question(tmp_path / "arm.urdf"), Console(-1))
+    assert result["verdict"] == "no_gap"
+    assert result["gap"]["joints"] == ["pan", "lift"]
+    json.dumps(result, allow_nan=False)
+
+
+def test_what_an_mjcf_lacks_is_named(tmp_path):
+    pytest.importorskip("mujoco")
+    arm = load_simulator(written(tmp_path, scene(CHAIN), "arm.xml"), None, ("pan", "lift")).model
+    bent = [recorded(tmp_path / f"{k}.mcap", arm, k, lambda qd: np.sign(qd) * [0, 0.3]) for k in (1, 2)]
+    found = diagnose(arm.robot, [read_log(path, arm.robot) for path in bent], replace(arm))
+    cause = found.result["causes"][0]
+    assert (cause["effect"], cause["joints"]) == ("friction_change", ["lift"])
+    assert cause["closure"] > 0.8
+
+
+def test_a_map_without_such_a_file_is_refused(tmp_path, robot):
+    with pytest.raises(InputError, match="--map"):
+        diagnose_files("comau_ns16", [tmp_path / "a.mcap"], Question(joint_map=tmp_path / "map.yaml"), Console(-1))
