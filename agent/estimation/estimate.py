@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core.errors import InputError
-from agent.estimation.blocks import partition
+from agent.estimation.blocks import Partition, partition
 from agent.estimation.consistent import consistent
 from agent.estimation.cutoff import LOWEST, predictive_cutoff
 from agent.estimation.essential import essential
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.friction_selection import paper_terms, select_friction_terms
+from agent.estimation.friction_selection import paper_terms, plain_terms, select_friction_terms
 from agent.estimation.instrumental import instrumental
 from agent.estimation.least_squares import ordinary, reweighted, weighted
 from agent.estimation.method_selection import choose
 from agent.estimation.observation import Observation, observe
-from agent.estimation.paper import paper
+from agent.estimation.paper import paper, plain
 from agent.estimation.prior_choice import choose_links
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.robust import huber
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Estimator:
-    """`fit` solves a problem; `friction` are the terms it is defined with, None where those of the settings do."""
+    """`fit` solves a problem; `friction` are the terms it is defined with, those of the settings if None."""
 
     fit: Callable[[Problem], Estimate]
     friction: str | None = None
@@ -55,9 +55,10 @@ ESTIMATORS = {
     "consistent": Estimator(consistent),
     "instrumental": Estimator(instrumental),
     "paper": Estimator(paper, friction="paper"),
+    "plain": Estimator(plain, friction="plain"),
 }
 AUTO = "auto"
-_COMPARED = ("weighted", "huber", "essential", "consistent")
+_COMPARED = ("weighted", "huber", "essential", "consistent", "plain")
 _KEPT = 0.8  # of the filtered time, by a lower cut-off
 
 
@@ -111,20 +112,26 @@ def estimate(
     _check_motion(logs)
     _check_twice(logs)
     settings = settings or EstimationSettings()
-    rigid, names, texts = rigid_bodies(robot, tool)
+    rigid, standard, texts = rigid_bodies(robot, tool)
     observation = observe_predictable(rigid, logs, settings.filter)
     cells = partition(observation.segments)
-    chosen = ESTIMATORS.get(settings.method)
-    if ((chosen and chosen.friction) or settings.friction) == "selected":
+    names = _COMPARED if settings.method == AUTO else (settings.method,)
+    terms = {name: ESTIMATORS[name].friction or settings.friction for name in names}
+    problems = {friction: _problem(observation, cells, friction) for friction in dict.fromkeys(terms.values())}
+    tried = {name: ESTIMATORS[name].fit(problems[terms[name]]) for name in names}
+    method, found = choose(tried) if settings.method == AUTO else next(iter(tried.items()))
+    return build_model(problems[terms[method]], found, method, standard, texts, logs)
+
+
+def _problem(observation: Observation, cells: Partition, friction: str) -> Problem:
+    """The problem of fitting one set of friction terms, the prior with the weight that its residuals ask for."""
+    if friction == "selected":
         problem = select_friction_terms(observation, cells)
+    elif friction == "plain":
+        problem = Problem.pose(observation, cells, plain_terms(observation.robot.dof))
     else:
-        problem = Problem.pose(observation, cells, paper_terms([Reversal()] * robot.dof))
-    problem = problem.with_own_prior_weight()
-    if chosen is None:
-        method, found = choose(problem, {name: ESTIMATORS[name].fit for name in _COMPARED})
-    else:
-        method, found = settings.method, chosen.fit(problem)
-    return build_model(problem, found, method, names, texts, logs)
+        problem = Problem.pose(observation, cells, paper_terms([Reversal()] * observation.robot.dof))
+    return problem.with_own_prior_weight()
 
 
 def observe_predictable(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -> Observation:

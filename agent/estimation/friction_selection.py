@@ -44,6 +44,19 @@ def paper_terms(reversals: Sequence[Reversal]) -> tuple[FrictionTerm, ...]:
     )
 
 
+def plain_terms(dof: int) -> tuple[FrictionTerm, ...]:
+    """Coulomb and viscous friction and an offset for every axle: what most tools fit."""
+    return tuple(
+        term
+        for axle in range(dof)
+        for term in (
+            FrictionTerm(axle, "coulomb", Reversal()),
+            FrictionTerm(axle, "viscous"),
+            FrictionTerm(axle, "offset"),
+        )
+    )
+
+
 def select_friction_terms(observation: Observation, partition: Partition) -> Problem:
     """The problem of fitting the terms that held-out error selects."""
     n = observation.robot.dof

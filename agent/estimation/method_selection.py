@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from agent.estimation.problem import Estimate, Problem
+from agent.estimation.problem import Estimate
 from agent.estimation.solving import clear_gain
 
 _LEAST_GAIN = 0.01
 _NOT_PHYSICAL = 3.0  # times the error of the first estimator, from which on a consistent fit is a sign of wrong data
 
 
-def choose(problem: Problem, estimators: dict[str, Callable[[Problem], Estimate]]) -> tuple[str, Estimate]:
-    """Name and estimate of the best of several estimators, with the reason in its note.
+def choose(found: dict[str, Estimate]) -> tuple[str, Estimate]:
+    """Name and estimate of the best of several estimators by name, with the reason in its note.
 
     The first is the yardstick: another takes its place only if its weighted squared error on the folds held out is
     lower by 1 % and by more than that gain scatters between folds. How much worse `consistent`, one of them, is tells
     data that no arm can have.
     """
-    found = {name: estimator(problem) for name, estimator in estimators.items()}
     first = next(iter(found))
     weights = found[first].weights
     errors = {name: np.sum(weights * estimate.held_out, axis=(1, 2)) for name, estimate in found.items()}

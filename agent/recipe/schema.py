@@ -50,6 +50,7 @@ ESTIMATION_METHODS = (
     "consistent",
     "instrumental",
     "paper",
+    "plain",
 )
 #: Searches that `search.method` may name.
 SEARCH_METHODS = ("genetic", "random")

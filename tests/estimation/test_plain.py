@@ -1,0 +1,66 @@
+"""Plain weighted least squares: one of the estimators that are compared, and no better than what is chosen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from agent.estimation import EstimationSettings, estimate
+from agent.estimation.method_selection import choose
+from agent.estimation.problem import Estimate
+from agent.robot.rigid_bodies import rigid_bodies
+from agent.validation import validate
+
+FRICTION = np.array([40.0, 80.0, 50.0, 20.0, 12.0, 6.0, 3.0])  # N·m
+
+
+def _recorded(robot, multisine, make_log, seed: int, seconds: float, noise: float):
+    """A seven-joint arm at 50 Hz, with friction that the plain terms describe."""
+    t = np.arange(int(50 * seconds)) / 50
+    q, qd, qdd = multisine(7, t, seed=seed)
+    rigid, _, _ = rigid_bodies(robot)
+    links = rigid.torque(q, qd, qdd, rigid.projection @ np.append(rigid.dynamics.standard_parameters(), [1e-4] * 7))
+    friction = FRICTION * (0.15 * np.tanh(qd / 0.01) + 0.1 * qd + 0.05)
+    torque = links + friction + noise * FRICTION * np.random.default_rng(seed).normal(size=q.shape)
+    return make_log(robot, t, q, torque, name=f"{seed}.mcap")
+
+
+def test_a_seven_joint_arm_logged_slowly_and_briefly_is_predicted_as_well_as_by_plain_least_squares(
+    arm, multisine, make_log
+):
+    robot = arm(7, seed=1)
+    fitted = _recorded(robot, multisine, make_log, 1, 8, 0.02)
+    held_out = _recorded(robot, multisine, make_log, 101, 12, 0.0)
+    unknown = replace(robot, urdf=robot.urdf.replace('mass value="', 'mass value="1'))  # its links say nothing true
+    ours, plain = (
+        estimate(unknown, [fitted], EstimationSettings.create(cutoff=10, method=method)) for method in (None, "plain")
+    )
+    errors = [validate(m, [held_out], 10)["overall"]["relative_error_all_joints"] for m in (ours, plain)]
+    assert errors[0] <= errors[1]
+    assert any("plain " in note for note in ours.notes if note.startswith("Method"))  # it was compared
+
+
+def test_plain_has_its_terms_and_no_prior(arm, multisine, make_log):
+    robot = arm(7, seed=1)
+    model = estimate(
+        robot,
+        [_recorded(robot, multisine, make_log, 1, 8, 0.02)],
+        EstimationSettings.create(cutoff=10, method="plain"),
+    )
+    assert [(term.axle, term.form) for term in model.terms] == [
+        (axle, form) for axle in range(7) for form in ("coulomb", "viscous", "offset")
+    ]
+    assert any(note.startswith("Plain weighted least squares") for note in model.notes)
+    assert not any("prior" in note and "near" in note for note in model.notes)
+
+
+def _estimate(error: float) -> Estimate:
+    held_out = np.full((4, 2, 1), error) * np.linspace(0.99, 1.01, 4)[:, None, None]
+    return Estimate(np.zeros(1), np.ones((2, 1)), None, held_out, None, 0.0, "")
+
+
+def test_the_plain_one_is_taken_where_it_predicts_better():
+    found = {"weighted": _estimate(1.0), "consistent": _estimate(1.0), "plain": _estimate(0.8)}
+    assert choose(found)[0] == "plain"
+    assert choose({**found, "plain": _estimate(0.995)})[0] == "weighted"
