@@ -16,7 +16,6 @@ from agent.estimation.moments import Moments
 from agent.estimation.problem import Estimate, Problem, cross_validate
 from agent.estimation.solving import pseudo_inverse, scaled_rank
 
-
 _PLAIN_ROUNDS = 4
 
 
