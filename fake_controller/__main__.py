@@ -98,6 +98,7 @@ def _controller(options: argparse.Namespace) -> Controller:
         [*setup.effects, *(_effects(options.effects) if options.effects else ())],
         [] if scenario is None else scenario.build_faults(),
         options.model,
+        options.interpolator,
     )
     controller.state = State(**setup.state.model_dump())
     if scenario is not None:
@@ -135,6 +136,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--scenario", type=Path, help="what is set up and what goes wrong; docs/scenarios.md")
     parser.add_argument("--effects", type=Path, help="JSON list of effects to build into the arm")
     parser.add_argument("--model", type=Path, help="model file that the arm is to be like, effects included")
+    parser.add_argument(
+        "--interpolator",
+        choices=("ours", "second"),
+        default="ours",
+        help="that of the planner with ramps and blends a few percent off, or another one drawn from the seed",
+    )
     parser.add_argument("--ready-file", type=Path, help="write the address there once the port is open")
     return parser
 

@@ -5,8 +5,9 @@ of the planned path in a window that goes along with it, and there it has to be 
 that was planned around that place. How long the way took is compared apart from that, without the rests at stops.
 
 The tool may be as far from its path as the cell was checked with (the FLY distance of the recipe), a joint as far as
-that takes it there: by the row of the damped inverse Jacobian. What is measured may lag behind the set-points in time,
-which is no distance from the path, and be off by an error of the servos beside that.
+that takes it there, by the row of the damped inverse Jacobian, and as the plan itself takes it around there, where a
+blend of another family turns the tool earlier or later. What is measured may lag behind the set-points in time, which
+is no distance from the path, and be off by an error of the servos beside that.
 """
 
 from __future__ import annotations
@@ -29,8 +30,9 @@ if TYPE_CHECKING:
 BACK, AHEAD = 0.1, 0.1
 #: What is measured may be so long [s] behind the set-points, or before them.
 LAG, LEAD = 0.15, 0.05
-#: So much of the time and so many seconds may the arm be ahead or behind on a way that was planned to take `WAY` [s].
-SHARE, ALLOWANCE, WAY = 0.15, 0.3, 4.0
+#: So much of the time and so many seconds (a corner that is taken almost to a stop) may the arm be ahead or behind on a
+#: way that was planned to take `WAY` [s].
+SHARE, ALLOWANCE, WAY = 0.2, 0.5, 4.0
 #: Samples that are so long [s] apart say nothing of the time between them.
 GAP = 0.1
 #: An approach shorter than this [rad, m] is where the arm rests off its set-point; the controller makes none.

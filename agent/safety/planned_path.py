@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
 #: Speed may be had from so long [s] before or after a place: ramps and blends of the controller are not ours.
 AROUND = 0.1
+#: Or from a place so many margins before or after it: where a blend of another family begins that passes its point as
+#: near. On a circle it begins cot(turn/4) FLY distances before the point, on a parabola 2/sin(turn/2): 4 at 60 degrees.
+BLEND = 4.0
 #: Damping of the inverse Jacobian [m]: no joint goes farther than the margin over twice this.
 DAMPING = 0.05
 #: A joint moves something at this distance at least, whether the tool does or not [m].
@@ -21,6 +24,7 @@ SHORTEST_LEVER = 0.2
 #: Between places that are as near, the one that time would have it at: a second off counts as these metres.
 DRIFT = 0.01
 _EVERY = 10
+_STEPS = 8  # of a span along the way
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +32,9 @@ class PlannedPath:
     """P places in order; each is a row of one of the different stretches, so that a cycle is held once.
 
     rows (P,) leads from places to rows; when (P,) [s] of motion up to a place, without rests. By row: q (S, n);
-    tool (S, 3) [m]; reach (S, n), how far each joint goes where the tool goes by the margin; speed (S, n), the highest
-    around. levers (n,) [m/rad, or 1]: how far a joint moves the tool at most.
+    tool (S, 3) [m]; reach (S, n), how far each joint goes where the tool goes by the margin, and on the path where a
+    blend may turn the tool earlier or later; speed (S, n), the highest around. levers (n,) [m/rad, or 1]: how far a
+    joint moves the tool at most.
     """
 
     rows: np.ndarray
@@ -81,9 +86,25 @@ def _along(chain: Trajectory, dynamics: Dynamics, margin: float) -> tuple[np.nda
     turned = np.swapaxes(jacobian, 1, 2)
     inverse = turned @ np.linalg.inv(jacobian @ turned + DAMPING**2 * np.eye(6))
     reach = margin * np.linalg.norm(inverse[:, :, :3], axis=2)
+    point = dynamics.tcp_pose(chain.q)[:, :3, 3]
+    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(point, axis=0), axis=1))))
     nearest = np.minimum((np.arange(len(chain.t)) + _EVERY // 2) // _EVERY, len(some) - 1)
     period = chain.duration / max(1, len(chain.t) - 1)
     width = 1 + 2 * (round(AROUND / period) if period > 0 else 0)
     speed = maximum_filter1d(np.abs(chain.qd), min(width, 2 * len(chain.t) + 1), axis=0, mode="nearest")
     levers = np.maximum(np.linalg.norm(jacobian[:, :3], axis=1).max(axis=0), SHORTEST_LEVER)
-    return chain.q, dynamics.tcp_pose(chain.q)[:, :3, 3], reach[nearest], speed, levers
+    span = BLEND * margin
+    speed = np.maximum(speed, _highest(np.abs(chain.qd), way, span))
+    turned_by = np.maximum(_highest(chain.q, way, span) - chain.q, chain.q + _highest(-chain.q, way, span))
+    return chain.q, point, reach[nearest] + turned_by, speed, levers
+
+
+def _highest(values: np.ndarray, way: np.ndarray, span: float) -> np.ndarray:
+    """(S, n) the highest of values (S, n) no farther along the way (S,) than `span` [m]."""
+    from scipy.ndimage import maximum_filter1d
+
+    step = span / _STEPS
+    grid = np.append(np.arange(0.0, way[-1], step), way[-1])
+    on_grid = np.stack([np.interp(grid, way, column) for column in values.T], axis=1)
+    highest = maximum_filter1d(on_grid, 2 * _STEPS + 1, axis=0, mode="nearest")
+    return np.maximum(values, highest[np.clip(np.rint(way / step).astype(int), 0, len(grid) - 1)])

@@ -24,9 +24,9 @@ from agent.motion.program import (
 )
 from agent.robot import load_robot
 from agent.robot.kinematics import kinematics_for
-from fake_controller.build import PARAMETERS
 from fake_controller.execution import Planner
 from fake_controller.frames import Transform, tool_point
+from fake_controller.interpolation import PARAMETERS
 from fake_controller.interpreter import FACTORY, Interpreter, left_over
 
 ROBOT = load_robot("comau_ns16")

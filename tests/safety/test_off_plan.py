@@ -22,8 +22,8 @@ from agent.robot.dynamics import Dynamics
 from agent.safety.adherence import MEASURED, SET_POINTS, Adherence
 from drivers.protocol import SampleBlock
 from drivers.wire.reasons import EndReason
-from fake_controller.build import PARAMETERS
 from fake_controller.execution import Chain, Execution, StopSwitch
+from fake_controller.interpolation import PARAMETERS
 from fake_controller.plant import Plant
 
 ROBOT = load_robot("comau_ns16")
