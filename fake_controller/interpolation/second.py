@@ -227,9 +227,8 @@ class SecondInterpolator:
             if settings.speed_option is SpeedOption.SPD_JNT and part.kinematics is not None:
                 speed = min(speed, joints * settings.speed_override * settings.arm_override)
             if part.kinematics is not None:
-                turning = np.linalg.norm(part.leg.by) / max(
-                    part.leg.length, np.linalg.norm(part.leg.by) * part.turns_only
-                )
+                angle = float(np.linalg.norm(part.leg.by))
+                turning = 1.0 if part.turns_only else angle / part.leg.length
                 tcp = robot.cartesian_limits
                 most = law.linear if tcp is None else tcp.linear_acceleration
                 if turning > 0:
