@@ -24,7 +24,7 @@ OUTSIDE = ("rough_bearing", "wandering_torque", "rubbing_brake")
 class Case:
     """One run: `machine` and `motion` (of its programs) are seeds; `effects` as the fake controller takes them.
 
-    `strength` multiplies the size that an effect of this kind usually has on a machine in need of repair.
+    `recorder` says how its logs are kept, where a world has more than one way. `strength` multiplies the size that an effect of this kind usually has on a machine in need of repair.
     """
 
     number: int
@@ -33,10 +33,12 @@ class Case:
     motion: int
     strength: float
     effects: tuple[dict[str, Any], ...]
+    recorder: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""
-        return {**asdict(self), "effects": list(self.effects)}
+        data = {**asdict(self), "effects": list(self.effects)}
+        return data if self.recorder else {key: value for key, value in data.items() if key != "recorder"}
 
 
 def draw_cases(count: int, seed: int, robot: RobotDescription) -> list[Case]:

@@ -8,15 +8,14 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from agent.blind_check.cases import GROUP, Case, draw_cases
+from agent.blind_check.cases import Case
 from agent.blind_check.key import key_text, open_key, seal
-from agent.blind_check.runs import link_recipe, record_motions
 from agent.blind_check.scoring import outcome, score
+from agent.blind_check.worlds import EmulatorWorld, MujocoWorld, World
 from agent.core.console import Console
 from agent.core.errors import AgentError, InputError
 from agent.runs.folder import write_atomically
@@ -24,20 +23,26 @@ from drivers.errors import DriverError
 
 #: A log of the first two motions is about this long [s], two cycles and the way to where they start.
 CYCLE = 10.0
-_PLAIN = "without_effect"
-_NOWHERE = "127.0.0.1:9"  # plans are drawn without a controller
-_QUIET = Console(verbosity=-1)
+WORLDS = ("emulator", "mujoco")
 
 
 @dataclass(frozen=True)
 class BlindCheck:
-    """What to do: runs, seed, folder, and the duration of one cycle of every motion [s]."""
+    """What to do: runs, seed, folder, the emulator's robot, the duration of one cycle of every motion [s], and the
+    world the runs come from, of WORLDS."""
 
     count: int
     seed: int
     folder: Path
     robot: str = "comau_ns16"
     cycle: float = CYCLE
+    world: str = "emulator"
+
+    @cached_property
+    def _world(self) -> World:
+        if self.world == "mujoco":
+            return MujocoWorld(self.cycle)
+        return EmulatorWorld(self.robot, self.cycle)
 
     def run(self, console: Console) -> dict[str, Any]:
         """Do what is not done yet; returns the scores, which are also in `blind_check.json` and `blind_check.md`.
@@ -46,20 +51,26 @@ class BlindCheck:
             InputError: no runs, or a folder with another check in it.
         """
         from agent.blind_check.report import report_text
-        from agent.robot import load_robot
 
         if self.count < 1:
             raise InputError(f"blind check: --cases {self.count}: at least one run is needed")
-        robot = load_robot(self.robot)
-        cases = draw_cases(self.count, self.seed, robot)
-        text = key_text(self.seed, self.robot, cases)
+        if self.world not in WORLDS:
+            raise InputError(f"blind check: --world {self.world}: there is no such world; one of {', '.join(WORLDS)}")
+        cases = self._world.draw(self.count, self.seed)
+        text = key_text(self.seed, self._world.arms, cases)
         digest = seal(self.folder, text)
         console.step(f"{self.count} runs; SHA-256 of the key, which stays closed until the last diagnosis: {digest}")
         self._diagnose_all(cases, console)
         open_key(self.folder, text)
         console.step(f"the key is open: {self.folder / 'key.json'}")
         entries = [self._judge(case, console) for case in cases]
-        scores = {"schema": "blind-check/1", "key_sha256": digest, "robot": self.robot, **score(entries)}
+        scores = {
+            "schema": "blind-check/1",
+            "key_sha256": digest,
+            "world": self._world.title,
+            "robot": self._world.arms,
+        }
+        scores |= score(entries)
         write_atomically(self.folder / "blind_check.json", json.dumps(scores, indent=1) + "\n")
         write_atomically(self.folder / "blind_check.md", report_text(scores))
         return scores
@@ -70,44 +81,22 @@ class BlindCheck:
                 answer = self._folder(case) / "diagnosis.json"
                 if answer.exists():
                     continue
-                logs, reason = self._record(case)
-                found = {"error": reason} if reason else diagnosing.ask(self._job(case, logs))
+                job, reason = self._record(case)
+                found = {"error": reason} if reason else diagnosing.ask(job)
                 write_atomically(answer, json.dumps(found) + "\n")
                 console.progress(f"run {case.number + 1} of {len(cases)} diagnosed")
 
-    def _record(self, case: Case) -> tuple[list[Path], str]:
-        """Logs of a run, or why there are none; the model of its machine is made where it is missing.
-
-        The controller's interpolator is never quite ours, so what a run should be like is not our plan: it is what
-        this controller makes of the same programs without an effect. Of that run the diagnosis sees set-points only.
-        """
-        from agent.blind_check.motions import draw_programs
-
-        self._make_model(case)
-        folder = self._folder(case)
+    def _record(self, case: Case) -> tuple[dict[str, Any], str]:
+        """What a diagnosis is told of a run, or why there is nothing; its machine's model is made where missing."""
         try:
-            programs = draw_programs(link_recipe(self.robot, _NOWHERE), case.motion, self.cycle)
-            logs = record_motions(self.robot, case.machine, case.effects, programs, folder, _QUIET)
-            plain = logs  # without an effect the same machine would only repeat itself, noise and all
-            if case.effects:
-                plain = record_motions(self.robot, case.machine, (), programs, folder / _PLAIN, _QUIET)
-            for log in plain:
-                self._keep_set_points(log, folder / f"{log.stem}.npy")
-            return logs, ""
+            self._make_model(case)
+            _, planned = self._world.record(case, self._folder(case))
+            return self._job(case, planned), ""
         except (AgentError, DriverError) as error:
-            return [], str(error)
-
-    def _keep_set_points(self, log: Path, path: Path) -> None:
-        from agent.recording import read_log
-        from agent.robot import load_robot
-
-        set_points = read_log(log, load_robot(self.robot)).reference_position
-        assert set_points is not None
-        np.save(path, set_points)
+            return {}, str(error)
 
     def _make_model(self, case: Case) -> None:
         """Estimate from effect-free motions of the same machine, other ones than those of its runs."""
-        from agent.blind_check.motions import draw_programs
         from agent.estimation import estimate
         from agent.recording import read_log
         from agent.robot import load_robot
@@ -115,9 +104,8 @@ class BlindCheck:
         path = self._model(case)
         if path.exists():
             return
-        robot = load_robot(self.robot)
-        programs = draw_programs(link_recipe(self.robot, _NOWHERE), case.machine, self.cycle)
-        logs = record_motions(self.robot, case.machine, (), programs, path.with_suffix(""), _QUIET)
+        logs = self._world.reference(case, path.with_suffix(""))
+        robot = load_robot(self._robot(case))
         model = estimate(robot, [read_log(log, robot) for log in logs])
         for log in logs:
             log.unlink()
@@ -125,8 +113,7 @@ class BlindCheck:
 
     def _judge(self, case: Case, console: Console) -> dict[str, Any]:
         """The case with its diagnosis, the one without its effect, and the oracle. Logs of clear cases are let go."""
-        from agent.blind_check.size import MATTERS, torque_change
-        from agent.robot import load_robot
+        from agent.blind_check.size import MATTERS
 
         folder = self._folder(case)
         kept = folder / "judged.json"
@@ -135,28 +122,29 @@ class BlindCheck:
         found = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
         entry = {**case.to_dict(), **found}
         logs = sorted(folder.glob("*.mcap"))
-        plain = [folder / _PLAIN / log.name for log in logs]
         if case.effects and "error" not in found:
-            entry["size"] = torque_change(load_robot(self.robot), logs, plain)
+            entry["size"] = self._world.size(case, folder, self._model(case).with_suffix(""))
             if case.kind == "one" and entry["size"] < MATTERS:
                 entry["kind"] = "small"
         if case.kind in ("one", "two") and "error" not in found:
-            entry.update(self._second_opinions(case, found["result"], logs))
+            entry.update(self._second_opinions(case, found["result"]))
         entry["outcome"] = outcome(entry)
         write_atomically(kept, json.dumps(entry) + "\n")
         console.progress(f"run {case.number + 1}: {entry['outcome']}")
         if entry["outcome"] in ("right", "in class"):
-            for log in (*logs, *plain):
-                log.unlink(missing_ok=True)
+            for log in logs:
+                log.unlink()
+            self._world.tidy(folder)
         return entry
 
-    def _second_opinions(self, case: Case, result: dict[str, Any], logs: Sequence[Path]) -> dict[str, Any]:
+    def _second_opinions(self, case: Case, result: dict[str, Any]) -> dict[str, Any]:
         from agent.blind_check.oracle import reference_closures
         from agent.blind_check.worker import diagnose_job
         from agent.core.console import finite
 
         names = sorted({effect["effect"] for effect in case.effects})
-        withheld = diagnose_job(self._job(case, logs), without=names)
+        planned = sorted(self._folder(case).glob("*.npy"))
+        withheld = diagnose_job(self._job(case, planned), without=names)
         closures = reference_closures(withheld, case.effects, result["gap"], case.number)
         return finite({"withheld": withheld.result, "closures": closures})
 
@@ -165,15 +153,20 @@ class BlindCheck:
 
     def _model(self, case: Case) -> Path:
         """Machines are numbered as they come: their seed would tell of the key."""
-        return self.folder / "machines" / f"{case.number // GROUP:04d}.json"
+        return self.folder / "machines" / f"{case.number // self._world.group:04d}.json"
 
-    def _job(self, case: Case, logs: Sequence[Path]) -> dict[str, Any]:
+    def _robot(self, case: Case) -> str:
+        return self._world.robot(self._model(case).with_suffix(""))
+
+    def _job(self, case: Case, planned: Sequence[Path]) -> dict[str, Any]:
         """All that a diagnosis is told."""
+        description = self._model(case).with_suffix("").glob("*")
         return {
-            "robot": self.robot,
+            "robot": self._robot(case),
+            "description": [str(path) for path in description],
             "model": str(self._model(case)),
-            "logs": [str(log) for log in logs],
-            "planned": [str(log.with_suffix(".npy")) for log in logs],
+            "logs": [str(log) for log in sorted(self._folder(case).glob("*.mcap"))],
+            "planned": [str(path) for path in sorted(planned)],
         }
 
 

@@ -55,7 +55,8 @@ def main() -> int:
     sys.addaudithook(guard)
     for line in sys.stdin:
         job = json.loads(line)
-        guard.allowed = {os.path.realpath(path) for path in [*job["logs"], *job["planned"], job["model"]]}
+        told = [*job["logs"], *job["planned"], job["model"], *job["description"]]
+        guard.allowed = {os.path.realpath(path) for path in told}
         guard.closed = True
         print(json.dumps(_answer(job)), flush=True)
     return 0
@@ -75,7 +76,7 @@ def _answer(job: dict[str, Any]) -> dict[str, Any]:
 
 
 def diagnose_job(job: Mapping[str, Any], without: Sequence[str] = ()) -> Diagnosis:
-    """Diagnose logs whose plan is in files of set-points.
+    """Diagnose logs whose plan, if it is told, is in files of set-points.
 
     Raises:
         InputError: as in `diagnose`.
@@ -86,10 +87,9 @@ def diagnose_job(job: Mapping[str, Any], without: Sequence[str] = ()) -> Diagnos
     from agent.robot import load_robot
 
     robot = load_robot(job["robot"])
-    logs = [
-        _planned_as(read_log(Path(log), robot), np.load(planned))
-        for log, planned in zip(job["logs"], job["planned"], strict=True)
-    ]
+    logs = [read_log(Path(log), robot) for log in job["logs"]]
+    if job["planned"]:
+        logs = [_planned_as(log, np.load(planned)) for log, planned in zip(logs, job["planned"], strict=True)]
     return diagnose(robot, logs, IdentifiedModel.load(Path(job["model"])), without=without)
 
 

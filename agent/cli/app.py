@@ -262,17 +262,20 @@ def diagnose(
 def blind_check(
     cases: Annotated[int, typer.Option("--cases", metavar="N", help="runs to make")] = 400,
     seed: Annotated[int, typer.Option("--seed", metavar="S", help="of everything that is drawn")] = 1,
+    world: Annotated[
+        str, typer.Option("--world", metavar="WORLD", help="emulator (the fake controller) or mujoco (arms in MuJoCo)")
+    ] = "emulator",
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="folder, gone on with")] = Path("blind_check"),
     as_json: AsJson = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Runs of the fake controller with a withheld effect, diagnosed without the key, then scored."""
+    """Simulated runs with a withheld effect, diagnosed without the key, then scored."""
     from agent.blind_check import BlindCheck
     from agent.blind_check.report import summary_text
     from agent.core.console import print_json
 
-    scores = BlindCheck(cases, seed, out).run(console_for(verbose, quiet))
+    scores = BlindCheck(cases, seed, out, world=world).run(console_for(verbose, quiet))
     if as_json:
         print_json(scores)
     else:

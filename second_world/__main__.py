@@ -1,0 +1,60 @@
+"""`python -m second_world draw N SEED` prints the runs; `… run` makes the logs of one, told as JSON on stdin."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def main(arguments: list[str]) -> int:
+    """Returns the exit code: 0, or 2 with a message where MuJoCo is missing."""
+    try:
+        import mujoco  # noqa: F401
+    except ImportError:
+        print("MuJoCo is not installed: pip install 'calibration-agent[mujoco]'", file=sys.stderr)
+        return 2
+    if arguments[0] == "draw":
+        from second_world.draw import draw_cases
+
+        print(json.dumps(draw_cases(int(arguments[1]), int(arguments[2]))))
+    else:
+        print(json.dumps(run(json.load(sys.stdin))))
+    return 0
+
+
+def run(job: dict[str, Any]) -> dict[str, Any]:
+    """Logs of one run in `folder`, and how much its effects change the torque; with `describe` the robot as well."""
+    from second_world.arms import PLACEHOLDERS, draw_arm, write_description
+    from second_world.draw import recorder
+    from second_world.faults import build_in
+    from second_world.motions import draw_motions
+    from second_world.plant import largest_change, simulate
+    from second_world.recorder import write_motion
+
+    machine, effects, folder = job["machine"], job["effects"], Path(job["folder"])
+    as_recorded = recorder(machine) == "as recorded"
+    arm = draw_arm(machine)
+    motions = draw_motions(job["motion"], arm.range, arm.speed, job["cycle"])
+    if job.get("describe"):
+        rng = np.random.default_rng([machine, 7])
+        write_description(arm, Path(job["describe"]), float(rng.choice(PLACEHOLDERS)) if as_recorded else None)
+    faults = build_in(arm, effects)
+    out, told = simulate(arm, faults, machine, motions)
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, (name, (_, cycles)) in enumerate(motions.items()):
+        seed = 10 * job["motion"] + number
+        write_motion(folder / f"{name}.mcap", arm, out[name], told[number], cycles, seed, as_recorded)
+    size = None
+    if effects:
+        whole = draw_arm(machine)
+        _, plain = simulate(whole, build_in(whole, ()), machine, motions)
+        size = largest_change(told, plain, arm.torque)
+    return {"logs": [str(folder / f"{name}.mcap") for name in motions], "size": size}
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
