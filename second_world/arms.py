@@ -201,7 +201,8 @@ def mujoco_text(arm: Arm, bristles: np.ndarray) -> str:
         first, second, ratio, inertia, coulomb, viscous = arm.wrist
         parts.append(
             f'<tendon><fixed armature="{inertia:.9g}" frictionloss="{coulomb:.9g}" damping="{viscous:.9g}">'
-            f'<joint joint="{arm.joint_names[first]}" coef="{ratio:.9g}"/><joint joint="{arm.joint_names[second]}" coef="1"/>'
+            f'<joint joint="{arm.joint_names[first]}" coef="{ratio:.9g}"/>'
+            f'<joint joint="{arm.joint_names[second]}" coef="1"/>'
             "</fixed></tendon>"
         )
     return "".join([*parts, "</mujoco>"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,10 +15,28 @@ GROUP = 4
 #: Share of each kind; the rest has one effect.
 SHARES = {"none": 0.25, "two": 0.1, "outside": 0.1}
 _NAMES = (
-    "payload friction_change stribeck asymmetric_friction viscous_nonlinearity load_dependent_friction presliding "
-    "gravity_spring dress_pack base_tilt torque_constant torque_offset time_delay encoder_offset joint_elasticity "
-    "backlash torque_ripple wrist_coupling contact thermal_friction inertial_mismatch"
-).split()
+    "payload",
+    "friction_change",
+    "stribeck",
+    "asymmetric_friction",
+    "viscous_nonlinearity",
+    "load_dependent_friction",
+    "presliding",
+    "gravity_spring",
+    "dress_pack",
+    "base_tilt",
+    "torque_constant",
+    "torque_offset",
+    "time_delay",
+    "encoder_offset",
+    "joint_elasticity",
+    "backlash",
+    "torque_ripple",
+    "wrist_coupling",
+    "contact",
+    "thermal_friction",
+    "inertial_mismatch",
+)
 _GEARS = ("joint_elasticity", "backlash")
 
 
@@ -62,7 +80,7 @@ def recorder(machine: int) -> str:
     return "as recorded" if machine // 4 % 2 == machine % 2 else "clean"
 
 
-def _deck(names: Any, rng: np.random.Generator) -> Any:
+def _deck(names: Sequence[str], rng: np.random.Generator) -> Iterator[str]:
     while True:
         yield from (str(name) for name in rng.permutation(names))
 

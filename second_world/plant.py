@@ -51,7 +51,7 @@ class Plant:
         return {name: self._move(set_points) for name, (set_points, _) in motions.items()}
 
     def _move(self, q_ref: np.ndarray) -> dict[str, np.ndarray]:
-        arm, faults, data, motor = self._arm, self._faults, self._data, self._motor
+        faults, data, motor = self._faults, self._data, self._motor
         mujoco.mj_resetData(self._model, data)
         data.qpos[motor] = q_ref[0] - faults.zero
         mujoco.mj_forward(self._model, data)
@@ -60,7 +60,7 @@ class Plant:
         samples, n = q_ref.shape
         position, velocity, torque = (np.empty((samples, n)) for _ in range(3))
         z, z_long, hose = np.zeros(n), np.zeros(n), np.zeros(n)
-        carried = np.zeros(n)
+        carried, friction = np.zeros(n), np.zeros(n)
         for k in range(samples):
             q, v = data.qpos[motor], data.qvel[motor]
             seen = q + faults.zero
@@ -71,7 +71,7 @@ class Plant:
                 + self._damp * (qd_ref[k] - v)
             )
             position[k], velocity[k], torque[k] = seen, v, drive
-            carried += 0.1 * (np.abs(drive) - carried)
+            carried += 0.1 * (np.abs(drive - friction) - carried)  # by the gear, over 10 ms
             friction, z, z_long = self._friction(v, carried, z, z_long)
             data.qfrc_applied[motor] = drive - friction - self._other(q, v, k * _STEP, hose)
             for push in faults.pushes:
@@ -110,8 +110,8 @@ class Plant:
             hose[joint] -= np.expm1(-abs(v[joint]) * _STEP / 0.05) * (rubbing * np.sign(v[joint]) - hose[joint])
             taken[joint] += stiffness * np.sign(x) * max(abs(x) - slack, 0.0) ** 2 + hose[joint]
         for joint, amplitude, order, phase in self._faults.ripple:
-            angle = order * self._arm.build.ratio * q[joint] + phase
-            taken[joint] += amplitude * (np.sin(angle) + 0.3 * np.sin(2 * angle))
+            turned = order * self._arm.build.ratio * q[joint] + phase
+            taken[joint] += amplitude * (np.sin(turned) + 0.3 * np.sin(2 * turned))
         for joint, amplitude, frequency in self._faults.shaking:
             taken[joint] += amplitude * np.sin(2 * np.pi * frequency * t)
         return taken
@@ -137,9 +137,9 @@ def measured(plant_out: Mapping[str, np.ndarray], faults: Faults) -> np.ndarray:
     told = np.clip(told, -faults.clip, faults.clip)
     for joint, every, length, seed in faults.holding:
         rng = np.random.default_rng([int(seed), len(told)])
-        at = 0.0
-        while (at := at + rng.exponential(every)) * RATE < len(told) - 1:
-            first = int(at * RATE)
+        moment = 0.0
+        while (moment := moment + rng.exponential(every)) * RATE < len(told) - 1:
+            first = int(moment * RATE)
             last = first + max(2, int(rng.exponential(length) * RATE))
             told[first:last, joint] = told[first, joint]
     return told

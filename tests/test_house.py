@@ -6,7 +6,7 @@ from pathlib import Path
 
 import grimp
 
-PACKAGES = ("agent", "drivers", "fake_controller")
+PACKAGES = ("agent", "drivers", "fake_controller", "second_world")
 ROOT = Path(__file__).parents[1]
 
 

@@ -24,7 +24,8 @@ OUTSIDE = ("rough_bearing", "wandering_torque", "rubbing_brake")
 class Case:
     """One run: `machine` and `motion` (of its programs) are seeds; `effects` as the fake controller takes them.
 
-    `recorder` says how its logs are kept, where a world has more than one way. `strength` multiplies the size that an effect of this kind usually has on a machine in need of repair.
+    `strength` multiplies the size that an effect of this kind usually has on a machine in need of repair. `recorder`
+    says how the logs are kept, in a world with more than one way.
     """
 
     number: int

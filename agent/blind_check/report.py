@@ -13,6 +13,7 @@ _TARGETS = (
     ("joint", "right joint", 0.95, True),
     ("unknowns_recognised", "effects outside the catalogue called unknown", 0.8, True),
 )
+_BY_RECORDER = ("top_1", "false_alarms", "unknowns_recognised", "wrong_names")
 
 
 def weak_spots(scores: Scores) -> list[str]:
@@ -42,14 +43,29 @@ def weak_spots(scores: Scores) -> list[str]:
 
 
 def _right(effect: str) -> str:
-    from agent.blind_check.cases import OUTSIDE
+    from agent.diagnosis import CATALOGUE
 
-    return "no_gap" if effect == "nothing" else "unknown" if effect in OUTSIDE else effect
+    return "no_gap" if effect == "nothing" else effect if effect in CATALOGUE else "unknown"
 
 
 def summary_text(scores: Scores) -> str:
     """Figures for a terminal."""
-    return "\n".join([*_figures(scores), "", *_matrix(scores)])
+    recorders = [*_recorders(scores), ""] if scores["recorders"] else []
+    return "\n".join([*_figures(scores), "", *recorders, *_matrix(scores)])
+
+
+def _recorders(scores: Scores) -> Iterator[str]:
+    """A table of the main figures by how the logs were kept."""
+    yield "| logs | runs | first cause right | false alarms | outside: unknown | wrong name | of the oracle's | Brier |"
+    yield "| --- | --- | --- | --- | --- | --- | --- | --- |"
+    for name, row in scores["recorders"].items():
+        counts = (f"{row[key]['count']} of {row[key]['of']}" for key in _BY_RECORDER)
+        closure, brier = (_plain(row[key]) for key in ("of_oracle", "brier"))
+        yield f"| {name} | {row['runs']} | {' | '.join(counts)} | {closure} | {brier} |"
+
+
+def _plain(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
 
 
 def report_text(scores: Scores) -> str:
@@ -57,16 +73,19 @@ def report_text(scores: Scores) -> str:
     lines = [
         "# Blind check",
         "",
-        f"{scores['runs']} runs of the fake controller on {scores['robot']}, recorded over its TCP link and diagnosed "
-        "against a model of the",
-        "same machine without the effect. Written by `agent blind-check`; results as measured.",
+        f"{scores['runs']} runs of {scores['world']} ({scores['robot']}), diagnosed against a model of the same "
+        "machine without the effect.",
+        "Written by `agent blind-check`; results as measured.",
         f"SHA-256 of the key, noted before the first diagnosis: `{scores['key_sha256']}`.",
         "",
         "## Weak spots",
         "",
     ]
     lines += [f"- {spot}" for spot in weak_spots(scores)] or ["None in what was run."]
-    lines += ["", "## Figures", "", "```", *_figures(scores), "```", "", "## Confusion", ""]
+    lines += ["", "## Figures", "", "```", *_figures(scores), "```", ""]
+    if scores["recorders"]:
+        lines += ["## By recorder", "", *_recorders(scores), ""]
+    lines += ["## Confusion", ""]
     lines += ["Rows: what was there. First the number of runs, then what was said, most often first.", ""]
     lines += ["```", *_matrix(scores), "```", "", "## Power", ""]
     lines += [
@@ -160,9 +179,9 @@ def _figures(scores: Scores) -> Iterator[str]:
         ("  wrong effect, as many parameters", "wrong_effect"),
         ("  black box, as many parameters", "black_box"),
     ):
-        yield f"{what:42} {'-' if closure[key] is None else format(closure[key], '.3f')}"
+        yield f"{what:42} {_plain(closure[key])}"
     brier = scores["calibration"]["brier"]
-    yield f"{'Brier score of probability':42} {'-' if brier is None else format(brier, '.3f')}"
+    yield f"{'Brier score of probability':42} {_plain(brier)}"
     if scores["diagnosis_cpu_seconds"] is not None:
         yield f"{'CPU time of a diagnosis':42} {scores['diagnosis_cpu_seconds']:.1f} s (median)"
 

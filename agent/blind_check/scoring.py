@@ -98,7 +98,27 @@ def score(entries: Sequence[Entry]) -> dict[str, Any]:
         "calibration": _calibration([e for e in done if e["kind"] != "small" and e["result"]["causes"]]),
         "confusion": _confusion([e for e in done if len(e["effects"]) == 1 and e["kind"] != "small"], free),
         "diagnosis_cpu_seconds": float(np.median(seconds)) if seconds else None,
+        "recorders": {name: _recorder(done, name) for name in sorted({e["recorder"] for e in done if "recorder" in e})},
         "cases": [_line(e) for e in entries],
+    }
+
+
+def _recorder(done: Sequence[Entry], name: str) -> dict[str, Any]:
+    """The main figures of the runs whose logs were kept in one way."""
+    entries = [e for e in done if e.get("recorder") == name]
+    named = [e for e in entries if e["kind"] in ("one", "two")]
+    return {
+        "runs": len(entries),
+        "false_alarms": _proportion(
+            [e for e in entries if e["kind"] == "none"], lambda e: e["result"]["verdict"] != "no_gap"
+        ),
+        "top_1": _proportion(named, lambda e: e["outcome"] in ("right", "in class")),
+        "wrong_names": _proportion(named, lambda e: e["outcome"] == "wrong name"),
+        "unknowns_recognised": _proportion(
+            [e for e in entries if e["kind"] == "outside"], lambda e: e["outcome"] == "right"
+        ),
+        "of_oracle": _closures(named)["of_oracle"],
+        "brier": _calibration([e for e in entries if e["kind"] != "small" and e["result"]["causes"]])["brier"],
     }
 
 
@@ -241,7 +261,7 @@ def _said(entry: Entry) -> str:
 
 def _line(entry: Entry) -> dict[str, Any]:
     """One run without its gaps and regimes."""
-    line = {key: entry.get(key) for key in ("number", "kind", "strength", "size", "effects", "outcome")}
+    line = {key: entry.get(key) for key in ("number", "kind", "recorder", "strength", "size", "effects", "outcome")}
     for name in ("result", "withheld"):
         if name in entry:
             found = entry[name]

@@ -24,11 +24,19 @@ _QUIET = Console(verbosity=-1)
 
 
 class World(Protocol):
-    """Machines with effects. `group` runs share a machine; `place` is the folder of the check."""
+    """Machines with effects."""
 
-    title: str
-    arms: str
-    group: int
+    @property
+    def title(self) -> str:
+        """What the report calls it."""
+
+    @property
+    def arms(self) -> str:
+        """Which robots are in it."""
+
+    @property
+    def group(self) -> int:
+        """Runs that share a machine."""
 
     def draw(self, count: int, seed: int) -> list[Case]:
         """The runs, the same for the same seed."""

@@ -127,7 +127,7 @@ def test_scores_of_a_known_set():
     spots = weak_spots(scores)
     assert any("false alarm" in spot or spot.startswith("nothing: 1 of 2") for spot in spots)
     assert any(spot.startswith("stribeck: 1 of 2 told as presliding") for spot in spots)
-    text = report_text({**scores, "key_sha256": "ab", "robot": "arm"})
+    text = report_text({**scores, "key_sha256": "ab", "world": "a world", "robot": "arm"})
     assert text.index("## Weak spots") < text.index("## Figures") < text.index("## Confusion")
     assert "first cause right" in summary_text(scores)
 
@@ -138,6 +138,16 @@ def test_calibration_counts_how_often_the_class_held_the_truth():
     (row,) = score([*sure, wrong])["calibration"]["bins"]
     assert (row["runs"], row["share_true"]) == (4, 0.75)
     assert row["mean_probability"] == pytest.approx(0.97)
+
+
+def test_runs_are_scored_by_recorder_where_logs_are_kept_in_more_than_one_way():
+    right = {**entry("one", STRIBECK, "explained", [cause("stribeck", "joint_1")]), "recorder": "clean"}
+    alarm = {**entry("none", verdict="unknown"), "recorder": "as recorded"}
+    scores = score([right, right, alarm])
+    assert (scores["recorders"]["clean"]["top_1"]["count"], scores["recorders"]["clean"]["runs"]) == (2, 2)
+    assert scores["recorders"]["as recorded"]["false_alarms"]["count"] == 1
+    assert "| clean | 2 | 2 of 2 |" in summary_text(scores)
+    assert score([entry("none")])["recorders"] == {}
 
 
 @given(st.integers(1, 400).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))

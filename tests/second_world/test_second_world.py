@@ -1,0 +1,139 @@
+"""Arms in MuJoCo: their physics against another library's, what recorders leave of logs, and how runs are drawn."""
+
+from __future__ import annotations
+
+import builtins
+import json
+import re
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.blind_check import BlindCheck
+from agent.blind_check.worlds import MujocoWorld
+from agent.core.console import Console
+from agent.core.errors import InputError
+from agent.diagnosis import CATALOGUE
+from agent.recording import read_log
+from agent.robot import load_robot
+
+pytest.importorskip("mujoco", reason="mujoco is not installed: pip install calibration-agent[mujoco]")
+
+from second_world.__main__ import main, run
+from second_world.arms import BUILDS, draw_arm, write_description
+from second_world.draw import draw_cases, recorder
+from second_world.faults import OUTSIDE, build_in
+from second_world.motions import RATE, draw_motions
+from second_world.plant import largest_change, simulate
+
+
+@pytest.mark.parametrize("machine", range(len(BUILDS)))
+def test_without_friction_the_torque_is_the_inverse_dynamics_of_another_library(machine: int, tmp_path: Path) -> None:
+    from agent.robot.dynamics import Dynamics
+
+    arm = draw_arm(machine)
+    arm.coulomb[:] = arm.viscous[:] = 1e-9
+    arm.by_engine = True
+    arm.described_mass, arm.described_centre = arm.mass, arm.centre
+    robot = load_robot(str(write_description(arm, tmp_path, None)))
+    motions = {"multisine": draw_motions(1, arm.range, arm.speed, 1.0)["multisine"]}
+    out, (torque,) = simulate(arm, build_in(arm, ()), machine, motions)
+    q, qd = out["multisine"]["position"], out["multisine"]["velocity"]
+    qdd = np.diff(qd, axis=0) * RATE  # over the step that the torque acts in
+    expected = Dynamics(robot).inverse_dynamics(q[:-1], qd[:-1], qdd) + arm.rotor * qdd
+    assert np.abs((torque[:-1] - expected) / arm.torque).max() < 1e-3
+
+
+def test_every_effect_comes_up_and_has_a_law() -> None:
+    drawn = Counter()
+    for case in draw_cases(80, 4):
+        build_in(draw_arm(case["machine"]), case["effects"])
+        drawn.update(effect["effect"] for effect in case["effects"])
+    assert set(drawn) == (set(CATALOGUE) - {"interpolator_mismatch"}) | set(OUTSIDE)
+    assert not set(OUTSIDE) & set(CATALOGUE)
+
+
+def test_an_effect_without_a_law_is_refused() -> None:
+    with pytest.raises(ValueError, match="no law for the effect 'rust'"):
+        build_in(draw_arm(0), [{"effect": "rust", "joints": [], "parameters": {}}])
+
+
+def test_half_of_the_machines_of_every_build_are_recorded_as_real_ones_are() -> None:
+    kept = Counter((machine % len(BUILDS), recorder(machine)) for machine in range(40))
+    assert set(kept.values()) == {5}
+
+
+@pytest.mark.parametrize(
+    ("effect", "joint", "parameters"),
+    [
+        ("joint_elasticity", "joint_2", {"stiffness": 400.0, "damping": 2.0}),
+        ("backlash", "joint_2", {"gap": 0.02, "damping": 0.5}),
+        ("wrist_coupling", "joint_5,joint_6", {"ratio": 1.0, "moved": 1.0, "coulomb": 0.1, "viscous": 0.1}),
+    ],
+)
+def test_what_gives_way_in_a_gear_or_couples_the_wrist_shows_in_the_torque(effect, joint, parameters) -> None:
+    told = []
+    for effects in ([{"effect": effect, "joints": joint.split(","), "parameters": parameters}], []):
+        arm = draw_arm(0)
+        motions = draw_motions(1, arm.range, arm.speed, 1.0)
+        told.append(simulate(arm, build_in(arm, effects), 0, motions)[1])
+    assert all(np.isfinite(torque).all() for torque in told[0])
+    assert 0.002 < largest_change(*told, arm.torque) < 1.0
+
+
+def test_a_recorder_rounds_stamps_late_and_loses_rows_and_the_description_is_a_placeholder(tmp_path: Path) -> None:
+    machine = next(m for m in range(8) if recorder(m) == "as recorded")
+    job = {"machine": machine, "motion": 3, "effects": [], "folder": str(tmp_path), "cycle": 1.0}
+    answer = run({**job, "describe": str(tmp_path)})
+    assert answer["size"] is None
+    robot = load_robot(str(tmp_path / "robot.yaml"))
+    log = read_log(Path(answer["logs"][0]), robot)
+    assert np.allclose(log.position * 1e4, np.round(log.position * 1e4), atol=1e-6)
+    whole = round(RATE / 2 * 2.3)
+    assert 0.94 * whole < len(log.t) < 0.99 * whole
+    masses = re.findall('mass value="(.*?)"', (tmp_path / "arm.urdf").read_text())
+    assert len(masses) == robot.dof
+    assert len(set(masses)) == 1
+
+
+def test_the_blind_check_draws_from_it_and_the_logs_do_not_tell(tmp_path: Path) -> None:
+    world = MujocoWorld(0.5)
+    case = next(case for case in world.draw(12, 2) if case.kind == "one")
+    world.reference(case, tmp_path / "machine")
+    logs, planned = world.record(case, tmp_path / "run")
+    assert [log.name for log in logs] == ["multisine.mcap", "stops.mcap", "sweeps.mcap"]
+    assert planned == []
+    assert world.size(case, tmp_path / "run", tmp_path / "machine") > 0
+    robot = load_robot(world.robot(tmp_path / "machine"))
+    assert read_log(logs[0], robot).joint_names == tuple(robot.joint_names)
+    assert not any(case.effects[0]["effect"].encode() in log.read_bytes() for log in logs)
+
+
+def test_an_unknown_world_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--world moon: there is no such world; one of emulator, mujoco"):
+        BlindCheck(1, 1, tmp_path / "check", world="moon").run(Console(verbosity=-1))
+    assert not (tmp_path / "check").exists()
+
+
+def test_without_mujoco_it_says_what_to_install(monkeypatch, capsys) -> None:
+    known = builtins.__import__
+
+    def missing(name, *rest):
+        if name == "mujoco":
+            raise ImportError(name)
+        return known(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", missing)
+    assert main(["draw", "1", "1"]) == 2
+    assert "pip install 'calibration-agent[mujoco]'" in capsys.readouterr().err
+
+
+@pytest.mark.verify
+def test_eight_runs_are_diagnosed_and_scored_by_recorder(tmp_path: Path) -> None:
+    scores = BlindCheck(8, 101, tmp_path, world="mujoco").run(Console(verbosity=-1))
+    assert scores["not_recorded"] == []
+    assert sum(row["runs"] for row in scores["recorders"].values()) == 8
+    assert "By recorder" in (tmp_path / "blind_check.md").read_text()
+    assert json.loads((tmp_path / "key.json").read_text())["robot"] == "arms of four builds"
