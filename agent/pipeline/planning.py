@@ -81,6 +81,12 @@ def make_plan(recipe: Recipe, console: Console) -> Plan:
     Raises:
         InputError: as in `plan_once`.
     """
+    via = recipe.motion.via_points
+    if isinstance(via, ViaLike) and via.path.suffix.lower() != ".mcap":
+        passed = _job(recipe, via.path)[1]
+        words = ", ".join(f"{word} {count}" for word, count in sorted(passed.items(), key=lambda item: -item[1])[:8])
+        if passed:
+            console.step(f"{via.path}: {sum(passed.values())} lines that do not move are passed over ({words})")
     excitation, found = search_loop(recipe, console)
     console.step(f"drawing {recipe.validate.motions} validation motions at {recipe.validate.speed:g} m/s")
     return Plan(excitation, found, tuple(_draw_validation(recipe, console)))
@@ -203,13 +209,22 @@ def _task_poses(recipe: Recipe) -> np.ndarray:
     from agent.robot.kinematics import kinematics_for
 
     kinematics = kinematics_for(recipe.robot, recipe.tool)
+    _, chains = plan_statements(recipe, _job(recipe, path)[0], str(path), kinematics.middle)
+    if not chains:
+        raise InputError(f"{path}: nothing in this program moves the arm; name the program that does")
+    job = chains[1:] or chains  # the first leads from an arbitrary start to the job
+    return np.concatenate([kinematics.forward(chain.q[::25]) for chain in job])
+
+
+def _job(recipe: Recipe, path: Path) -> tuple[str, dict[str, int]]:
+    """What moves in the program of a job, and how often each word was passed over."""
+    from agent.motion.pdl2 import job_text
+
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
-    _, chains = plan_statements(recipe, text, str(path), kinematics.middle)
-    job = chains[1:] or chains  # the first leads from an arbitrary start to the job
-    return np.concatenate([kinematics.forward(chain.q[::25]) for chain in job])
+    return job_text(text, str(path), recipe.robot)
 
 
 def replan(recipe: Recipe, path: Path) -> Plan:

@@ -37,3 +37,23 @@ def parse_program(text: str, path: str = "", robot: RobotDescription | None = No
     except StepLimitError:
         pass
     return program
+
+
+def job_text(text: str, path: str = "", robot: RobotDescription | None = None) -> tuple[str, dict[str, int]]:
+    """A program for the places it goes to: as it is where it is of the motion subset, else what moves in it.
+
+    Also returns how often each word that does not move was passed over (`agent.motion.pdl2.sieve`).
+
+    Raises:
+        Pdl2Error: something moves that is not understood.
+    """
+    from agent.motion.pdl2.sieve import sieve
+
+    try:
+        parse_program(text, path, robot)
+    except Pdl2Error:
+        try:
+            return sieve(text)
+        except Pdl2Error as error:
+            raise error.within(path) from None
+    return text, {}

@@ -1,0 +1,203 @@
+"""Programs as people have them: what moves is kept, what does not move is passed over and counted.
+
+For a job that a recipe's `like` names it matters where the arm goes, not when or under which condition. So statements
+of a program that is more than the motion subset are taken in the order of the text, each branch and each loop of
+unknown length once; lines keep their numbers, so that whatever moves and is not understood is told where it stands.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+
+from agent.motion.pdl2.errors import Pdl2Error, Place
+from agent.motion.pdl2.parser import OUTSIDE_SUBSET
+from agent.motion.pdl2.variables import PREDEFINED, SYSTEM_VARIABLES
+
+_MOVES = re.compile(r"\b(?:SYNC)?MOVE(?:FLY)?\b", re.IGNORECASE)
+_MOVE = re.compile(r"MOVE(?:FLY)?\b", re.IGNORECASE)
+_OF_A_MOVE = re.compile(r"(?:WITH|ADVANCE|VIA|ENDMOVE)\b|,|\$\w+\s*=", re.IGNORECASE)
+_ARM = re.compile(r"(?<=MOVE |EFLY )\s*ARM\s*\[\s*(\w+)\s*\]", re.IGNORECASE)
+_STRING = re.compile(r"'(?:[^']|'')*'")
+_HEADER = re.compile(r"PROGRAM\s+(\w+)", re.IGNORECASE)
+_SECTION = re.compile(r"(VAR|CONST|TYPE)\b\s*", re.IGNORECASE)
+_VARIABLE = re.compile(
+    r"([\w\s,]+):\s*((?:ARRAY\s*\[\s*\d+\s*\]\s*OF\s+)?(INTEGER|REAL|BOOLEAN|POSITION|POS|JOINTPOS)"
+    r"(?:\s+FOR\s+ARM\s*\[\s*1\s*\])?)(\s*\([^()]*(?:\([^()]*\)[^()]*)*\))?",
+    re.IGNORECASE,
+)
+_CONSTANT = re.compile(r"(\w+)\s*=\s*(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?|TRUE|FALSE|ON|OFF)$", re.IGNORECASE)
+_ROUTINE = re.compile(r"ROUTINE\s+(\w+)", re.IGNORECASE)
+_ASSIGNED = re.compile(r"(\w+)\s*(?:\[[^\]]*\]\s*)?:=\s*(.+)")
+_SYSTEM = re.compile(r"(\$[\w.\[\]]+)\s*:=")
+_FOR = re.compile(r"FOR\s+(\w+)\s*:=\s*(.+)", re.IGNORECASE)
+_NAMES = re.compile(r"(?<![\w.$])[A-Za-z]\w*")
+#: Words that begin a statement and are not in `OUTSIDE_SUBSET`, and forms of statements that begin with another word.
+_BEGIN = {"if", "else", "endif", "delay", "cycle", "with", "for", "endfor", "endopen", "end", "or", "and", "not"}
+_CALL = re.compile(r"[$\w.]+(?:\[[^\]]*\][.$\w]*)*\s*(?:\(.*|:=.*|:|)$")
+_KNOWN_WORDS = {"div", "mod", "and", "or", "not", "pos", "to", "downto", "step", "do", *PREDEFINED}
+
+
+def sieve(text: str) -> tuple[str, dict[str, int]]:
+    """The text with everything blank that does not move, and how often each word that was passed over began a line.
+
+    Raises:
+        Pdl2Error: something moves that the motion subset has no statement for, with its line.
+    """
+    sieved = _Sieve(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
+    return "\n".join(sieved.lines()), dict(sieved.passed)
+
+
+class _Sieve:
+    def __init__(self, lines: list[str]) -> None:
+        self._lines = lines
+        self._bare = [_without_comment(line) for line in lines]
+        self.passed: Counter[str] = Counter()
+        self._known: set[str] = set()
+        self._moving_routines: dict[str, int] = {}
+        self._fors: list[bool] = []
+
+    def lines(self) -> list[str]:
+        """As many lines as there were."""
+        out = [""] * len(self._lines)
+        at = self._declarations(out)
+        while at < len(self._lines):
+            last = self._statement(at, out)
+            at = last + 1
+        return out
+
+    def _declarations(self, out: list[str]) -> int:
+        """Header, declarations and routines; returns the line after the program's BEGIN."""
+        section, at = "", 0
+        while at < len(self._bare):
+            bare = self._bare[at].strip()
+            header, routine, opened = _HEADER.match(bare), _ROUTINE.match(bare), _SECTION.match(bare)
+            if header:
+                out[at] = f"PROGRAM {header[1]}"
+            elif routine:
+                at = self._routine(at, routine[1])
+                section = ""
+            elif re.match(r"BEGIN\b", bare, re.IGNORECASE):
+                out[at] = "BEGIN"
+                return at + 1
+            elif bare:
+                if opened:
+                    section, bare = opened[1].upper(), bare[opened.end() :].strip()
+                if bare:
+                    out[at] = self._declared(section, bare)
+            at += 1
+        return at
+
+    def _declared(self, section: str, bare: str) -> str:
+        variable, constant = _VARIABLE.match(bare), _CONSTANT.match(bare)
+        if section == "VAR" and variable:
+            self._known.update(name.strip().lower() for name in variable[1].split(","))
+            return f"VAR {variable[1]}: {variable[2]}{variable[4] or ''}"
+        if section == "CONST" and constant:
+            self._known.add(constant[1].lower())
+            return f"CONST {bare}"
+        return self._pass(section or bare)
+
+    def _routine(self, at: int, name: str) -> int:
+        """Its last line; a routine of another program has no lines here."""
+        self._pass("ROUTINE")
+        if re.search(r"\bEXPORTED\s+FROM\b", self._bare[at], re.IGNORECASE):
+            return at
+        end = re.compile(rf"END\s+{name}\b", re.IGNORECASE)
+        for last in range(at + 1, len(self._bare)):
+            bare = self._bare[last].strip()
+            if _MOVES.search(_STRING.sub("", bare)):
+                self._moving_routines.setdefault(name.lower(), last)
+            if end.match(bare):
+                return last
+        raise Pdl2Error("the routine does not end", Place(at + 1, 1, name))
+
+    def _statement(self, at: int, out: list[str]) -> int:
+        """Keeps or passes over the statement of a line; returns its last line."""
+        bare = self._bare[at].strip()
+        if _MOVE.match(bare):
+            return self._move(at, out)
+        found = _MOVES.search(_STRING.sub("", self._bare[at]))
+        if found:
+            raise Pdl2Error("moves, but not in a statement of its own line", self._place(at, found[0]))
+        word = re.match(r"\$?\w+", bare)
+        first = word[0].lower() if word else ""
+        for name in _NAMES.findall(_STRING.sub("", bare)):
+            if name.lower() in self._moving_routines:
+                line = self._moving_routines[name.lower()] + 1
+                reason = f"is a routine that moves, in line {line}: write its moves here instead"
+                raise Pdl2Error(reason, self._place(at, name))
+        if first in ("for", "endfor"):
+            keep = self._keeps_loop(bare) if first == "for" else bool(self._fors) and self._fors.pop()
+        else:
+            keep = first == "end" or self._keeps_assignment(bare)
+        if keep:
+            out[at] = self._bare[at]
+        elif bare:
+            self._check_statement(at, first)
+            self._pass(first.upper() or bare)
+        return at
+
+    def _check_statement(self, at: int, first: str) -> None:
+        """A word that begins no statement may be a misspelt move, which is not to be passed over."""
+        before = next((bare.rstrip() for bare in reversed(self._bare[:at]) if bare.strip()), "")
+        continues = not first or before.endswith((",", "(", "&", "+", "-"))
+        known = first in _BEGIN or OUTSIDE_SUBSET.fullmatch(first) is not None
+        if not (continues or known or _CALL.match(_STRING.sub("", self._bare[at].strip()))):
+            raise Pdl2Error("is not a statement known here", self._place(at, first))
+
+    def _move(self, at: int, out: list[str]) -> int:
+        line = self._bare[at]
+        arm = _ARM.search(line)
+        if arm:
+            self._check_arm(at, arm[1])
+            line = line[: arm.start()] + " " * (arm.end() - arm.start()) + line[arm.end() :]
+        out[at] = line
+        while at + 1 < len(self._bare):
+            after = self._bare[at + 1].strip()
+            open_ended = self._bare[at].rstrip().endswith((",", "&"))
+            if after and not (open_ended or _OF_A_MOVE.match(after)):
+                break
+            out[at + 1] = self._bare[at + 1]
+            at += 1
+        return at
+
+    def _check_arm(self, at: int, arm: str) -> None:
+        """It is arm 1: by its number, or by a variable that is never anything else."""
+        values = {arm}
+        if not arm.isdigit():
+            pattern = re.compile(rf"\b{arm}\s*:=\s*(\w+)", re.IGNORECASE)
+            values = {found[1] for bare in self._bare for found in pattern.finditer(bare)}
+        if values != {"1"}:
+            raise Pdl2Error("is another arm, or not known to be arm 1", self._place(at, arm))
+
+    def _keeps_loop(self, bare: str) -> bool:
+        loop = _FOR.match(bare)
+        self._fors.append(loop is not None and self._is_known(loop[1]) and self._is_known(loop[2]))
+        return self._fors[-1]
+
+    def _keeps_assignment(self, bare: str) -> bool:
+        system, assigned = _SYSTEM.match(bare), _ASSIGNED.match(bare)
+        if system:
+            name = system[1].upper().replace("$ARM_DATA[1].", "$")
+            return name in SYSTEM_VARIABLES and self._is_known(bare[system.end() :])
+        return assigned is not None and self._is_known(assigned[1]) and self._is_known(assigned[2])
+
+    def _is_known(self, expression: str) -> bool:
+        """Whether every name in it is declared here, which those of other programs and functions are not."""
+        names = {name.lower() for name in _NAMES.findall(_STRING.sub("", expression))}
+        return names <= self._known | _KNOWN_WORDS
+
+    def _pass(self, word: str) -> str:
+        self.passed[word.split()[0]] += 1
+        return ""
+
+    def _place(self, at: int, word: str) -> Place:
+        return Place(at + 1, self._lines[at].lower().find(word.lower()) + 1, word)
+
+
+def _without_comment(line: str) -> str:
+    """The line without its comment; two dashes in a string begin none."""
+    blind = _STRING.sub(lambda found: "x" * len(found[0]), line)
+    at = blind.find("--")
+    return line if at < 0 else line[:at].rstrip()

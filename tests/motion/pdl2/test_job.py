@@ -1,0 +1,120 @@
+"""Programs as people have them: what moves is read, what does not is counted, what is not understood is told."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from agent.motion.pdl2 import Pdl2Error, job_text, parse_program
+from agent.motion.program import JointTarget, Move
+from agent.robot import load_robot
+
+ROBOT = load_robot("comau_ns16")
+TASK = """PROGRAM pick &PA, NOHOLD, DETACH, PROG_ARM=1
+IMPORT 'gripper'
+TYPE
+  header = RECORD
+    length : INTEGER
+  ENDRECORD
+CONST
+  c_port = 0x1F
+  c_name = 'pick' -- MOVE is only a word here
+  c_count = 2
+VAR
+  arm_idx, i : INTEGER
+  over : POSITION FOR ARM[1]
+  text : STRING[40]
+  done : BOOLEAN EXPORTED FROM other NOSAVE
+  home : JOINTPOS FOR ARM[1] (({0, 0, -90, 0, 60, 0}))
+ROUTINE grip(force : INTEGER) EXPORTED FROM gripper
+ROUTINE say
+BEGIN
+  WRITE LUN_CRT('MOVE TO nowhere', NL)
+END say
+BEGIN
+  CONDITION[1]:
+    WHEN done DO
+      say
+  ENDCONDITION
+  arm_idx := 1
+  $ARM_DATA[1].ARM_OVR := 50
+  $SENSOR_ENBL := FALSE
+  over := POS(1000, 0, 900, 0, 180, 0, '')
+CYCLE
+  WAIT FOR $DIN[3] = ON
+  MOVE ARM[arm_idx] TO home
+  FOR i := 1 TO c_count DO
+    MOVEFLY LINEAR TO over ADVANCE,
+      WITH $FLY_DIST = 10,
+           $LIN_SPD = 0.5,
+    ENDMOVE
+  ENDFOR
+  SELECT arm_idx OF
+    CASE (1):
+      grip(40)
+    ELSE:
+      MOVE ARM[1] JOINT TO {0, 0, -90, 0, 90, 0}
+  ENDSELECT
+  WRITE LUN_CRT('a', &
+     i, NL)
+  DELAY ROUND(1 / 3)
+END pick
+"""
+
+
+def moves(text: str) -> list[Move]:
+    kept, _ = job_text(text, "pick.pdl", ROBOT)
+    return [each for each in parse_program(kept, "pick.pdl", ROBOT).run() if isinstance(each, Move)]
+
+
+def test_moves_are_read_and_the_rest_is_counted():
+    read = moves(TASK)
+    assert [move.line for move in read] == [
+        number
+        for number, line in enumerate(TASK.split("\n"), 1)
+        for _ in range(1 + ("FLY L" in line))
+        if _is_move(line)
+    ]
+    assert [type(move.target) is JointTarget for move in read] == [True, False, False, True]
+    assert read[1].fly
+    assert (read[1].settings.fly_distance, read[1].settings.linear_speed) == (0.01, 0.5)
+    assert read[1].settings.arm_override == 0.5
+    passed = job_text(TASK, "pick.pdl", ROBOT)[1]
+    assert {"IMPORT", "ROUTINE", "CONDITION", "WAIT", "SELECT", "GRIP", "WRITE", "DELAY"} <= set(passed)
+    assert passed["ROUTINE"] == 2
+
+
+def _is_move(line: str) -> bool:
+    return re.match(r"\s*MOVE", line) is not None
+
+
+def test_a_program_of_the_subset_stays_as_it_is():
+    text = "PROGRAM p\nBEGIN\n  MOVE TO {0, 0, -90, 0, 60, 0}\nEND p\n"
+    assert job_text(text, "p.pdl", ROBOT) == (text, {})
+
+
+@pytest.mark.parametrize(
+    ("statement", "word"),
+    [
+        ("MOVE ALONG trajectory", "ALONG"),
+        ("MOVE TO trajectory.NODE[1].$MAIN_JNTP", "character"),
+        ("MOVEFYL LINEAR TO over", "not a statement"),
+        ("IF done THEN MOVE TO home ENDIF", "moves, but not in a statement"),
+        ("MOVE ARM[2] TO home", "another arm"),
+        ("MOVE TO elsewhere", "not declared"),
+        ("SYNCMOVE TO home", "moves, but not"),
+    ],
+)
+def test_what_moves_and_is_not_understood_is_told_with_its_line(statement, word):
+    line = TASK.split("\n").index("CYCLE") + 1
+    with pytest.raises(Pdl2Error, match=word) as error:
+        moves(TASK.replace("CYCLE\n", statement + "\n"))
+    assert error.value.line == line
+
+
+def test_a_routine_that_moves_is_not_passed_over():
+    text = TASK.replace("  WRITE LUN_CRT('MOVE TO nowhere', NL)\n", "  MOVE TO home\n")
+    with pytest.raises(Pdl2Error, match="is a routine that moves, in line 20") as error:
+        moves(text)
+    assert error.value.line == 25
