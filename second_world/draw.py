@@ -48,7 +48,8 @@ def draw_cases(count: int, seed: int) -> list[dict[str, Any]]:
     names, outside = _deck(_NAMES, rng), _deck(OUTSIDE, rng)
     cases = []
     for number, kind in enumerate(kinds):
-        machine = 1000 * (seed % 1_000_000) + number // GROUP
+        # Short draws of other seeds begin with other builds and recorders.
+        machine = 1000 * (seed % 1_000_000) + seed % 8 + number // GROUP
         arm = draw_arm(machine)
         strength = float(np.exp(rng.uniform(np.log(0.6), np.log(2.0))))
         if kind == "outside":

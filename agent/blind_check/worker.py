@@ -10,6 +10,7 @@ import json
 import os
 import sys
 import time
+import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -72,6 +73,9 @@ def _answer(job: dict[str, Any]) -> dict[str, Any]:
         found = diagnose_job(job)
     except AgentError as error:
         return {"error": str(error)}
+    except Exception as error:  # one run that breaks the diagnosis is a result, not the end of the check
+        traceback.print_exc()
+        return {"error": f"internal error in the diagnosis: {type(error).__name__}: {error}"}
     return finite({"result": found.result, "seconds": time.process_time() - begin})
 
 

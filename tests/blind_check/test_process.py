@@ -50,6 +50,17 @@ def test_the_diagnosis_can_open_nothing_near_the_key_but_what_it_is_told(tmp_pat
     assert run.stdout.split() == ["told", *["refused"] * 5], run.stderr
 
 
+def test_a_run_that_breaks_the_diagnosis_is_told_and_does_not_end_the_check(tmp_path, monkeypatch, capsys):
+    from agent.blind_check import worker
+
+    def broken(job):
+        raise FloatingPointError("overflow")
+
+    monkeypatch.setattr(worker, "diagnose_job", broken)
+    assert worker._answer({}) == {"error": "internal error in the diagnosis: FloatingPointError: overflow"}
+    assert "FloatingPointError" in capsys.readouterr().err
+
+
 def write_small_arm(folder: Path) -> Path:
     """A robot.yaml of three axes, so that a dozen runs take a minute."""
     parts, joints, parent = ['<robot name="bars"><link name="base"/>'], [], "base"
