@@ -81,12 +81,6 @@ def make_plan(recipe: Recipe, console: Console) -> Plan:
     Raises:
         InputError: as in `plan_once`.
     """
-    via = recipe.motion.via_points
-    if isinstance(via, ViaLike) and via.path.suffix.lower() != ".mcap":
-        passed = _job(recipe, via.path)[1]
-        words = ", ".join(f"{word} {count}" for word, count in sorted(passed.items(), key=lambda item: -item[1])[:8])
-        if passed:
-            console.step(f"{via.path}: {sum(passed.values())} lines that do not move are passed over ({words})")
     excitation, found = search_loop(recipe, console)
     console.step(f"drawing {recipe.validate.motions} validation motions at {recipe.validate.speed:g} m/s")
     return Plan(excitation, found, tuple(_draw_validation(recipe, console)))
@@ -98,6 +92,7 @@ def search_loop(recipe: Recipe, console: Console) -> tuple[PlannedMotion, dict[s
     Raises:
         InputError: as in `plan_once`.
     """
+    _tell_passed_over(recipe, console)
     from agent.excitation import check_sub_region, keep_loop, search
 
     problem = loop_problem(recipe, recipe.motion.speed)
@@ -225,6 +220,16 @@ def _job(recipe: Recipe, path: Path) -> tuple[str, dict[str, int]]:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
     return job_text(text, str(path), recipe.robot)
+
+
+def _tell_passed_over(recipe: Recipe, console: Console) -> None:
+    """What of the job's program was passed over, because it does not move."""
+    via = recipe.motion.via_points
+    if isinstance(via, ViaLike) and via.path.suffix.lower() != ".mcap":
+        passed = _job(recipe, via.path)[1]
+        words = ", ".join(f"{word} {count}" for word, count in sorted(passed.items(), key=lambda item: -item[1])[:8])
+        if passed:
+            console.step(f"{via.path}: {sum(passed.values())} lines that do not move are passed over ({words})")
 
 
 def replan(recipe: Recipe, path: Path) -> Plan:

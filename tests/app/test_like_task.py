@@ -1,0 +1,51 @@
+"""A recipe whose sub-region is a job in PDL2 as people write it."""
+
+from __future__ import annotations
+
+import pytest
+
+from agent.core.console import Console
+from agent.core.errors import InputError
+from agent.pipeline.planning import search_loop
+from agent.recipe import load_recipe
+
+JOB = """PROGRAM pick &PA
+IMPORT 'gripper'
+VAR vi_arm : INTEGER
+BEGIN
+  vi_arm := 1
+  WAIT FOR $DIN[3] = ON
+  MOVE ARM[vi_arm] TO {0, 0, -90, 0, 60, 0}
+  grip(40)
+  MOVE ARM[vi_arm] TO {20, 10, -95, 0, 70, 0}
+  MOVE ARM[vi_arm] TO {-20, 10, -95, 0, 70, 0}
+END pick
+"""
+RECIPE = """robot: comau_ns16
+controller: {driver: tcp, address: 127.0.0.1:9}
+motion:
+  speed: 1 m/s
+  fly: {type: FLY_CART, trajectory: FLY_TOL, distance: 20 mm}
+  via_points: {count: 4, like: job.pdl, around: 60 mm}
+search: {method: random, population: 4, generations: 1, seed: 1}
+"""
+
+
+def recipe_for(folder, job):
+    (folder / "job.pdl").write_text(job, encoding="utf-8")
+    (folder / "recipe.yaml").write_text(RECIPE, encoding="utf-8")
+    return load_recipe(folder / "recipe.yaml")
+
+
+@pytest.mark.verify
+def test_a_loop_is_found_around_the_job(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found, _ = search_loop(recipe_for(tmp_path, JOB), Console())
+    assert found.loop.trajectory.duration > 1
+
+
+def test_the_search_says_what_it_passes_over_and_refuses_a_job_that_does_not_move(tmp_path, capsys):
+    still = "\n".join(line for line in JOB.split("\n") if "MOVE" not in line)
+    with pytest.raises(InputError, match=r"job\.pdl: nothing in this program moves the arm"):
+        search_loop(recipe_for(tmp_path, still), Console())
+    assert "job.pdl: 3 lines that do not move are passed over (IMPORT 1, WAIT 1, GRIP 1)" in capsys.readouterr().err
