@@ -14,7 +14,7 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.excitation import Candidates, LoopProblem
-from agent.motion import FlyInterpolator, ViaRegions
+from agent.motion import ViaRegions
 from agent.motion.program import FlyTrajectory, FlyType, MotionSettings, Termination
 from agent.motion.trajectory import Trajectory
 from agent.robot import load_robot
@@ -23,7 +23,7 @@ from agent.safety.adherence import MEASURED, SET_POINTS, Adherence
 from drivers.protocol import SampleBlock
 from drivers.wire.reasons import EndReason
 from fake_controller.execution import Chain, Execution, StopSwitch
-from fake_controller.interpolation import PARAMETERS
+from fake_controller.interpolation import build_interpolator
 from fake_controller.plant import Plant
 
 ROBOT = load_robot("comau_ns16")
@@ -42,8 +42,8 @@ class Drawn:
 
 
 @lru_cache(maxsize=64)
-def drawn(seed: int) -> Drawn:
-    """A random loop of six via-points that keeps the limits."""
+def drawn(seed: int, kind: str = "ours") -> Drawn:
+    """A random loop of six via-points that keeps the limits, run by one of the emulator's interpolators."""
     rng = np.random.default_rng(seed)
     regions = ViaRegions.from_box(
         6, np.array([1.0, 0.0, 0.8]), np.array([0.5, 0.6, 0.4]), np.radians([0, 180, 0]), np.radians(30)
@@ -58,7 +58,7 @@ def drawn(seed: int) -> Drawn:
         candidates = Candidates(LoopProblem(ROBOT, regions, settings, period=PERIOD))
         try:
             loop = candidates.loop(rng.uniform(size=candidates.problem.genes))
-            theirs = FlyInterpolator(ROBOT, period=PERIOD, parameters=PARAMETERS).plan(loop.moves, loop.start)
+            theirs = build_interpolator(kind, ROBOT, seed, PERIOD).plan(loop.moves, loop.start)
         except InputError:
             continue
         return Drawn(loop.trajectory, theirs, settings.fly_distance)
@@ -177,6 +177,13 @@ def test_an_arm_that_goes_astray_is_stopped():
 def test_an_arm_that_does_as_planned_is_not(seen):
     arm = Arm(drawn(1000), 3)
     arm.run(seen=seen)
+    assert arm.reason is None
+
+
+@pytest.mark.parametrize("seed", [4, 8, 18])
+def test_blends_and_a_time_law_of_another_family_are_no_fault(seed):
+    arm = Arm(drawn(seed, "second"), seed)
+    arm.run()
     assert arm.reason is None
 
 
