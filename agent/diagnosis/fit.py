@@ -35,6 +35,7 @@ class Candidate:
     names: tuple[str, ...]
     blocks: dict[int, np.ndarray]
     prior_std: np.ndarray | None
+    reference: NominalModel
 
     @property
     def place(self) -> tuple[str, tuple[int, ...]]:
@@ -276,7 +277,9 @@ class Fit:
         for (effect, joints, settings), found in zip(wanted, parts, strict=True):
             blocks = {joint: np.concatenate(block) for joint, block in found.items()}
             prior_std = effect.prior_std(self, joints, settings)
-            result.append(Candidate(effect, joints, dict(settings), effect.names(settings), blocks, prior_std))
+            result.append(
+                Candidate(effect, joints, dict(settings), effect.names(settings), blocks, prior_std, self.reference)
+            )
         return result
 
     def fit(self, effect: Effect, joints: tuple[int, ...], settings: Mapping[str, float]) -> np.ndarray:

@@ -17,9 +17,9 @@ class Gap:
     """Errors held out, `raw` without and `left` with the causes (S', n) [N·m], NaN on guards; their size on each joint.
 
     `before`, `after`, `floor` (n,) are RMSE over `unit` (n,), nominal torque or 1 N·m; `floor` is what does not repeat
-    from cycle to cycle, None without repeats. `gain` is the part of the plain squared error that the causes take away
-    on their own joints while these move, and `largest` the greatest error there over a scale that every joint has;
-    both are 0 without causes.
+    from cycle to cycle and what stiction leaves open at rest, None without repeats. `gain` is the part of the plain
+    squared error that the causes take away on their own joints while these move, and `largest` the greatest error there
+    over a scale that every joint has; both are 0 without causes.
     """
 
     raw: np.ndarray
@@ -70,7 +70,8 @@ def held_out_gap(dataset: Dataset, fit: Fit) -> Gap:
     raw = np.where(np.isnan(left[:, :1]), np.nan, raw)
     before, after = rms(raw) / unit, rms(left) / unit
     gain, largest = _on_own_joints(fit, raw, left)
-    return Gap(raw, left, unit, before, after, _floor(dataset, left, unit, before), gain, largest, dataset.limits)
+    floor = _with_rest(_floor(dataset, left, unit, before), fit, left / unit)
+    return Gap(raw, left, unit, before, after, floor, gain, largest, dataset.limits)
 
 
 def _on_own_joints(fit: Fit, raw: np.ndarray, left: np.ndarray) -> tuple[float, float]:
@@ -86,6 +87,19 @@ def _on_own_joints(fit: Fit, raw: np.ndarray, left: np.ndarray) -> tuple[float, 
 def rms(rows: np.ndarray) -> np.ndarray:
     """(n,) root mean square of (S', n), guards left out."""
     return np.sqrt(np.nanmean(rows**2, axis=0))
+
+
+def _with_rest(floor: np.ndarray | None, fit: Fit, left: np.ndarray) -> np.ndarray | None:
+    """The floor with what stiction leaves open: at rest the torque is anything below the Coulomb level.
+
+    No model knows it, though it comes back with every cycle: what is left (S', n) there is floor up to the background.
+    """
+    if floor is None:
+        return None
+    robot = fit.reference.robot
+    sigma = fit.sigma / np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 1.0)
+    open_to = np.where(fit.sigma > 1.01 * fit.sigma.min(axis=0), np.minimum(left**2, sigma**2), 0.0)
+    return np.sqrt(np.nanmean(np.where(np.isnan(left), np.nan, np.maximum(open_to, floor**2)), axis=0))
 
 
 def _floor(dataset: Dataset, left: np.ndarray, unit: np.ndarray, before: np.ndarray) -> np.ndarray | None:

@@ -10,7 +10,11 @@ from agent.diagnosis.fit import Candidate, Score
 def plausible(score: Score) -> bool:
     """Whether the fitted parameters can be true."""
     candidate = score.candidate
-    return candidate.effect.plausible(candidate.settings, dict(zip(candidate.names, score.values, strict=True)))
+    effect, settings = candidate.effect, candidate.settings
+    values = dict(zip(candidate.names, score.values, strict=True))
+    return effect.plausible(settings, values) and effect.possible(
+        candidate.reference, candidate.joints, settings, values
+    )
 
 
 def structurally_equivalent(candidate: Candidate, score: Score) -> bool:

@@ -74,6 +74,10 @@ class DecisionLimits:
         0.003, "gain of the best", "forms this close cannot be told apart, however well the better one fits", TUNED
     )
     further_effect: float = _limit(0.35, "energy still unexplained", "that every further effect must explain", TUNED)
+    beside: float = _limit(
+        0.05, "excess energy of its joints", "that an effect must explain beside another on one of them", "chosen"
+    )
+    simpler: float = _limit(3.0, "times the parameters", "a form has to have before `near` counts in full", "chosen")
     redundant: float = _limit(0.002, "energy of all rows", "what an effect must add beside the others", TUNED)
     enough: float = _limit(0.9, "excess energy", "closed by one effect, so that no other start is tried", TUNED)
     runner_up: float = _limit(0.5, "gain of the cause", "by the next best forms where it fits doubtfully", TUNED)

@@ -227,7 +227,13 @@ class Search:
             self.limits.near_floor * self.rows,
             min(self.limits.near * best.gain, max(self.limits.alike * best.gain, left)),
         )
-        return [s for s in step.eligible if best.gain - s.gain <= margin]
+        far_simpler = complexity(best.candidate) / self.limits.simpler
+        return [
+            s
+            for s in step.eligible
+            if best.gain - s.gain <= margin
+            or (complexity(s.candidate) <= far_simpler and best.gain - s.gain <= self.limits.near * best.gain)
+        ]
 
     def _simplest(self, step: Step) -> Score:
         return min(self._near(step), key=lambda s: (complexity(s.candidate), -s.gain))
@@ -240,13 +246,19 @@ class Search:
             steps.append(step)
             if len(chosen) == self.limits.most_effects or not step.eligible:
                 return chosen
-            left = self._excess(fit)
-            least = max(2 * self.least, self.limits.further_effect * left)
-            worth = [s for s in step.eligible if s.gain > least and not imitates(chosen, s)]
+            worth = [s for s in step.eligible if s.gain > self._further(fit, s) and not imitates(chosen, s)]
             if not worth:
                 return chosen
             step = Step(step.chosen, step.error, step.scores, tuple(worth))
             chosen = (*chosen, self._simplest(step).candidate)
+
+    def _further(self, fit: Fit, score: Score) -> float:
+        """Gain from which on an effect counts beside those chosen: a misfit on another joint does not hide it."""
+        joints = list(score.candidate.blocks)
+        least = max(2 * self.least, self.limits.further_effect * self._excess(fit, joints))
+        if any(set(joints) & set(c.blocks) for c in fit.chosen):
+            least = max(least, self.limits.beside * self._excess(self.fit, joints))
+        return least
 
     def _excess(self, fit: Fit, joints: Sequence[int] | None = None) -> float:
         """Energy over the background that is left, joint by joint, on all joints or some."""

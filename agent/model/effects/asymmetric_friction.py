@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, FitContext, on_axle
+from agent.model.effects.effect import Columns, Effect, FitContext, on_axle, rubs
 from agent.model.effects.experiments import RAMPS_AND_STANDSTILLS
-from agent.model.signals import MotionSignals
+from agent.model.signals import MotionSignals, NominalModel
 
 
 class AsymmetricFriction(Effect):
@@ -39,6 +39,16 @@ class AsymmetricFriction(Effect):
         (axle,) = joints
         parts = {"coulomb": np.abs(signals.direction(axle)), "viscous": signals.axles.magnitude[:, axle]}
         return on_axle(signals.reference, axle, *(parts[kind] for kind in parts if kind in settings))
+
+    def possible(
+        self,
+        reference: NominalModel,
+        joints: tuple[int, ...],
+        settings: Mapping[str, float],
+        values: Mapping[str, float],
+    ) -> bool:
+        less = {kind: -abs(values[f"{kind}_asymmetry"]) for kind in ("coulomb", "viscous") if kind in settings}
+        return rubs(reference, joints[0], **less)
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return len(settings)

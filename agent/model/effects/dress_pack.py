@@ -9,9 +9,10 @@ import numpy as np
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.friction_terms import dahl
-from agent.model.signals import MotionSignals
+from agent.model.signals import MotionSignals, NominalModel
 
 _NODES = 6
+_STIFFEST = 5.0  # nominal torque a radian
 _TRAVEL = 0.03  # of the range, until the hose slides in itself
 
 
@@ -53,6 +54,15 @@ class DressPack(Effect):
         if "travel" in settings:
             parts = [*parts, dahl(q, np.array([settings["travel"]]))[:, 0]]
         return {joints[0]: np.column_stack(parts)}
+
+    def possible(
+        self,
+        reference: NominalModel,
+        joints: tuple[int, ...],
+        settings: Mapping[str, float],
+        values: Mapping[str, float],
+    ) -> bool:
+        return abs(values.get("stiffness", 0.0)) < _STIFFEST * float(reference.scale[joints[0]])
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return len(self.names(settings))

@@ -126,6 +126,16 @@ class Effect(ABC):
         """Whether fitted parameters can be true."""
         return True
 
+    def possible(
+        self,
+        reference: NominalModel,
+        joints: tuple[int, ...],
+        settings: Mapping[str, float],
+        values: Mapping[str, float],
+    ) -> bool:
+        """Whether they can be true of an effect on these joints of this arm, beside what its model has there."""
+        return True
+
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         """Number of parameters, nonlinear ones included."""
         return len(self.names(settings)) + len(settings)
@@ -136,6 +146,18 @@ def on_axle(reference: NominalModel, axle: int, *columns: np.ndarray) -> Columns
     block = np.column_stack(columns)
     share = reference.coupling[axle]
     return {int(joint): share[joint] * block for joint in np.flatnonzero(share)}
+
+
+def rubs(reference: NominalModel, axle: int, **changes: float) -> bool:
+    """Whether the model's friction on an axle stays a friction when its levels, by form, change by as much.
+
+    A tenth of a level below nought is let be: levels are estimates. A level that the model does not have is not judged.
+    """
+    model = reference.model
+    levels = {
+        term.form: model.values[k] for k, term in enumerate(model.terms, len(model.independent)) if term.axle == axle
+    }
+    return all(levels[form] + change > -0.1 * abs(levels[form]) for form, change in changes.items() if form in levels)
 
 
 def highest_speed(survey: FitContext, axle: int) -> float:

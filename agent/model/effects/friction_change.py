@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from agent.model.effects.effect import Columns, Effect, FitContext, on_axle
-from agent.model.signals import MotionSignals
+from agent.model.effects.effect import Columns, Effect, FitContext, on_axle, rubs
+from agent.model.signals import MotionSignals, NominalModel
 
 
 class FrictionChange(Effect):
@@ -33,6 +33,16 @@ class FrictionChange(Effect):
         (axle,) = joints
         parts = {"coulomb": signals.direction(axle), "viscous": signals.axles.speed[:, axle]}
         return on_axle(signals.reference, axle, *(parts[kind] for kind in parts if kind in settings))
+
+    def possible(
+        self,
+        reference: NominalModel,
+        joints: tuple[int, ...],
+        settings: Mapping[str, float],
+        values: Mapping[str, float],
+    ) -> bool:
+        change = {kind: values[f"{kind}_change"] for kind in ("coulomb", "viscous") if kind in settings}
+        return rubs(reference, joints[0], **change)
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return len(settings)

@@ -8,7 +8,9 @@ import numpy as np
 
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import WHOLE_RANGE
-from agent.model.signals import MotionSignals
+from agent.model.signals import MotionSignals, NominalModel
+
+_STRONGEST = 10.0  # nominal torque: what a joint could not be built against
 
 
 class GravitySpring(Effect):
@@ -41,6 +43,15 @@ class GravitySpring(Effect):
         q = signals.q[:, joints[0]]
         parts = [f(h * q) for h in range(1, int(settings["harmonics"]) + 1) for f in (np.cos, np.sin)]
         return {joints[0]: np.column_stack(parts)}
+
+    def possible(
+        self,
+        reference: NominalModel,
+        joints: tuple[int, ...],
+        settings: Mapping[str, float],
+        values: Mapping[str, float],
+    ) -> bool:
+        return float(np.linalg.norm(list(values.values()))) < _STRONGEST * float(reference.scale[joints[0]])
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 2 * int(settings["harmonics"])

@@ -11,6 +11,7 @@ from agent.model.effects.experiments import POSTURES
 from agent.model.signals import MotionSignals
 
 _ROUNDS = 6
+_LESS, _NEAR = 0.1, 0.05  # of m r², r at least 0.05 m: an inertia that is estimated below nought by no more is none
 _BALL = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
 
 
@@ -72,7 +73,10 @@ class Payload(Effect):
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
         moment = np.array([values["moment_x"], values["moment_y"], values["moment_z"]])
-        return values["mass"] > 0.01 and bool(np.linalg.norm(moment) < 1.0 * values["mass"])
+        mass, far = values["mass"], float(np.linalg.norm(moment))
+        if not (mass > 0.01 and far < mass):
+            return False
+        return values.get("inertia", 0.0) > -_LESS * mass * max(far / mass, _NEAR) ** 2
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 4

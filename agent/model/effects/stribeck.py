@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, FitContext, highest_speed, on_axle
+from agent.model.effects.effect import Columns, Effect, FitContext, highest_speed, on_axle, rubs
 from agent.model.effects.experiments import SLOW_REVERSALS
-from agent.model.signals import MotionSignals
+from agent.model.signals import MotionSignals, NominalModel
 
 # Of the highest speed. Below it is how the friction reverses, in which a model and a machine differ without any effect.
 _SPEEDS = (0.02, 0.035, 0.06, 0.1, 0.17, 0.28)
@@ -43,3 +43,12 @@ class Stribeck(Effect):
         (axle,) = joints
         fading = (signals.axles.magnitude[:, axle] / settings["speed"]) ** settings["shape"]
         return on_axle(signals.reference, axle, signals.direction(axle) * np.exp(-np.minimum(fading, 700)))
+
+    def possible(
+        self,
+        reference: NominalModel,
+        joints: tuple[int, ...],
+        settings: Mapping[str, float],
+        values: Mapping[str, float],
+    ) -> bool:
+        return rubs(reference, joints[0], coulomb=values["rise"])

@@ -6,11 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, FitContext, on_axle
+from agent.model.effects.effect import Columns, Effect, FitContext, on_axle, rubs
 from agent.model.effects.experiments import FROM_COLD
-from agent.model.signals import MotionSignals
+from agent.model.signals import MotionSignals, NominalModel
 
 _LONGEST_SESSION = 12 * 3600.0  # s
+_SHORTEST = 5.0  # s: no gear warms up faster
 
 
 class ThermalFriction(Effect):
@@ -49,6 +50,19 @@ class ThermalFriction(Effect):
         fading = np.exp(-since / settings["time_constant"])
         slide, speed = signals.direction(axle), signals.axles.speed[:, axle]
         return on_axle(signals.reference, axle, slide, slide * fading, speed, speed * fading)
+
+    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+        return settings["time_constant"] > _SHORTEST
+
+    def possible(
+        self,
+        reference: NominalModel,
+        joints: tuple[int, ...],
+        settings: Mapping[str, float],
+        values: Mapping[str, float],
+    ) -> bool:
+        cold = {kind: values[f"{kind}_change"] + values[f"{kind}_drift"] for kind in ("coulomb", "viscous")}
+        return rubs(reference, joints[0], **cold)
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 5

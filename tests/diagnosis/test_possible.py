@@ -1,0 +1,77 @@
+"""Parameters that no machine can have are no causes, and what stiction leaves open is no gap."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.diagnosis.fit import Fit
+from agent.diagnosis.gap import held_out_gap
+from agent.model.effects import CATALOGUE
+from agent.model.signals import NominalModel
+
+
+@pytest.fixture(scope="module")
+def reference(baseline) -> NominalModel:
+    return NominalModel(baseline)
+
+
+def level(reference: NominalModel, form: str) -> float:
+    model = reference.model
+    at = next(k for k, term in enumerate(model.terms) if (term.form, term.axle) == (form, 1))
+    return float(model.values[len(model.independent) + at])
+
+
+def possible(reference, name, settings, values) -> bool:
+    effect = CATALOGUE[name]
+    joints = effect.places(reference.robot)[1 if effect.scope == "joint" else 0]
+    return effect.plausible(settings, values) and effect.possible(reference, joints, settings, values)
+
+
+def test_friction_does_not_fall_below_nought(reference):
+    coulomb, viscous = level(reference, "coulomb"), level(reference, "viscous")
+    assert coulomb > 0
+    for factor, fine in ((0.5, True), (-0.5, True), (-1.5, False)):
+        change = {"coulomb_change": factor * coulomb}
+        assert possible(reference, "friction_change", {"coulomb": 1.0}, change) == fine
+        assert possible(reference, "stribeck", {"speed": 0.1, "shape": 1.0}, {"rise": factor * coulomb}) == fine
+        drift = {"coulomb_change": 0.0, "coulomb_drift": 0.0, "viscous_change": 0.0, "viscous_drift": factor * viscous}
+        assert possible(reference, "thermal_friction", {"time_constant": 30.0}, drift) == fine
+        asymmetry = {"coulomb_asymmetry": abs(factor) * coulomb}
+        assert possible(reference, "asymmetric_friction", {"coulomb": 1.0}, asymmetry) == fine
+
+
+def test_no_gear_warms_up_in_a_second(reference):
+    drift = {"coulomb_change": 0.1, "coulomb_drift": 0.1, "viscous_change": 0.0, "viscous_drift": 0.0}
+    assert not possible(reference, "thermal_friction", {"time_constant": 0.9}, drift)
+
+
+def test_a_load_has_no_negative_inertia(reference):
+    load = {"mass": 2.0, "moment_x": 0.2, "moment_y": 0.0, "moment_z": 0.0}
+    settings = {"m0": 2.0, "hx0": 0.2, "hy0": 0.0, "hz0": 0.0}
+    assert possible(reference, "payload", settings, {**load, "inertia": 0.01})
+    assert not possible(reference, "payload", settings, {**load, "inertia": -0.02})
+
+
+def test_a_spring_pulls_no_harder_than_the_joint_could_bear(reference):
+    nominal = float(reference.scale[1])
+    for size, fine in ((0.5 * nominal, True), (-13905.0 * max(nominal / 100, 1.0), False)):
+        assert possible(reference, "gravity_spring", {"harmonics": 1.0}, {"cosine_1": size, "sine_1": 0.0}) == fine
+        assert possible(reference, "dress_pack", {}, {"constant": 0.0, "stiffness": size}) == fine
+
+
+def test_torque_within_stiction_at_rest_keeps_no_cause_from_closing_the_gap(diagnosed):
+    found = diagnosed(1)
+    fit = found.finding.fit
+    rest = (fit.sigma > 1.01 * fit.sigma.min(axis=0)) & (np.arange(fit.reference.robot.dof) == 1)
+    rows = [np.column_stack([part[:, :-1], part[:, -1] + 0.8 * rest[:, j]]) for j, part in enumerate(fit.rows)]
+    open_at_rest = Fit(
+        fit.reference, fit.signals, rows, fit.index, fit.sigma, fit.precision, fit.shift,
+        fit.cell, fit.block, fit.folds, fit.single, fit.chosen,
+    )  # fmt: skip
+    residual = found.dataset.residual + 0.8 * rest * fit.sigma
+    gap = held_out_gap(replace(found.dataset, residual=residual), open_at_rest)
+    assert gap.after.max() > 2 * found.gap.after.max()
+    assert gap.closure > 0.9
