@@ -74,6 +74,9 @@ class DecisionLimits:
         0.003, "gain of the best", "forms this close cannot be told apart, however well the better one fits", TUNED
     )
     further_effect: float = _limit(0.35, "energy still unexplained", "that every further effect must explain", TUNED)
+    in_band: float = _limit(
+        0.5, "gain", "of an effect in fast torque, where measured torque goes with the prediction that has it", "chosen"
+    )
     beside: float = _limit(
         0.05, "excess energy of its joints", "that an effect must explain beside another on one of them", "chosen"
     )

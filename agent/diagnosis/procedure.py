@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from agent.diagnosis.band import gain_in_band
 from agent.diagnosis.evidence import Null, null_gains
 from agent.diagnosis.finding import Finding, Step
 from agent.diagnosis.fit import Candidate, Fit, Score
@@ -178,6 +179,8 @@ class Search:
                 for limit in effect.simpler(score.candidate.settings, fit.reference.robot)
             ):
                 continue
+            if effect.fast_torque and gain_in_band(fit, score) < self.limits.in_band:
+                continue  # it takes noise out of the prediction
             result.append(score)
         return tuple(sorted(result, key=lambda s: -s.gain))
 

@@ -56,7 +56,11 @@ def causes_of(dataset: Dataset, finding: Finding, gap: Gap) -> tuple[Cause, ...]
             tuple(joints[j] for j in candidate.joints),
             gap.closure_without(fit.out_of_fold(single, number)),
             probability,
-            {**_floats(candidate.settings.items()), **_floats(zip(candidate.names, values, strict=True))},
+            candidate.effect.reported(
+                fit.reference,
+                _floats(candidate.settings.items()),
+                _floats(zip(candidate.names, values, strict=True)),
+            ),
             tuple(Place(name, tuple(joints[j] for j in there)) for name, there in rivals),
         )
         for number, (candidate, values, rivals, probability) in enumerate(parts)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from agent.diagnosis import CATALOGUE, diagnose
+from agent.diagnosis.dataset import assemble
 from fake_controller.plant import Plant
 from tests.diagnosis.test_small_arms import learn, make_arm, record
 
@@ -53,3 +54,11 @@ def test_a_spring_takes_more_than_a_few_degrees(arm, model):
     assert "0.2 rad (or 0.1 m) it takes" in missing["gravity_spring", "joint_3"]
     assert "0.2 rad (or 0.1 m) it takes" in missing["dress_pack", "joint_3"]
     assert "it takes" not in missing.get(("friction_change", "joint_3"), "")
+
+
+def test_links_without_mass_do_not_ring(arm, model, parked, monkeypatch):
+    fit = assemble(arm, model, parked, None).fit
+    for signals in fit.signals:
+        monkeypatch.setitem(signals.__dict__, "mass", np.zeros((len(signals.time), arm.dof, arm.dof)))
+    with np.errstate(all="raise"):
+        assert [CATALOGUE[name].settings(fit, (0,)) for name in ("joint_elasticity", "backlash")] == [[], []]

@@ -75,3 +75,18 @@ def test_torque_within_stiction_at_rest_keeps_no_cause_from_closing_the_gap(diag
     gap = held_out_gap(replace(found.dataset, residual=residual), open_at_rest)
     assert gap.after.max() > 2 * found.gap.after.max()
     assert gap.closure > 0.9
+
+
+def test_a_contact_is_reported_with_link_force_and_times(reference):
+    settings = {"start_1": 2.0, "duration_1": 0.5, "start_0": 4.0, "duration_0": 1.0}
+    force = {f"force_{axis}_{log}": 10.0 * log + k for log in (1, 0) for k, axis in enumerate("xyz")}
+    found = CATALOGUE["contact"].reported(reference, settings, force)
+    first = {"link": 6.0, "force_x": 10.0, "force_y": 11.0, "force_z": 12.0, "log": 1.0, "start": 2.0, "end": 2.5}
+    assert {key: value for key, value in found.items() if not key.endswith("_2")} == first
+    assert (found["force_z_2"], found["log_2"], found["start_2"], found["end_2"]) == (2.0, 0.0, 4.0, 5.0)
+
+
+def test_a_coupling_of_any_ratio_is_tried(reference):
+    tried = [abs(settings["ratio"]) for settings in CATALOGUE["wrist_coupling"].settings(None, (4, 5))]
+    assert min(tried) <= 0.05
+    assert max(tried) == 2.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.model.effects.effect import Columns, Effect, FitContext
-from agent.model.signals import MotionSignals
+from agent.model.signals import MotionSignals, NominalModel
 
 _DURATIONS = (0.3, 0.4, 0.55, 0.75, 1.0, 1.35, 1.8, 2.4, 3.2, 4.2)  # s
 _STARTS = 0.05  # s
@@ -80,6 +80,19 @@ class Contact(Effect):
                 transposed = np.swapaxes(signals.jacobian[inside], 1, 2)
                 block[inside, :, at : at + 3] = -transposed * window[inside, None, None]
         return {joint: block[:, joint] for joint in range(n)}
+
+    def reported(
+        self, reference: NominalModel, settings: Mapping[str, float], values: Mapping[str, float]
+    ) -> dict[str, float]:
+        """Of each push the link (counted from 1; it is the last), force [N, base frame], log, start and end [s]."""
+        found: dict[str, float] = {}
+        for number, log in enumerate((key[6:] for key in settings if key.startswith("start_")), start=1):
+            of_push = {"link": float(reference.robot.dof)}
+            of_push |= {f"force_{axis}": values[f"force_{axis}_{log}"] for axis in "xyz"}
+            start = settings[f"start_{log}"]
+            of_push |= {"log": float(log), "start": start, "end": start + settings[f"duration_{log}"]}
+            found |= {key if number == 1 else f"{key}_{number}": value for key, value in of_push.items()}
+        return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,7 +56,8 @@ class Effect(ABC):
     `why_absent` says why `settings` may be empty.
 
     A joint shows an effect only if it travels `needs_travel` [rad, or 0.1 m], reaches `needs_speed` [rad/s, or 0.1 m/s]
-    and turns back `needs_reversals` times.
+    and turns back `needs_reversals` times. One of `fast_torque` is named only where the torque that was measured
+    goes with the prediction that has it: fast torque may be noise of the positions.
     """
 
     name: ClassVar[str]
@@ -84,6 +85,7 @@ class Effect(ABC):
     needs_travel: ClassVar[float] = 0.02
     needs_speed: ClassVar[float] = 0.0
     needs_reversals: ClassVar[int] = 0
+    fast_torque: ClassVar[bool] = False
 
     def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:
         """Joints (from 0) it may sit on."""
@@ -135,6 +137,12 @@ class Effect(ABC):
     ) -> bool:
         """Whether they can be true of an effect on these joints of this arm, beside what its model has there."""
         return True
+
+    def reported(
+        self, reference: NominalModel, settings: Mapping[str, float], values: Mapping[str, float]
+    ) -> dict[str, float]:
+        """Parameters as a result gives them."""
+        return {**settings, **values}
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         """Number of parameters, nonlinear ones included."""

@@ -27,6 +27,7 @@ class TimeDelay(Effect):
     look_at = "time stamps and filters of the torque and position channels"
     experiment = SHARP_REVERSALS
     residual_driven = True
+    fast_torque = True
     moves_arm = False
 
     def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:

@@ -27,6 +27,7 @@ class TorqueRipple(Effect):
     look_at = "motor orders: cogging, current sensor offsets; gear orders: damaged teeth, wave generator"
     why_absent = "the joint turns too little to see a period"
     residual_driven = True
+    fast_torque = True
 
     def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         """Highest peaks of the residual's spectrum over the angle, by sums in narrow bins and one transform."""

@@ -11,6 +11,7 @@ import numpy as np
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.signals import MotionSignals
 
+_MASSLESS = 1e-9  # kg·m² or kg: a description of kinematics alone, whose links cannot ring
 _RATE = 1500.0  # Hz of the integration, at least
 _TRIED = 2  # of a joint's grid, in full
 _SUSPECT = 1.3  # Σ e² / σ² to a row from which on a joint gets the whole grid, and half of the worst joint's
@@ -73,12 +74,16 @@ class TwoMass(Effect):
     joints. A joint that the model predicts gets a few of the grid, to say what would be found there.
     """
 
+    fast_torque = True
+
     #: (frequency [Hz] of the link on its locked motor, damping ratio, play [rad])
     grid: ClassVar[tuple[tuple[float, float, float], ...]]
     few: ClassVar[tuple[tuple[float, float, float], ...]]
 
     def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         (k,) = joints
+        if _inertia(survey, k) <= _MASSLESS:
+            return []
         tried, columns = self._alone(survey)[k]
         best, gain = self._best(survey, k, tried, columns)
         energy = _energy(survey)[k] * len(columns)
@@ -109,13 +114,14 @@ class TwoMass(Effect):
         """Per joint: what is tried, and (S', len(tried)) torque on that joint alone, all motions in a row."""
         known = survey.signals[0].__dict__.setdefault("_alone", {})
         if self.name not in known:
-            tried = {k: self._tried(survey, k) for k in range(survey.reference.robot.dof)}
+            heavy = (k for k in range(survey.reference.robot.dof) if _inertia(survey, k) > _MASSLESS)
+            tried = {k: self._tried(survey, k) for k in heavy}
             self.prepare(survey.signals, [((k,), entry) for k, entries in tried.items() for entry in entries])
             known[self.name] = {k: (entries, self._on_joint(survey, k, entries)) for k, entries in tried.items()}
         return known[self.name]
 
     def _tried(self, survey: FitContext, k: int) -> list[dict[str, float]]:
-        inertia = float(np.mean([s.mass[:, k, k].mean() for s in survey.signals]))
+        inertia = _inertia(survey, k)
         energy = _energy(survey)
         grid = self.grid if energy[k] > min(_SUSPECT, 0.5 * energy.max()) else self.few
         return [
@@ -156,6 +162,11 @@ class TwoMass(Effect):
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 2
+
+
+def _inertia(survey: FitContext, k: int) -> float:
+    """Mean inertia that a joint carries [kg·m², or kg]."""
+    return float(np.mean([s.mass[:, k, k].mean() for s in survey.signals]))
 
 
 def _energy(survey: FitContext) -> np.ndarray:

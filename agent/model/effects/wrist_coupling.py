@@ -11,8 +11,8 @@ from agent.model.friction_terms import AxleMotion, axle_columns
 from agent.model.signals import MotionSignals
 from agent.robot import RobotDescription
 
-_RATIOS = (0.05, 0.068, 0.09, 0.12, 0.16, 0.22, 0.3, 0.4, 0.55, 0.74, 1.0)
-_FREE_RATIOS = (0.1, 0.3, 0.6, 1.0)
+_RATIOS = (0.05, 0.068, 0.09, 0.12, 0.16, 0.22, 0.3, 0.4, 0.55, 0.74, 1.0, 1.4, 2.0)
+_FREE_RATIOS = (0.1, 0.3, 0.6, 1.0, 1.7)
 _REVERSAL = 2e-3  # of the highest speed, where the model's friction reverses over a travel or at once
 
 
