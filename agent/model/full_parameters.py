@@ -87,6 +87,11 @@ def _basis() -> np.ndarray:
 _BASIS = _basis()
 
 
+def from_pseudo_inertia(matrix: np.ndarray) -> np.ndarray:
+    """(10,) the inverse of `pseudo_inertia`."""
+    return np.linalg.lstsq(_BASIS.reshape(10, 16).T, matrix.ravel(), rcond=None)[0]
+
+
 def _nearest(model: IdentifiedModel) -> np.ndarray | None:
     """(11 n,) nearest to the URDF, or None where there is none."""
     layout = ParameterLayout.of(model.robot)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.model.friction_terms import AxleMotion, Reversal, axle_columns
+from agent.model.full_parameters import from_pseudo_inertia, pseudo_inertia
 from agent.model.identified import IdentifiedModel
 from agent.robot import RobotDescription
 from agent.robot.parameter_layout import ParameterLayout
@@ -40,8 +41,13 @@ class NominalModel:
         self.prior_std = prior_std
         layout = ParameterLayout.of(self.robot)
         self.links: Dynamics = nominal.with_parameters(standard[layout.links])
-        #: links whose mass matrix is sound: those of the description where the spread ones could not be bodies
-        self.solid = self.links if _sound(self.links, nominal) else nominal
+        #: links whose mass matrix is sound: where the spread ones could not be bodies, those of the description, or,
+        #: where that has none, the nearest bodies to the spread ones
+        self.solid: Dynamics = self.links
+        if not np.any(links):
+            self.solid = nominal.with_parameters(_bodies(standard, layout, _reach(nominal)))
+        elif not _sound(self.links, nominal):
+            self.solid = nominal
         self.rotors = standard[layout.rotors]
         self.coupling = self.robot.coupling
         self.from_joints = np.linalg.inv(self.coupling)
@@ -66,11 +72,28 @@ def _sound(links: Dynamics, nominal: Dynamics) -> bool:
     return all(np.all(np.diag(links.mass_matrix(q)) > 0.3 * np.diag(nominal.mass_matrix(q))) for q in postures)
 
 
+def _bodies(standard: np.ndarray, layout: ParameterLayout, reach: float) -> np.ndarray:
+    """(10 n,) links whose pseudo-inertias have no eigenvalue below a ten-thousandth of all links' together."""
+    blocks = layout.blocks(standard)
+    unit = np.array([0.1 * reach] * 3 + [1.0])  # a length, so that mass and inertia compare
+    scaled = [pseudo_inertia(block) / np.outer(unit, unit) for block in blocks]
+    least = 1e-4 * max(sum(float(np.abs(np.linalg.eigvalsh(part)).max()) for part in scaled), 1e-6)
+    found = np.empty_like(blocks)
+    for k, part in enumerate(scaled):
+        values, vectors = np.linalg.eigh(part)
+        found[k] = from_pseudo_inertia((vectors * np.maximum(values, least)) @ vectors.T * np.outer(unit, unit))
+    return found.ravel()
+
+
+def _reach(nominal: Dynamics) -> float:
+    """[m] how far the tip gets, at least 0.1."""
+    tips = nominal.tip_pose(np.random.default_rng(0).uniform(-3, 3, (50, nominal.dof)))[:, :3, 3]
+    return max(float(np.linalg.norm(tips, axis=1).max()), 0.1)
+
+
 def _doubt(robot: RobotDescription, nominal: Dynamics, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and prior deviation (10 n + n,) of the standard parameters: half a link, any rotor that the drive turns."""
-    rng = np.random.default_rng(0)
-    tips = nominal.tip_pose(rng.uniform(-3, 3, (50, robot.dof)))[:, :3, 3]
-    reach = max(float(np.linalg.norm(tips, axis=1).max()), 0.1)
+    reach = _reach(nominal)
     blocks = ParameterLayout.of(robot).blocks(links)
     mass = np.maximum(blocks[:, 0], 0.02 * max(blocks[:, 0].sum(), 1e-3))
     gyration = np.sqrt(np.maximum(blocks[:, [4, 6, 9]].sum(axis=1), 0) / 2 / mass)

@@ -1,0 +1,48 @@
+"""A description without masses: the diagnosis works on what the fit says of the links."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.estimation import EstimationSettings, estimate
+from agent.model.effects import CATALOGUE
+from agent.model.full_parameters import from_pseudo_inertia, pseudo_inertia
+from agent.model.signals import MotionSignals, NominalModel
+from agent.robot.rigid_bodies import rigid_bodies
+
+
+@pytest.fixture(scope="module")
+def massless(request):
+    """A nominal model of a three-joint arm whose description has no masses, and a motion of it."""
+    from tests.estimation.conftest import _arm, _log, _multisine
+
+    robot = _arm(3)
+    t = np.arange(3000) / 250
+    q, qd, qdd = _multisine(3, t)
+    rigid, _, _ = rigid_bodies(robot)
+    torque = rigid.torque(q, qd, qdd, rigid.projection @ np.append(rigid.dynamics.standard_parameters(), [1e-4] * 3))
+    torque = torque + 3 * np.tanh(qd / 0.01) + 0.5 * np.random.default_rng(1).normal(size=q.shape)
+    bare = replace(robot, urdf=re.sub(r"<inertial>.*?</inertial>", "", robot.urdf))
+    model = estimate(bare, [_log(bare, t, q, torque)], EstimationSettings.create(cutoff=10, method="weighted"))
+    return NominalModel(model), MotionSignals(NominalModel(model), t, q, qd, qdd)
+
+
+def test_its_links_are_bodies(massless):
+    nominal, signals = massless
+    for block in nominal.solid.standard_parameters().reshape(-1, 10):
+        assert np.linalg.eigvalsh(pseudo_inertia(block)).min() > 0
+        assert np.allclose(from_pseudo_inertia(pseudo_inertia(block)), block)
+    assert np.all(np.diagonal(signals.mass, axis1=1, axis2=2) > 0)
+
+
+@pytest.mark.parametrize("name", ["joint_elasticity", "backlash"])
+def test_a_link_on_a_spring_has_finite_columns(massless, name):
+    _, signals = massless
+    settings = {"stiffness": 1e4, "damping": 0.1, **({"gap": 1e-3} if name == "backlash" else {})}
+    with np.errstate(all="raise"):
+        columns = CATALOGUE[name].columns(signals, (1,), settings)
+    assert all(np.isfinite(block).all() for block in columns.values())
