@@ -165,6 +165,9 @@ def estimate(
         Path | None,
         typer.Option(metavar="DIR", help="also write URDF, MuJoCo model and friction file (of a consistent fit)"),
     ] = None,
+    structure: Annotated[
+        str, typer.Option(help="rigid, or auto: also springs, hoses and the like that these logs clearly show")
+    ] = "rigid",
     allow_mixed: AllowMixed = False,
     force: Force = False,
     as_json: AsJson = False,
@@ -176,7 +179,7 @@ def estimate(
     from agent.pipeline.identify import estimate_files
 
     model, text = estimate_files(
-        robot, logs, out, cutoff, method, console_for(verbose, quiet), export, allow_mixed, force
+        robot, logs, out, cutoff, method, console_for(verbose, quiet), export, allow_mixed, force, structure
     )
     if as_json:
         print_json(model)

@@ -113,14 +113,19 @@ def estimate_files(
     export: Path | None = None,
     allow_mixed: bool = False,
     force: bool = False,
+    structure: str = "rigid",
 ) -> tuple[dict[str, Any], str]:
     """Fit a model to logs and write its file; returns its content and a table for people.
+
+    `structure` "auto" adds the effects of the catalogue that these logs clearly show (`agent.diagnosis.structure`).
 
     With a folder to `export` to, the links have to be bodies that could exist: the method is then `consistent` unless
     another is named.
     """
     from agent.estimation import EstimationSettings, estimate
 
+    if structure not in ("rigid", "auto"):
+        raise InputError(f"--structure {structure!r} is not known; choose rigid or auto")
     check_output(out, paths)
     description = load_robot(robot)
     logs = read_logs(paths, description, console)
@@ -131,6 +136,11 @@ def estimate_files(
     if export is not None and method is None:
         method = "consistent"
     model = estimate(description, logs, EstimationSettings.create(cutoff=cutoff, method=method))
+    if structure == "auto":
+        from agent.diagnosis.structure import with_structure
+
+        console.step("searching for structure beyond bodies and friction")
+        model = with_structure(description, logs, model, console.progress)
     say_used(logs, model.cutoff, model.order, console)
     model.save(out)
     written = [out]

@@ -46,3 +46,23 @@ def test_links_of_one_mass_are_placeholders():
     assert placeholders(links(3, 3, 3, 3, 3, 3.2))
     assert not placeholders(links(3.7, 8.4, 2.3, 1.2, 1.2, 0.2))
     assert not placeholders(links(5.0))
+
+
+@pytest.mark.parametrize(
+    ("arm", "fitted", "held_out"),
+    [pytest.param("tiago", ("fit",), "held", marks=pytest.mark.verify), ("kr300", ("A", "B"), "C")],
+    ids=["tiago", "kr300"],
+)
+def test_measured_arms_are_predicted_better_than_by_plain_least_squares(shared_data, arm, fitted, held_out):
+    folder = shared_data / "real-dev" / arm
+    robot = load_robot(folder / "robot.yaml")
+    logs = [read_log(folder / f"{name}.mcap", robot) for name in fitted]
+    ours, plain = (
+        validate(
+            estimate(robot, logs, EstimationSettings.create(cutoff=10, method=method)),
+            [read_log(folder / f"{held_out}.mcap", robot)],
+            10,
+        )["overall"]["relative_error_all_joints"]
+        for method in (None, "plain")
+    )
+    assert ours <= plain

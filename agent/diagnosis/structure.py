@@ -1,0 +1,58 @@
+"""Structure that an arm has beyond bodies and friction, as part of an estimated model.
+
+Counterbalances, springs, hoses and the like are effects of the catalogue. One is added where the diagnosis of the very
+logs, without a given model, calls it `explained`, and where motion held out is predicted clearly better with it than by
+the model without.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from agent.diagnosis.diagnose import diagnose
+from agent.diagnosis.extended_model import extended_model
+from agent.model.identified import IdentifiedModel
+from agent.recording.log import Log
+from agent.robot import RobotDescription
+
+_LEAST_GAIN = 0.05  # of the squared error held out, each joint over its own without effects
+
+
+def with_structure(
+    robot: RobotDescription, logs: Sequence[Log], model: IdentifiedModel, progress: Callable[[str], None]
+) -> IdentifiedModel:
+    """A model of these logs with the effects that they show, or as it was; a note says which and why.
+
+    Raises:
+        InputError: logs too short for parts of them to be held out.
+    """
+    found = diagnose(robot, logs, None, model.cutoff, progress=progress)
+    if found.answer.verdict != "explained":
+        reason = f"the diagnosis of these logs without a given model says {found.answer.verdict}, not explained"
+        return _noted(model, f"no effect of the catalogue is added: {reason}.")
+    extended = extended_model(found)
+    if not extended.effects:
+        return _noted(model, "no effect of the catalogue is added: what was found happens once, or in the set-points.")
+    held_out = np.asarray(found.gap.after) * found.gap.unit
+    error = float(np.mean((held_out / model.held_out_rmse) ** 2))
+    names = " and ".join(f"{e.effect} on {', '.join(e.joints) or 'the whole arm'}" for e in extended.effects)
+    figure = f"{np.sqrt(error):.3f} of the held-out error without"
+    if error > 1 - _LEAST_GAIN:
+        return _noted(model, f"{names} would explain a gap, but leaves {figure}, so nothing is added.")
+    changed = replace(
+        extended,
+        held_out_rmse=held_out,
+        group_rmse=None if model.group_rmse is None else model.group_rmse * (held_out / model.held_out_rmse),
+    )
+    return _noted(
+        changed,
+        f"{names} is part of the model: explained by the diagnosis, {figure} (root mean square over joints). Standard "
+        "deviations are those of the bodies and friction, fitted before.",
+    )
+
+
+def _noted(model: IdentifiedModel, text: str) -> IdentifiedModel:
+    return replace(model, notes=(*model.notes, f"Structure: {text}"))
