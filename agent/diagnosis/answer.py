@@ -96,6 +96,16 @@ class FoldNames:
 
 
 @dataclass(frozen=True)
+class WaterfallStep:
+    """What a step closes of the held-out gap in the order found, with its 90 % interval, and alone (None: the rest)."""
+
+    step: str
+    closes: float
+    alone: float | None
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class DiagnosisResult:
     """The whole document."""
 
@@ -109,10 +119,13 @@ class DiagnosisResult:
     next_experiment: NextExperiment | None
     folds: tuple[FoldNames, ...]
     warnings: tuple[str, ...]
+    #: Only of a simulator's file, and where it has a gap.
+    waterfall: tuple[WaterfallStep, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, ready for JSON."""
-        return {"schema": SCHEMA, **_plain(self)}
+        data = {"schema": SCHEMA, **_plain(self)}
+        return data if self.waterfall else {key: value for key, value in data.items() if key != "waterfall"}
 
 
 def _plain(value: Any) -> Any:

@@ -95,7 +95,7 @@ def assemble(
     residual = np.stack([block[:, -1] for block in joined], axis=1) * sigma
     cell, folds, single = _folds(time, log, logs, limits)
     if given:
-        precision, shift = _stored_precision(model), np.zeros(len(model.values))
+        precision, shift = precision_of(model.covariance), np.zeros(len(model.values))
     else:
         prior = physical_prior(observation, model.terms, model.provenance["link_prior"])
         precision, shift = prior.precision, prior.precision @ (prior.mean - model.values)
@@ -179,10 +179,10 @@ def _known_effects(model: IdentifiedModel, signals: MotionSignals) -> np.ndarray
     return signals.low_pass(total)
 
 
-def _stored_precision(model: IdentifiedModel) -> np.ndarray:
-    """(p, p) inverse of the stored covariance."""
-    deviation = np.sqrt(np.maximum(np.diag(model.covariance), 1e-300))
-    correlation = model.covariance / np.outer(deviation, deviation)
+def precision_of(covariance: np.ndarray) -> np.ndarray:
+    """(p, p) inverse of a covariance, which may be singular but for round-off."""
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlation = covariance / np.outer(deviation, deviation)
     values, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
     inverse = (vectors / np.maximum(values, 1e-9)) @ vectors.T
     return inverse / np.outer(deviation, deviation)

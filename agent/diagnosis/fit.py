@@ -167,6 +167,14 @@ class Fit:
             self.cell, self.block, self.folds, self.single, chosen, self._shared,
         )  # fmt: skip
 
+    def with_prior(self, precision: np.ndarray) -> Fit:
+        """The same data without effects, and with another prior precision (p, p) of the model's parameters."""
+        shared = {**self._shared, "known": {}, "made": {}}
+        return Fit(
+            self.reference, self.signals, self.rows, self.index, self.sigma, precision, self.shift,
+            self.cell, self.block, self.folds, self.single, (), shared,
+        )  # fmt: skip
+
     @property
     def sigmas(self) -> list[np.ndarray]:
         """Per motion (S', n) [N·m]: the background."""

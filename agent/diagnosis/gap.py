@@ -41,6 +41,12 @@ class Gap:
         """What is lost of the closure where (S', n) [N·m] is left instead."""
         return self._part(rms(left) / self.unit, self.after)
 
+    def part_of(self, other: Gap, closure: float | None) -> float | None:
+        """A closure of another gap to the same floor, as a part of this one."""
+        f = 0.0 if self.floor is None else float(np.mean(self.floor**2))
+        whole = float(np.mean(self.before**2)) - f
+        return None if closure is None or whole <= 0 else closure * (float(np.mean(other.before**2)) - f) / whole
+
     @property
     def hardly_closed(self) -> bool:
         """Whether causes gain where the background is small, and leave the gap of their own joints open."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,11 +18,13 @@ from agent.diagnosis.answer import (
     NotTestable,
     PathGap,
     TorqueGap,
+    WaterfallStep,
 )
+from agent.diagnosis.calibration import Calibration, causes_of_steps, waterfall
 from agent.diagnosis.dataset import Dataset
 from agent.diagnosis.evidence import share_intervals
 from agent.diagnosis.finding import Finding
-from agent.diagnosis.gap import Gap
+from agent.diagnosis.gap import Gap, held_out_gap
 from agent.diagnosis.motion_gap import MotionGap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.regimes import regimes
@@ -55,9 +57,19 @@ class Diagnosis:
 
 
 def build(
-    dataset: Dataset, finding: Finding, gap: Gap, search: Search, motion: MotionGap | None, warnings: Sequence[str]
+    dataset: Dataset,
+    finding: Finding,
+    gap: Gap,
+    search: Search,
+    motion: MotionGap | None,
+    warnings: Sequence[str],
+    calibrated: Calibration | None = None,
 ) -> Diagnosis:
-    """Figures held out, shares, regimes and what is not testable."""
+    """Figures held out, shares, regimes and what is not testable.
+
+    `calibrated`: of a simulator whose parameters were moved, if any; causes are judged by the gap that is left then,
+    and all figures are of the gap of the simulator as given.
+    """
     robot = dataset.robot
     causes, verdict, closure = causes_of(dataset, finding, gap), finding.verdict, gap.closure
     if motion is not None and motion.described:
@@ -65,6 +77,17 @@ def build(
         verdict, closure = with_path(verdict, closure, motion.closure, bool(of_path))
         causes += tuple(_path_cause(name, motion) for name in of_path)
     verdict, causes = settle(verdict, causes, closure, dataset.limits)
+    steps: tuple[WaterfallStep, ...] = ()
+    if calibrated is not None:
+        dataset = replace(dataset, residual=calibrated.given.residual)
+        left, gap = gap, held_out_gap(dataset, finding.fit)
+        closure = gap.closure if closure is None or gap.closure is not None else closure
+        causes = tuple(replace(cause, closure=gap.part_of(left, cause.closure)) for cause in causes)
+        steps = waterfall(calibrated, finding, gap)
+        if verdict == "no_gap" and calibrated.groups and gap.closure is not None:
+            named = causes_of_steps(calibrated, steps, gap.closure)
+            kept = settle("explained", named, gap.closure, dataset.limits)
+            verdict, causes = kept if kept[1] else (verdict, causes)
     answer = DiagnosisResult(
         verdict,
         TorqueGap(
@@ -82,6 +105,7 @@ def build(
         next_experiment(causes, verdict),
         _folds(dataset),
         tuple(warnings),
+        steps,
     )
     return Diagnosis(answer, finding, dataset, motion, gap)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -247,6 +247,7 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         lines.append(f"{name:12} {before:>11} {after:>11} {floor:>11} {share}   {', '.join(regimes)}".rstrip())
     if result["closure"] is not None and somewhere:
         lines.append(f"closed: {100 * result['closure']:.1f} % of the gap in torque")
+    lines += list(_waterfall_lines(result.get("waterfall", [])))
     if result.get("simulation"):
         torque, units = result["simulation"]["torque"], gap["units"]
         worst = max(range(len(units)), key=lambda k: (units[k] == SHARE, torque["before"][k]))
@@ -258,3 +259,17 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         names = sorted({entry["effect"] for entry in result["not_testable"]})
         lines.append(f"not testable on some joints here: {', '.join(names)}")
     return "\n".join(lines)
+
+
+def _waterfall_lines(steps: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """A bar for what each step closes of the held-out gap, in the order found."""
+    if not steps:
+        return
+    yield "what closes the gap of the simulator, in the order found, held out (90 % interval), and alone"
+    width = max(len(entry["step"]) for entry in steps)
+    for entry in steps:
+        closes, (low, high) = 100 * entry["closes"], entry["interval"]
+        alone = "" if entry["alone"] is None else f"{100 * entry['alone']:6.1f} %"
+        bar = "#" * round(max(closes, 0) * 0.3)
+        inside = f"({100 * low:5.1f} to {100 * high:5.1f})"
+        yield f"  {entry['step']:{width}} {closes:6.1f} % {inside} {alone:>9}  {bar}".rstrip()

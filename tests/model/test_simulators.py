@@ -12,10 +12,10 @@ import pytest
 
 from agent.core.console import Console
 from agent.core.errors import InputError
-from agent.diagnosis import diagnose
+from agent.diagnosis import diagnose, extended_model
 from agent.model.identified import IdentifiedModel
 from agent.model.simulators import load_joint_map, load_simulator
-from agent.pipeline.diagnose import Question, diagnose_files
+from agent.pipeline.diagnose import Question, diagnose_files, diagnosis_text
 from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile
 from agent.robot import load_robot
@@ -244,6 +244,55 @@ def test_a_right_simulator_has_no_gap_and_needs_no_description(tmp_path, robot):
     assert result["verdict"] == "no_gap"
     assert result["gap"]["joints"] == ["pan", "lift"]
     json.dumps(result, allow_nan=False)
+
+
+def wrong(model: IdentifiedModel) -> IdentifiedModel:
+    """The robot that a model is a poor simulator of: it has rotors, more friction on both joints, and lighter links."""
+    standard = np.append(model.standard[:20] * 0.8, [0.5, 0.4])
+    friction = model.values[len(model.independent) :] + [1.5, 1.0, 1.5, 2.0]
+    return replace(model, values=np.append(model.projection @ standard, friction))
+
+
+@pytest.fixture(scope="module")
+def nominal(tmp_path_factory):
+    """A URDF that is wrong in friction, rotors and links: model, robot, diagnosis."""
+    folder = tmp_path_factory.mktemp("nominal")
+    model = load_simulator(written(folder, URDF, "arm.urdf"), None, ("pan", "lift")).model
+    robot = wrong(model)
+    logs = [read_log(recorded(folder / f"{k}.mcap", robot, k), model.robot) for k in (1, 2)]
+    return model, robot, diagnose(model.robot, logs, model)
+
+
+def test_a_simulator_that_is_wrong_in_many_ways_is_corrected_step_by_step(nominal):
+    result = nominal[2].result
+    steps = {entry["step"]: entry for entry in result["waterfall"]}
+    assert sum(entry["closes"] for entry in steps.values()) == pytest.approx(1)
+    assert list(steps)[-1] == "remainder"
+    assert steps["remainder"]["closes"] < 0.03
+    assert steps["remainder"]["alone"] is None
+    assert {"friction of pan", "friction of lift"} <= set(steps)
+    for entry in steps.values():
+        low, high = entry["interval"]
+        assert low <= entry["closes"] <= high
+    assert result["verdict"] in ("explained", "ambiguous")
+    assert {cause["effect"] for cause in result["causes"]} <= {"inertial_mismatch", "friction_change", "payload"}
+    assert result["closure"] > 0.97
+    json.dumps(result, allow_nan=False)
+
+
+def test_the_corrected_simulator_predicts_the_robot(nominal):
+    model, robot, found = nominal
+    corrected = extended_model(found)
+    q, qd, qdd = states(2, 200)
+    expected = robot.predict(q, qd, qdd)
+    left, before = (np.std(m.predict(q, qd, qdd, np.arange(200.0)) - expected) for m in (corrected, model))
+    assert left < 0.15 * before
+
+
+def test_the_waterfall_is_a_table_for_people(nominal):
+    text = diagnosis_text({**nominal[2].result, "simulation": None})
+    assert re.search(r"friction of pan +[0-9.]+ % .*#", text)
+    assert re.search(r"remainder +-?[0-9.]+ %", text)
 
 
 def test_what_an_mjcf_lacks_is_named(tmp_path):

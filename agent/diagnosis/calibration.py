@@ -1,0 +1,192 @@
+"""What a nominal simulator is wrong in before any effect is missing: friction, rotors and links, moved step by step.
+
+A simulator's file holds its parameters as exact, and most are a little wrong at once. So groups of them, the friction
+of one axle, one rotor, one link, are released one after the other, each time the one that takes most from the held-out
+error (forward selection), until none gains what an effect would have to (`least_gain`). A released group G has the
+prior covariance G Gᵀ: friction of the order of the joint's torque, a rotor of the order of the joint's inertia, a link
+half of itself (`NominalModel.prior_std`). Every figure is of motion that the released parameters were not fitted to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agent.diagnosis.answer import Cause, Place, WaterfallStep
+from agent.diagnosis.dataset import Dataset, precision_of
+from agent.diagnosis.finding import Finding, class_probability
+from agent.diagnosis.fit import Fit
+from agent.diagnosis.gap import Gap
+from agent.robot.parameter_layout import ParameterLayout
+
+_EQUAL = 0.9  # of the best gain, from where on the plainer group is taken
+_MOVED = 100  # standard deviations in the file, from where on a base parameter has moved
+_DRAWS = 200  # of blocks of motion, for an interval
+_INTERVAL = (5, 95)  # per cent
+#: What is left, as the last step.
+REMAINDER = "remainder"
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Parameters released together: `kind` (friction, rotor inertia, link inertia), joint from 0, directions (p, k)."""
+
+    kind: str
+    joint: int
+    directions: np.ndarray
+
+    def text(self, names: Sequence[str]) -> str:
+        """As a step is called."""
+        return f"{self.kind} of {names[self.joint]}"
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A simulator's data before and after its parameters are released, and the groups in the order found."""
+
+    given: Dataset
+    moved: Dataset
+    groups: tuple[Group, ...]
+
+
+def calibration(dataset: Dataset) -> Calibration:
+    """Release group after group while that gains."""
+    pool = _groups(dataset)
+    chosen: list[Group] = []
+    fit = dataset.fit
+    least = dataset.limits.least_gain * float(fit.count.sum())
+    while pool:
+        tried = [_released(dataset, [*chosen, group]) for group in pool]
+        gains = [fit.error() - other.error() for other in tried]
+        if max(gains) < least:
+            break
+        best = next(k for k, gain in enumerate(gains) if gain >= _EQUAL * max(gains))
+        chosen.append(pool.pop(best))
+        fit = tried[best]
+    left = fit.out_of_fold()
+    residual = np.where(np.isnan(left), dataset.residual, left)
+    return Calibration(dataset, replace(dataset, fit=fit, residual=residual), tuple(chosen))
+
+
+def _groups(dataset: Dataset) -> list[Group]:
+    """All groups, the plainer kinds first, of links the outermost: what is mounted there counts with them."""
+    model, reference = dataset.model, dataset.fit.reference
+    layout, base = ParameterLayout.of(dataset.robot), len(model.independent)
+    torque = np.sqrt(np.mean(np.concatenate([s.predicted[s.kept] for s in dataset.fit.signals]) ** 2, axis=0))
+    torque = np.maximum(torque, np.sqrt(np.mean(dataset.residual**2, axis=0)))
+    speed = np.maximum(np.sqrt(np.mean(dataset.speed**2, axis=0)), 1e-9)
+    friction, rotors, links = [], [], []
+    for joint in range(dataset.robot.dof):
+        own = [k for k, term in enumerate(model.terms) if term.axle == joint]
+        columns = np.zeros((len(model.values), len(own)))
+        for column, k in enumerate(own):
+            size = torque[joint] if model.terms[k].form == "coulomb" else torque[joint] / speed[joint]
+            columns[base + k, column] = size
+        friction.append(Group("friction", joint, columns))
+        for kind, place, found in (
+            ("rotor inertia", slice(layout.rotors.start + joint, layout.rotors.start + joint + 1), rotors),
+            ("link inertia", layout.link(joint), links),
+        ):
+            directions = np.zeros((len(model.values), place.stop - place.start))
+            directions[:base] = model.projection[:, place] * reference.prior_std[place]
+            if np.any(np.abs(directions) > 1e-12):
+                found.append(Group(kind, joint, directions))
+    return [*friction, *rotors, *reversed(links)]
+
+
+def _released(dataset: Dataset, groups: Sequence[Group]) -> Fit:
+    covariance = dataset.model.covariance + sum(group.directions @ group.directions.T for group in groups)
+    return dataset.fit.with_prior(precision_of(covariance))
+
+
+def waterfall(found: Calibration, finding: Finding, gap: Gap) -> tuple[WaterfallStep, ...]:
+    """What each released group, then each effect, closes of the held-out gap: alone, and in the order found.
+
+    `gap` is that of the simulator as given, with everything found; empty where there is nothing to close.
+    """
+    if gap.closure is None:
+        return ()
+    names, dataset = found.given.robot.joint_names, found.given
+    fits = [_released(dataset, found.groups[: k + 1]) for k in range(len(found.groups))]
+    alone = [_released(dataset, [group]).out_of_fold() for group in found.groups]
+    texts = [group.text(names) for group in found.groups]
+    last = fits[-1] if fits else dataset.fit
+    for k, candidate in enumerate(finding.causes):
+        fits.append(last.with_chosen(finding.causes[: k + 1]))
+        once = candidate.effect.once
+        alone.append(dataset.fit.with_chosen((candidate,)).out_of_fold(once))
+        where = ", ".join(names[j] for j in candidate.joints)
+        texts.append(f"{candidate.effect.name} of {where}" if where else candidate.effect.name)
+    stages = [gap.raw, *(fit.out_of_fold(any(c.effect.once for c in fit.chosen)) for fit in fits)]
+    energy = np.stack([_energy(stage / gap.unit, dataset.fit.block) for stage in (*stages, *alone)])
+    floor = 0.0 if gap.floor is None else float(np.mean(gap.floor**2))
+    rows = _energy(np.isfinite(gap.raw).astype(float), dataset.fit.block)
+    draws = np.random.default_rng(0).multinomial(energy.shape[1], np.full(energy.shape[1], 1 / energy.shape[1]), _DRAWS)
+    whole = energy.sum(axis=1) / rows.sum()
+    drawn = energy @ draws.T / (rows @ draws.T)  # (stages, draws)
+
+    def parts(values: np.ndarray) -> np.ndarray:
+        """Closed by each step alone, by each in order, and what remains, of values (stages, …)."""
+        size, steps = values[0] - floor, len(texts)
+        ordered = (values[:steps] - values[1 : steps + 1]) / size
+        return np.concatenate([(values[0] - values[steps + 1 :]) / size, ordered, [1 - ordered.sum(axis=0)]])
+
+    closes, drawn_parts = parts(whole), parts(drawn[:, drawn[0] > floor])
+    low, high = np.percentile(drawn_parts, _INTERVAL, axis=1)
+    count = len(texts)
+    return tuple(
+        WaterfallStep(
+            text,
+            float(closes[count + k]),
+            float(closes[k]) if k < count else None,
+            (float(low[count + k]), float(high[count + k])),
+        )
+        for k, text in enumerate([*texts, REMAINDER])
+    )
+
+
+def _energy(rows: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """(blocks,) sum of squares of (S', n), guards left out."""
+    return np.bincount(block, np.nansum(rows**2, axis=1))
+
+
+def _load(found: Calibration) -> dict[str, float]:
+    """Mass [kg] and first moments [kg·m] that the last link gained, where it gained more than its own is in doubt."""
+    last = found.given.robot.dof - 1
+    own = [group for group in found.groups if group.kind == "link inertia" and group.joint == last]
+    if not own:
+        return {}
+    released = np.hstack([group.directions for group in found.groups])
+    start = next(k for k, column in enumerate(released.T) if np.array_equal(column, own[0].directions[:, 0]))
+    doubt = found.given.fit.reference.prior_std[ParameterLayout.of(found.given.robot).link(last)]
+    gained = np.linalg.lstsq(released, found.moved.fit.change, rcond=1e-9)[0][start : start + 10] * doubt
+    names = ("mass", "first_moment_x", "first_moment_y", "first_moment_z")
+    return dict(zip(names, map(float, gained), strict=False)) if gained[0] > doubt[0] else {}
+
+
+def causes_of_steps(found: Calibration, steps: Sequence[WaterfallStep], closure: float) -> tuple[Cause, ...]:
+    """The released groups in the vocabulary of effects, what closes most first: where no effect is needed."""
+    model, names = found.given.model, found.given.robot.joint_names
+    base, change = len(model.independent), found.moved.fit.change
+    probability = class_probability(0.0, closure, found.given.limits)
+    load = _load(found)
+    causes = []
+    bodies = 0.0
+    for group, step in zip(found.groups, steps, strict=False):
+        if load and group.kind == "link inertia" and group.joint == len(names) - 1:
+            equal = (Place("inertial_mismatch", ()),)
+            causes.append(Cause("payload", (), step.closes, probability, load, equal))
+            continue
+        if group.kind != "friction":
+            bodies += step.closes
+            continue
+        own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
+        parameters = {f"{form}_change": value for form, value in own.items()}
+        causes.append(Cause("friction_change", (names[group.joint],), step.closes, probability, parameters))
+    if bodies:
+        known = np.abs(change[:base]) > _MOVED * model.standard_deviations[:base]
+        parameters = {model.names[k]: float(change[k]) for k in np.flatnonzero(known)}
+        causes.append(Cause("inertial_mismatch", (), bodies, probability, parameters))
+    return tuple(sorted(causes, key=lambda cause: -(cause.closure or 0.0)))
