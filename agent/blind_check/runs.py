@@ -15,11 +15,13 @@ from agent.core.console import Console
 from agent.core.errors import ControllerError
 from agent.recipe import Recipe, load_recipe
 
+#: Corners that fly joint by joint are held to no FLY distance: the guard and the cell are told how far they may go.
 _RECIPE = """\
 robot: {robot}
 controller: {{driver: tcp, address: "{address}"}}
 motion:
   speed: 1 m/s
+  fly: {{distance: 80 mm}}
   via_points: {{count: 2, box: {{centre: [1, 0, 1], size: [1, 1, 1], orientation: [0, 0, 0], cone: 0}}}}
 """
 _PATIENCE = 20.0  # s

@@ -15,7 +15,7 @@ from agent.diagnosis.standstill import standing
 from agent.estimation.estimate import EstimationSettings, estimate
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.observation import Observation, observe
-from agent.estimation.prior import physical_prior
+from agent.estimation.prior import DESCRIPTION, EITHER, physical_prior
 from agent.model.identified import IdentifiedModel, torque_of
 from agent.model.signals import MotionSignals, NominalModel
 from agent.recording.log import Log
@@ -97,7 +97,7 @@ def assemble(
     if given:
         precision, shift = precision_of(model.covariance), np.zeros(len(model.values))
     else:
-        prior = physical_prior(observation, model.terms, model.provenance["link_prior"])
+        prior = physical_prior(observation, model.terms, _links(model))
         precision, shift = prior.precision, prior.precision @ (prior.mean - model.values)
     block = _segments(time, log, logs, limits.block)
     fit = Fit(reference, signals, joined, index, sigma, precision, shift, cell, block, folds, single)
@@ -116,6 +116,12 @@ def assemble(
         observation.segments[0].motion.cutoff,
         limits,
     )
+
+
+def _links(model: IdentifiedModel) -> str:
+    """The prior of the links in a fit that is to leave gaps open: the description's, unless the data refute it."""
+    chosen = str(model.provenance["link_prior"])
+    return DESCRIPTION if chosen == EITHER else chosen
 
 
 def _expected_error(robot: RobotDescription, observation: Observation, share: float) -> np.ndarray:

@@ -25,6 +25,8 @@ _FREE_RADIUS = 0.5  # of the reach: the size of such a link
 
 #: What a prior of the links may rest on: the description's inertials, or only what the torques could hold.
 DESCRIPTION, SIZE = "description", "size"
+#: As SIZE, where held-out error cannot tell the two apart: links near the description are not refuted.
+EITHER = "either"
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +65,7 @@ def link_prior(observation: Observation, source: str = DESCRIPTION) -> tuple[np.
     """
     robot, dynamics = observation.robot, observation.rigid.dynamics
     links = ParameterLayout.of(robot).blocks(dynamics.standard_parameters())
-    if source == SIZE:
+    if source != DESCRIPTION:
         links = np.zeros_like(links)
     rng = np.random.default_rng(0)
     reach = np.linalg.norm(dynamics.tip_pose(rng.uniform(-3, 3, (50, robot.dof)))[:, :3, 3], axis=1).max()
@@ -71,17 +73,17 @@ def link_prior(observation: Observation, source: str = DESCRIPTION) -> tuple[np.
     gravity = max(float(np.linalg.norm(robot.gravity)), 1.0)
     torque = _largest_torque(observation)
     liftable = torque.max() / gravity / reach
-    least = liftable if source == SIZE else 0.02 * max(links[:, 0].sum(), liftable)
+    least = liftable if source != DESCRIPTION else 0.02 * max(links[:, 0].sum(), liftable)
     mass = np.maximum(links[:, 0], least)
     gyration = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(axis=1), 0) / 2 / mass)
-    radius = np.maximum(gyration, (_FREE_RADIUS if source == SIZE else 0.1) * reach)
+    radius = np.maximum(gyration, (_FREE_RADIUS if source != DESCRIPTION else 0.1) * reach)
     scale = mass[:, None] * np.stack([np.ones_like(mass), *[radius] * 3, *[radius**2] * 6], axis=1)
 
     rotors = np.array([joint.rotor_inertia or 0.0 for joint in robot.joints])
     acceleration = np.max([np.abs(segment.motion.qdd).max(axis=0) for segment in observation.segments], axis=0)
     largest = torque / np.maximum(acceleration, 0.01 * robot.max_acceleration) / robot.gear_ratios**2
     return np.append(links.ravel(), rotors), np.append(
-        (_FREE_DOUBT if source == SIZE else _LINK_DOUBT) * scale.ravel(), np.maximum(largest, rotors)
+        (_FREE_DOUBT if source != DESCRIPTION else _LINK_DOUBT) * scale.ravel(), np.maximum(largest, rotors)
     )
 
 

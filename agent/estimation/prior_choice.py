@@ -10,9 +10,11 @@ have the mass of another one are placeholders beyond doubt.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from agent.estimation.prior import DESCRIPTION, SIZE
+from agent.estimation.prior import DESCRIPTION, EITHER, SIZE
 from agent.estimation.problem import Problem, cross_validate
 from agent.estimation.solving import clear_gain, iterate_weights, solve_sum
 from agent.robot.parameter_layout import LINK_PARAMETERS
@@ -35,7 +37,8 @@ def choose_links(problem: Problem) -> Problem:
     gain = error - _held_out(described, weights)
     if gain.sum() > _LEAST_GAIN * error.sum() and clear_gain(gain):
         return described.with_own_prior_weight()
-    return opened
+    refuted = -gain.sum() > _LEAST_GAIN * error.sum() and clear_gain(-gain)
+    return opened if refuted else replace(opened, links=EITHER)
 
 
 def placeholders(standard: np.ndarray) -> bool:

@@ -21,7 +21,8 @@ BLEND = 4.0
 DAMPING = 0.05
 #: A joint moves something at this distance at least, whether the tool does or not [m].
 SHORTEST_LEVER = 0.2
-#: Between places that are as near, the one that time would have it at: a second off counts as these metres.
+#: Between places that are as near, the one that time would have it at: a second off counts as these metres, or as the
+#: margin where that is more, since a blend may be so far nearer to the way in than to the way out that it is on.
 DRIFT = 0.01
 _EVERY = 10
 _STEPS = 8  # of a span along the way
@@ -34,7 +35,7 @@ class PlannedPath:
     rows (P,) leads from places to rows; when (P,) [s] of motion up to a place, without rests. By row: q (S, n);
     tool (S, 3) [m]; reach (S, n), how far each joint goes where the tool goes by the margin, and on the path where a
     blend may turn the tool earlier or later; speed (S, n), the highest around. levers (n,) [m/rad, or 1]: how far a
-    joint moves the tool at most.
+    joint moves the tool at most. drift [m/s]: see `DRIFT`.
     """
 
     rows: np.ndarray
@@ -44,6 +45,7 @@ class PlannedPath:
     reach: np.ndarray
     speed: np.ndarray
     levers: np.ndarray
+    drift: float = DRIFT
 
     @classmethod
     def of(cls, chains: Sequence[Trajectory], dynamics: Dynamics, margin: float) -> PlannedPath:
@@ -58,7 +60,7 @@ class PlannedPath:
         parts = [_along(chain, dynamics, margin) for chain in different.values()]
         q, tool, reach, speed = (np.concatenate(columns) for columns in zip(*(part[:4] for part in parts), strict=True))
         levers = np.max([part[4] for part in parts], axis=0)
-        return cls(np.concatenate(rows), np.concatenate(when), q, tool, reach, speed, levers)
+        return cls(np.concatenate(rows), np.concatenate(when), q, tool, reach, speed, levers, max(DRIFT, margin))
 
     def nearest(self, positions: np.ndarray, since: np.ndarray, until: np.ndarray, expected: np.ndarray) -> np.ndarray:
         """(K,) the place nearest to each of `positions` (K, n) out of those between two moments (K,) [s] of the plan.
@@ -69,7 +71,7 @@ class PlannedPath:
         last = np.clip(np.searchsorted(self.when, until, side="right"), first + 1, len(self.when))
         begin, end = int(first.min()), int(last.max())
         q = self.q[self.rows[begin:end]] * self.levers
-        away = np.square(DRIFT * (self.when[begin:end] - expected[:, None]))
+        away = np.square(self.drift * (self.when[begin:end] - expected[:, None]))
         for joint, values in enumerate((positions * self.levers).T):
             away += np.square(values[:, None] - q[:, joint])
         places = np.arange(begin, end)
