@@ -46,8 +46,11 @@ class Finding:
     limits: DecisionLimits = LIMITS
 
     def doubted(self) -> Finding:
-        """The same causes, where the first closes so little that the runners-up do as well."""
-        return replace(self, verdict="ambiguous", rivals=(self.rivals[0] or self.runners, *self.rivals[1:]))
+        """The same causes, where the first closes so little that another may do as well: a runner-up or the next best."""
+        named = {candidate.place for candidate in self.causes}
+        others = [score.candidate.place for score in self.steps[0].scores if score.candidate.place not in named]
+        rivals = self.rivals[0] or self.runners or tuple(others[:1])
+        return replace(self, verdict="ambiguous", rivals=(rivals, *self.rivals[1:]))
 
     def only(self, kept: Sequence[int], fit: Fit) -> Finding:
         """The same with some of its causes, by number; `fit` is the one without effects."""
