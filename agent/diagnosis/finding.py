@@ -46,7 +46,7 @@ class Finding:
     limits: DecisionLimits = LIMITS
 
     def doubted(self) -> Finding:
-        """The same causes, where the first closes so little that another may do as well: a runner-up or the next best."""
+        """The same causes, where the first closes so little that another may do as well: the next best."""
         named = {candidate.place for candidate in self.causes}
         others = [score.candidate.place for score in self.steps[0].scores if score.candidate.place not in named]
         rivals = self.rivals[0] or self.runners or tuple(others[:1])

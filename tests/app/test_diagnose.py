@@ -7,7 +7,7 @@ from pathlib import Path
 
 from agent.estimation import IdentifiedModel
 
-DELAY = 0.008  # s
+DELAY = 0.02  # s
 
 
 def test_a_recipe_is_recorded_then_diagnosed(start_controller, write_recipe, run_agent, only_run, tmp_path: Path):
