@@ -19,6 +19,9 @@ from agent.diagnosis.dataset import Dataset, precision_of
 from agent.diagnosis.finding import Finding, class_probability
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.gap import Gap
+from agent.model.effects.friction_change import FrictionChange
+from agent.model.effects.inertial_mismatch import InertialMismatch
+from agent.model.effects.payload import Payload
 from agent.robot.parameter_layout import ParameterLayout
 
 _EQUAL = 0.9  # of the best gain, from where on the plainer group is taken
@@ -176,17 +179,17 @@ def causes_of_steps(found: Calibration, steps: Sequence[WaterfallStep], closure:
     bodies = 0.0
     for group, step in zip(found.groups, steps, strict=False):
         if load and group.kind == "link inertia" and group.joint == len(names) - 1:
-            equal = (Place("inertial_mismatch", ()),)
-            causes.append(Cause("payload", (), step.closes, probability, load, equal))
+            equal = (Place(InertialMismatch.name, ()),)
+            causes.append(Cause(Payload.name, (), step.closes, probability, load, equal))
             continue
         if group.kind != "friction":
             bodies += step.closes
             continue
         own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
         parameters = {f"{form}_change": value for form, value in own.items()}
-        causes.append(Cause("friction_change", (names[group.joint],), step.closes, probability, parameters))
+        causes.append(Cause(FrictionChange.name, (names[group.joint],), step.closes, probability, parameters))
     if bodies:
         known = np.abs(change[:base]) > _MOVED * model.standard_deviations[:base]
         parameters = {model.names[k]: float(change[k]) for k in np.flatnonzero(known)}
-        causes.append(Cause("inertial_mismatch", (), bodies, probability, parameters))
+        causes.append(Cause(InertialMismatch.name, (), bodies, probability, parameters))
     return tuple(sorted(causes, key=lambda cause: -(cause.closure or 0.0)))

@@ -5,11 +5,16 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from agent.estimation import IdentifiedModel
 
-DELAY = 0.02  # s
+DELAY = 0.008  # s
 
 
+@pytest.mark.xfail(
+    reason="on one cycle without a model the delay's gap is below what stiction at rest leaves, so it is not named"
+)
 def test_a_recipe_is_recorded_then_diagnosed(start_controller, write_recipe, run_agent, only_run, tmp_path: Path):
     effects = tmp_path / "effects.json"
     effects.write_text(json.dumps([{"effect": "time_delay", "parameters": {"delay": DELAY}}]))
