@@ -21,8 +21,8 @@ BLEND = 4.0
 DAMPING = 0.05
 #: A joint moves something at this distance at least, whether the tool does or not [m].
 SHORTEST_LEVER = 0.2
-#: Between places that are as near, the one that time would have it at: a second off counts as these metres, or as the
-#: margin where that is more, since a blend may be so far nearer to the way in than to the way out that it is on.
+#: Between places that are as near, the one that time would have it at: a second off counts as these metres, or as
+#: two margins where that is more, since a blend may be so far nearer to the way in than to the way out that it is on.
 DRIFT = 0.01
 _EVERY = 10
 _STEPS = 8  # of a span along the way
@@ -60,7 +60,7 @@ class PlannedPath:
         parts = [_along(chain, dynamics, margin) for chain in different.values()]
         q, tool, reach, speed = (np.concatenate(columns) for columns in zip(*(part[:4] for part in parts), strict=True))
         levers = np.max([part[4] for part in parts], axis=0)
-        return cls(np.concatenate(rows), np.concatenate(when), q, tool, reach, speed, levers, max(DRIFT, margin))
+        return cls(np.concatenate(rows), np.concatenate(when), q, tool, reach, speed, levers, max(DRIFT, 2 * margin))
 
     def nearest(self, positions: np.ndarray, since: np.ndarray, until: np.ndarray, expected: np.ndarray) -> np.ndarray:
         """(K,) the place nearest to each of `positions` (K, n) out of those between two moments (K,) [s] of the plan.

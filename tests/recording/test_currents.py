@@ -77,7 +77,9 @@ def test_a_robot_without_torque_constants_is_refused_on_a_link_of_currents():
     plain = load_recipe(ROOT / "recipes/ns16_quickstart.yaml")
     first, *others = robot.joints
     plain = replace(plain, robot=replace(robot, joints=(replace(first, torque_constant=None), *others)))
-    on_currents = replace(plain, controller=replace(plain.controller, driver="cnr_comau", address="127.0.0.1"))
+    on_currents = replace(
+        plain, controller=plain.controller.model_copy(update={"driver": "cnr_comau", "address": "127.0.0.1"})
+    )
     with pytest.raises(InputError, match="no torque_constant for joint_1:"):
         create_driver(on_currents, print)
     assert torque_facts(plain, create_driver(plain, print)) == {}

@@ -98,6 +98,7 @@ def test_a_calibration(calibrated: Path, browse):
         "Search",
         "Observation matrix",
         "Residuals by joint and regime",
+        "The paper&#39;s own estimator",
         "Logs",
         "Conditions",
         "Parameters",

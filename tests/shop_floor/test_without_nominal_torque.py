@@ -56,7 +56,8 @@ def without(robot: RobotDescription, *names: str) -> RobotDescription:
     ],
 )
 def test_summary_and_headline(shares, said):
-    text = Outcome(Path("run"), result(*shares), True).summary()
+    typed = json.loads(json.dumps(result(*shares)), object_hook=lambda fields: SimpleNamespace(**fields))
+    text = Outcome(Path("run"), typed, "").summary()
     headline = _headline(result(*shares))
     for words in said:
         assert words in text
