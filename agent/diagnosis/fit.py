@@ -4,7 +4,7 @@ Residuals r of the model are explained by a change δ of its parameters and by c
 
     minimise Σ_j |r_j − X_j δ − Z_j β|² / (T σ_j²) + (δ − δ₀)ᵀ Λ (δ − δ₀)
 
-with σ_j the model's own held-out error of joint j (the background, CONTRACTS.md 6; more at standstill, where stiction
+with σ_j the model's own held-out error of joint j (the background; more at standstill, where stiction
 leaves the torque open), Λ the inverse of the covariance
 stored in the model, and T rows to one independent row. Moments are kept per cell of rows, so every fold is arithmetic
 on small matrices. With H = Λ + XᵀX and the Schur complement S = ZᵀZ − ZᵀX H⁻¹ XᵀZ: β = S⁻¹ (Zᵀr − ZᵀX H⁻¹ Xᵀr).

@@ -1,4 +1,4 @@
-"""The torque gap in plain held-out error, by the definitions of CONTRACTS.md, 6."""
+"""The torque gap in plain held-out error, by the definitions of docs/diagnosis.md."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def _limit(value: Any, unit: str, meaning: str, source: str, sensitivity: str = 
 
 #: Source of the limits that a script may fit.
 TUNED = "tuned by hand on simulated runs with withheld effects"
-_CONTRACT = "derived: the definition of the verdict (CONTRACTS.md, 6)"
+_CONTRACT = "derived: the definition of the verdict (docs/diagnosis.md)"
 
 
 @dataclass(frozen=True)

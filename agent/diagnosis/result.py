@@ -1,4 +1,4 @@
-"""The result of a diagnosis, by the definitions of CONTRACTS.md, 6."""
+"""The result of a diagnosis, by the definitions of docs/diagnosis.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rules of the verdict (CONTRACTS.md, 6), all of them: nothing leaves the procedure that breaks one.
+"""The rules of the verdict (docs/diagnosis.md), all of them: nothing leaves the procedure that breaks one.
 
 A search says what equals what (`named`), or that nothing may be named (`abstained`). `judge` takes away what the
 figures on motion held out do not bear out, the path adds its own (`with_path`), and `settle` holds the promises last.

@@ -1,6 +1,6 @@
 """From a log to smooth motion, and the one zero-phase filter that torque and regressor share.
 
-Two stages (AIM 2013, section III; CONTRACTS.md, 5), both as a real response in the frequency domain, hence zero phase:
+Two stages (AIM 2013, section III), both as a real response in the frequency domain, hence zero phase:
 
 1. Positions are smoothed by L(f) = ½ erfc((|f| - f_m) / (√2 w)), which is 1 within 4e-5 up to `pass_edge`, well above
    the cut-off; velocity and acceleration are (2πjf) L and (2πjf)² L of the same positions: no difference scheme, no

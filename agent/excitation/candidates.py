@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from agent.excitation.scoring import Score, infeasible
 from agent.motion import Trajectory, ViaRegions, create_interpolator, loop_moves
 from agent.motion.interpolator import MotionError
 from agent.motion.program import MotionSettings, Move
-from agent.robot import RobotDescription
+from agent.robot import Box, RobotDescription
 from agent.robot.drivetrain import rotor_regressor
 from agent.robot.dynamics import Dynamics, Tool
 from agent.robot.kinematics import Kinematics, KinematicsError, kinematics_for
@@ -22,10 +22,8 @@ from agent.safety.cell import Cell
 from agent.safety.clearance import CellReport
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    pass
 
-    from agent.recipe import KeepOut
-    from agent.robot.collision import Box
 
 #: The search takes the regressor at every so many interpolated samples; limits are checked at every one.
 EVERY = 10
@@ -50,7 +48,7 @@ class LoopProblem:
     regions: ViaRegions
     settings: MotionSettings
     tool: Tool | None = None
-    keep_out: tuple[KeepOut, ...] = ()
+    keep_out: tuple[Box, ...] = ()
     joint_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     interpolator: str = "fly"
     period: float = 0.002
@@ -88,8 +86,7 @@ class Candidates:
         )
         self._criterion = Criterion(problem.robot, problem.tool)
         self._dynamics = Dynamics(problem.robot, problem.tool)
-        boxes = cast("Sequence[Box]", problem.keep_out)  # it has all that a box has
-        self._cell = Cell(problem.robot, problem.tool, boxes, problem.joint_ranges)
+        self._cell = Cell(problem.robot, problem.tool, problem.keep_out, problem.joint_ranges)
         self._cell.check_boxes(problem.settings.fly_distance)
         self._rotors = np.array([joint.rotor_inertia or 0.0 for joint in problem.robot.joints])
         self._max_torque = np.array([joint.max_torque or np.inf for joint in problem.robot.joints])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,11 +12,8 @@ from agent.core.errors import InputError
 from agent.recipe import Recipe
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from agent.motion.program import Move, Statement
     from agent.motion.trajectory import Trajectory
-    from agent.robot.collision import Box
 
 #: Rad or m by which an arm that comes round again may start elsewhere on the same way: joints written in a program, and
 #: those that inverse kinematics gives for a pose, differ in their last digits.
@@ -93,5 +90,4 @@ def _chain_key(moves: list[Move]) -> tuple[Any, ...]:
 def _cell(recipe: Recipe) -> Any:
     from agent.safety.cell import Cell
 
-    boxes = cast("Sequence[Box]", recipe.cell.keep_out)  # it has all that a box has
-    return Cell(recipe.robot, recipe.tool, boxes, recipe.cell.joint_ranges)
+    return Cell(recipe.robot, recipe.tool, recipe.cell.keep_out, recipe.cell.joint_ranges)

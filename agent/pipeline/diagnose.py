@@ -51,7 +51,7 @@ class Question:
 
 
 def diagnose_files(robot: str | None, paths: Sequence[Path], question: Question, console: Console) -> dict[str, Any]:
-    """Diagnose logs; returns the result of CONTRACTS.md, 6, and writes what is asked for.
+    """Diagnose logs; returns the result of docs/diagnosis.md, and writes what is asked for.
 
     Without a `robot` the model says what the arm is.
 

@@ -49,7 +49,7 @@ def diagnose_if_worse(
     """Why the last accepted model predicts the joints `worse` worse than it did; None where there are none.
 
     Returns:
-        `summary`, a sentence or two, and `result`, as in CONTRACTS.md, 6 (None where it could not be diagnosed), which
+        `summary`, a sentence or two; `result`, as in docs/diagnosis.md (None where it could not be diagnosed), which
         the run folder gets as `diagnosis.json`.
     """
     from agent.diagnosis import diagnose

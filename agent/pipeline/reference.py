@@ -77,12 +77,12 @@ def find_reference(recipe: Recipe, logs: Path, past: PastRun) -> Reference:
         InputError: the loop is not kept here, was changed, or does not lie in the recipe's sub-region; or no model.
     """
     from agent.estimation import IdentifiedModel
-    from agent.runs.stored_loops import find_loop
+    from agent.runs.stored_loops import FOLDER, find_loop
 
     loop = find_loop(recipe, program=past.program)
     if loop is None:
         raise InputError(
-            f"{recipe.path}: {Path.cwd()}/trajectories has no stored loop for this robot, tool, sub-region and motion "
+            f"{recipe.path}: {Path.cwd() / FOLDER} has no stored loop for this robot, tool, sub-region and motion "
             f"settings with the program that was accepted in {past.run} ({past.program[:12]}); call from the folder "
             "where it was calibrated, or calibrate again"
         )
@@ -111,13 +111,14 @@ def check_loop(recipe: Recipe, loop: StoredLoop) -> None:
     from agent.excitation import Candidates
     from agent.motion.pdl2 import parse_program
     from agent.motion.program import Move
+    from agent.runs.stored_loops import FOLDER
 
     def moves(text: str) -> list[Move]:
         program = parse_program(text, f"{loop.program_name}.pdl", recipe.robot)
         return [statement for statement in program.run() if isinstance(statement, Move)]
 
     refused = f"the stored loop {loop.checksum[:12]} is not one that this recipe allows"
-    advice = "move it away from trajectories, then calibrate again"
+    advice = f"move it away from {FOLDER}, then calibrate again"
     try:
         own = Candidates(planning.loop_problem(recipe, recipe.motion.speed)).loop(np.array(loop.genome))
     except InputError as error:

@@ -44,7 +44,7 @@ def make_schedule(recipe: Recipe, logs: Path, folder: Path, at: str, authorisati
     """Units and crontab line for a recipe.
 
     Args:
-        logs: folder of the runs; folder: where the agent works, beside which `trajectories` lies.
+        logs: folder of the runs; folder: where the agent works, in whose `logs` the loops lie.
         at: time of day, HH:MM, local.
         authorisation: file that allows the motion while nobody is there.
 

@@ -2,7 +2,6 @@
 
 from agent.recipe.recipe import (
     Cell,
-    KeepOut,
     MotionPlan,
     Recipe,
     examine_recipe,
@@ -14,7 +13,6 @@ from agent.recipe.via_points import ViaBox, ViaLike, ViaPoint, ViaPointList, Via
 
 __all__ = [
     "Cell",
-    "KeepOut",
     "MotionPlan",
     "Recipe",
     "ViaBox",

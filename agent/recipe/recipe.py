@@ -25,20 +25,11 @@ from agent.recipe.schema import (
     ValidateSection,
 )
 from agent.recipe.tool import tool_of
-from agent.recipe.via_points import Vector, ViaPoints, via_points_of
-from agent.robot import RobotDescription, builtin_robots, load_robot
+from agent.recipe.via_points import ViaPoints, via_points_of
+from agent.robot import Box, RobotDescription, builtin_robots, load_robot
 
 if TYPE_CHECKING:
     from agent.robot.dynamics import Tool
-
-
-@dataclass(frozen=True)
-class KeepOut:
-    """A box that the arm must not enter: opposite corners (3,) in the base frame [m]."""
-
-    name: str
-    minimum: Vector
-    maximum: Vector
 
 
 @dataclass(frozen=True)
@@ -48,7 +39,7 @@ class Cell:
     `joint_ranges`: by joint name, (lower, upper) [rad, m], where a cable or the cell allows less than the joint itself.
     """
 
-    keep_out: tuple[KeepOut, ...]
+    keep_out: tuple[Box, ...]
     joint_ranges: dict[str, tuple[float, float]]
 
 
@@ -218,7 +209,7 @@ def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Re
         tool=tool_of(document.tool),
         controller=document.controller,
         cell=Cell(
-            tuple(KeepOut(entry.name, entry.box.min, entry.box.max) for entry in document.cell.keep_out),
+            tuple(Box(entry.name, entry.box.min, entry.box.max) for entry in document.cell.keep_out),
             {name: _joint_range(name, document, robot) for name in document.cell.joint_ranges},
         ),
         motion=MotionPlan(settings, via_points_of(path, document.motion.via_points)),

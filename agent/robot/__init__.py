@@ -5,6 +5,7 @@
 """
 
 from agent.robot.description import (
+    Box,
     Capsule,
     CartesianLimits,
     Joint,
@@ -15,6 +16,7 @@ from agent.robot.description import (
 from agent.robot.kinematics import InverseSolutions, Kinematics, KinematicsError, kinematics_for
 
 __all__ = [
+    "Box",
     "Capsule",
     "CartesianLimits",
     "InverseSolutions",

@@ -13,7 +13,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from agent.robot.description import Capsule, RobotDescription
+from agent.robot.description import Box, Capsule, RobotDescription
 from agent.robot.dynamics import frame_id, pinocchio_model
 from agent.robot.kinematics.chain import joint_axes
 
@@ -21,15 +21,6 @@ from agent.robot.kinematics.chain import joint_axes
 KEEP_OUT = "keep-out "
 #: Taken for the travel of a prismatic joint without limits [m].
 ENDLESS_STROKE = 100.0
-
-
-@dataclass(frozen=True)
-class Box:
-    """A box at rest, edges along the base frame: opposite corners (3,) [m]."""
-
-    name: str
-    minimum: tuple[float, float, float]
-    maximum: tuple[float, float, float]
 
 
 @dataclass(frozen=True)

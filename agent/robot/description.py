@@ -112,6 +112,15 @@ class CartesianLimits:
 
 
 @dataclass(frozen=True)
+class Box:
+    """A box at rest that no part of the arm may enter: opposite corners (3,) in the base frame [m]."""
+
+    name: str
+    minimum: tuple[float, float, float]
+    maximum: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
 class Capsule:
     """A segment with a radius, in its link's frame [m]."""
 

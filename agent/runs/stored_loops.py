@@ -16,8 +16,8 @@ from agent.recipe import Recipe
 from agent.runs.approved import digest, problem
 from agent.runs.folder import sha256_text, write_atomically
 
-#: Where loops are kept unless told otherwise: beside the folder of the runs.
-FOLDER = Path("trajectories")
+#: Where loops are kept unless told otherwise: among the runs.
+FOLDER = Path("logs") / "trajectories"
 _SCHEMA = "loop/1"
 
 

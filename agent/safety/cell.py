@@ -9,12 +9,12 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.motion.trajectory import Trajectory
-from agent.robot.description import Capsule, RobotDescription
+from agent.robot.description import Box, Capsule, RobotDescription
 from agent.safety.clearance import CellReport, PairClearance, Violation
 from agent.safety.clearance_search import ClearanceSearch
 
 if TYPE_CHECKING:
-    from agent.robot.collision import Box, CollisionModel
+    from agent.robot.collision import CollisionModel
     from agent.robot.dynamics import Tool
 
 #: Radius [m] of the capsule from flange to TCP that stands for tool and payload.

@@ -99,7 +99,7 @@ def predict_log(model: IdentifiedModel, log: Log, cutoff: float | None = None) -
 
 
 def validate(model: IdentifiedModel, logs: Sequence[Log], cutoff: float | None = None) -> dict[str, Any]:
-    """The result of CONTRACTS.md, 5: every sample counts, standstill included.
+    """The result of docs/estimation.md: every sample counts, standstill included.
 
     Raises:
         InputError: as `predict_log`.

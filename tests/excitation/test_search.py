@@ -7,7 +7,7 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.excitation import Candidates, Generation, LoopProblem, check_sub_region, search
-from agent.recipe import KeepOut
+from agent.robot import Box
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,7 @@ def test_a_loop_that_overloads_a_motor_is_infeasible(problem: LoopProblem, probl
 
 
 def test_a_loop_through_a_keep_out_box_is_infeasible(problem_with: Any) -> None:
-    post = KeepOut("post", (0.9, -0.1, 0.0), (1.1, 0.1, 1.5))
+    post = Box("post", (0.9, -0.1, 0.0), (1.1, 0.1, 1.5))
     score = Candidates(problem_with(keep_out=(post,))).score(genomes(1)[0])
     assert not score.feasible
     assert "post" in score.reason
@@ -118,7 +118,7 @@ def test_a_loop_that_winds_the_wrist_up_is_infeasible(candidates: Candidates) ->
 
 
 def test_when_nothing_keeps_the_limits_the_nearest_miss_is_told(problem_with: Any) -> None:
-    everywhere = KeepOut("everything", (0.6, -1.0, 0.4), (1.6, 1.0, 1.4))  # around the sub-region, clear of the base
+    everywhere = Box("everything", (0.6, -1.0, 0.4), (1.6, 1.0, 1.4))  # around the sub-region, clear of the base
     with pytest.raises(InputError, match="everything") as error:
         search(problem_with(keep_out=(everywhere,)), population=4, generations=2, workers=1)
     assert "none of" in str(error.value)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.core.errors import InputError
-from agent.robot.collision import Box
+from agent.robot import Box
 from agent.robot.description import Capsule, load_robot
 from agent.robot.dynamics import Dynamics, Tool
 from agent.safety.cell import Cell

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from agent.robot.collision import Body, Box, CollisionModel
+from agent.robot import Box
+from agent.robot.collision import Body, CollisionModel
 from agent.robot.description import Capsule, load_robot
 from agent.robot.dynamics import Dynamics
 

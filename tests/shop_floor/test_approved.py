@@ -171,7 +171,7 @@ def test_a_plan_that_was_changed_is_not_run(planned, name: str):
 
 
 def _edit_loop(shop: Path, change: Callable[[dict[str, Any]], None]) -> None:
-    (path,) = (shop / "trajectories").iterdir()
+    (path,) = (shop / "logs" / "trajectories").iterdir()
     data = json.loads(path.read_text(encoding="utf-8"))
     change(data)
     data["checksum"] = sha256_text(data["program"])
@@ -209,9 +209,9 @@ def _another_genome(data: dict[str, Any]) -> None:
 @pytest.mark.parametrize("change", [_moved, _faster, _other_tool_frame, _out_of_range, _another_genome])
 def test_a_loop_that_is_not_what_was_searched_for_is_refused(shop: Path, change: Callable[[dict[str, Any]], None]):
     recipe = load_recipe(shop / "recipe.yaml")
-    check_loop(recipe, stored_loops(shop / "trajectories")[0])
+    check_loop(recipe, stored_loops(shop / "logs" / "trajectories")[0])
     _edit_loop(shop, change)
-    (loop,) = stored_loops(shop / "trajectories")
+    (loop,) = stored_loops(shop / "logs" / "trajectories")
     with pytest.raises(InputError, match="is not one that this recipe allows"):
         check_loop(recipe, loop)
 
@@ -228,7 +228,7 @@ def test_a_replaced_loop_is_not_the_accepted_one(shop: Path, run_agent):
 def test_a_replaced_loop_does_not_move_even_where_the_run_was_changed_with_it(shop: Path, run_agent):
     """The program of the accepted run was put in keeping with the loop: the recipe's sub-region still refuses it."""
     _edit_loop(shop, _moved)
-    (loop,) = stored_loops(shop / "trajectories")
+    (loop,) = stored_loops(shop / "logs" / "trajectories")
     (state,) = (shop / "logs").glob("*/state.json")
     text = json.loads(state.read_text(encoding="utf-8"))
     state.write_text(json.dumps({**text, "program": loop.checksum}), encoding="utf-8")
@@ -244,10 +244,10 @@ def test_a_key_alone_finds_nothing(shop: Path):
         data["sub_region"]["box"]["centre"][2] -= 0.35
 
     recipe = load_recipe(shop / "recipe.yaml")
-    assert find_loop(recipe, shop / "trajectories") is not None
+    assert find_loop(recipe, shop / "logs" / "trajectories") is not None
     _edit_loop(shop, other_region)
     with pytest.raises(InputError, match="its sub_region is not the one that its key stands for"):
-        find_loop(recipe, shop / "trajectories")
+        find_loop(recipe, shop / "logs" / "trajectories")
 
 
 def test_a_recalibration_says_what_differs_from_the_accepted_run(shop: Path, run_agent):
@@ -259,7 +259,7 @@ def test_a_recalibration_says_what_differs_from_the_accepted_run(shop: Path, run
 
 
 def test_an_authorisation_of_another_cell_moves_nothing(shop: Path, run_agent):
-    (loop,) = stored_loops(shop / "trajectories")
+    (loop,) = stored_loops(shop / "logs" / "trajectories")
     said = {
         "robot": "comau_ns16",
         "serial": "FAKE-0007",
@@ -280,7 +280,7 @@ def test_a_finished_run_carries_its_digests(shop: Path):
     (state,) = (shop / "logs").glob("*/state.json")
     told = json.loads(state.read_text(encoding="utf-8"))
     result = json.loads((state.parent / "result.json").read_text(encoding="utf-8"))
-    (loop,) = stored_loops(shop / "trajectories")
+    (loop,) = stored_loops(shop / "logs" / "trajectories")
     assert told["approved"] == told["loop"] == loop.key
     for name in ("robot.yaml", "URDF", "tool", "cell", "sub_region", "settings", "interpolator", "program.pdl"):
         assert len(result["provenance"][f"SHA-256 of {name}"]) == 64, name
@@ -342,6 +342,6 @@ def test_no_number_of_a_stored_program_may_change(shop: Path, seed: int):
         data["program"] = f"{body[:place]}{(int(body[place]) + rng.randint(1, 8)) % 10}{body[place + 1 :]}"
 
     _edit_loop(shop, one_digit)
-    (loop,) = stored_loops(shop / "trajectories")
+    (loop,) = stored_loops(shop / "logs" / "trajectories")
     with pytest.raises(InputError):
         check_loop(recipe, loop)

@@ -187,7 +187,7 @@ def test_all_parameters_again(shop, run_agent):
 
 
 def _authorisation(shop: Path, **changes: object) -> Path:
-    (loop,) = stored_loops(shop / "trajectories")
+    (loop,) = stored_loops(shop / "logs" / "trajectories")
     said = {
         "robot": "comau_ns16",
         "serial": "FAKE-0007",
