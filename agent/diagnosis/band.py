@@ -26,7 +26,8 @@ def gain_in_band(fit: Fit, score: Score) -> float:
     joint = joints[int(np.argmax(taken))]
     left = fit.rows[joint][:, -1] * fit.sigma[:, joint]
     torque = np.concatenate([s.low_pass(s.predicted)[:, joint] for s in fit.signals]) + left
-    parts = [torque, torque - after[:, joint], before[:, joint], after[:, joint]]
+    sigma = fit.sigma[:, joint]  # a gain counts as in the fit: torque at standstill is open, and hides what moves
+    parts = [torque, torque - after[:, joint], before[:, joint] / sigma, after[:, joint] / sigma]
     signals = fit.signals[0]
     count = int(_WINDOW / float(np.median(np.diff(signals.time))))
     lines = [_lines(np.split(part, fit.cuts), count) for part in parts]

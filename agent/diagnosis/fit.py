@@ -181,6 +181,11 @@ class Fit:
         return self._split(self.sigma)
 
     @property
+    def near_rest(self) -> np.ndarray:
+        """(S', n) bool: rows so near to a standstill of their joint that stiction may leave the torque open."""
+        return self.sigma > 1.01 * self.sigma.min(axis=0)
+
+    @property
     def residuals(self) -> list[np.ndarray]:
         """Per motion (S', n) [N·m]: what is left of the torque after a fit to all rows of model and chosen effects."""
         parameters = self.solve(np.ones(self.cells, dtype=bool))[1]

@@ -85,7 +85,7 @@ def _on_own_joints(fit: Fit, raw: np.ndarray, left: np.ndarray) -> tuple[float, 
     own = sorted({joint for candidate in fit.chosen for joint in candidate.blocks})
     if not own:
         return 0.0, 0.0
-    moves = (fit.sigma <= 1.01 * fit.sigma.min(axis=0)) & ~np.isnan(left)
+    moves = ~fit.near_rest & ~np.isnan(left)
     before, after = (np.where(moves, rows / fit.reference.scale, np.nan)[:, own] for rows in (raw, left))
     return float(1 - np.nansum(after**2) / np.nansum(before**2)), float(np.max(rms(before)))
 
@@ -104,7 +104,7 @@ def _with_rest(floor: np.ndarray | None, fit: Fit, left: np.ndarray) -> np.ndarr
         return None
     robot = fit.reference.robot
     sigma = fit.sigma / np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 1.0)
-    open_to = np.where(fit.sigma > 1.01 * fit.sigma.min(axis=0), np.minimum(left**2, sigma**2), 0.0)
+    open_to = np.where(fit.near_rest, np.minimum(left**2, sigma**2), 0.0)
     return np.sqrt(np.nanmean(np.where(np.isnan(left), np.nan, np.maximum(open_to, floor**2)), axis=0))
 
 

@@ -47,7 +47,8 @@ class Search:
         before = self.joint_energy(base)
         first = self.scan(base)
         steps = [first]
-        matters = bool(np.any(self._noticed(base, self.limits.unexplained_torque)))
+        reported = self._noticed(base, self.limits.unexplained_torque)
+        matters = bool(np.any(reported & self._noticed(base, allow_stiction=True)))
         if not first.eligible and not matters:
             return self._nothing(abstained(False), steps)
         best: tuple[float, tuple[Candidate, ...]] | None = None
@@ -84,14 +85,25 @@ class Search:
         single = any(c.effect.once for c in fit.chosen)
         return np.nanmean((fit.out_of_fold(single) / fit.sigma) ** 2, axis=0)
 
-    def _noticed(self, fit: Fit, least: float | None = None) -> np.ndarray:
-        """(n,) joints whose gap has a size: `least` over the background in motion, or the reported size in all rows."""
+    def _noticed(self, fit: Fit, least: float | None = None, allow_stiction: bool = False) -> np.ndarray:
+        """(n,) joints whose gap has a size: `least` over the background in motion, or the reported size in all rows.
+
+        `allow_stiction`: around a reversal only an error beyond what dry friction leaves open, as it may stick there.
+        An effect that explains such an error may be named; an error that nothing explains has to show elsewhere too.
+        """
         least = self.limits.practical_torque if least is None else least
         background = fit.sigma.min(axis=0) / fit.reference.scale  # where the joint moves
         left = fit.out_of_fold() / fit.reference.scale
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # a joint that always rests has no mean
-            moving = np.sqrt(np.nanmean(np.where(self._at_rest, np.nan, left) ** 2, axis=0))
+            square = np.nanmean(np.where(self._at_rest, np.nan, left) ** 2, axis=0)
+            if allow_stiction:
+                near = np.where(fit.near_rest & ~self._at_rest & np.isfinite(left), 1.0, np.nan)
+                share = np.nansum(near, axis=0) / np.sum(np.isfinite(left) & ~self._at_rest, axis=0)
+                around = np.nanmean(near * left**2, axis=0)
+                stuck = np.minimum(around, np.nanmean(near * (fit.sigma / fit.reference.scale) ** 2, axis=0))
+                square = square - np.nan_to_num(share * np.maximum(stuck - background**2, 0))
+            moving = np.sqrt(square)
         clear = (moving > self.limits.clear_of_background * background) & (moving**2 > background**2 + least**2)
         energy = self.joint_energy(fit)
         over = np.sqrt(np.maximum(energy - 1, 0)) * background

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import SHARP_REVERSALS
+from agent.model.friction_terms import axle_columns
 from agent.model.signals import MotionSignals
 
 _TRIED = (-0.02, -0.012, -0.007, -0.004, -0.002, -0.001, 0.001, 0.002, 0.004, 0.007, 0.012, 0.02)
+_ABSORBED = 1e-3  # s, from where on a fitted reversal of friction may have taken part of the delay
+_SHARPER = (0.5, 0.25)
+_SHORTEST, _LONGEST = 1e-4, 0.05  # s
 
 
 class TimeDelay(Effect):
-    """τ = a (τ_model(t − d) − τ_model(t)), a near 1: the whole predicted torque is shifted."""
+    """τ = a (τ_model(t − d) − τ_model(t)), a near 1: the whole predicted torque is shifted.
+
+    A model that was fitted to late torque lets friction turn over too long a way, as that looks late too. So what is
+    shifted may turn over a part `reversal` of the model's way.
+    """
 
     name = "time_delay"
     family = "measurement"
@@ -27,17 +36,26 @@ class TimeDelay(Effect):
     look_at = "time stamps and filters of the torque and position channels"
     experiment = SHARP_REVERSALS
     residual_driven = True
+    refined = ("reversal",)
     fast_torque = True
     moves_arm = False
 
     def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         tried = [{"delay": delay} for delay in _TRIED]
         best = min(tried, key=lambda s: abs(float(survey.fit(self, joints, s)[0]) - 1))
-        delay = best["delay"]
+        plain = self._solved(survey, joints, best)
+        if abs(plain["delay"]) < _ABSORBED:
+            return [plain]
+        return [plain, *(self._solved(survey, joints, {**plain, "reversal": part}) for part in _SHARPER)]
+
+    def _solved(self, survey: FitContext, joints: tuple[int, ...], settings: dict[str, float]) -> dict[str, float]:
+        """The delay at which the share is one, by two steps of Gauss and Newton."""
+        delay = settings["delay"]
         for _ in range(2):
-            delay = float(np.clip(delay * survey.fit(self, joints, {"delay": delay})[0], -0.05, 0.05))
-            delay = float(np.copysign(max(abs(delay), 1e-4), delay))
-        return [{"delay": delay}]
+            share = survey.fit(self, joints, {**settings, "delay": delay})[0]
+            delay = float(np.clip(delay * share, -_LONGEST, _LONGEST))
+            delay = float(np.copysign(max(abs(delay), _SHORTEST), delay))
+        return {**settings, "delay": delay}
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("share",)
@@ -46,11 +64,29 @@ class TimeDelay(Effect):
         from scipy.interpolate import CubicSpline
 
         late = np.clip(signals.time - settings["delay"], signals.time[0], signals.time[-1])
-        change = CubicSpline(signals.time, signals.predicted)(late) - signals.predicted
+        shifted = signals.predicted if "reversal" not in settings else _turning_faster(signals, settings["reversal"])
+        change = CubicSpline(signals.time, shifted)(late) - signals.predicted
         return {joint: change[:, joint, None] for joint in range(signals.q.shape[1])}
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
         return 0.5 < values["share"] < 1.5
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
-        return 1
+        return len(settings)
+
+
+def _turning_faster(signals: MotionSignals, part: float) -> np.ndarray:
+    """(S, n) torque of the model, its friction turning over a part of the way or speed."""
+    model = signals.reference.model
+    terms = tuple(
+        term
+        if term.reversal is None
+        else replace(term, reversal=replace(term.reversal, scale=part * term.reversal.scale))
+        for term in model.terms
+    )
+    columns = axle_columns(terms, signals.axles) * model.values[len(model.independent) :]
+    axles = [
+        [k for k, term in enumerate(terms) if term.axle == axle] for axle in range(len(signals.reference.coupling))
+    ]
+    friction = np.stack([columns[:, own].sum(axis=1) for own in axles], axis=1)
+    return signals.rigid + friction @ signals.reference.coupling

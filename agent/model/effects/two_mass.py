@@ -26,7 +26,8 @@ def leads(
 
     The motor moves as measured, so the link's momentum p = m ḋ obeys ṗ + c ḋ + k z(d) = L, with L the torque the rigid
     link would take, m(t) its inertia about the joint, z(d) the twist beyond half the play (without play z(d) = d) and
-    c = 2 ζ √(k m̄), which acts while the teeth touch. Semi-implicit steps, all motions and all K at once.
+    c = 2 ζ √(k m̄), which acts while the teeth touch. Semi-implicit steps, all motions and all K at once; a link that
+    is lighter in some posture than the steps can follow (k h² / m > 1) counts as one that they can.
     """
     longest = max(len(motion.time) for motion in motions)
 
@@ -49,8 +50,10 @@ def leads(
     torque, second = np.empty((2, longest, len(k)), dtype=np.float32)
     has_gap = bool(np.any(half > 0))
     impulse, spring, mobility = step * load, step * k, 1 / inertia
+    followed = 1 / np.maximum(step**2 * k, step * c)
     for sample in range(longest):
-        pushed, inverse, before = impulse[sample, column], mobility[sample, column], momentum
+        pushed, before = impulse[sample, column], momentum
+        inverse = np.minimum(mobility[sample, column], followed)
         kept, moved = 1 - step * c * inverse, step * inverse
         for _ in range(substeps):
             if has_gap:
