@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from agent.core.memory import keep_freed_memory
 from agent.excitation.criterion import Criterion
 from agent.excitation.scoring import Score, infeasible
 from agent.motion import Trajectory, ViaRegions, create_interpolator, loop_moves
@@ -78,6 +79,7 @@ class Candidates:
     """
 
     def __init__(self, problem: LoopProblem):
+        keep_freed_memory()
         self.problem = problem
         self.kinematics = kinematics_for(problem.robot, problem.tool)
         self.posture = posture(self.kinematics, problem.regions)

@@ -37,8 +37,9 @@ def binding_limits(
         joint = np.where(rule[:, rules.JOINT] < 1.0, rule[:, rules.JOINT] / joint_full, np.inf)
         programmed = np.minimum(programmed, joint)
     allowed = rule[:, rules.STRESS] * np.maximum(rule[:, rules.ACCELERATION], rule[:, rules.DECELERATION])
-    jerk = np.zeros_like(samples.qdd[pick])
-    jerk[1:] = (samples.qdd[pick][1:] - samples.qdd[_EVERY - 1 :: _EVERY][: len(jerk) - 1]) / period
+    qd, qdd = samples.qd[:, pick], samples.qdd[:, pick]
+    jerk = np.zeros_like(qdd)
+    jerk[:, 1:] = (qdd[:, 1:] - samples.qdd[:, _EVERY - 1 :: _EVERY][:, : jerk.shape[1] - 1]) / period
     rates = cartesian_rates(samples, pick)
     cartesian = limits.cartesian
     ceilings = (
@@ -49,9 +50,9 @@ def binding_limits(
     )
     full = np.concatenate(
         (
-            (np.abs(samples.qd[pick]) / limits.speed).T,
-            (np.abs(samples.qdd[pick]) / (limits.acceleration * allowed[:, None])).T,
-            (np.abs(jerk) / limits.jerk).T,
+            np.abs(qd) / limits.speed[:, None],
+            np.abs(qdd) / (limits.acceleration[:, None] * allowed),
+            np.abs(jerk) / limits.jerk[:, None],
             rates / (np.stack([np.broadcast_to(ceiling, len(s)) for ceiling in ceilings]) * rule[:, rules.CARTESIAN]),
             np.where(path.overlap[knot] < 0.999, speed / np.maximum(programmed * path.overlap[knot], 1e-12), 0.0)[None],
             (speed / turning)[None],

@@ -13,6 +13,7 @@ from agent.motion.fly.profile import ArmLimits
 from agent.motion.fly.runs import RunPlanner
 from agent.motion.fly.segments import SegmentMaker
 from agent.motion.fly.setpoints import Run
+from agent.motion.fly.time_law import samples_in
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.interpolator import MotionError
 from agent.motion.path.segments import Segment
@@ -131,9 +132,9 @@ class _Plan:
         of, samples, path = self._of, run.samples, run.path
         begin = (self._samples - 1) * of.period
         self._binding += binding_limits(run, of._planner.limits, of.robot.joint_names, begin, of.period)
-        knot = np.minimum(np.searchsorted(path.s, samples.s + path.s[0]), len(path.s) - 1)
-        speed = np.sqrt(np.einsum("si,si->s", samples.pose_rate[:, :3], samples.pose_rate[:, :3]))
-        columns = (samples.q, samples.qd, samples.qdd, samples.pose, speed, path.move[knot])
+        counts = samples_in(path.s[:-1], samples.s + path.s[0], "right")
+        speed = np.sqrt(np.einsum("is,is->s", samples.pose_rate[:3], samples.pose_rate[:3]))
+        columns = (samples.q.T, samples.qd.T, samples.qdd.T, samples.pose.T, speed, np.repeat(path.move, counts))
         self._parts.append(tuple(column[1:] for column in columns))
         self._count(len(samples.s) - 1, int(path.move[-1]))
         self.q = path.q[-1]

@@ -52,7 +52,7 @@ class ArmLimits:
 class PathShape:
     """The path as a cubic spline over s, and its derivatives at the knots.
 
-    coefficients (K - 1, 4, n + 7): of the cell from each knot on, highest power first, columns q, p and the quaternion.
+    coefficients (4, n + 7, K - 1): of the cell from each knot on, highest power first, rows q, p and the quaternion.
     Knots last: q1, q2, q3 (n, K); `travel` (K,) = |dp/ds| and `bend` (K,), the part of d²p/ds² across the path; `turn`
     and `turn_bend` (K,) the same for the rotation.
     """
@@ -78,7 +78,8 @@ class PathShape:
         return 1 + int(np.argmax(self._errors(path)))
 
     def _errors(self, path: Path) -> np.ndarray:
-        change = 6.0 * np.abs(np.diff(self.coefficients[:, 0], axis=0)).max(axis=1)
+        cubic = self.coefficients[0]
+        change = 6.0 * np.abs(cubic[:, 1:] - cubic[:, :-1]).max(axis=0)
         step = np.diff(path.s)
         errors = change * np.maximum(step[1:], step[:-1]) ** 3 / 384.0
         # At its ends the spline has one cubic for two cells, and errs about ten times as much.
@@ -88,27 +89,50 @@ class PathShape:
 
 def shape_of(path: Path) -> PathShape:
     """The spline of a path and its derivatives at the knots."""
-    from scipy.interpolate import CubicSpline  # heavy to import, needed only once something is planned
-
     n = path.q.shape[1]
-    columns = np.concatenate((path.q, path.position, path.orientation), axis=1)
-    coefficients = np.ascontiguousarray(CubicSpline(path.s, columns).c.transpose(1, 0, 2))
+    rows = np.concatenate((path.q.T, path.position.T, path.orientation.T))
+    coefficients = not_a_knot(path.s, rows)
+    cubic, square, linear, _ = coefficients
     step = path.s[-1] - path.s[-2]
-    end = coefficients[-1]
-    third = np.empty_like(columns)
-    third[:-1], third[-1] = 6.0 * coefficients[:, 0], 6.0 * end[0]
-    second = np.empty_like(columns)
-    second[:-1], second[-1] = 2.0 * coefficients[:, 1], 2.0 * end[1] + 6.0 * step * end[0]
-    first = np.empty_like(columns)
-    first[:-1], first[-1] = coefficients[:, 2], end[2] + step * (2.0 * end[1] + 3.0 * step * end[0])
-    third[1:-1] = np.where(np.abs(third[1:-1]) > np.abs(third[:-2]), third[1:-1], third[:-2])
-    travel, bend = _along_and_across(first[:, n : n + 3], second[:, n : n + 3])
+    first, second, third = np.empty((3, *rows.shape))
+    third[:, :-1], third[:, -1] = 6.0 * cubic, 6.0 * cubic[:, -1]
+    second[:, :-1], second[:, -1] = 2.0 * square, 2.0 * square[:, -1] + 6.0 * step * cubic[:, -1]
+    first[:, :-1] = linear
+    first[:, -1] = linear[:, -1] + step * (2.0 * square[:, -1] + 3.0 * step * cubic[:, -1])
+    third[:, 1:-1] = np.where(np.abs(third[:, 1:-1]) > np.abs(third[:, :-2]), third[:, 1:-1], third[:, :-2])
+    way, change = (np.ascontiguousarray(part[n:].T) for part in (first, second))
+    travel, bend = _along_and_across(way[:, :3], change[:, :3])
     # The angular velocity over s is 2 Q' Q*, its derivative 2 Q'' Q* but for a scalar part; Q' is across Q.
     inverse = rotation.conjugate(path.orientation)
-    turning = 2.0 * rotation.multiply(first[:, n + 3 :], inverse)[:, 1:]
-    turn, turn_bend = _along_and_across(turning, 2.0 * rotation.multiply(second[:, n + 3 :], inverse)[:, 1:])
-    q1, q2, q3 = (np.ascontiguousarray(part[:, :n].T) for part in (first, second, third))
-    return PathShape(coefficients, q1, q2, q3, travel, bend, turn, turn_bend)
+    turning = 2.0 * rotation.multiply(way[:, 3:], inverse)[:, 1:]
+    turn, turn_bend = _along_and_across(turning, 2.0 * rotation.multiply(change[:, 3:], inverse)[:, 1:])
+    return PathShape(coefficients, first[:n], second[:n], third[:n], travel, bend, turn, turn_bend)
+
+
+def not_a_knot(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """(4, m, K - 1) coefficients, highest power first, of the cubic splines through rows (m, K) at K > 3 knots x (K,).
+
+    Their third derivatives do not jump at the second knot nor at the last but one (de Boor, A practical guide to
+    splines, chapter IV); SciPy's CubicSpline by itself, without its checks.
+    """
+    from scipy.linalg.lapack import dgtsv  # heavy to import, needed only once something is planned
+
+    h = np.diff(x)
+    chord = np.diff(rows, axis=1) / h
+    above, below = np.concatenate(([x[2] - x[0]], h[:-1])), np.concatenate((h[1:], [x[-1] - x[-3]]))
+    diagonal = np.concatenate(([h[1]], 2.0 * (h[:-1] + h[1:]), [h[-2]]))
+    right = np.empty_like(rows)
+    right[:, 1:-1] = 3.0 * (h[1:] * chord[:, :-1] + h[:-1] * chord[:, 1:])
+    for end, one, two, wide in ((0, 0, 1, x[2] - x[0]), (-1, -1, -2, x[-1] - x[-3])):
+        outer, inner = chord[:, one], chord[:, two]
+        right[:, end] = ((h[one] + 2.0 * wide) * h[two] * outer + h[one] ** 2 * inner) / wide
+    slope = dgtsv(below, diagonal, above, right.T, overwrite_b=True)[3].T
+    coefficients = np.empty((4, len(rows), len(h)))
+    bent = (slope[:, :-1] + slope[:, 1:] - 2.0 * chord) / h
+    np.divide(bent, h, out=coefficients[0])
+    np.subtract((chord - slope[:, :-1]) / h, bent, out=coefficients[1])
+    coefficients[2], coefficients[3] = slope[:, :-1], rows[:, :-1]
+    return coefficients
 
 
 def _along_and_across(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.motion.fly.profile import ArmLimits, PathShape, fastest, speed_ceiling, widened
-from agent.motion.fly.time_law import TimeLaw, time_law
+from agent.motion.fly.time_law import TimeLaw, samples_in, time_law
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.interpolator import MotionError
 from agent.motion.path import rules
@@ -23,7 +23,6 @@ from agent.motion.path.segments import Segment
 _REPAIRS, _STRETCHES = 7, 6
 #: Repairs look at every so many samples, until those are right; then at all of them.
 _COARSE = 4
-_BLOCK = 300
 #: [rad/s] what a tool turns at most where the robot has no limit, to tell a singularity from a quick turn.
 _TURNING = 6.0
 #: A stretch of this part is left alone: speed 0.05 %, acceleration 0.1 %, jerk 0.15 % over what is planned for, which
@@ -33,10 +32,10 @@ _TOLERANCE = 5e-4
 
 @dataclass(frozen=True, eq=False)
 class SetPoints:
-    """Samples of one run, the first at rest at its start: q, qd, qdd (S, n); the path parameter s and its speed (S,).
+    """Samples of one run, the first at rest at its start: q, qd, qdd (n, S); the path parameter s and its speed (S,).
 
-    pose (S, 7): position [m] and orientation (unit quaternion) of the TCP; pose_rate, pose_acceleration: its
-    derivatives by time.
+    pose (7, S): position [m] and orientation (unit quaternion) of the TCP; pose_rate, pose_acceleration: its
+    derivatives by time. Samples are the last axis here, so that every operation runs along them.
     """
 
     q: np.ndarray
@@ -51,15 +50,23 @@ class SetPoints:
 
 def cartesian_rates(samples: SetPoints, pick: slice = slice(None)) -> np.ndarray:
     """(4, S) linear [m/s] and rotational speed [rad/s], linear and rotational acceleration of the TCP."""
-    pose, rate, change = samples.pose[pick], samples.pose_rate[pick], samples.pose_acceleration[pick]
+    pose, rate, change = samples.pose[:, pick], samples.pose_rate[:, pick], samples.pose_acceleration[:, pick]
+    squares = np.empty((4, pose.shape[1]))
+    _dot(rate[:3], rate[:3], squares[0])
+    _dot(rate[3:], rate[3:], squares[1])
+    _dot(change[:3], change[:3], squares[2])
+    along = _dot(pose[3:], change[3:], np.empty(len(squares[3])))
+    along *= along
+    turning = _dot(change[3:], change[3:], squares[3])
+    turning -= along
+    np.maximum(turning, 0.0, out=turning)
+    squares[1::2] *= 4.0
+    return np.sqrt(squares, out=squares)
 
-    def squares(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        return np.einsum("si,si->s", one, other)
 
-    turn_change = squares(change[:, 3:], change[:, 3:]) - squares(pose[:, 3:], change[:, 3:]) ** 2
-    linear, turn = squares(rate[:, :3], rate[:, :3]), 4.0 * squares(rate[:, 3:], rate[:, 3:])
-    linear_change = squares(change[:, :3], change[:, :3])
-    return np.sqrt(np.stack((linear, turn, linear_change, 4.0 * np.maximum(turn_change, 0.0))))
+def _dot(one: np.ndarray, other: np.ndarray, out: np.ndarray) -> np.ndarray:
+    """(S,) inner products of the columns of two (m, S)."""
+    return np.sum(one * other, axis=0, out=out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,55 +164,89 @@ def _sampled(path: Path, shape: PathShape, law: TimeLaw, period: float) -> SetPo
     t = np.arange(int(np.ceil(law.duration / period - 1e-9)) + 1) * period
     s, speed, acceleration = law.sample(t)
     at = s + path.s[0]
-    cell = np.clip(np.searchsorted(path.s, at, side="right") - 1, 0, len(path.s) - 2)
-    x = (at - path.s[cell])[:, None]
-    value, rate, change = (np.empty((len(t), n + 7)) for _ in range(3))
-    # In blocks whose intermediate arrays stay in the processor's cache.
-    for begin in range(0, len(t), _BLOCK):
-        block = slice(begin, begin + _BLOCK)
-        cubic, square, linear, constant = shape.coefficients[cell[block]].transpose(1, 0, 2)
-        dx, v = x[block], speed[block, None]
-        bent = cubic * dx
-        chord = square + bent
-        first = linear + dx * (2.0 * chord + bent)
-        value[block] = constant + dx * (linear + dx * chord)
-        rate[block] = first * v
-        change[block] = first * acceleration[block, None] + (chord + 2.0 * bent) * (2.0 * v * v)
-    value[:, n + 3 :] /= np.sqrt(np.einsum("si,si->s", value[:, n + 3 :], value[:, n + 3 :]))[:, None]
-    return SetPoints(value[:, :n], rate[:, :n], change[:, :n], s, speed, value[:, n:], rate[:, n:], change[:, n:])
+    counts = samples_in(path.s[1:-1], at, "left")
+    cubic, square, linear, constant = np.repeat(shape.coefficients, counts, axis=2)
+    x = at - np.repeat(path.s[:-1], counts)
+    value, rate, change = np.empty((3, n + 7, len(t)))
+    # In place: fresh arrays would cost more than what is done with them.
+    cubic *= x
+    square += cubic  # the chord
+    np.multiply(square, 2.0, out=rate)
+    rate += cubic
+    rate *= x
+    rate += linear  # by s
+    np.multiply(square, x, out=value)
+    value += linear
+    value *= x
+    value += constant
+    cubic *= 2.0
+    square += cubic
+    square *= 2.0 * speed * speed
+    np.multiply(rate, acceleration, out=change)
+    change += square
+    rate *= speed
+    turn = value[n + 3 :]
+    turn /= np.sqrt(_dot(turn, turn, np.empty(len(t))))
+    return SetPoints(value[:n], rate[:n], change[:n], s, speed, value[n:], rate[n:], change[n:])
 
 
 def _stretch(path: Path, samples: SetPoints, limits: ArmLimits, period: float) -> np.ndarray:
     """(S,) the factor by which time would have to be stretched at each sample for every limit to hold there.
 
-    Programmed speeds of the TCP count as limits: a change of speed from move to move may not come late.
+    Where all hold it is 1 or less. Programmed speeds of the TCP count as limits: a change of speed from move to move
+    may not come late.
     """
-    knot = np.minimum(np.searchsorted(path.s, samples.s + path.s[0]), len(path.s) - 1)
-    linear, turn, linear_change, turn_change = cartesian_rates(samples)
-    rule, cartesian = path.rules[knot], limits.cartesian
+    counts = samples_in(path.s[:-1], samples.s + path.s[0], "right")
+    rule, cartesian = path.rules, limits.cartesian
     limited = rule[:, rules.CARTESIAN]
-    speed = linear / np.minimum(cartesian.linear_speed * limited, rule[:, rules.LINEAR])
-    np.maximum(speed, turn / np.minimum(cartesian.rotational_speed * limited, rule[:, rules.ROTATIONAL]), out=speed)
-    acceleration = linear_change / (cartesian.linear_acceleration * limited)
-    np.maximum(acceleration, turn_change / (cartesian.rotational_acceleration * limited), out=acceleration)
-    jerk = np.zeros(len(speed))
-    # Joint by joint: reducing over the short axis of (S, n) costs five times as much.
-    for k in range(len(limits.speed)):
-        np.maximum(speed, np.abs(samples.qd[:, k]) / limits.speed[k], out=speed)
-        np.maximum(acceleration, np.abs(samples.qdd[:, k]) / limits.acceleration[k], out=acceleration)
-        np.maximum(jerk, np.abs(np.diff(samples.qdd[:, k], prepend=0.0)) / (limits.jerk[k] * period), out=jerk)
-        # The mean over three periods is another mean than that over one: servos may see either.
-        over_three = np.abs(np.diff(samples.q[:, k], 3)) / (limits.jerk[k] * period**3)
-        np.maximum(jerk[2:-1], over_three, out=jerk[2:-1])
-    return np.maximum(np.maximum(speed, np.sqrt(acceleration)), np.cbrt(jerk))
+    ceilings = np.array(
+        (
+            np.minimum(cartesian.linear_speed * limited, rule[:, rules.LINEAR]),
+            np.minimum(cartesian.rotational_speed * limited, rule[:, rules.ROTATIONAL]),
+            cartesian.linear_acceleration * limited,
+            cartesian.rotational_acceleration * limited,
+        )
+    )
+    rates = cartesian_rates(samples)
+    rates /= np.repeat(ceilings, counts, axis=1)
+    speed, acceleration = np.maximum(rates[::2], rates[1::2])
+    full = np.abs(samples.qd)
+    full /= limits.speed[:, None]
+    np.maximum(speed, full.max(axis=0), out=speed)
+    np.abs(samples.qdd, out=full)
+    full /= limits.acceleration[:, None]
+    np.maximum(acceleration, full.max(axis=0), out=acceleration)
+    full[:, 0] = samples.qdd[:, 0]
+    np.subtract(samples.qdd[:, 1:], samples.qdd[:, :-1], out=full[:, 1:])
+    np.abs(full, out=full)
+    full /= limits.jerk[:, None] * period
+    jerk = full.max(axis=0)
+    # The mean over three periods is another mean than that over one: servos may see either.
+    over_three = np.abs(np.diff(samples.q, 3, axis=1))
+    over_three /= limits.jerk[:, None] * period**3
+    np.maximum(jerk[2:-1], over_three.max(axis=0), out=jerk[2:-1])
+    stretch = np.maximum(speed, np.sqrt(acceleration))
+    over = jerk > 1.0
+    stretch[over] = np.maximum(stretch[over], np.cbrt(jerk[over]))
+    return stretch
 
 
 def _lowered(ceiling: np.ndarray, path: Path, samples: SetPoints, stretch: np.ndarray, window: int) -> np.ndarray:
     """The ceiling (K,) lowered to what the broken samples need, for a whole window (in samples) around each of them."""
     needed = np.where(stretch > 1.0 + _TOLERANCE, (samples.speed / (1.002 * np.maximum(stretch, 1.0))) ** 2, np.inf)
-    edge = np.full(window // 2, np.inf)
-    around = np.lib.stride_tricks.sliding_window_view(np.concatenate((edge, needed, edge)), 2 * (window // 2) + 1)
-    lowest = around.min(axis=1)
+    lowest = _lowest_around(needed, window // 2)
     k = np.clip(np.searchsorted(samples.s, path.s - path.s[0]), 1, len(lowest) - 1)
     # A sample that breaks a limit as the arm sets off says nothing about the speed; the floor keeps the arm moving.
     return np.minimum(ceiling, np.maximum(np.minimum(lowest[k], lowest[k - 1]), 1e-6 * np.max(ceiling)))
+
+
+def _lowest_around(values: np.ndarray, half: int) -> np.ndarray:
+    """(S,) the smallest of the values (S,) from `half` before to `half` after each; twice as wide with every step."""
+    edge = np.full(half, np.inf)
+    lowest = np.concatenate((edge, values, edge))
+    width, wanted = 1, 2 * half + 1
+    while width < wanted:
+        step = min(width, wanted - width)
+        lowest = np.minimum(lowest[:-step], lowest[step:])
+        width += step
+    return lowest

@@ -13,6 +13,7 @@ time of the run is stretched by what is left.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -45,12 +46,15 @@ class TimeLaw:
 
     def _raw(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Integral of s, s and ṡ before the averaging."""
-        k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.acceleration) - 1)
-        dt = np.clip(t, 0.0, self.t[-1]) - self.t[k]
-        a, v = self.acceleration[k], self.speed[k]
+        counts = samples_in(self.t[1:-1], t, "left")
+        begin, s0, v, a, integral = (
+            np.repeat(knots, counts)
+            for knots in (self.t[:-1], self.s[:-1], self.speed[:-1], self.acceleration, self.integral[:-1])
+        )
+        dt = np.clip(t, 0.0, self.t[-1]) - begin
         speed = v + a * dt
-        s = self.s[k] + dt * (v + 0.5 * a * dt)
-        integral = self.integral[k] + dt * (self.s[k] + dt * (0.5 * v + a * dt / 6.0))
+        s = s0 + dt * (v + 0.5 * a * dt)
+        integral += dt * (s0 + dt * (0.5 * v + a * dt / 6.0))
         after = np.maximum(t - self.t[-1], 0.0)
         return integral + after * self.s[-1], s, speed
 
@@ -65,3 +69,12 @@ def time_law(path: Path, z: np.ndarray, window: float) -> TimeLaw:
     s = path.s - path.s[0]
     integral = np.concatenate(([0.0], np.cumsum(dt * (s[:-1] + dt * (0.5 * speed[:-1] + acceleration * dt / 6.0)))))
     return TimeLaw(t, s, speed, acceleration, integral, window)
+
+
+def samples_in(edges: np.ndarray, samples: np.ndarray, side: Literal["left", "right"]) -> np.ndarray:
+    """(E + 1,) how many of the samples (S,) lie before, between and after the edges (E,), both in growing order.
+
+    A sample on an edge counts after it (`left`) or before it (`right`), as in `np.searchsorted`.
+    """
+    ends = np.searchsorted(samples, edges, side=side)
+    return np.diff(ends, prepend=0, append=len(samples))

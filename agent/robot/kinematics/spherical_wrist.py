@@ -5,6 +5,7 @@ The formulas are in `spherical_wrist_geometry`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 from typing import NoReturn
 
@@ -27,6 +28,7 @@ from agent.robot.kinematics.spherical_wrist_geometry import SphericalWristGeomet
 
 #: Signs of shoulder, elbow and wrist, in the order of the branches of `inverse`.
 BRANCHES = tuple(product((1, -1), repeat=3))
+_SIGNS = np.array(BRANCHES, dtype=float).T
 SINGULARITIES = ("shoulder", "elbow", "wrist")
 _BEYOND = -2e-9  # a squared margin below this is out of reach, above it round-off at the border
 
@@ -42,17 +44,13 @@ class SphericalWristKinematics(Kinematics):
     def inverse(self, poses: np.ndarray) -> InverseSolutions:
         poses = np.asarray(poses, dtype=float)
         samples = len(poses)
-        q = np.empty((samples, 8, 6))
-        margins = np.empty((samples, 8, 3))
-        wrist = self._wrist(poses)
-        for k, signs in enumerate(BRANCHES):
-            angles, squares = self._branch(wrist, signs)
-            q[:, k] = self.nearest_turn(angles.T, self.middle)
-            margins[:, k] = squares.T
+        angles, squares = self._branch(np.repeat(self._wrist(poses), 8, axis=1), np.tile(_SIGNS, samples))
+        q = self.nearest_turn(angles.T, self.middle).reshape(samples, 8, 6)
+        margins = squares.T.reshape(samples, 8, 3)
         reached = np.all(margins >= _BEYOND, axis=2)
         valid = np.all(margins >= SINGULAR_DISTANCE**2, axis=2)
-        for k in range(8):
-            q[valid[:, k], k] = self._polish(poses[valid[:, k]], q[valid[:, k], k])
+        if not self._exact:
+            q[valid] = self._polish(np.repeat(poses, valid.sum(axis=1), axis=0), q[valid])
         q[~valid] = np.nan
         return InverseSolutions(
             q=q,
@@ -122,8 +120,10 @@ class SphericalWristKinematics(Kinematics):
         """(12, S): the wrist's rotation in B row by row, and the wrist centre in B."""
         return self.geometry.selection @ poses.reshape(len(poses), 16).T
 
-    def _branch(self, wrist: np.ndarray, signs: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    def _branch(self, wrist: np.ndarray, signs: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Joint angles (6, S) on one branch, and the squares (3, S) of the distances from its singularities.
+
+        `signs` are those of one branch (3,), or of each pose's own (3, S).
 
         A negative square is out of reach, and its angles are those of the border. Sines and cosines of the first three
         joints come from the triangle itself, so that only the angles asked for cost a transcendental function.
