@@ -29,8 +29,11 @@ def _commands() -> Iterator[str]:
     from agent.cli.app import app
 
     group = typer.main.get_command(app)
-    for name in sorted(group.commands):
-        command = group.commands[name]
+    found = {name: command for name, command in group.commands.items() if not hasattr(command, "commands")}
+    for outer, inner in group.commands.items():
+        found |= {f"{outer} {name}": command for name, command in getattr(inner, "commands", {}).items()}
+    for name in sorted(found):
+        command = found[name]
         arguments = [p for p in command.params if p.param_type_name == "argument"]
         options = [p for p in command.params if p.param_type_name == "option" and p.name != "help"]
         usage = " ".join(["agent", name, *(_metavar(p) for p in arguments)])

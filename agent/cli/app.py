@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from agent.cli import shop_floor
+from agent.cli import fleet, shop_floor
 from agent.cli.options import (
     AllowMixed,
     AsJson,
@@ -329,3 +329,4 @@ def emulator(context: typer.Context) -> None:
 
 
 app.registered_commands += shop_floor.app.registered_commands
+app.add_typer(fleet.app, name="fleet")

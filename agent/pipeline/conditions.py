@@ -62,6 +62,14 @@ def friction_levels(model: IdentifiedModel, top_speed: np.ndarray) -> list[Level
     return levels
 
 
+def top_speed(log: Log, model: IdentifiedModel) -> np.ndarray:
+    """(n,) speed [rad/s] that each axle reached in a log, but for the fastest hundredth of it."""
+    from agent.robot.drivetrain import axle_motion
+
+    speed = np.gradient(log.position, log.t, axis=0) if log.velocity is None else log.velocity
+    return np.quantile(np.abs(axle_motion(model.robot, speed)), 0.99, axis=0)
+
+
 def _steady(term: Any, speed: float) -> float:
     """Torque of a term per unit of its parameter while its axle turns forward at `speed`, without load."""
     match term.form:
@@ -111,11 +119,7 @@ def conditions(log: Log, prediction: Prediction, recording: Recording) -> dict[s
     Args:
         log: the excitation, of which `prediction` is; `recording` says how it came about.
     """
-    from agent.robot.drivetrain import axle_motion
-
     model = prediction.model
-    speed = np.gradient(log.position, log.t, axis=0) if log.velocity is None else log.velocity
-    top = np.quantile(np.abs(axle_motion(model.robot, speed)), 0.99, axis=0)
     found = warm_up(log, prediction)
     return {
         "cycles": len(log.cycle_starts),
@@ -123,5 +127,5 @@ def conditions(log: Log, prediction: Prediction, recording: Recording) -> dict[s
         "temperatures_c": dict(zip(("first", "last"), recording.temperatures, strict=False)) or None,
         "warm_up": {"rate_per_s": found.rate.tolist(), "standard_deviation": found.deviation.tolist()},
         "nominal_torque": [float(v) if np.isfinite(v) else None for v in model.robot.nominal_torque],
-        "friction": [level.__dict__ for level in friction_levels(model, top)],
+        "friction": [level.__dict__ for level in friction_levels(model, top_speed(log, model))],
     }

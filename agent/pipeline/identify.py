@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from agent.core.console import Console
 from agent.core.errors import InputError, RejectedError
 from agent.robot import load_robot
+
+if TYPE_CHECKING:
+    from agent.model.identified import IdentifiedModel
+    from agent.recording.log import Log
 
 
 def import_files(robot: str, mapping: Path, tables: list[Path], out: Path) -> list[str]:
@@ -122,26 +126,10 @@ def estimate_files(
     With a folder to `export` to, the links have to be bodies that could exist: the method is then `consistent` unless
     another is named.
     """
-    from agent.estimation import EstimationSettings, estimate
-
-    if structure not in ("rigid", "auto"):
-        raise InputError(f"--structure {structure!r} is not known; choose rigid or auto")
     check_output(out, paths)
-    description = load_robot(robot)
-    logs = read_logs(paths, description, console)
-    check_one_machine(logs, None, allow_mixed)
-    check_plausible(description, logs, force, console)
-    # no fit looks at these, and twenty minutes of them are many
-    logs = [replace(log, velocity=None, planned_position=None) for log in logs]
     if export is not None and method is None:
         method = "consistent"
-    model = estimate(description, logs, EstimationSettings.create(cutoff=cutoff, method=method))
-    if structure == "auto":
-        from agent.diagnosis.structure import with_structure
-
-        console.step("searching for structure beyond bodies and friction")
-        model = with_structure(description, logs, model, console.progress)
-    say_used(logs, model.cutoff, model.order, console)
+    model, _ = fit_files(robot, paths, cutoff, method, console, allow_mixed, force, structure)
     model.save(out)
     written = [out]
     if export is not None:
@@ -149,6 +137,37 @@ def estimate_files(
 
         written += export_model(model, export)
     return model.to_dict(), "\n".join([model.text(), *(str(path) for path in written)])
+
+
+def fit_files(
+    robot: str,
+    paths: list[Path],
+    cutoff: float | None,
+    method: str | None,
+    console: Console,
+    allow_mixed: bool,
+    force: bool,
+    structure: str,
+) -> tuple[IdentifiedModel, list[Log]]:
+    """The model that `estimate_files` writes, and the logs it was fitted to, without their velocities."""
+    from agent.estimation import EstimationSettings, estimate
+
+    if structure not in ("rigid", "auto"):
+        raise InputError(f"--structure {structure!r} is not known; choose rigid or auto")
+    description = load_robot(robot)
+    logs = read_logs(paths, description, console)
+    check_one_machine(logs, None, allow_mixed)
+    check_plausible(description, logs, force, console)
+    # no fit looks at these, and twenty minutes of them are many
+    logs = [replace(log, velocity=None, planned_position=None) for log in logs]
+    model = estimate(description, logs, EstimationSettings.create(cutoff=cutoff, method=method))
+    if structure == "auto":
+        from agent.diagnosis.structure import with_structure
+
+        console.step("searching for structure beyond bodies and friction")
+        model = with_structure(description, logs, model, console.progress)
+    say_used(logs, model.cutoff, model.order, console)
+    return model, logs
 
 
 def check_output(out: Path, paths: Sequence[Path]) -> None:

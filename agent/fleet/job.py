@@ -1,0 +1,186 @@
+"""The whole job: find the tasks of a source, leave out what is known, do the rest somewhere, put all in place."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from agent.core.console import Console
+from agent.core.errors import BusyError
+from agent.core.parallel import Engine
+from agent.fleet.result import SCHEMA_NAME, Result
+from agent.fleet.store import Store
+from agent.fleet.tasks import Plant, Question, Task, find_tasks
+from agent.fleet.work import PASSING, Answer, run_task
+from agent.runs.lock import robot_lock
+from drivers.texts import hide_all, printable
+
+#: What is finished is kept at least so often [s].
+_KEEP = 10.0
+#: Characters of a reason or warning in a row.
+_LONGEST = 2000
+
+
+@dataclass
+class Summary:
+    """What a run of the fleet came to. `done` runs were worked on, `kept` rows stood; `failed` are all rows of this
+    source that have no figures; `cpu_s`, `read_bytes`, `written_bytes`: what it took."""
+
+    kind: str
+    source: str
+    result: str
+    runs: int = 0
+    robots: int = 0
+    rows: int = 0
+    done: int = 0
+    kept: int = 0
+    cpu_s: float = 0.0
+    seconds: float = 0.0
+    read_bytes: int = 0
+    written_bytes: int = 0
+    failed: list[dict[str, str]] = field(default_factory=list)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return {"schema": SCHEMA_NAME, **self.__dict__}
+
+    def text(self) -> str:
+        """For people."""
+        lines = [
+            f"{self.runs} runs of {self.robots} robots: {self.done} done, {self.kept} known; {self.rows} rows in "
+            f"{self.result}",
+            f"{self.cpu_s:.1f} CPU s in {self.seconds:.1f} s, {self.read_bytes / 1e6:.1f} MB read, "
+            f"{self.written_bytes / 1e6:.1f} MB written",
+        ]
+        counts = Counter(one["status"] for one in self.failed)
+        if counts:
+            lines.append("without figures: " + ", ".join(f"{count} {status}" for status, count in counts.items()))
+            lines += [f"  {one['run']}: {one['reason']}" for one in self.failed[:5]]
+            if len(self.failed) > 5:
+                lines.append("  …; all are in the column `reason`")
+        return "\n".join(lines)
+
+
+def run_fleet(
+    source: str,
+    question: Question,
+    out: str,
+    engine: Callable[[int], AbstractContextManager[Engine]],
+    console: Console,
+) -> Summary:
+    """Bring a result up to date with a source; `engine` is asked for one for so many tasks, where there are any.
+
+    Raises:
+        InputError: source, result or a file that was named cannot be used.
+        BusyError: another run writes this result.
+        AgentError: the result cannot be written, or the workers are gone; what is done is kept.
+    """
+    began = time.monotonic()
+    with _alone(out), Result(out, question.kind) as result:
+        console.step(f"looking for runs in {source}")
+        plant = find_tasks(Store(source), question)
+        robots = {task.robot for task in plant.tasks}
+        summary = Summary(question.kind, source, out, runs=len(plant.tasks), robots=len(robots))
+        known = result.known()
+        todo = [task for task in _marked(plant, question.key, known) if task is not None]
+        summary.kept = len(plant.tasks) - len(todo)
+        console.say(f"{len(plant.tasks)} runs of {len(robots)} robots; {len(todo)} to be done")
+        failed = {
+            task.run: {"run": task.run, "status": known[task.run]["status"], "reason": known[task.run]["reason"]}
+            for task in plant.tasks
+            if task.run in known and known[task.run]["status"] != "ok"
+        }
+        if todo:
+            with engine(len(todo)) as workers:
+                _work(todo, workers, result, summary, failed, console)
+        summary.rows = result.commit()
+        summary.failed = sorted(failed.values(), key=lambda one: one["run"])
+        summary.written_bytes = result.written
+        summary.seconds = time.monotonic() - began
+    return summary
+
+
+def _work(
+    todo: list[Task],
+    engine: Engine,
+    result: Result,
+    summary: Summary,
+    failed: dict[str, dict[str, str]],
+    console: Console,
+) -> None:
+    kept = time.monotonic()
+    for number, done in enumerate(engine.map(run_task, todo), 1):
+        task = todo[done.number]
+        answer = done.answer or Answer({"status": "killed", "exit_code": 1, "reason": done.lost}, [])
+        failed.pop(task.run, None)
+        summary.cpu_s += answer.cpu_s
+        summary.read_bytes += answer.read_bytes
+        if answer.row is None:
+            result.same(task.run, answer.inputs)
+            summary.kept += 1
+        else:
+            row = _row(task, answer)
+            if answer.model:
+                row["model"] = result.add_model(answer.model)
+            result.add(row)
+            summary.done += 1
+            if row["status"] != "ok":
+                failed[task.run] = {key: row[key] for key in ("run", "status", "reason")}
+        console.progress(f"{number} of {len(todo)} runs, {len(failed)} without figures")
+        if time.monotonic() - kept > _KEEP:
+            result.keep()
+            kept = time.monotonic()
+
+
+def _row(task: Task, answer: Answer) -> dict[str, Any]:
+    assert answer.row is not None
+    row = {
+        **answer.row,
+        "robot": task.robot,
+        "run": task.run,
+        "logs": [file.name for file in task.logs],
+        "page": task.page or None,
+        "asked": task.question.key,
+        "inputs": answer.inputs,
+    }
+    row["reason"] = _shown(row["reason"])
+    row["warnings"] = [_shown(text) for text in row.get("warnings", [])]
+    return row
+
+
+def _shown(text: str) -> str:
+    return printable(hide_all(text), _LONGEST)
+
+
+def _marked(plant: Plant, asked: str, known: dict[str, dict[str, Any]]) -> Iterator[Task | None]:
+    """Every task that has to be looked at, with what is known of its inputs; None for those that stand.
+
+    A row stands where it answers the same question and every file it was made of has the size and stamp it had. Where
+    only stamps differ, the worker compares the content.
+    """
+    for task in plant.tasks:
+        row = known.get(task.run)
+        if row is None or row["asked"] != asked or row["status"] in PASSING:
+            yield task
+            continue
+        inputs = {entry["path"]: entry for entry in row["inputs"] or ()}
+        there = all(plant.listing.get(path) == (entry["size"], entry["stamp"]) for path, entry in inputs.items())
+        if there and {file.path for file in task.files} <= inputs.keys():
+            yield None
+        else:
+            yield replace(task, known=tuple(sorted((path, entry["sha256"]) for path, entry in inputs.items())))
+
+
+@contextlib.contextmanager
+def _alone(out: str) -> Iterator[None]:
+    """One run at a time writes a result, as far as this machine can tell."""
+    try:
+        with robot_lock("fleet", str(Store(out).local or out)):
+            yield
+    except BusyError:
+        raise BusyError(f"{out}: another run writes this result; wait for it to end, or stop it") from None

@@ -1,0 +1,330 @@
+"""A fleet that never was, with known wear, steps and causes: small logs of it, or a year of results at once.
+
+Friction of every axle is a level of its own, scattered from run to run, raised by a warm-up that all axles of a machine
+share, and changed by what was planted:
+
+- wear: one axle of a machine drifts, linear in time;
+- step: one axle of a machine jumps at some week (a new grease);
+- cause: all machines of one lubricant batch drift on the same axle.
+
+`truth.csv` says what was planted where, `machines.csv` has the columns a plant would bring (cell, lubricant batch).
+Torque of logs is inverse dynamics of the description, rotors, friction with a smooth reversal, and noise.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.core.errors import InputError
+from agent.fleet.result import ROWS, schema
+from agent.fleet.store import Store
+from agent.robot import RobotDescription, load_robot
+
+#: Shares of the machines that wear, that step, and that are of the bad batch; the changes that are planted.
+SHARES = {"wear": 0.02, "step": 0.01, "cause": 0.05}
+CHANGES = {"wear": 0.10, "step": -0.15, "cause": 0.06}
+SCATTER = 0.004  # of friction from run to run
+WARM_UP = 0.05  # friction of a cold arm is higher by up to so much
+_DECAY = 600.0  # s, of the warm-up
+_DOUBT = 1.2e-5  # 1/s, of the rate of warm-up within a run
+_CELLS, _BATCHES = 12, 20
+_BAD_BATCH = "B07"
+_START = datetime(2025, 1, 6, 2, 0, tzinfo=UTC)
+_CYCLES, _PERIOD, _RATE = 4, 5.0, 100.0  # of the motion of a log: cycles, s, Hz
+_REVERSAL = 0.01  # share of the highest speed over which friction changes sign
+_NOISE = 0.003  # of nominal torque
+
+
+@dataclass(frozen=True)
+class Planted:
+    """A change of the friction of one axle: `kind`, its relative size at the end, and the week after which it is there
+    (a step) or from which it grows."""
+
+    robot: str
+    joint: str
+    kind: str
+    change: float
+    week: int
+
+
+@dataclass(frozen=True, eq=False)
+class Fleet:
+    """What was drawn: machines, their columns, what was planted, and the friction (N, W, n) of axles over weeks, over
+    its first; the warm-up `cold` (N, W) and its answer (N, n) of every axle."""
+
+    names: tuple[str, ...]
+    columns: tuple[tuple[str, str], ...]
+    planted: tuple[Planted, ...]
+    friction: np.ndarray
+    cold: np.ndarray
+    answer: np.ndarray
+
+
+def draw_fleet(machines: int, weeks: int, joints: tuple[str, ...], seed: int) -> Fleet:
+    """Draw a fleet; the same for the same seed.
+
+    Raises:
+        InputError: no machine or no week.
+    """
+    if machines < 1 or weeks < 1:
+        raise InputError("fleet simulate: at least one machine (-n) and one week (--weeks) are needed")
+    rng = np.random.default_rng(seed)
+    n = len(joints)
+    names = tuple(f"robot_{k:0{max(4, len(str(machines - 1)))}d}" for k in range(machines))
+    order = rng.permutation(machines)
+    counts = {kind: round(share * machines) for kind, share in SHARES.items()}
+    counts["wear"] = max(1, counts["wear"])
+    batches = rng.permutation([f"B{k % _BATCHES:02d}" for k in range(machines)]).astype(object)
+    batches[batches == _BAD_BATCH] = "B08"
+    bad = order[: counts["cause"]]
+    batches[bad] = _BAD_BATCH
+    part = np.arange(weeks) / max(1, weeks - 1)
+    change = np.zeros((machines, weeks, n))
+    planted = []
+    shared = int(rng.integers(n))
+    for place, machine in enumerate(order[: sum(counts.values())]):
+        kind = "cause" if place < counts["cause"] else "wear" if place < counts["cause"] + counts["wear"] else "step"
+        axle = shared if kind == "cause" else int(rng.integers(n))
+        week = int(rng.integers(weeks // 4, max(weeks // 4 + 1, 3 * weeks // 4))) if kind == "step" else 0
+        change[machine, :, axle] = CHANGES[kind] * (np.arange(weeks) >= week if kind == "step" else part)
+        planted.append(Planted(names[machine], joints[axle], kind, CHANGES[kind], week))
+    answer = rng.uniform(0.5, 1.5, (machines, n))
+    cold = WARM_UP * rng.uniform(size=(machines, weeks))
+    scatter = SCATTER * rng.normal(size=(machines, weeks, n))
+    friction = (1 + answer[:, None] * cold[..., None]) * (1 + change) * (1 + scatter)
+    columns = tuple((f"cell_{k % _CELLS:02d}", str(batches[k])) for k in range(machines))
+    planted.sort(key=lambda one: one.robot)
+    return Fleet(names, columns, tuple(planted), friction, cold, answer)
+
+
+def simulate_fleet(robot: str, machines: int, weeks: int, seed: int, out: str, rows: bool) -> list[str]:
+    """Write a fleet to a folder or URL: logs with their description, or with `rows` the result of `fleet estimate` on
+    a year of them; returns what was written.
+
+    Raises:
+        InputError: a robot that is not known, or a folder with something in it.
+    """
+    description = load_robot(robot)
+    store = Store(out)
+    if store.names("."):
+        raise InputError(f"{out}: there is something in it already; name a new folder")
+    fleet = draw_fleet(machines, weeks, description.joint_names, seed)
+    written = _write_rows(store, fleet, description, seed) if rows else _write_logs(store, fleet, description, seed)
+    columns = [(name, *column) for name, column in zip(fleet.names, fleet.columns, strict=True)]
+    tables = {
+        "machines.csv": [("robot", "cell", "lubricant_batch"), *columns],
+        "truth.csv": [
+            ("robot", "joint", "kind", "change", "week"),
+            *(tuple(p.__dict__.values()) for p in fleet.planted),
+        ],
+    }
+    for name, table in tables.items():
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows(table)
+        store.put(f"_{name}" if rows else name, text.getvalue().encode())
+        written.append(f"{out}/{'_' if rows else ''}{name}")
+    return written
+
+
+def _week(number: int) -> datetime:
+    return _START + timedelta(weeks=number)
+
+
+def _run(name: str, week: int) -> str:
+    return f"{name}/{_week(week):%Y%m%dT%H%M%SZ}"
+
+
+def _write_logs(store: Store, fleet: Fleet, robot: RobotDescription, seed: int) -> list[str]:
+    import tempfile
+
+    from agent.recording import write_log
+
+    text = description_text(robot)
+    motion = _motion(robot, seed)
+    for machine, name in enumerate(fleet.names):
+        store.put(f"{name}/robot.yaml", text.encode())
+        store.put(f"{name}/robot.urdf", robot.urdf.encode())
+        for week in range(fleet.friction.shape[1]):
+            rng = np.random.default_rng((seed, machine, week))
+            log = motion.log(fleet, machine, week, rng)
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder) / "excitation.mcap"
+                write_log(path, log)
+                store.put(f"{_run(name, week)}/excitation.mcap", path)
+    return [store.url]
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """One cycle's motion, repeated, and what it needs of torque but for friction and noise: arrays (S, n)."""
+
+    robot: RobotDescription
+    t: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    rigid: np.ndarray
+    friction: np.ndarray
+    nominal: np.ndarray
+
+    def log(self, fleet: Fleet, machine: int, week: int, rng: np.random.Generator) -> Any:
+        from agent.recording.log import Log
+
+        cooling = 1 + fleet.answer[machine] * fleet.cold[machine, week] * (np.exp(-self.t / _DECAY) - 1)[:, None]
+        torque = self.rigid + self.friction * fleet.friction[machine, week] * cooling
+        torque = torque + _NOISE * self.nominal * rng.normal(size=torque.shape)
+        name = fleet.names[machine]
+        return Log(
+            path=Path("excitation.mcap"),
+            joint_names=self.robot.joint_names,
+            t=self.t,
+            position=self.q + 2e-6 * rng.normal(size=self.q.shape),
+            velocity=None,
+            effort=torque,
+            reference_position=None,
+            planned_position=None,
+            sample_rate=_RATE,
+            stamp=_week(week).timestamp(),
+            segments=((0, len(self.t)),),
+            cycle_starts=tuple(_PERIOD * k for k in range(_CYCLES)),
+            metadata={"robot": self.robot.name, "motion": "excitation", "serial": name},
+        )
+
+
+def _motion(robot: RobotDescription, seed: int) -> _Motion:
+    """Four sines a joint, the same for all machines; within the joints' ranges, speeds and accelerations."""
+    from agent.robot.dynamics import Dynamics
+
+    rng = np.random.default_rng((seed, 1))
+    t = np.arange(round(_CYCLES * _PERIOD * _RATE)) / _RATE
+    lower, upper = (np.clip(limit, -3.0, 3.0) for limit in robot.position_limits)
+    omega = 2 * np.pi * np.arange(1, 5)[:, None] / _PERIOD
+    phase = omega * t[:, None, None] + rng.uniform(0, 2 * np.pi, (4, robot.dof))
+    size = rng.uniform(0.5, 1.0, (4, robot.dof)) / omega
+    room = np.stack(
+        [
+            0.3 * (upper - lower) / size.sum(axis=0),
+            0.6 * robot.max_velocity / (size * omega).sum(axis=0),
+            0.6 * robot.max_acceleration / (size * omega**2).sum(axis=0),
+        ]
+    )
+    size = size * room.min(axis=0)
+    q = (lower + upper) / 2 + np.sum(size * np.sin(phase), axis=1)
+    qd = np.sum(size * omega * np.cos(phase), axis=1)
+    qdd = -np.sum(size * omega**2 * np.sin(phase), axis=1)
+    nominal = np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 100.0)
+    rotors = np.array([1e-4 if joint.rotor_inertia is None else joint.rotor_inertia for joint in robot.joints])
+    rigid = Dynamics(robot).inverse_dynamics(q, qd, qdd) + rotors * robot.gear_ratios**2 * qdd
+    share = qd / robot.max_velocity
+    friction = nominal * (0.08 * np.tanh(share / _REVERSAL) + 0.08 * share)
+    return _Motion(robot, t, q, qd, rigid, friction, nominal)
+
+
+def description_text(robot: RobotDescription) -> str:
+    """A `robot.yaml` with its URDF beside it as `robot.urdf`."""
+    joints = []
+    for joint in robot.joints:
+        keys = ("gear_ratio", "nominal_motor_torque", "max_velocity", "max_acceleration", "rotor_inertia")
+        known = {key: getattr(joint, key) for key in keys if getattr(joint, key) is not None}
+        joints.append(f"  - {{name: {joint.name}, " + ", ".join(f"{k}: {v!r}" for k, v in known.items()) + "}")
+    coupling = [f"  - {[float(value) for value in row]}" for row in robot.motor_coupling]
+    head = [f"name: {robot.name}", "urdf: robot.urdf", f"tip_frame: {robot.tip_frame}"]
+    lines = [*head, f"gravity: {list(robot.gravity)}", "joints:", *joints, "motor_coupling:", *coupling]
+    return "\n".join(lines) + "\n"
+
+
+def _write_rows(store: Store, fleet: Fleet, robot: RobotDescription, seed: int) -> list[str]:
+    """The rows that `fleet estimate` would have made, as far as trends and the page look at them."""
+    import tempfile
+
+    import pyarrow.parquet as pq
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / ROWS
+        with pq.ParquetWriter(path, schema("estimate"), compression="zstd") as writer:
+            for table in _tables(fleet, robot, np.random.default_rng((seed, 2))):
+                writer.write_table(table)
+        store.put(ROWS, path)
+    return [f"{store.url}/{ROWS}"]
+
+
+def _tables(fleet: Fleet, robot: RobotDescription, rng: np.random.Generator) -> Iterator[Any]:
+    """A table of some machines each."""
+    machines, weeks, n = fleet.friction.shape
+    nominal = np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 100.0)
+    speeds = np.outer((0.15, 0.6), robot.max_velocity)
+    for first in range(0, machines, 50):
+        chosen = slice(first, min(first + 50, machines))
+        factor = fleet.friction[chosen, :, None] * (1 + SCATTER * rng.normal(size=(chosen.stop - first, weeks, 2, n)))
+        # (rows, axles, speeds), as `friction_levels` has them
+        value = (factor * nominal * (0.08 + 0.08 * speeds / robot.max_velocity)).swapaxes(2, 3).reshape(-1, n, 2)
+        rate = -fleet.answer[chosen, None] * fleet.cold[chosen, :, None] / _DECAY
+        rate = (rate + _DOUBT * rng.normal(size=rate.shape)).reshape(-1, n)
+        error = (0.003 + 2e-4 * rng.normal(size=rate.shape)) * nominal
+        yield _table(fleet.names[chosen], weeks, robot, nominal, value, speeds.T, rate, error)
+
+
+def _table(
+    names: tuple[str, ...],
+    weeks: int,
+    robot: RobotDescription,
+    nominal: np.ndarray,
+    value: np.ndarray,
+    speeds: np.ndarray,
+    rate: np.ndarray,
+    error: np.ndarray,
+) -> Any:
+    import pyarrow as pa
+
+    rows, n, _ = value.shape
+
+    def lists(array: np.ndarray) -> Any:
+        width = array.reshape(rows, -1).shape[1]
+        return pa.ListArray.from_arrays(np.arange(0, rows * width + 1, width, dtype=np.int32), pa.array(array.ravel()))
+
+    def structs(**columns: Any) -> Any:
+        width = len(next(iter(columns.values()))) // rows
+        offsets = pa.array(np.arange(0, rows * width + 1, width, dtype=np.int32))
+        arrays = [pa.array(column) for column in columns.values()]
+        return pa.ListArray.from_arrays(offsets, pa.StructArray.from_arrays(arrays, names=list(columns)))
+
+    joints = np.array(robot.joint_names, dtype=object)
+    flat = value.ravel()
+    given = {
+        "robot": [name for name in names for _ in range(weeks)],
+        "run": [_run(name, week) for name in names for week in range(weeks)],
+        "status": ["ok"] * rows,
+        "reason": [""] * rows,
+        "exit_code": [0] * rows,
+        "started": [_week(week) for _ in names for week in range(weeks)],
+        "serial": [name for name in names for _ in range(weeks)],
+        "logs": [["excitation.mcap"]] * rows,
+        "joints": [list(robot.joint_names)] * rows,
+        "rmse": lists(error),
+        "normalised_rmse": lists(error / nominal),
+        "nominal_torque": lists(np.tile(nominal, (rows, 1))),
+        "friction": structs(
+            joint=np.tile(np.repeat(joints, 2), rows),
+            speed=np.tile(speeds.ravel(), rows),
+            value=flat,
+            standard_deviation=0.01 * flat,
+            from_run_to_run=SCATTER * flat,
+        ),
+        "warm_up": structs(rate_per_s=rate.ravel(), standard_deviation=np.full(rows * n, _DOUBT)),
+    }
+    wanted = schema("estimate")
+    columns = []
+    for field in wanted:
+        column = given.get(field.name)
+        if column is None:
+            columns.append(pa.nulls(rows, field.type))
+        else:
+            columns.append(column.cast(field.type) if isinstance(column, pa.Array) else pa.array(column, field.type))
+    return pa.Table.from_arrays(columns, schema=wanted)

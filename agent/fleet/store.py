@@ -1,0 +1,223 @@
+"""Folders of files, on this machine or in an object store: listed, fetched whole or not at all, put whole.
+
+A store may answer slowly, with errors, or with half a file. Every call is tried again with growing pauses, and what was
+fetched is compared with the size, and where it is one with the MD5, that the store's own listing says.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from typing import Any, TypeVar
+
+from agent.core.errors import AgentError, InputError
+from agent.core.parallel import needed
+
+#: How often a store is asked before it counts as unavailable, and the first pause between [s]; each is twice the last.
+TRIES = 6
+PAUSE = 0.25
+#: Errors of the system that another try does not mend.
+_FINAL = (FileNotFoundError, PermissionError, NotADirectoryError, IsADirectoryError)
+
+Answer = TypeVar("Answer")
+
+
+class StoreError(AgentError):
+    """A store did not give what it has; it may another time."""
+
+
+@dataclass(frozen=True)
+class StoredFile:
+    """A file by its path below the store's root, with its size [bytes] and what its store says to tell versions of it
+    apart: the ETag of an object, the time of change of a local file."""
+
+    path: str
+    size: int
+    stamp: str
+
+    @property
+    def name(self) -> str:
+        """Without its folder."""
+        return PurePosixPath(self.path).name
+
+    @property
+    def folder(self) -> str:
+        """ "." for the root."""
+        return str(PurePosixPath(self.path).parent)
+
+
+class Store:
+    """The files below one folder or URL (`s3://bucket/logs`, and whatever else fsspec knows)."""
+
+    def __init__(self, url: str):
+        needed("fsspec", "a fleet")
+        from fsspec.core import url_to_fs
+
+        self.url = str(url)
+        try:
+            self._fs, root = url_to_fs(self.url)
+        except (ValueError, ImportError) as error:
+            raise InputError(f"{self.url}: no store can be opened by this URL: {error}") from None
+        self._root = root.rstrip("/") or "/"
+
+    @cached_property
+    def local(self) -> Path | None:
+        """The folder, where it is one of this machine."""
+        protocol = self._fs.protocol
+        return Path(self._root) if "file" in ((protocol,) if isinstance(protocol, str) else protocol) else None
+
+    def files(self) -> Iterator[StoredFile]:
+        """All files, in the order of their paths; those below a folder or of a name that begins with . or _ are the
+        program's own, or nobody's.
+
+        Raises:
+            InputError: there is no such folder.
+            StoreError: the store does not answer.
+        """
+        self._fs.invalidate_cache()
+        found = self._try(lambda: self._fs.find(self._root, detail=True), "listed")
+        if not found and not self._try(lambda: self._fs.isdir(self._root), "listed"):
+            raise InputError(f"{self.url}: no such folder, or nothing in it")
+        for full in sorted(found):
+            path, entry = full[len(self._root) :].lstrip("/"), found[full]
+            if path and not any(part.startswith((".", "_")) for part in path.split("/")):
+                yield StoredFile(path, int(entry["size"]), _stamp(entry))
+
+    def find(self, path: str) -> StoredFile:
+        """One file.
+
+        Raises:
+            FileNotFoundError: there is none.
+        """
+        entry = self._try(lambda: self._fs.info(f"{self._root}/{path}"), "found", path)
+        return StoredFile(path, int(entry["size"] or 0), _stamp(entry))
+
+    def fetch(self, file: StoredFile, folder: Path) -> Path:
+        """Path of a local copy below `folder`, at the same place as in the store; of the file itself where that is
+        local.
+
+        Raises:
+            StoreError: the store does not give the whole file.
+        """
+        if self.local is not None:
+            return self.local / file.path
+        path = folder / file.path
+        path.parent.mkdir(parents=True, exist_ok=True)
+
+        def download() -> None:
+            self._fs.get_file(f"{self._root}/{file.path}", str(path))
+            _check_whole(path, file)
+
+        self._try(download, "fetched", file.path)
+        return path
+
+    def read(self, path: str) -> bytes:
+        """The content of a file.
+
+        Raises:
+            FileNotFoundError: there is none.
+            StoreError: the store does not give it.
+        """
+        return self._try(lambda: self._fs.cat_file(f"{self._root}/{path}"), "read", path)
+
+    def put(self, path: str, content: bytes | Path) -> None:
+        """Write a file: readers see the one before, or all of it.
+
+        Raises:
+            AgentError: it cannot be written.
+        """
+        full = f"{self._root}/{path}"
+        if self.local is not None:
+            _put_local(Path(full), content)
+            return
+
+        def upload() -> None:
+            if isinstance(content, bytes):
+                self._fs.pipe_file(full, content)
+            else:
+                self._fs.put_file(str(content), full)
+
+        self._try(upload, "written", path)
+
+    def names(self, folder: str) -> list[str]:
+        """Names of the files in a folder, in order; none where there is no such folder."""
+        self._fs.invalidate_cache()
+        try:
+            found = self._try(lambda: self._fs.ls(f"{self._root}/{folder}", detail=False), "listed", folder)
+        except FileNotFoundError:
+            return []
+        names = (PurePosixPath(full).name for full in found)
+        return sorted(name for name in names if not name.startswith("."))
+
+    def remove(self, path: str) -> None:
+        """Take a file away, if it is there."""
+        try:
+            self._try(lambda: self._fs.rm_file(f"{self._root}/{path}"), "removed", path)
+        except FileNotFoundError:
+            return
+
+    def _try(self, call: Callable[[], Answer], what: str, path: str = "") -> Answer:
+        where = f"{self.url}/{path}".rstrip("/")
+        for number in range(TRIES):
+            try:
+                return call()
+            except FileNotFoundError:
+                raise
+            except _FINAL as error:
+                raise StoreError(f"{where}: cannot be {what}: {error.strerror or error}") from None
+            except Exception as error:  # of whatever library speaks to the store
+                if number == TRIES - 1:
+                    said = str(error).splitlines()[0][:300] if str(error) else type(error).__name__
+                    raise StoreError(f"{where}: cannot be {what}, tried {TRIES} times: {said}") from None
+            time.sleep(PAUSE * 2**number)
+        raise AssertionError
+
+
+def _put_local(path: Path, content: bytes | Path) -> None:
+    """Write beside, flush to the disk and rename."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(beside, "wb") as file:
+            if isinstance(content, Path):
+                with open(content, "rb") as source:
+                    shutil.copyfileobj(source, file)
+            else:
+                file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise AgentError(f"{path}: cannot be written: {error.strerror}; free space or rights?") from None
+
+
+def _check_whole(path: Path, file: StoredFile) -> None:
+    """
+    Raises:
+        OSError: what came is not what the listing says.
+    """
+    size = path.stat().st_size
+    if size != file.size:
+        raise OSError(f"{size} of {file.size} bytes came")
+    if re.fullmatch("[0-9a-f]{32}", file.stamp):  # an object of one part; of several it is no MD5
+        with open(path, "rb") as content:
+            if hashlib.file_digest(content, lambda: hashlib.md5(usedforsecurity=False)).hexdigest() != file.stamp:
+                raise OSError("what came is not what is stored: its MD5 is another")
+
+
+def _stamp(entry: dict[str, Any]) -> str:
+    for key in ("ETag", "etag", "md5Hash"):
+        if entry.get(key):
+            return str(entry[key]).strip('"')
+    for key in ("mtime", "LastModified", "last_modified", "updated"):
+        if entry.get(key):
+            return str(entry[key])
+    return ""

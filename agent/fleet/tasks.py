@@ -1,0 +1,202 @@
+"""From a folder or an object store to tasks: a robot, a run, its logs, and the description and model that go with them.
+
+A task is a folder with logs. Whose it is says the folder of the nearest `robot.yaml` below the source; where there is
+none (one description for all), the folder above the run's; where there is none of these either, the serial or name that
+a run folder of the agent tells, or the folder's own name.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import hashlib
+import json
+import posixpath
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from agent.core.errors import InputError
+from agent.fleet.store import Store, StoredFile
+from agent.fleet.version import figures_version
+
+KINDS = ("estimate", "validate", "diagnose")
+#: Which logs of a run folder of the agent go into what; of any other folder all do.
+_OF_A_RUN = {
+    "estimate": ("excitation.mcap",),
+    "validate": ("validation_*.mcap",),
+    "diagnose": ("excitation.mcap", "validation_*.mcap"),
+}
+_STATE, _ROBOT, _PAGE = "state.json", "robot.yaml", "report.html"
+
+
+@dataclass(frozen=True)
+class Given:
+    """A file that the command line names for all robots, on its way to the workers."""
+
+    name: str
+    content: bytes
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of every run: the options of the single command, with the same meaning.
+
+    `robot` is a built-in robot's name, or "" where the description is in the store or among `given`; `model` is the
+    name of the model file to look for in or above each run, or of the one among `given`; "" for none.
+    """
+
+    kind: str
+    robot: str = ""
+    model: str = ""
+    cutoff: float | None = None
+    method: str | None = None
+    structure: str = "rigid"
+    without: tuple[str, ...] = ()
+    allow_mixed: bool = False
+    force: bool = False
+    given: tuple[Given, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """Of everything but the inputs that the figures hang on (16 hex digits)."""
+        asked = asdict(replace(self, given=()))
+        asked["given"] = [(one.name, hashlib.sha256(one.content).hexdigest()) for one in self.given]
+        asked["version"] = figures_version(self.kind, self.structure != "rigid")
+        return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Task:
+    """One robot and run. `run` is the folder below the source, "." for the source itself; `files` are its logs, and
+    description, model and state where the store has them; `known` the SHA-256 of the inputs of the row that is there
+    already, by path."""
+
+    question: Question
+    source: str
+    robot: str
+    run: str
+    logs: tuple[StoredFile, ...]
+    description: StoredFile | None = None
+    model: StoredFile | None = None
+    state: StoredFile | None = None
+    page: str = ""
+    known: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def files(self) -> tuple[StoredFile, ...]:
+        """Everything of the store that was found for it."""
+        return (*self.logs, *(one for one in (self.description, self.model, self.state) if one is not None))
+
+
+@dataclass(frozen=True)
+class Plant:
+    """What a source holds: tasks in the order of robot and run, and the listing (size and stamp by path) that tells
+    whether a file is the one that was read."""
+
+    tasks: tuple[Task, ...]
+    listing: dict[str, tuple[int, str]]
+
+
+def make_question(kind: str, robot: str | None, model: str | None, **options: Any) -> Question:
+    """A question, with the files that `robot` and `model` name on this machine read.
+
+    A `model` that is no file here is a name to look for in or above every run.
+
+    Raises:
+        InputError: a robot or a file that cannot be used, or an unknown effect.
+    """
+    from agent.diagnosis import check_effects
+    from agent.robot.description import builtin_robots, load_robot
+
+    check_effects(options.get("without", ()))
+    name = ""
+    given: list[Given] = []
+    if robot is not None:
+        load_robot(robot)
+        if robot in builtin_robots():
+            name = robot
+        else:
+            given += _description(Path(robot))
+    if model and Path(model).is_file():
+        given.append(Given(Path(model).name, Path(model).read_bytes()))
+        model = Path(model).name
+    elif model and ("/" in model or "\\" in model):
+        raise InputError(f"{model}: no such model file; name one, or the name that it has in or above every run")
+    return Question(kind, name, model or "", given=tuple(given), **options)
+
+
+def find_tasks(store: Store, question: Question) -> Plant:
+    """All tasks of a source.
+
+    Raises:
+        InputError: there is no folder with logs.
+    """
+    wanted = {_STATE, _ROBOT, _PAGE, question.model}
+    folders: dict[str, dict[str, StoredFile]] = {}
+    listing: dict[str, tuple[int, str]] = {}
+    for file in store.files():
+        if file.name in wanted or file.name.endswith(".mcap"):
+            folders.setdefault(file.folder, {})[file.name] = file
+        if file.name in wanted or file.name.endswith((".mcap", ".urdf", ".xml")):
+            listing[file.path] = (file.size, file.stamp)
+    tasks = [task for folder in folders for task in _task(store, question, folders, folder)]
+    if not tasks:
+        raise InputError(f"{store.url}: no folder in it has logs (*.mcap) for {question.kind}")
+    tasks.sort(key=lambda task: (task.robot, task.run))
+    return Plant(tuple(tasks), listing)
+
+
+def _task(store: Store, question: Question, folders: dict[str, dict[str, StoredFile]], folder: str) -> Iterator[Task]:
+    here = folders[folder]
+    state = here.get(_STATE)
+    patterns = _OF_A_RUN[question.kind] if state is not None else ("*.mcap",)
+    # as a shell sorts them, within each pattern
+    logs = [here[name] for pattern in patterns for name in sorted(fnmatch.filter(here, pattern))]
+    if not logs:
+        return
+    given = {PurePosixPath(one.name).name for one in question.given}
+    described = None if question.robot or _ROBOT in given else _nearest(folders, folder, _ROBOT)
+    model = None if not question.model or question.model in given else _nearest(folders, folder, question.model)
+    page = here[_PAGE].path if _PAGE in here else ""
+    robot = _whose(store, folder, described, state)
+    yield Task(question, store.url, robot, folder, tuple(logs), described, model, state, page)
+
+
+def _whose(store: Store, folder: str, described: StoredFile | None, state: StoredFile | None) -> str:
+    if described is not None and described.folder != ".":
+        return described.folder
+    parent = str(PurePosixPath(folder).parent)
+    if parent != ".":
+        return parent
+    if state is not None:
+        try:
+            told = json.loads(store.read(state.path))
+            found = told.get("serial") or told.get("robot")
+            if isinstance(found, str):
+                return found
+        except (ValueError, AttributeError, FileNotFoundError):
+            pass  # the run itself will say what is wrong with it
+    return folder if folder != "." else PurePosixPath(store.url.rstrip("/")).name
+
+
+def _nearest(folders: dict[str, dict[str, StoredFile]], folder: str, name: str) -> StoredFile | None:
+    """A file of this name in a folder or the nearest one above it, within the source."""
+    path = PurePosixPath(folder)
+    for place in (path, *path.parents):
+        found = folders.get(str(place), {}).get(name)
+        if found is not None:
+            return found
+    return None
+
+
+def _description(path: Path) -> Sequence[Given]:
+    """A description and its URDF, at places as they have them to each other."""
+    from agent.core.documents import read_yaml
+
+    path = path / _ROBOT if path.is_dir() else path
+    urdf = PurePosixPath(str(read_yaml(path)["urdf"]))
+    described = Given("/".join(["above"] * urdf.parts.count("..") + [_ROBOT]), path.read_bytes())
+    if urdf.is_absolute():  # the workers have to have it there, too
+        return [described]
+    return [described, Given(posixpath.normpath(f"{described.name}/../{urdf}"), (path.parent / urdf).read_bytes())]

@@ -1,0 +1,181 @@
+"""What a worker does: fetch the inputs of one run, call what the single command calls, and answer with a row.
+
+Nothing that a run can bring along is an error of the fleet: whatever goes wrong is a row with its reason.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import re
+import resource
+import tempfile
+import time
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from agent.core.documents import read_yaml
+from agent.core.errors import AgentError, InputError
+from agent.fleet.store import Store, StoredFile
+from agent.fleet.tasks import Task
+
+#: Statuses of rows that another try may mend; a rerun tries them again.
+PASSING = ("unavailable", "memory", "killed")
+#: An earlier stamp [s] is a controller's time since it was switched on.
+_FIRST_DATE = 946_684_800.0
+_DATE = re.compile(r"(?<!\d)((?:19|20)\d\d)-?([01]\d)-?([0-3]\d)(?:[T_ ]([0-2]\d)[:-]?([0-5]\d))?")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The row of a task, without what the task itself says, and its model file; `row` is None where the inputs are
+    still what they were. `inputs`: everything that was read, with its SHA-256. `cpu_s`, `read_bytes`: what it took."""
+
+    row: dict[str, Any] | None
+    inputs: list[dict[str, Any]]
+    model: bytes = b""
+    cpu_s: float = 0.0
+    read_bytes: int = 0
+
+
+@dataclass
+class _Inputs:
+    """The files of a task on this machine."""
+
+    store: Store
+    folder: Path
+    read: list[dict[str, Any]] = field(default_factory=list)
+
+    def fetch(self, file: StoredFile) -> Path:
+        path = self.store.fetch(file, self.folder)
+        with open(path, "rb") as content:
+            digest = hashlib.file_digest(content, "sha256").hexdigest()
+        self.read.append({"path": file.path, "size": file.size, "stamp": file.stamp, "sha256": digest})
+        return path
+
+    @property
+    def size(self) -> int:
+        return sum(entry["size"] for entry in self.read)
+
+
+def run_task(task: Task) -> Answer:
+    """The answer to one task; no input makes it raise."""
+    from agent.excitation.criterion import one_blas_thread
+
+    began = time.process_time()
+    with tempfile.TemporaryDirectory(prefix="agent-fleet-") as folder:
+        inputs = _Inputs(Store(task.source), Path(folder) / "source")
+        row: dict[str, Any] | None
+        model = b""
+        try:
+            with one_blas_thread():
+                row, model = _work(task, inputs, Path(folder))
+        except AgentError as error:
+            status = {2: "unreadable", 3: "rejected"}.get(error.exit_code, "unavailable")
+            row = {"status": status, "exit_code": error.exit_code, "reason": str(error)}
+        except OSError as error:
+            reason = f"{error.filename or task.run}: {error.strerror or error}"
+            row = {"status": "unavailable", "exit_code": 1, "reason": reason}
+        except MemoryError:
+            row = {"status": "memory", "exit_code": 1, "reason": f"this run needs more memory than {_limit()}"}
+        except Exception as error:  # a fault of the agent: of this run alone
+            reason = f"internal error: this is a fault of the agent: {type(error).__name__}: {error}"
+            row = {"status": "error", "exit_code": 1, "reason": reason}
+        if row is not None:
+            row = _readable(row, [f"{folder}/source/", f"{folder}/given/", f"{inputs.store.local}/"])
+        return Answer(row, inputs.read, model, time.process_time() - began, inputs.size)
+
+
+def _work(task: Task, inputs: _Inputs, folder: Path) -> tuple[dict[str, Any] | None, bytes]:
+    from agent.fleet.figures import WORK, Notes
+
+    robot = _robot(task, inputs, folder)
+    model = _model(task, inputs, folder)
+    logs = [inputs.fetch(file) for file in task.logs]
+    state = None if task.state is None else inputs.fetch(task.state)
+    if task.known and dict(task.known) == {entry["path"]: entry["sha256"] for entry in inputs.read}:
+        return None, b""
+    notes = Notes()
+    question = task.question
+    row, content = WORK[question.kind](question, robot, model, logs, notes)
+    row |= {"status": "ok", "exit_code": 0, "reason": "", "warnings": notes.warnings}
+    return row | _when(task, state, logs), content
+
+
+def _robot(task: Task, inputs: _Inputs, folder: Path) -> str | None:
+    """What `--robot` would be: a name, or the path of the description with its URDF beside it."""
+    if task.question.robot:
+        return task.question.robot
+    for one in task.question.given:
+        if one.name.endswith("robot.yaml"):
+            _lay_out(task, folder)
+            return str(folder / "given" / one.name)
+    if task.description is None:
+        return None
+    path = inputs.fetch(task.description)
+    with contextlib.suppress(InputError, FileNotFoundError):  # whoever reads the description will say so
+        data = read_yaml(path)
+        if isinstance(data, dict) and isinstance(data.get("urdf"), str):
+            urdf = os.path.normpath(f"{task.description.folder}/{data['urdf']}")
+            if not urdf.startswith(("..", "/")):
+                inputs.fetch(inputs.store.find(urdf))
+    return str(path)
+
+
+def _model(task: Task, inputs: _Inputs, folder: Path) -> Path | None:
+    for one in task.question.given:
+        if task.question.model and one.name == task.question.model:
+            _lay_out(task, folder)
+            return folder / "given" / one.name
+    return None if task.model is None else inputs.fetch(task.model)
+
+
+def _lay_out(task: Task, folder: Path) -> None:
+    for one in task.question.given:
+        path = folder / "given" / one.name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(one.content)
+
+
+def _when(task: Task, state: Path | None, logs: list[Path]) -> dict[str, Any]:
+    """When the run was: by its state, by the stamps of its first log, or by a date in its name; and on which machine,
+    by its first log."""
+    from agent.recording import read_log
+
+    told = {} if state is None else json.loads(state.read_text(encoding="utf-8"))
+    log = read_log(logs[0])
+    metadata, stamp = log.metadata, log.stamp
+    machine = {key: metadata.get(key) or None for key in ("serial", "tool")}
+    named = _DATE.search(task.run.rpartition("/")[2])
+    started = None
+    with contextlib.suppress(ValueError, OverflowError):  # no such day
+        if isinstance(told, dict) and isinstance(told.get("started"), str):
+            started = datetime.fromisoformat(told["started"])
+            started = started if started.tzinfo else started.replace(tzinfo=UTC)
+        elif stamp >= _FIRST_DATE:
+            started = datetime.fromtimestamp(stamp, UTC)
+        elif named is not None:
+            started = datetime.fromisoformat(
+                "".join(named.group(1, 2, 3)) + "T" + "".join(part or "00" for part in named.group(4, 5))
+            ).replace(tzinfo=UTC)
+    return {"started": started, **machine}
+
+
+def _readable(row: dict[str, Any], places: list[str]) -> dict[str, Any]:
+    """Messages name files as they are called in the source, not where a worker had them."""
+
+    def plain(text: str) -> str:
+        for place in places:
+            text = text.replace(place, "")
+        return text
+
+    return row | {"reason": plain(row["reason"]), "warnings": [plain(text) for text in row.get("warnings", [])]}
+
+
+def _limit() -> str:
+    soft = resource.getrlimit(resource.RLIMIT_DATA)[0]
+    return "there is" if soft == resource.RLIM_INFINITY else f"{soft >> 20} MiB"

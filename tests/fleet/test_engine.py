@@ -1,0 +1,185 @@
+"""Tasks on a real Dask: workers and scheduler are killed in the middle, and nothing is lost or done twice."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from agent.core import on_dask
+from agent.core.console import Console
+from agent.core.errors import InputError
+from agent.core.on_dask import open_engine
+from agent.core.parallel import InProcess
+from agent.fleet import make_question, run_fleet
+from tests.fleet.conftest import DaskProcesses, rows_of
+
+
+def _answers(engine, tasks: int, disturb=lambda done: None) -> list[tuple[int, int]]:
+    def square(number: int) -> int:  # within a function, so that it travels by value
+        import time
+
+        time.sleep(0.01)
+        return number * number
+
+    found = []
+    for done in engine.map(square, range(tasks)):
+        assert not done.lost
+        found.append((done.number, done.answer))
+        disturb(len(found))
+    return sorted(found)
+
+
+def test_an_engine_in_this_process_gives_the_same():
+    with InProcess() as engine:
+        assert _answers(engine, 5) == [(k, k * k) for k in range(5)]
+
+
+def test_a_killed_worker_changes_no_row(plant: Path, estimated: Path, tmp_path: Path):
+    """Two local processes, one of them killed with -9 in the middle of a real estimate."""
+    killed = []
+
+    class Killing(Console):
+        def progress(self, text: str) -> None:
+            if text.startswith("3 of"):
+                killed.append(random.Random(1).choice(sorted(engine._client.run(os.getpid).values())))
+                os.kill(killed[0], signal.SIGKILL)
+
+    engine = open_engine(workers=2)
+    run_fleet(str(plant), make_question("estimate", None, None), str(tmp_path), lambda _: engine, Killing(-1))
+    assert killed
+    assert rows_of(tmp_path) == rows_of(estimated)
+    names = {row["model"] for row in rows_of(tmp_path)} - {None}
+    assert names == {f"_models/{path.name}" for path in (tmp_path / "_models").iterdir()}
+    assert not any((tmp_path / "_done").iterdir())
+
+
+def test_a_scheduler_that_is_killed_and_comes_back(cluster: DaskProcesses):
+    with open_engine(cluster.address) as engine:
+
+        def disturb(done: int) -> None:
+            if done == 15:
+                cluster.kill("scheduler")
+                cluster.kill("worker 1")
+                cluster.kill("worker 2")
+                cluster.supervise()
+
+        assert _answers(engine, 40, disturb) == [(k, k * k) for k in range(40)]
+
+
+def test_a_run_that_is_ended_is_continued_by_the_same_command(plant: Path, estimated: Path, tmp_path: Path):
+    question = make_question("estimate", None, None)
+
+    class Ending(Console):
+        def progress(self, text: str) -> None:
+            if text.startswith("5 of"):
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_fleet(str(plant), question, str(tmp_path), lambda _: InProcess(), Ending(-1))
+    assert not (tmp_path / "rows.parquet").exists(), "nothing is in place before all of it is"
+    summary = run_fleet(str(plant), question, str(tmp_path), lambda _: InProcess(), Console(-1))
+    assert (summary.done, summary.kept) == (8, 5)
+    assert rows_of(tmp_path) == rows_of(estimated)
+
+
+def test_nobody_at_the_address_is_usage(monkeypatch):
+    monkeypatch.setattr(on_dask, "_CONNECT", 0.2)
+    with pytest.raises(InputError, match="no Dask scheduler answers there"), open_engine("tcp://127.0.0.1:1"):
+        pass
+
+
+@pytest.mark.verify
+def test_a_task_that_kills_its_workers_is_told_and_the_others_are_done():
+    def hog(number: int) -> int:
+        import os
+        import signal
+
+        if number == 3:
+            os.kill(os.getpid(), signal.SIGKILL)  # as the limit of memory does
+        return number
+
+    with open_engine(workers=1, memory="1GiB") as engine:
+        found = {done.number: done for done in engine.map(hog, range(6))}
+    assert [found[k].answer for k in range(6)] == [0, 1, 2, None, 4, 5]
+    assert "memory" in found[3].lost
+    assert "1GiB" in found[3].lost
+
+
+@pytest.mark.verify
+def test_memory_beyond_the_limit_is_contained_to_its_task(measured):
+    def hog(number: int) -> int:
+        import time
+
+        kept = []
+        for _ in range(200 if number == 3 else 0):
+            kept.append(bytearray(os.urandom(1) * 20_000_000))
+            time.sleep(0.01)
+        return number
+
+    with open_engine(workers=2, memory="600MiB") as engine:
+        found = {done.number: done for done in engine.map(hog, range(10))}
+    assert [found[k].answer for k in range(10)] == [0, 1, 2, None, *range(4, 10)]
+    measured("a task that takes 4 GB under a limit of 600 MiB: others done", 9, "of 9", "9", True)
+
+
+@pytest.mark.verify
+def test_twenty_kills_of_a_worker_change_no_row(plant: Path, estimated: Path, tmp_path: Path, measured):
+    draw, right = random.Random(time.time()), 0
+    for moment in range(20):
+        out = tmp_path / str(moment)
+        with open_engine(workers=2) as engine:
+            delay = draw.uniform(0.0, 4.0)
+
+            def kill(engine=engine) -> None:
+                victims = [worker.process.pid for worker in engine._cluster.workers.values()]
+                os.kill(draw.choice(victims), signal.SIGKILL)
+
+            timer = threading.Timer(delay, kill)
+            timer.start()
+            question = make_question("estimate", None, None)
+            run_fleet(str(plant), question, str(out), lambda _, engine=engine: _Open(engine), Console(-1))
+            timer.join()
+        right += rows_of(out) == rows_of(estimated)
+    measured("kill -9 of a worker at random moments: results equal row by row", right, "of 20", "20", right == 20)
+    assert right == 20
+
+
+@pytest.mark.verify
+def test_five_kills_of_the_scheduler_change_no_row(cluster, plant: Path, estimated: Path, tmp_path: Path, measured):
+    draw, right = random.Random(time.time()), 0
+    for moment in range(5):
+        out = tmp_path / str(moment)
+
+        def kill() -> None:
+            cluster.kill("scheduler")
+            for name in ("worker 1", "worker 2"):
+                cluster.kill(name)
+            cluster.supervise()
+
+        timer = threading.Timer(draw.uniform(0.0, 4.0), kill)
+        timer.start()
+        question = make_question("estimate", None, None)
+        run_fleet(str(plant), question, str(out), lambda _: open_engine(cluster.address), Console(-1))
+        timer.join()
+        right += rows_of(out) == rows_of(estimated)
+    measured("kill -9 of the scheduler at random moments: results equal row by row", right, "of 5", "5", right == 5)
+    assert right == 5
+
+
+class _Open:
+    """An engine that is open already."""
+
+    def __init__(self, engine) -> None:
+        self._engine = engine
+
+    def __enter__(self):
+        return self._engine
+
+    def __exit__(self, *_: object) -> None:
+        return None

@@ -1,0 +1,161 @@
+"""A fleet's rows are the single command's answers; only what is new is done; what cannot be read is a row."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from agent.core.errors import InputError
+from agent.fleet import simulate, store
+from tests.fleet.conftest import rows_of
+
+
+def _single(command, plant: Path, row: dict, tmp_path: Path, *options: object) -> dict:
+    logs = [plant / row["run"] / name for name in row["logs"]]
+    return command(*options, "--json", "-q", *logs)
+
+
+def test_an_estimate_is_that_of_the_single_command(command, plant: Path, estimated: Path, tmp_path: Path):
+    rows = [row for row in rows_of(estimated) if row["status"] == "ok"]
+    assert [(row["robot"], row["run"].split("/")[0]) for row in rows] == [
+        (f"robot_000{k}", f"robot_000{k}") for k in range(6) for _ in range(2)
+    ]
+    for row in rows[::5]:
+        model = tmp_path / "model.json"
+        robot = plant / row["robot"] / "robot.yaml"
+        single = _single(command, plant, row, tmp_path, "estimate", "--robot", robot, "-o", model)
+        single["provenance"].pop("created")
+        assert json.loads((estimated / row["model"]).read_text("utf-8")) == single
+        assert [entry["value"] for entry in row["parameters"]] == [
+            entry["value"] for entry in single["base_parameters"] + single["friction"]
+        ]
+        assert row["rmse"] == single["held_out_rmse"]
+        assert [level["joint"] for level in row["friction"]] == ["shoulder", "shoulder", "elbow", "elbow"]
+        assert row["started"].isoformat() == simulate._week(int("0113" in row["run"])).isoformat()
+        assert row["serial"] == row["robot"]
+
+
+def test_validation_and_diagnosis_are_those_of_the_single_command(command, plant, estimated, tmp_path: Path):
+    small = tmp_path / "plant" / "robot_0003"
+    shutil.copytree(plant / "robot_0003", small)
+    model = estimated / next(row["model"] for row in rows_of(estimated) if row["robot"] == "robot_0002")
+    command("fleet", "validate", small.parent, "--model", model, "-o", tmp_path / "v", "--allow-mixed")
+    command("fleet", "diagnose", small.parent, "--model", model, "-o", tmp_path / "d", "--allow-mixed")
+    (row, other) = rows_of(tmp_path / "v")
+    assert row["run"] < other["run"]
+    assert "the model was fitted to" not in " ".join(row["warnings"])
+    mixed = ("--model", model, "--allow-mixed")
+    assert json.loads(row["result"]) == _single(command, small.parent, row, tmp_path, "validate", *mixed)
+    assert row["normalised_rmse"] == json.loads(row["result"])["overall"]["normalised_rmse"]
+    (row, _) = rows_of(tmp_path / "d")
+    robot = ("--robot", small / "robot.yaml")
+    single = _single(command, small.parent, row, tmp_path, "diagnose", *robot, *mixed)
+    assert json.loads(row["result"]) == single
+    assert (row["verdict"], row["gap_before"]) == (single["verdict"], single["gap"]["before"])
+
+
+def test_a_log_of_nonsense_is_a_row_with_its_reason(estimated: Path):
+    (row,) = (row for row in rows_of(estimated) if row["status"] != "ok")
+    assert (row["robot"], row["run"]) == ("robot_0005", "robot_0005/bad")
+    assert (row["status"], row["exit_code"]) == ("unreadable", 2)
+    assert row["reason"].startswith("robot_0005/bad/a.mcap: not an MCAP file")
+
+
+def test_only_what_is_new_is_done(command, plant: Path, estimated: Path, tmp_path: Path, monkeypatch):
+    here, out = tmp_path / "plant", tmp_path / "result"
+    shutil.copytree(plant, here)  # with the times of change
+    shutil.copytree(estimated, out)
+
+    def again() -> tuple[int, int]:
+        told = command("fleet", "estimate", here, "-o", out, "--json", "-q")
+        return told["done"], told["kept"]
+
+    before = rows_of(out)
+    assert again() == (0, 13)
+    log = next((here / "robot_0000").rglob("*.mcap"))
+    log.touch()
+    assert again() == (0, 13), "the same content at another time"
+    assert again() == (0, 13)
+    shutil.copy(next((here / "robot_0001").rglob("*.mcap")), log)
+    assert again() == (1, 12), "another content"
+    yaml = here / "robot_0002" / "robot.yaml"
+    yaml.write_text(yaml.read_text("utf-8").replace("nominal_motor_torque: 1.0", "nominal_motor_torque: 2.0"))
+    assert again() == (2, 11), "its description"
+    urdf = here / "robot_0004" / "robot.urdf"
+    urdf.write_text(urdf.read_text("utf-8") + "\n")
+    assert again() == (2, 11), "and the URDF of that"
+    shutil.copytree(here / "robot_0001", here / "robot_0009")
+    assert again() == (2, 13), "a new machine"
+    rows = {row["run"]: row for row in rows_of(out)}
+    assert len(rows) == 15
+    assert all(rows[row["run"]] == row for row in before if row["robot"] in ("robot_0001", "robot_0003", "robot_0005"))
+    assert list(rows) == sorted(rows)
+
+
+def test_another_version_or_question_makes_rows_again(command, plant, estimated, tmp_path, monkeypatch):
+    from agent.fleet import tasks
+
+    here, out = tmp_path / "plant", tmp_path / "result"
+    shutil.copytree(plant / "robot_0005" / "bad", here / "bad")
+    shutil.copy(plant / "robot_0005" / "robot.yaml", here)
+
+    def done(*options: str) -> int:
+        return command("fleet", "estimate", here, "-o", out, "--json", "-q", *options)["done"]
+
+    assert (done(), done()) == (1, 0)
+    assert (done("--cutoff", "20"), done("--cutoff", "20")) == (1, 0)
+    monkeypatch.setattr(tasks, "figures_version", lambda *_: "another")
+    assert (done("--cutoff", "20"), done("--cutoff", "20")) == (1, 0)
+
+
+def test_whose_a_run_is(tmp_path: Path):
+    def robots(*logs: str) -> list[str]:
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        for log in logs:
+            (folder / log).parent.mkdir(parents=True, exist_ok=True)
+            (folder / log).write_text("{}" if log.endswith("json") else "", encoding="utf-8")
+        plant = tasks.find_tasks(store.Store(str(folder)), tasks.Question("estimate"))
+        return [f"{task.robot} {task.run}" for task in plant.tasks]
+
+    from agent.fleet import tasks
+
+    assert robots("a/robot.yaml", "a/1/x.mcap", "a/2/x.mcap") == ["a a/1", "a a/2"]
+    assert robots("hall/a/robot.yaml", "hall/a/x.mcap") == ["hall/a hall/a"]
+    assert robots("robot.yaml", "a/x.mcap", "b/1/x.mcap", "_out/x.mcap") == ["a a", "b b/1"]
+    assert robots("a/run/state.json", "a/run/excitation.mcap", "a/run/validation_00.mcap") == ["a a/run"]
+
+
+def test_a_source_without_logs_is_usage(command, tmp_path: Path):
+    for source in (tmp_path, tmp_path / "nothing"):
+        with pytest.raises(InputError, match=r"no such folder|no folder in it has logs"):
+            command("fleet", "estimate", source, "-o", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_result_of_another_kind_is_left_alone(command, plant: Path, estimated: Path):
+    before = (estimated / "rows.parquet").read_bytes()
+    with pytest.raises(InputError, match="holds a result of `fleet estimate`"):
+        command("fleet", "diagnose", plant, "-o", estimated)
+    assert (estimated / "rows.parquet").read_bytes() == before
+
+
+def test_without_dask_it_says_what_to_install(plant: Path, tmp_path: Path, monkeypatch):
+    import sys
+
+    from agent.core.on_dask import open_engine
+
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(InputError, match=r"pip install 'calibration-agent\[fleet\]'"), open_engine():
+        pass
+
+
+def test_the_same_fleet_is_drawn_twice(tmp_path: Path):
+    one, two = (simulate.draw_fleet(30, 12, ("a", "b", "c"), 3) for _ in range(2))
+    assert one.planted == two.planted
+    assert (one.friction == two.friction).all()
+    kinds = [planted.kind for planted in one.planted]
+    assert kinds.count("wear") == 1
+    assert kinds.count("cause") == 2
