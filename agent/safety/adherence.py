@@ -33,6 +33,8 @@ LAG, LEAD = 0.15, 0.05
 #: So much of the time and so many seconds (a corner that is taken almost to a stop) may the arm be ahead or behind on a
 #: way that was planned to take `WAY` [s].
 SHARE, ALLOWANCE, WAY = 0.2, 0.5, 4.0
+#: How far ahead or behind the arm was over these seconds says where time has it now: in a turn it is neither for long.
+USUAL = 2.0
 #: Samples that are so long [s] apart say nothing of the time between them.
 GAP = 0.1
 #: An approach shorter than this [rad, m] is where the arm rests off its set-point; the controller makes none.
@@ -89,7 +91,7 @@ class Adherence:
         self._began: float | None = None
         self._last = 0.0
         self._place = 0
-        self._moved, self._mark = 0.0, (0.0, 0.0)
+        self._moved, self._mark, self._ahead = 0.0, (0.0, 0.0), 0.0
         self._recent: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._moving = np.zeros(0, dtype=bool)
 
@@ -128,10 +130,11 @@ class Adherence:
         """(K,) places of positions that lead the way, in a window that goes with the time since the last of them."""
         begun = float(self._path.when[self._place])
         passed = np.maximum(time - self._last, 0.0)
-        # At its pace the arm is here. A controller's blend may cut a turn off, and where the way back is the way out,
-        # what is nearest to the last place alone would go back from there.
-        expected = self._mark[1] + self._moved - self._mark[0] + passed
-        until = np.maximum(begun + passed, expected) + AHEAD
+        # At its pace the arm is here. A controller's blend may cut a turn off by the margin, and where the way back is
+        # the way out, what is nearest to the last place alone would go back from there.
+        expected = self._moved + self._ahead + passed
+        other_side = self._path.around(self._place, 2 * self._margin)
+        until = np.maximum(np.maximum(begun + passed, expected) + AHEAD, other_side)
         return self._path.nearest(positions, np.full(len(time), begun - BACK), until, expected)
 
     def _compare(
@@ -202,7 +205,8 @@ class Adherence:
         self._last, self._place = float(time[-1]), int(places[-1])
         when = float(self._path.when[self._place])
         if not passed.max() <= GAP:  # samples were lost: who knows whether it moved in between
-            self._mark = self._moved, when
+            self._mark, self._ahead = (self._moved, when), when - self._moved
+        self._ahead += min(1.0, float(passed.sum()) / USUAL) * (when - self._moved - self._ahead)
         took, planned = self._moved - self._mark[0], when - self._mark[1]
         if abs(took - planned) <= ALLOWANCE + SHARE * min(took, planned):
             if planned > WAY:

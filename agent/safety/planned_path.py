@@ -24,6 +24,8 @@ SHORTEST_LEVER = 0.2
 #: Between places that are as near, the one that time would have it at: a second off counts as these metres, or as
 #: two margins where that is more, since a blend may be so far nearer to the way in than to the way out that it is on.
 DRIFT = 0.01
+#: Farther ahead [s] nobody looks for the other side of a turn that was cut: the pace would not be the plan's.
+AWAY = 1.0
 _EVERY = 10
 _STEPS = 8  # of a span along the way
 
@@ -61,6 +63,13 @@ class PlannedPath:
         q, tool, reach, speed = (np.concatenate(columns) for columns in zip(*(part[:4] for part in parts), strict=True))
         levers = np.max([part[4] for part in parts], axis=0)
         return cls(np.concatenate(rows), np.concatenate(when), q, tool, reach, speed, levers, max(DRIFT, 2 * margin))
+
+    def around(self, place: int, margin: float) -> float:
+        """[s] of the plan until its tool has gone `margin` [m] from a place, or `AWAY` at most."""
+        last = int(np.searchsorted(self.when, self.when[place] + AWAY, side="right"))
+        tool = self.tool[self.rows[place:last]]
+        near = np.linalg.norm(tool - tool[0], axis=1) <= margin
+        return float(self.when[last - 1 if near.all() else place + int(np.argmin(near))])
 
     def nearest(self, positions: np.ndarray, since: np.ndarray, until: np.ndarray, expected: np.ndarray) -> np.ndarray:
         """(K,) the place nearest to each of `positions` (K, n) out of those between two moments (K,) [s] of the plan.

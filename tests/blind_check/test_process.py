@@ -101,9 +101,6 @@ def dozen(check) -> Path:
     return check.folder
 
 
-@pytest.mark.xfail(
-    reason="the guard stops one healthy recording of twelve, where joints fly round a turn that the controller cuts"
-)
 def test_a_dozen_runs_are_recorded_diagnosed_and_scored(dozen):
     scores = json.loads((dozen / "blind_check.json").read_text())
     assert scores["runs"] == 12

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from agent.core.errors import ControllerError, InputError, SafetyError
@@ -137,6 +137,26 @@ def test_a_way_back_along_the_way_out_is_no_delay(trajectory_through, late):
     times = np.arange(0.0, chain.t[-1], PERIOD)
     moved = np.column_stack([np.interp(times, chain.t, column) for column in driven.T])
     assert follow(watcher(chain), waiting, moved, chunk=64) is None
+
+
+def out_and_back(chain, turn, ramp):
+    """The first joint at 1 rad/s and back, as `chain` but turning round at `turn` [s] within `ramp` [s] either side."""
+    times = np.arange(0.0, 2 * turn, PERIOD)
+    knots = [0.0, 0.3, turn - ramp, turn + ramp, 2 * turn - 0.3, 2 * turn]
+    speed = np.outer(np.interp(times, knots, [0.0, 1.0, 1.0, -1.0, -1.0, 0.0]), np.eye(6)[0])
+    return replace(chain, t=times, q=HOME - np.eye(6)[0] + PERIOD * np.cumsum(speed, axis=0), qd=speed)
+
+
+@settings(deadline=None, max_examples=25)
+@example(turn=4.2, scale=0.95, cut=0.5)
+@given(turn=st.floats(2.0, 4.6), scale=st.floats(0.95, 1.05), cut=st.floats(0.0, 0.7))
+def test_a_turn_that_is_cut_by_less_than_the_margin_is_no_delay(swing, turn, scale, cut):
+    """Late on the way in, early on the way out, wherever in the turn the pace was last compared."""
+    margin, ramp = 0.08, 0.45
+    chain = out_and_back(swing(), turn, ramp)
+    wider = ramp + 2 * cut * margin / watcher(chain)._path.levers[0]
+    cutting = paced(out_and_back(chain, turn, wider), scale)
+    assert follow(watcher(chain, margin=margin), cutting, chunk=64) is None
 
 
 def test_half_the_speed_is_seen_within_a_second(swing):
