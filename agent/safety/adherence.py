@@ -1,8 +1,10 @@
 """The plan is what moves: set-points and measured positions of a motion against what was planned and checked.
 
-The controller's interpolator is not ours, so samples are not compared one by one. Each is laid onto the nearest place
-of the planned path in a window that goes along with it, and there it has to be near enough, at no more than the speed
-that was planned around that place. How long the way took is compared apart from that, without the rests at stops.
+The controller's interpolator is not ours, so samples are not compared one by one. Some place of the planned path has to
+be near enough to each of them, at no more than the speed that was planned around there, and these places have to go
+along the path: those of a sample are reached from those of the one before, never back (as the Fréchet distance of two
+paths asks for). Where several places fit, as on a path that comes back on itself, nothing has to be decided. How long
+the way took is compared apart from that, without the rests at stops.
 
 The tool may be as far from its path as the cell was checked with (the FLY distance of the recipe), a joint as far as
 that takes it there, by the row of the damped inverse Jacobian, and as the plan itself takes it around there, where a
@@ -12,6 +14,7 @@ is no distance from the path, and be off by an error of the servos beside that.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -26,20 +29,23 @@ if TYPE_CHECKING:
     from agent.robot.dynamics import Tool
     from drivers.protocol import SampleBlock
 
-#: The window along the path [s of plan]: back from the last place, and beyond what the time since then allows.
-BACK, AHEAD = 0.1, 0.1
+#: So much of the plan may pass in a second: where ours slows down for a corner, theirs need not.
+AHEAD = 4.0
 #: What is measured may be so long [s] behind the set-points, or before them.
 LAG, LEAD = 0.15, 0.05
-#: So much of the time and so many seconds (a corner that is taken almost to a stop) may the arm be ahead or behind on a
-#: way that was planned to take `WAY` [s].
-SHARE, ALLOWANCE, WAY = 0.2, 0.5, 4.0
-#: How far ahead or behind the arm was over these seconds says where time has it now: in a turn it is neither for long.
-USUAL = 2.0
+#: So much of the time and so many seconds may the arm be ahead or behind on a way that was planned to take `WAY` [s].
+#: A corner that one law flies through and another almost stops at costs v/a, 0.7 s at 1.2 m/s and 1.7 m/s²; over a few
+#: moves, ramps, corners and jerk of two laws differ by 20 % (tests/safety/test_off_plan.py: laws drawn at random).
+SHARE, ALLOWANCE, WAY = 0.2, 0.7, 4.0
 #: Samples that are so long [s] apart say nothing of the time between them.
 GAP = 0.1
 #: An approach shorter than this [rad, m] is where the arm rests off its set-point; the controller makes none.
 THERE = 1e-3
-_ROWS = 64
+#: No joint is farther than this [rad, m].
+FARTHEST = 1e6
+#: Samples are judged together until so long [s] has passed: a link may hand them out one by one.
+TOGETHER = 0.008
+_BLOCKS, _ROWS = 16, 64  # at once
 
 
 @dataclass(frozen=True)
@@ -61,7 +67,7 @@ class Tolerance:
 
 #: No margin is smaller than this [m]: blends and rounding of the controller.
 SMALLEST_MARGIN = 0.005
-SET_POINTS = Tolerance(tool=0.0, joint=0.03, faster=0.2, floor=0.02, span=0.03, resting=1e-5)
+SET_POINTS = Tolerance(tool=5e-5, joint=0.03, faster=0.3, floor=0.05, span=0.03, resting=1e-5)
 #: As of set-points, and an error of the servos and noise beside it.
 MEASURED = Tolerance(tool=0.015, joint=0.07, faster=0.3, floor=0.05, span=0.06, resting=0.003)
 
@@ -90,84 +96,144 @@ class Adherence:
         self._period = period
         self._began: float | None = None
         self._last = 0.0
-        self._place = 0
-        self._moved, self._mark, self._ahead = 0.0, (0.0, 0.0), 0.0
-        self._recent: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
-        self._moving = np.zeros(0, dtype=bool)
+        #: The places that fit the last sample: from which one on, and which.
+        self._first, self._fits = 0, np.ones(1, dtype=bool)
+        self._moved, self._mark = 0.0, (0.0, 0.0)
+        self._recent: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self._waiting: list[SampleBlock] = []
 
     @property
     def left(self) -> float:
         """Seconds of the plan that the arm has not gone."""
-        return float(self._path.when[-1] - self._path.when[self._place])
+        return float(self._path.when[-1] - self._path.when[self._first + len(self._fits) - 1])
 
     def take(self, block: SampleBlock) -> str | None:
         """The next samples; returns why the arm has to stop, if it has to."""
-        for start in range(0, len(block), _ROWS):
-            reason = self._take(block.part(start, start + _ROWS))
+        self._waiting.append(block)
+        few = len(self._waiting) < _BLOCKS  # of a clock that stands still, too
+        if few and float(block.time[-1]) - float(self._waiting[0].time[0]) < TOGETHER:
+            return None
+        return self.judge()
+
+    def judge(self) -> str | None:
+        """What `take` says of the samples that it still holds back."""
+        if not self._waiting:
+            return None
+        blocks, self._waiting = self._waiting, []
+        time, measured = (np.concatenate([getattr(one, name) for one in blocks]) for name in ("time", "position"))
+        seen = [one.reference_position for one in blocks if one.reference_position is not None]
+        given = np.concatenate(seen) if len(seen) == len(blocks) else None
+        for what, broken in (
+            ("times", ~np.isfinite(time)),
+            ("measured positions", ~(np.abs(measured) < FARTHEST)),
+            ("set-points", ~(np.abs(measured if given is None else given) < FARTHEST)),
+        ):
+            if broken.any():
+                return f"the controller sent {what} that are no numbers; look for the fault there"
+        if self._began is None:
+            self._began = self._last = float(time[0]) - self._period * float(blocks[0].sequence[0])
+        lost = np.flatnonzero(np.diff(time, prepend=self._last) > GAP)  # each of these has a long way to be on
+        cuts = sorted({*range(0, len(time), _ROWS), *lost.tolist(), *(lost + 1).tolist(), len(time)})
+        for part in (slice(*pair) for pair in itertools.pairwise(cuts)):
+            reason = self._judge(time[part], measured[part], None if given is None else given[part])
             if reason is not None:
                 return reason
         return None
 
-    def _take(self, block: SampleBlock) -> str | None:
-        time, measured, given = block.time, block.position, block.reference_position
-        for name, values in (("times", time), ("measured positions", measured), ("set-points", given)):
-            if values is not None and not np.isfinite(values).all():
-                return f"the controller sent {name} that are no numbers; look for the fault there"
-        if self._began is None:
-            self._began = self._last = float(time[0]) - self._period * float(block.sequence[0])
-        leading = measured if given is None else given
-        places = self._along(time, leading)
-        if given is None:
-            reason, moving = self._compare("position", MEASURED, time, measured, places)
-        else:
-            reason, moving = self._compare("set-point", SET_POINTS, time, given, places)
-            when = self._path.when[places]
-            lagging = self._path.nearest(measured, when - LAG, when + LEAD, when)
-            reason = reason or self._compare("position", MEASURED, time, measured, lagging)[0]
-        return reason or self._pace(time, places, moving)
+    def _judge(self, time: np.ndarray, measured: np.ndarray, given: np.ndarray | None) -> str | None:
+        """As `take`, for samples that are numbers."""
+        path, first, last = self._path, self._first, self._first + len(self._fits) - 1
+        what, leading, allowed = ("position", measured, MEASURED) if given is None else ("set-point", given, SET_POINTS)
+        passed = np.maximum(np.diff(time, prepend=self._last), 0.0)
+        # Who knows how far it went while samples were lost: as far as it may in that time.
+        ahead = np.minimum(AHEAD * passed, (1 + SHARE) * passed + ALLOWANCE)
+        ways = np.arange(first, path.place_at(path.when[last] + float(ahead.sum()) + len(time) * path.step) + 1)
+        fits, speed = self._fitting(what, leading, allowed, time, ways)
+        reached = np.zeros(len(ways), dtype=bool)
+        reached[: len(self._fits)] = self._fits
+        firsts, lasts = np.zeros(len(time), dtype=int), np.zeros(len(time), dtype=int)
+        for k in range(len(time)):
+            expected = passed[k] + path.when[first + np.flatnonzero(reached)[-1]]
+            reached = path.onward(reached, first, ahead[k])
+            if not np.any(reached & fits[k]):
+                return self._wrong(what, leading[k], speed[k], allowed, time[k], ways[reached])
+            reached &= fits[k]
+            if passed[k] > GAP:  # in this cycle or in a later one: where it would be at its pace
+                reached = path.nearest_run(reached, first, expected)
+            found = np.flatnonzero(reached)
+            firsts[k], lasts[k] = first + found[0], first + found[-1]
+        self._first, self._fits = int(firsts[-1]), reached[firsts[-1] - first : lasts[-1] - first + 1]
+        if given is not None:
+            reason = self._follow(measured, time, firsts, lasts)
+            if reason is not None:
+                return reason
+        return self._pace(time, passed, np.any(speed > allowed.resting * self._robot.max_velocity, axis=1))
 
-    def _along(self, time: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        """(K,) places of positions that lead the way, in a window that goes with the time since the last of them."""
-        begun = float(self._path.when[self._place])
-        passed = np.maximum(time - self._last, 0.0)
-        # At its pace the arm is here. A controller's blend may cut a turn off by the margin, and where the way back is
-        # the way out, what is nearest to the last place alone would go back from there.
-        expected = self._moved + self._ahead + passed
-        other_side = self._path.around(self._place, 2 * self._margin)
-        until = np.maximum(np.maximum(begun + passed, expected) + AHEAD, other_side)
-        return self._path.nearest(positions, np.full(len(time), begun - BACK), until, expected)
-
-    def _compare(
-        self, what: str, allowed: Tolerance, time: np.ndarray, positions: np.ndarray, places: np.ndarray
-    ) -> tuple[str | None, np.ndarray]:
-        """Distance and speed of positions (K, n) at their places (K,); what is wrong, and (K,) whether they move."""
+    def _follow(self, measured: np.ndarray, time: np.ndarray, firsts: np.ndarray, lasts: np.ndarray) -> str | None:
+        """Whether what is measured is where the set-points are, or were."""
         path = self._path
-        rows = path.rows[places]
-        off = np.abs(positions - path.q[rows])
-        joints = off - path.reach[rows]
-        tool = np.linalg.norm(self._dynamics.tcp_pose(positions)[:, :3, 3] - path.tool[rows], axis=1)
-        limit = self._robot.max_velocity
-        speed, before, passed = self._speed(what, allowed.span, time, positions, places)
-        planned = np.maximum(path.speed[rows], path.speed[path.rows[before]])
-        planned[passed > GAP] = limit  # samples were lost: who knows how fast it was in between
-        near = np.all(joints <= allowed.joint, axis=1) & (tool <= self._margin + allowed.tool)
-        slow = np.all(speed <= (1 + allowed.faster) * planned + allowed.floor * limit, axis=1)
-        moving = np.any(speed > allowed.resting * limit, axis=1)
-        if near.all() and slow.all():
-            return None, moving
-        k = int(np.argmin(near & slow))
-        at = f"{time[k] - (self._began or 0.0):.2f} s into the motion"
-        if near[k]:
-            joint = int(np.argmax((speed[k] - planned[k]) / limit))
-            return (
-                f"{at} the {what} of {self._robot.joint_names[joint]} goes at {speed[k, joint]:.3g} {self._unit(joint)}"
-                f"/s, no more than {planned[k, joint]:.3g} was planned around there: {_LOOK}"
-            ), moving
-        return f"{at} {self._place_of(what, positions[k], rows[k], float(tool[k]), allowed)}", moving
+        begin = path.place_at(path.when[firsts] - LAG)
+        end = path.place_at(path.when[lasts] + LEAD)
+        ways = np.arange(begin.min(), end.max() + 1)
+        fits, speed = self._fitting("position", measured, MEASURED, time, ways)
+        fits &= (ways >= begin[:, None]) & (ways <= end[:, None])
+        if fits.any(axis=1).all():
+            return None
+        k = int(np.argmin(fits.any(axis=1)))
+        return self._wrong("position", measured[k], speed[k], MEASURED, time[k], np.arange(begin[k], end[k] + 1))
 
-    def _place_of(self, what: str, position: np.ndarray, row: int, tool: float, allowed: Tolerance) -> str:
+    def _fitting(
+        self,
+        what: str,
+        positions: np.ndarray,
+        allowed: Tolerance,
+        time: np.ndarray,
+        ways: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(K, W) which of the places `ways` (W,) fit positions (K, n), and (K, n) the speed that those come with."""
+        speed, over = self._speed(what, allowed.span, time, positions)
+        near = self._near(positions, allowed, ways)
+        slow = np.all(speed[:, None] <= self._fastest(allowed, ways), axis=2)
+        return near & (slow | (over > GAP)[:, None]), speed
+
+    def _near(self, positions: np.ndarray, allowed: Tolerance, ways: np.ndarray) -> np.ndarray:
+        """(K, W) whether places are near enough to positions (K, n)."""
+        rows = self._path.rows[ways]
+        tool = self._dynamics.tcp_pose(positions)[:, :3, 3]
+        near = self._path.distance(tool, rows) <= self._margin + allowed.tool
+        for joint in range(positions.shape[1]):
+            off = np.abs(positions[:, None, joint] - self._path.q[rows, joint])
+            near &= off <= self._path.reach[rows, joint] + allowed.joint
+        return near
+
+    def _fastest(self, allowed: Tolerance, ways: np.ndarray) -> np.ndarray:
+        """(W, n) the highest speed at places."""
+        path, limit = self._path, self._robot.max_velocity
+        rows = path.rows[ways]
+        return np.maximum((1 + allowed.faster) * path.speed[rows] + allowed.floor * limit, path.turning[rows])
+
+    def _wrong(
+        self, what: str, position: np.ndarray, speed: np.ndarray, allowed: Tolerance, when: float, ways: np.ndarray
+    ) -> str:
+        """Why none of the places `ways` fits a position (n,) that comes with a speed (n,)."""
+        near = self._near(position[None], allowed, ways)[0]
+        at = f"{when - (self._began or 0.0):.2f} s into the motion"
+        if not near.any():
+            row = int(self._path.rows[ways[np.argmin(self._path.apart(position, ways))]])
+            return f"{at} {self._place_of(what, position, row, allowed)}"
+        limit, fastest = self._robot.max_velocity, self._fastest(allowed, ways[near])
+        best = int(np.argmin(np.max((speed - fastest) / limit, axis=1)))
+        joint = int(np.argmax((speed - fastest[best]) / limit))
+        return (
+            f"{at} the {what} of {self._robot.joint_names[joint]} goes at {speed[joint]:.3g} {self._unit(joint)}/s, no "
+            f"more than {self._path.speed[self._path.rows[ways[near][best]], joint]:.3g} was planned around there: "
+            f"{_LOOK}"
+        )
+
+    def _place_of(self, what: str, position: np.ndarray, row: int, allowed: Tolerance) -> str:
         """Which joint is how far off, where."""
         q = self._path.q[row]
+        tool = float(np.linalg.norm(self._dynamics.tcp_pose(position[None])[0, :3, 3] - self._path.tool[row]))
         joint = int(np.argmax(np.abs(position - q) * self._path.levers))
         name, unit = self._robot.joint_names[joint], self._unit(joint)
         if np.all(np.abs(np.radians(position) - q) <= allowed.joint):
@@ -180,42 +246,39 @@ class Adherence:
             f"allowed, near x {x:.3f}, y {y:.3f}, z {z:.3f} m: {_LOOK}"
         )
 
-    def _speed(
-        self, what: str, span: float, time: np.ndarray, positions: np.ndarray, places: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(K, n) |speed| over the `span` [s] before each sample, the place (K,) where that began, and its length."""
+    def _speed(self, what: str, span: float, time: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(K, n) |speed| over the `span` [s] before each sample, and (K,) the length of that [s]."""
         if what in self._recent:
-            times, was, at = self._recent[what]
-            times = np.concatenate([times, time])
-            was, at = np.concatenate([was, positions]), np.concatenate([at, places])
+            times, was = self._recent[what]
+            times, was = np.concatenate([times, time]), np.concatenate([was, positions])
         else:
-            times, was, at = time, positions, places
+            times, was = time, positions
         now = np.arange(len(times) - len(time), len(times))
         since = np.maximum(np.searchsorted(times, time - span, side="right") - 1, 0)
         # Over a shorter way, at first, the noise of a position counts for as much as over a whole one.
-        passed = np.maximum(times[now] - times[since], span)
+        over = np.maximum(times[now] - times[since], span)
         keep = slice(int(since[-1]), None)
-        self._recent[what] = times[keep], was[keep], at[keep]
-        return np.abs(was[now] - was[since]) / passed[:, None], at[since], passed
+        self._recent[what] = times[keep], was[keep]
+        return np.abs(was[now] - was[since]) / over[:, None], over
 
-    def _pace(self, time: np.ndarray, places: np.ndarray, moving: np.ndarray) -> str | None:
+    def _pace(self, time: np.ndarray, passed: np.ndarray, moving: np.ndarray) -> str | None:
         """Whether the way took the time that was planned for it, and where the arm is now."""
-        passed = np.diff(time, prepend=self._last)
         self._moved += float(np.sum(passed[moving]))
-        self._last, self._place = float(time[-1]), int(places[-1])
-        when = float(self._path.when[self._place])
+        self._last = float(time[-1])
+        when = self._path.when[[self._first, self._first + len(self._fits) - 1]]
         if not passed.max() <= GAP:  # samples were lost: who knows whether it moved in between
-            self._mark, self._ahead = (self._moved, when), when - self._moved
-        self._ahead += min(1.0, float(passed.sum()) / USUAL) * (when - self._moved - self._ahead)
-        took, planned = self._moved - self._mark[0], when - self._mark[1]
+            self._mark = self._moved, float(when.mean())
+        took = self._moved - self._mark[0]
+        planned = float(np.clip(took, *(when - self._mark[1])))
         if abs(took - planned) <= ALLOWANCE + SHARE * min(took, planned):
             if planned > WAY:
-                self._mark = self._moved, when
+                self._mark = self._moved, self._mark[1] + planned
             return None
         return (
             f"{self._last - (self._began or 0.0):.2f} s into the motion: what was planned to take {planned:.1f} s took "
             f"{took:.1f} s: the override is not at 100 %, or was changed, or it is not the planned motion; set it to "
-            "100 %, then run the command again"
+            "100 %, then run the command again; if it was, the controller has a time law of its own: "
+            "agent learn-interpolator finds it"
         )
 
     def _unit(self, joint: int) -> str:

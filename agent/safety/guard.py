@@ -217,7 +217,7 @@ class GuardedLink:
                     except RefusedError:
                         raise
                     except DriverError as error:  # the arm may be moving: what came of that is kept, and judged
-                        lost = error
+                        lost, watch.stopped = error, True
                         self._stop()
                     yield samples()
             except RefusedError:

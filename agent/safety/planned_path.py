@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,11 +21,6 @@ BLEND = 4.0
 DAMPING = 0.05
 #: A joint moves something at this distance at least, whether the tool does or not [m].
 SHORTEST_LEVER = 0.2
-#: Between places that are as near, the one that time would have it at: a second off counts as these metres, or as
-#: two margins where that is more, since a blend may be so far nearer to the way in than to the way out that it is on.
-DRIFT = 0.01
-#: Farther ahead [s] nobody looks for the other side of a turn that was cut: the pace would not be the plan's.
-AWAY = 1.0
 _EVERY = 10
 _STEPS = 8  # of a span along the way
 
@@ -36,8 +31,9 @@ class PlannedPath:
 
     rows (P,) leads from places to rows; when (P,) [s] of motion up to a place, without rests. By row: q (S, n);
     tool (S, 3) [m]; reach (S, n), how far each joint goes where the tool goes by the margin, and on the path where a
-    blend may turn the tool earlier or later; speed (S, n), the highest around. levers (n,) [m/rad, or 1]: how far a
-    joint moves the tool at most. drift [m/s]: see `DRIFT`.
+    blend may turn the tool earlier or later; speed (S, n), the highest around; turning (S, n), at which each joint
+    alone would move something as fast as the tool goes around there. levers (n,) [m/rad, or 1]: how far a joint moves
+    the tool at most. step [s]: between places at most.
     """
 
     rows: np.ndarray
@@ -46,8 +42,9 @@ class PlannedPath:
     tool: np.ndarray
     reach: np.ndarray
     speed: np.ndarray
+    turning: np.ndarray
     levers: np.ndarray
-    drift: float = DRIFT
+    step: float
 
     @classmethod
     def of(cls, chains: Sequence[Trajectory], dynamics: Dynamics, margin: float) -> PlannedPath:
@@ -60,36 +57,47 @@ class PlannedPath:
             when.append(passed + chain.t - chain.t[0])
             passed += chain.duration
         parts = [_along(chain, dynamics, margin) for chain in different.values()]
-        q, tool, reach, speed = (np.concatenate(columns) for columns in zip(*(part[:4] for part in parts), strict=True))
-        levers = np.max([part[4] for part in parts], axis=0)
-        return cls(np.concatenate(rows), np.concatenate(when), q, tool, reach, speed, levers, max(DRIFT, 2 * margin))
+        q, tool, reach, speed, pace = (
+            np.concatenate(columns) for columns in zip(*(part[:5] for part in parts), strict=True)
+        )
+        levers = np.max([part[5] for part in parts], axis=0)
+        times = np.concatenate(when)
+        step = float(np.max(np.diff(times), initial=0.0))
+        return cls(np.concatenate(rows), times, q, tool, reach, speed, pace / levers, levers, step)
 
-    def around(self, place: int, margin: float) -> float:
-        """[s] of the plan until its tool has gone `margin` [m] from a place, or `AWAY` at most."""
-        last = int(np.searchsorted(self.when, self.when[place] + AWAY, side="right"))
-        tool = self.tool[self.rows[place:last]]
-        near = np.linalg.norm(tool - tool[0], axis=1) <= margin
-        return float(self.when[last - 1 if near.all() else place + int(np.argmin(near))])
+    def place_at(self, when: Any) -> Any:
+        """The last place [places, of the shape of `when`] that is no later than a moment [s] of the plan."""
+        return np.clip(np.searchsorted(self.when, when, side="right") - 1, 0, len(self.when) - 1)
 
-    def nearest(self, positions: np.ndarray, since: np.ndarray, until: np.ndarray, expected: np.ndarray) -> np.ndarray:
-        """(K,) the place nearest to each of `positions` (K, n) out of those between two moments (K,) [s] of the plan.
+    def onward(self, reached: np.ndarray, first: int, ahead: float) -> np.ndarray:
+        """(W,) the places, of those from `first` on, up to a step and `ahead` [s] after one that was `reached` (W,)."""
+        when = self.when[first : first + len(reached)]
+        latest = np.maximum.accumulate(np.where(reached, when, -np.inf))
+        return when <= latest + ahead + self.step
 
-        `expected` (K,) [s] decides between places that are as near: where a path comes back on itself.
-        """
-        first = np.clip(np.searchsorted(self.when, since, side="left"), 0, len(self.when) - 1)
-        last = np.clip(np.searchsorted(self.when, until, side="right"), first + 1, len(self.when))
-        begin, end = int(first.min()), int(last.max())
-        q = self.q[self.rows[begin:end]] * self.levers
-        away = np.square(self.drift * (self.when[begin:end] - expected[:, None]))
-        for joint, values in enumerate((positions * self.levers).T):
-            away += np.square(values[:, None] - q[:, joint])
-        places = np.arange(begin, end)
-        away[(places < first[:, None]) | (places >= last[:, None])] = np.inf
-        return begin + np.argmin(away, axis=1)
+    def nearest_run(self, reached: np.ndarray, first: int, expected: float) -> np.ndarray:
+        """(W,) of the places, from `first` on, that were `reached` (W,), the run that is nearest to `expected` [s]."""
+        found = np.flatnonzero(reached)
+        runs = np.split(found, np.flatnonzero(np.diff(found) > 1) + 1)
+        nearest = min(runs, key=lambda run: float(np.min(np.abs(self.when[first + run] - expected))))
+        chosen = np.zeros_like(reached)
+        chosen[nearest] = True
+        return chosen
+
+    def distance(self, tool: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """(K, W) [m] from places of the tool (K, 3) to those of rows (W,)."""
+        away = np.zeros((len(tool), len(rows)))
+        for axis in range(3):
+            away += np.square(tool[:, None, axis] - self.tool[rows, axis])
+        return np.sqrt(away)
+
+    def apart(self, position: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """(W,) [m] from a position (n,) to each of the places, all joints together."""
+        return np.linalg.norm((self.q[self.rows[places]] - position) * self.levers, axis=1)
 
 
 def _along(chain: Trajectory, dynamics: Dynamics, margin: float) -> tuple[np.ndarray, ...]:
-    """q, tool, reach, speed of a stretch by sample, and its levers."""
+    """q, tool, reach, speed and highest speed of the tool around by sample of a stretch, and its levers."""
     from scipy.ndimage import maximum_filter1d
 
     some = np.unique(np.append(np.arange(0, len(chain.t), _EVERY), len(chain.t) - 1))
@@ -107,7 +115,8 @@ def _along(chain: Trajectory, dynamics: Dynamics, margin: float) -> tuple[np.nda
     span = BLEND * margin
     speed = np.maximum(speed, _highest(np.abs(chain.qd), way, span))
     turned_by = np.maximum(_highest(chain.q, way, span) - chain.q, chain.q + _highest(-chain.q, way, span))
-    return chain.q, point, reach[nearest] + turned_by, speed, levers
+    pace = _highest(np.gradient(way, period)[:, None], way, span) if period > 0 else np.zeros((1, 1))
+    return chain.q, point, reach[nearest] + turned_by, speed, pace, levers
 
 
 def _highest(values: np.ndarray, way: np.ndarray, span: float) -> np.ndarray:

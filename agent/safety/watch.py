@@ -18,6 +18,8 @@ from drivers.protocol import Driver, ReportsTemperatures, SampleBlock, Status
 WATCH_INTERVAL = 0.2
 #: No sample for so long [s] while the arm may move: nobody watches it then.
 SILENCE = 10.0
+#: A motion may end so long [s] before its plan, where it does not wait for the arm to arrive.
+EARLY = 0.25
 #: Motors warm up slowly: their temperatures are asked for so often [s].
 TEMPERATURE_INTERVAL = 5.0
 
@@ -52,6 +54,8 @@ class MotionWatch:
         self._longest = longest
         self._clock = clock
         self._stop = stop
+        #: The end was asked for, so it comes before that of the plan.
+        self.stopped = False
         #: (controller time [s], (n,) [°C]), where the controller measures temperatures.
         self.temperatures: list[tuple[float, np.ndarray]] = []
 
@@ -71,7 +75,7 @@ class MotionWatch:
         try:
             for block in patience.each(self._driver.samples()):
                 began = float(block.time[0]) if began is None else began
-                reason = self._adherence.take(block) or self._overdue(block, began) if fault is None else None
+                reason = self._overdue(block, began) or self._adherence.take(block) if fault is None else None
                 if reason is not None:
                     fault = SafetyError(f"{self._address}: the arm was stopped: {reason}")
                     self._stop()
@@ -92,6 +96,8 @@ class MotionWatch:
                 f"{self._address}: the arm was stopped: no sample came for {SILENCE:g} s while it may have moved; "
                 "check the link, then run the command again"
             )
+        if fault is None and (reason := self._adherence.judge() or self._early()) is not None:
+            fault = SafetyError(f"{self._address}: {reason}")
         if fault is not None:
             raise fault
         with suppress(DriverError):  # the motion is over and recorded
@@ -105,6 +111,16 @@ class MotionWatch:
         return (
             f"the motion has lasted {lasted:.0f} s, its plan takes {self._longest:.0f} s at most, stops and all: look "
             "at the program that runs there, then run the command again"
+        )
+
+    def _early(self) -> str | None:
+        """What is wrong with a motion that has ended by itself before its plan; losses may have been its last part."""
+        left = 0.0 if self.stopped else self._adherence.left
+        if left <= EARLY + self._period * sum(gap.count for gap in self._driver.gaps):
+            return None
+        return (
+            f"the controller says that the motion is over, {left:.1f} s before the end of its plan: look at the "
+            "program and at the messages there, then run the command again"
         )
 
     def _read_temperatures(self, now: float, interval: float = TEMPERATURE_INTERVAL) -> None:

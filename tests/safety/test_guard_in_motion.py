@@ -79,8 +79,19 @@ def test_a_controller_whose_time_stands_still_is_looked_at_all_the_same(bench, p
     ticks = iter(range(10**6))
     guard = bench.open(clock=lambda: 0.1 * next(ticks))
     before = bench.controller.asked.count("AskStatus") + 2
-    bench.run(program(), guard)
+    with pytest.raises(SafetyError, match=r"over, 0\.9 s before the end of its plan"):
+        bench.run(program(), guard)
     assert bench.controller.asked.count("AskStatus") - before >= 10
+
+
+def test_a_motion_that_ends_before_its_plan_is_refused(bench, program):
+    bench.controller.blocks = 2
+    guard, received = bench.open(), []
+    chosen = program()
+    guard.send(chosen)
+    with pytest.raises(SafetyError, match=r"over, 0\.\d s before the end of its plan"), guard.motion(chosen) as samples:
+        received += samples
+    assert sum(len(block) for block in received) == 200
 
 
 def test_a_link_that_drops_is_told_with_what_to_do(bench, program):

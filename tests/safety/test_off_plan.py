@@ -180,7 +180,7 @@ def test_an_arm_that_does_as_planned_is_not(seen):
     assert arm.reason is None
 
 
-@pytest.mark.parametrize("seed", [4, 8, 18])
+@pytest.mark.parametrize("seed", [3, 8, 14, 36, 143])
 def test_blends_and_a_time_law_of_another_family_are_no_fault(seed):
     arm = Arm(drawn(seed, "second"), seed)
     arm.run()
