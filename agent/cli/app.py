@@ -231,7 +231,8 @@ def diagnose(
     as_json: AsJson = False,
     report: Annotated[Path | None, typer.Option("--report", metavar="OUT.html", help="page to write")] = None,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", metavar="MODEL", help="model file to write, with the effects found")
+        Path | None,
+        typer.Option("-o", "--out", metavar="MODEL", help="model file, MJCF or URDF to write, with what was found"),
     ] = None,
     runs: Annotated[Path, typer.Option("--logs", metavar="DIR", help="where a recorded run is kept")] = Path("logs"),
     yes: Yes = False,

@@ -80,6 +80,9 @@ def _groups(dataset: Dataset) -> list[Group]:
     torque = np.sqrt(np.mean(np.concatenate([s.predicted[s.kept] for s in dataset.fit.signals]) ** 2, axis=0))
     torque = np.maximum(torque, np.sqrt(np.mean(dataset.residual**2, axis=0)))
     speed = np.maximum(np.sqrt(np.mean(dataset.speed**2, axis=0)), 1e-9)
+    scale = reference.prior_std.copy()
+    carried = np.diag(reference.solid.mass_matrix(np.zeros(dataset.robot.dof))) / dataset.robot.gear_ratios**2
+    scale[layout.rotors] = np.maximum(scale[layout.rotors], carried)  # a file's rotor may be wrong by any factor
     friction, rotors, links = [], [], []
     for joint in range(dataset.robot.dof):
         own = [k for k, term in enumerate(model.terms) if term.axle == joint]
@@ -93,7 +96,7 @@ def _groups(dataset: Dataset) -> list[Group]:
             ("link inertia", layout.link(joint), links),
         ):
             directions = np.zeros((len(model.values), place.stop - place.start))
-            directions[:base] = model.projection[:, place] * reference.prior_std[place]
+            directions[:base] = model.projection[:, place] * scale[place]
             if np.any(np.abs(directions) > 1e-12):
                 found.append(Group(kind, joint, directions))
     return [*friction, *rotors, *reversed(links)]

@@ -37,13 +37,17 @@ _WHEN_UNKNOWN = "slow single-joint ramps both ways on the joints named, then the
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """Everything a report shows: the answer, the finding, the data, and the gaps of torque and path."""
+    """Everything a report shows: the answer, the finding, the data, and the gaps of torque and path.
+
+    `calibrated`: of a simulator's file, what of its numbers was moved.
+    """
 
     answer: DiagnosisResult
     finding: Finding
     dataset: Dataset
     motion: MotionGap | None
     gap: Gap
+    calibrated: Calibration | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -107,7 +111,7 @@ def build(
         tuple(warnings),
         steps,
     )
-    return Diagnosis(answer, finding, dataset, motion, gap)
+    return Diagnosis(answer, finding, dataset, motion, gap, calibrated)
 
 
 def _of_path() -> list[str]:

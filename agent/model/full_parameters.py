@@ -66,7 +66,7 @@ def check_physical(robot: RobotDescription, standard: np.ndarray) -> None:
 
 def pseudo_inertia(block: np.ndarray) -> np.ndarray:
     """(4, 4) [[½ tr(I) 1 - I, m c], [m cᵀ, m]] of ten standard parameters (10,)."""
-    return np.tensordot(block, _BASIS, axes=1)
+    return np.tensordot(block, LOG_DET_BASIS, axes=1)
 
 
 def _basis() -> np.ndarray:
@@ -84,12 +84,12 @@ def _basis() -> np.ndarray:
     return basis
 
 
-_BASIS = _basis()
+LOG_DET_BASIS = _basis()
 
 
 def from_pseudo_inertia(matrix: np.ndarray) -> np.ndarray:
     """(10,) the inverse of `pseudo_inertia`."""
-    return np.linalg.lstsq(_BASIS.reshape(10, 16).T, matrix.ravel(), rcond=None)[0]
+    return np.linalg.lstsq(LOG_DET_BASIS.reshape(10, 16).T, matrix.ravel(), rcond=None)[0]
 
 
 def _nearest(model: IdentifiedModel) -> np.ndarray | None:
@@ -137,14 +137,14 @@ def _nearest(model: IdentifiedModel) -> np.ndarray | None:
 def _logarithms(standard: np.ndarray, layout: ParameterLayout) -> np.ndarray:
     """(11 n,) gradient of Σ log det S + Σ log J."""
     inverse = [np.linalg.inv(pseudo_inertia(block)) for block in layout.blocks(standard)]
-    return np.concatenate([*(np.einsum("kij,ji->k", _BASIS, s) for s in inverse), 1 / standard[layout.rotors]])
+    return np.concatenate([*(np.einsum("kij,ji->k", LOG_DET_BASIS, s) for s in inverse), 1 / standard[layout.rotors]])
 
 
 def _curvature(standard: np.ndarray, layout: ParameterLayout) -> np.ndarray:
     """(11 n, 11 n) Hessian of -Σ log det S - Σ log J."""
     hessian = np.zeros((layout.size, layout.size))
     for k, block in enumerate(layout.blocks(standard)):
-        turned = np.linalg.inv(pseudo_inertia(block)) @ _BASIS
+        turned = np.linalg.inv(pseudo_inertia(block)) @ LOG_DET_BASIS
         hessian[layout.link(k), layout.link(k)] = np.einsum("aij,bji->ab", turned, turned)
     place = np.arange(layout.rotors.start, layout.rotors.stop)
     hessian[place, place] = standard[layout.rotors] ** -2
@@ -170,14 +170,14 @@ def _reference(model: IdentifiedModel) -> np.ndarray:
     q = np.random.default_rng(0).uniform(-3, 3, (50, n))
     reach = max(float(np.linalg.norm(dynamics.tip_pose(q)[:, :3, 3], axis=1).max()), 0.1)
     total = max(float(links[:, 0].sum()), float(np.abs(model.base_values).max()), 1e-3)
-    bodies = [_body(block, _WEIGHTLESS * total, reach) for block in links]
+    bodies = [nearby_body(block, _WEIGHTLESS * total, reach) for block in links]
     inertia = np.mean([np.diag(dynamics.mass_matrix(row)) for row in q], axis=0)
     inertia = np.maximum(inertia, bodies[-1][[4, 6, 9]].max()) / robot.gear_ratios**2
     rotors = [j.rotor_inertia or _USUAL_ROTOR * i for j, i in zip(robot.joints, inertia, strict=True)]
     return np.concatenate([*bodies, rotors])
 
 
-def _body(block: np.ndarray, mass: float, reach: float) -> np.ndarray:
+def nearby_body(block: np.ndarray, mass: float, reach: float) -> np.ndarray:
     """(10,) standard parameters of the URDF where it is a body, else near them; of `mass` [kg] where it has none."""
     weightless = block[0] <= 0
     matrix = pseudo_inertia(np.append(mass, np.zeros(9)) if weightless else block)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from agent.core.console import Console
 from agent.core.errors import InputError
+from agent.pipeline.corrected_simulator import check_simulator_out, write_simulator
 from agent.pipeline.identify import check_one_machine, check_output, check_plausible, read_logs, say_used
 from agent.robot import RobotDescription, load_robot
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
     from agent.diagnosis.forward import Simulated
     from agent.model.identified import IdentifiedModel
+    from agent.model.simulators import Simulator
 
 #: The model that was the simulator, as a run folder keeps it: the file that was named may be another one later.
 _SIMULATOR = "simulator.json"
@@ -36,7 +38,8 @@ class Question:
     """What is asked of logs: against which model (None: one fitted to them), what is left out, what is written.
 
     `model` is a model file, an MJCF or a URDF; `joint_map` says how joints of the latter two are called in the logs.
-    `report` is the page, `out` the file of the model with the effects found; None: neither. `allow_mixed`: logs and
+    `report` is the page, `out` the file of the model with the effects found, or of the simulator corrected (its own
+    format); None: neither. `allow_mixed`: logs and
     model may be of several machines or tools; `force`: go on although a log is implausible.
     """
 
@@ -78,7 +81,7 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
 
     loaded = load_recipe(recipe)
     _check(question, [])
-    simulator = _simulator(loaded.robot, [], question, console)
+    simulator, _ = _simulator(loaded.robot, [], question, console)
     few = min(loaded.validate.motions, _VALIDATION_MOTIONS)
     loaded = replace(loaded, validate=loaded.validate.model_copy(update={"motions": few}))
     with robot_lock(loaded.controller.driver, loaded.controller.address):
@@ -118,7 +121,7 @@ def diagnose_again(run: Path, robot: RobotDescription, console: Console) -> str:
     model = run / _SIMULATOR
     question = Question(model if model.exists() else None, cutoff=asked["cutoff"], without=tuple(asked["without"]))
     logs = [run / "excitation.mcap", *sorted(run.glob("validation_[0-9][0-9].mcap"))]
-    return diagnosis_report(*_find(robot, logs, question, console))
+    return diagnosis_report(*_find(robot, logs, question, console)[:2])
 
 
 def _diagnose(
@@ -127,7 +130,7 @@ def _diagnose(
     from agent.diagnosis import simulation_part
 
     _check(question, paths)
-    found, simulated = _find(robot, paths, question, console)
+    found, simulated, simulator = _find(robot, paths, question, console)
     for warning in found.warnings:
         console.warn(warning)
     result = {**found.result, "simulation": simulation_part(found, simulated)}
@@ -137,17 +140,20 @@ def _diagnose(
 
         write_atomically(question.report, diagnosis_report(found, simulated))
     if question.out is not None:
-        _write_model(found, question.out, console)
+        if simulator is not None:
+            write_simulator(found, simulator, question.out, console)
+        else:
+            _write_model(found, question.out, console)
     return result
 
 
 def _find(
     robot: RobotDescription | None, paths: Sequence[Path], question: Question, console: Console
-) -> tuple[Diagnosis, list[Simulated]]:
+) -> tuple[Diagnosis, list[Simulated], Simulator | None]:
     from agent.diagnosis import diagnose, simulate
     from agent.model.simulators import SIMULATOR
 
-    reference = _simulator(robot, paths, question, console)
+    reference, simulator = _simulator(robot, paths, question, console)
     if reference is not None and (robot is None or reference.method == SIMULATOR):
         robot = reference.robot  # of the file, with the drives of the description
     if robot is None:
@@ -160,13 +166,13 @@ def _find(
     found = diagnose(robot, logs, reference, question.cutoff, question.without, console.progress)
     say_used(logs, found.dataset.cutoff, found.dataset.model.order, console)
     console.step("simulating with and without it")
-    return found, simulate(found)
+    return found, simulate(found), simulator
 
 
 def _simulator(
     robot: RobotDescription | None, paths: Sequence[Path], question: Question, console: Console
-) -> IdentifiedModel | None:
-    """The model that is the simulator; None where none is named.
+) -> tuple[IdentifiedModel | None, Simulator | None]:
+    """The model that is the simulator, and the file that it was read from; None where none is named.
 
     Raises:
         InputError: a file that cannot be used, or of another arm.
@@ -178,13 +184,13 @@ def _simulator(
     if question.model is None or not is_simulator(question.model):
         if question.joint_map is not None:
             raise InputError("diagnose: --map names joints of an MJCF or URDF: give one with --model arm.xml|arm.urdf")
-        return None if question.model is None else IdentifiedModel.load(question.model)
+        return (None if question.model is None else IdentifiedModel.load(question.model)), None
     names = None if question.joint_map is None else load_joint_map(question.joint_map)
     log_joints = () if robot is not None else read_log(paths[0]).joint_names
     found = load_simulator(question.model, robot, log_joints, names)
     for note in found.notes:
         console.warn(f"{question.model.name}: {note}")
-    return found.model
+    return found.model, found
 
 
 def _check(question: Question, logs: Sequence[Path]) -> None:
@@ -200,6 +206,8 @@ def _check(question: Question, logs: Sequence[Path]) -> None:
     for out in (question.report, question.out):
         if out is not None:
             check_output(out, inputs)
+    if question.out is not None:
+        check_simulator_out(question.model, question.out, inputs)
 
 
 def _write_model(found: Diagnosis, out: Path, console: Console) -> None:

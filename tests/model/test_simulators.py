@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import runpy
 from dataclasses import replace
 from pathlib import Path
 
@@ -287,6 +288,23 @@ def test_the_corrected_simulator_predicts_the_robot(nominal):
     expected = robot.predict(q, qd, qdd)
     left, before = (np.std(m.predict(q, qd, qdd, np.arange(200.0)) - expected) for m in (corrected, model))
     assert left < 0.15 * before
+
+
+def test_the_corrected_urdf_is_a_right_simulator_of_the_robot(nominal, tmp_path):
+    model, robot, _ = nominal
+    logs = [recorded(tmp_path / f"{k}.mcap", robot, k) for k in (1, 2)]
+    path = written(tmp_path, URDF, "arm.urdf")
+    diagnose_files(None, logs, Question(path, out=tmp_path / "fixed.urdf"), Console(-1))
+    fixed = load_simulator(tmp_path / "fixed.urdf", None, ("pan", "lift")).model
+    document = json.loads((tmp_path / "fixed.changes.json").read_text())
+    assert document["changes"][0]["reason"].endswith("of the held-out gap")
+    armature = np.zeros(2)
+    if document["effects_file"]:  # rotors, which a URDF cannot say
+        armature = np.array(runpy.run_path(str(tmp_path / document["effects_file"]))["ARMATURE"])
+    q, qd, qdd = states(2, 200)
+    expected = robot.predict(q, qd, qdd)
+    left = fixed.predict(q, qd, qdd) + armature * qdd - expected
+    assert np.std(left) < 0.15 * np.std(model.predict(q, qd, qdd) - expected)
 
 
 def test_the_waterfall_is_a_table_for_people(nominal):

@@ -34,12 +34,9 @@ class BaseTilt(Effect):
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         gravity = np.array(signals.reference.robot.gravity)
-        down = gravity / np.linalg.norm(gravity)
-        first = np.cross(down, np.eye(3)[np.argmin(np.abs(down))])
-        first /= np.linalg.norm(first)
         still = np.zeros_like(signals.q)
         torques = []
-        for direction in (first, np.cross(down, first)):
+        for direction in across(gravity):
             links = signals.reference.links.with_gravity(np.linalg.norm(gravity) * direction)
             torques.append(links.inverse_dynamics(signals.q, still, still))
         stacked = np.stack(torques, axis=2)
@@ -47,3 +44,11 @@ class BaseTilt(Effect):
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
         return float(np.hypot(values["tilt_1"], values["tilt_2"])) < 0.5
+
+
+def across(gravity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The unit vectors e₁ and e₂ (3,) across gravity (3,)."""
+    down = gravity / np.linalg.norm(gravity)
+    first = np.cross(down, np.eye(3)[np.argmin(np.abs(down))])
+    first /= np.linalg.norm(first)
+    return first, np.cross(down, first)

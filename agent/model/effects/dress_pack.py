@@ -11,13 +11,13 @@ from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.friction_terms import dahl
 from agent.model.signals import MotionSignals, NominalModel
 
-_NODES = 6
+N_NODES = 6
 _STIFFEST = 5.0  # nominal torque a radian
 _TRAVEL = 0.03  # of the range, until the hose slides in itself
 
 
 class DressPack(Effect):
-    """τ = a + b q, or a smooth curve through torques at _NODES positions; with hysteresis d z(q), z Dahl's state.
+    """τ = a + b q, or a smooth curve through torques at N_NODES positions; with hysteresis d z(q), z Dahl's state.
 
     The curve is the natural cubic spline over the travelled range `low` to `high`, straight beyond it: a hose may be
     slack up to some angle, harden, or give way, and its curve has no formula of its own.
@@ -45,7 +45,7 @@ class DressPack(Effect):
         return [{}, rubbing, curve, {**curve, **rubbing}]
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
-        nodes = tuple(f"torque_{k}" for k in range(_NODES)) if "low" in settings else ("constant", "stiffness")
+        nodes = tuple(f"torque_{k}" for k in range(N_NODES)) if "low" in settings else ("constant", "stiffness")
         return (*nodes, "hysteresis") if "travel" in settings else nodes
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
@@ -72,8 +72,8 @@ def _curve(q: np.ndarray, low: float, high: float) -> list[np.ndarray]:
     """(S,) of each node: the natural spline that is one there and nought at the others."""
     from scipy.interpolate import CubicSpline
 
-    nodes = np.linspace(low, high, _NODES)
-    spline = CubicSpline(nodes, np.eye(_NODES), bc_type="natural")
+    nodes = np.linspace(low, high, N_NODES)
+    spline = CubicSpline(nodes, np.eye(N_NODES), bc_type="natural")
     inside = np.clip(q, low, high)
     values = spline(inside) + (q - inside)[:, None] * spline(inside, 1)
     return list(values.T)

@@ -56,14 +56,7 @@ class Payload(Effect):
         n = signals.q.shape[1]
         link = signals.standard[:, :, 10 * (n - 1) :]
         if settings:
-            m, h = settings["m0"], np.array([settings["hx0"], settings["hy0"], settings["hz0"]])
-            change = np.zeros((10, 5))
-            change[:4, :4] = np.eye(4)
-            change[4:, 0] = -_voigt(h, h) / m**2
-            for axis, unit in enumerate(np.eye(3)):
-                change[4:, 1 + axis] = (_voigt(unit, h) + _voigt(h, unit)) / m
-            change[4:, 4] = _BALL
-            link = link @ change
+            link = link @ ball(settings)
         return {joint: link[:, joint] for joint in range(n)}
 
     def prior_std(
@@ -86,3 +79,15 @@ def _voigt(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(6,) aᵀb E − a bᵀ as Ixx, Ixy, Iyy, Ixz, Iyz, Izz, symmetric part."""
     tensor = a @ b * np.eye(3) - 0.5 * (np.outer(a, b) + np.outer(b, a))
     return tensor[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+
+
+def ball(settings: Mapping[str, float]) -> np.ndarray:
+    """(10, 5) parameters of a link per unit of a ball's mass, first moments and own inertia, about (m0, h0)."""
+    m, h = settings["m0"], np.array([settings["hx0"], settings["hy0"], settings["hz0"]])
+    change = np.zeros((10, 5))
+    change[:4, :4] = np.eye(4)
+    change[4:, 0] = -_voigt(h, h) / m**2
+    for axis, unit in enumerate(np.eye(3)):
+        change[4:, 1 + axis] = (_voigt(unit, h) + _voigt(h, unit)) / m
+    change[4:, 4] = _BALL
+    return change

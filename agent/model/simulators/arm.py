@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from agent.core.errors import InputError
 from agent.model.data import ModelEffect
 from agent.model.friction_terms import FrictionTerm, Reversal
 from agent.model.identified import IdentifiedModel
+from agent.model.simulators.bodies import CarryingBody
 from agent.robot import Joint, RobotDescription
 from agent.robot.parameter_layout import ParameterLayout
 
@@ -32,7 +33,7 @@ class SimulatedArm:
     [N·m·s/rad], frictionloss [N·m], stiffness [N·m/rad] and the position [rad] where the spring is at rest.
 
     `file_joints` are the joints' names in the file; in `urdf` they have those of the robot or the logs. `max_velocity`
-    is NaN where the file has none.
+    is NaN where the file has none. `carrying` (n,): which body takes a change of each link.
     """
 
     path: Path
@@ -51,6 +52,7 @@ class SimulatedArm:
     frictionloss: np.ndarray
     stiffness: np.ndarray
     rest: np.ndarray
+    carrying: tuple[CarryingBody, ...]
     notes: tuple[str, ...] = ()
 
 
@@ -72,7 +74,12 @@ def described(arm: SimulatedArm, robot: RobotDescription | None) -> tuple[RobotD
                 f"{arm.path}: {joint.name} {kinds[prismatic]} here and {kinds[joint.prismatic]} in robot {robot.name}: "
                 "it is a model of another arm, or joints are matched wrongly (--map)"
             )
-    found = _description(arm, robot.name, robot.joints, robot)
+    # the file says what turns with a joint, so where bodies and rotors are told apart, that is where to start from
+    joints = tuple(
+        replace(joint, rotor_inertia=float(inertia) / joint.gear_ratio**2 or joint.rotor_inertia)
+        for joint, inertia in zip(robot.joints, arm.armature, strict=True)
+    )
+    found = _description(arm, robot.name, joints, robot)
     _check_same_arm(arm, found, robot)
     return found, tuple(_robot_notes(robot))
 
@@ -95,7 +102,7 @@ def _plain_joint(arm: SimulatedArm, k: int) -> Joint:
         max_velocity=speed,
         max_acceleration=_USUAL_ACCELERATION,
         max_jerk=None,
-        rotor_inertia=None,
+        rotor_inertia=float(arm.armature[k]) or None,
         max_torque=None,
         torque_constant=None,
         lower=float(arm.lower[k]),

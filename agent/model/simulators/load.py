@@ -21,10 +21,12 @@ _GRAVITY = (0.0, 0.0, -9.80665)
 
 @dataclass(frozen=True, eq=False)
 class Simulator:
-    """A simulator's file, the model that it is, and what was taken, held or left out of it."""
+    """A simulator's file, the model that it is, the description whose drives it has, and what was taken, held or left
+    out of the file."""
 
     arm: SimulatedArm
     model: IdentifiedModel
+    robot: RobotDescription | None
     notes: tuple[str, ...]
 
 
@@ -83,4 +85,4 @@ def load_simulator(
     model = model_of(arm, description, provenance)
     left = [name for name in wanted if name not in arm.joint_names]
     ignored = (f"{', '.join(left)} of the logs is not compared: the map leaves it out",) if left else ()
-    return Simulator(arm, model, (*arm.notes, *said, *ignored))
+    return Simulator(arm, model, robot, (*arm.notes, *said, *ignored))

@@ -14,6 +14,7 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.model.simulators.arm import SimulatedArm, described, model_of
+from agent.model.simulators.bodies import CarryingBody, parameters
 
 _BASE = "base"
 _TIP = "tip"
@@ -84,6 +85,7 @@ def read_mjcf(path: Path, match: Callable[[Sequence[str]], Mapping[str, str]]) -
         frictionloss=np.array(model.dof_frictionloss[dof]),
         stiffness=np.array(model.jnt_stiffness[chosen]),
         rest=np.array(model.qpos_spring[at]),
+        carrying=tuple(_carrying(mujoco, model, chosen, link_of)),
         notes=notes,
     )
     _check(mujoco, model, arm, chosen)
@@ -170,7 +172,7 @@ def _urdf(mujoco: Any, model: Any, chosen: list[int], link_of: np.ndarray, names
     data = _at(mujoco, model, chosen, np.zeros(len(chosen)))
     anchors = np.vstack([np.zeros(3), data.xanchor[chosen]])
     root = Element("robot", name="arm")
-    links = [_BASE, *(f"{model.body(model.jnt_bodyid[j]).name or 'body'}_{k}" for k, j in enumerate(chosen, 1))]
+    links = [_BASE, *_link_names(model, chosen)]
     for k, link in enumerate(links):
         element = SubElement(root, "link", name=link)
         bodies = [b for b in range(1, model.nbody) if k > 0 and link_of[b] == k and model.body_mass[b] > 0]
@@ -189,6 +191,23 @@ def _urdf(mujoco: Any, model: Any, chosen: list[int], link_of: np.ndarray, names
     return root
 
 
+def _link_names(model: Any, chosen: list[int]) -> list[str]:
+    return [f"{model.body(model.jnt_bodyid[j]).name or 'body'}_{k}" for k, j in enumerate(chosen, 1)]
+
+
+def _carrying(mujoco: Any, model: Any, chosen: list[int], link_of: np.ndarray) -> Iterator[CarryingBody]:
+    """Per link its heaviest body, in the link's frame: parallel to the world's at q = 0, at the joint's anchor."""
+    data = _at(mujoco, model, chosen, np.zeros(len(chosen)))
+    for k, (j, link) in enumerate(zip(chosen, _link_names(model, chosen), strict=True), 1):
+        bodies = [b for b in range(1, model.nbody) if link_of[b] == k]
+        body = max(bodies, key=lambda b: (model.body_mass[b], b == model.jnt_bodyid[j]))
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body] - data.xanchor[j]
+        mass, centre, inertia = _lumped(model, data, [body])
+        own = parameters(mass, centre - data.xanchor[j], inertia)
+        yield CarryingBody(model.body(body).name, pose, own, link, np.eye(4))
+
+
 def _at(mujoco: Any, model: Any, chosen: list[int], q: np.ndarray) -> Any:
     """MjData with the chosen joints at q (n,), all others where the file starts them."""
     data = mujoco.MjData(model)
@@ -201,6 +220,8 @@ def _at(mujoco: Any, model: Any, chosen: list[int], q: np.ndarray) -> Any:
 def _lumped(model: Any, data: Any, bodies: Sequence[int]) -> tuple[float, np.ndarray, np.ndarray]:
     """Mass [kg], centre (3,) [m] and inertia (3, 3) [kg·m²] about it of bodies together, in world axes."""
     mass = float(model.body_mass[bodies].sum())
+    if mass <= 0:
+        return 0.0, np.array(data.xipos[bodies[0]]), np.zeros((3, 3))
     centre = model.body_mass[bodies] @ data.xipos[bodies] / mass
     inertia = np.zeros((3, 3))
     for b in bodies:

@@ -11,6 +11,7 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.model.simulators.arm import SimulatedArm
+from agent.model.simulators.bodies import CarryingBody, parameters, seen_from
 from agent.robot.urdf_checks import check_urdf
 
 _MOVABLE = ("revolute", "continuous", "prismatic")
@@ -70,6 +71,7 @@ def read_urdf(
         frictionloss=friction,
         stiffness=zero,
         rest=zero,
+        carrying=tuple(_carrying(root, joint, set(used.values())) for joint in joints),
         notes=notes,
     )
 
@@ -93,6 +95,63 @@ def _chain(path: Path, elements: Mapping[str, Element], by_child: Mapping[str, E
             "name its joints with --map"
         )
     return [name for name in reversed(longest) if name in used]
+
+
+def _carrying(root: Element, joint: Element, used: set[str]) -> CarryingBody:
+    """The heaviest of the links that a joint carries; joints that are not used are at zero."""
+    children: dict[str, list[Element]] = {}
+    for other in root.findall("joint"):
+        if other.get("name") not in used:
+            children.setdefault(_end(other, "parent"), []).append(other)
+    inertials = {link.get("name"): link.find("inertial") for link in root.findall("link")}
+    first = _end(joint, "child")
+    poses, open_ends = {first: np.eye(4)}, [first]
+    while open_ends:
+        link = open_ends.pop()
+        for other in children.get(link, []):
+            poses[_end(other, "child")] = poses[link] @ pose_of(other.find("origin"))
+            open_ends.append(_end(other, "child"))
+    mass = {link: _value(inertials.get(link), "mass", "value") for link in poses}
+    heaviest = max(poses, key=lambda link: (mass[link], link == first))
+    own = seen_from(_own(inertials.get(heaviest)), np.linalg.inv(poses[heaviest]))
+    return CarryingBody(heaviest, poses[heaviest], own, heaviest, poses[heaviest])
+
+
+def _own(inertial: Element | None) -> np.ndarray:
+    """(10,) of an inertial in its link's frame."""
+    mass = _value(inertial, "mass", "value")
+    if inertial is None or mass <= 0:
+        return np.zeros(10)
+    pose = pose_of(inertial.find("origin"))
+    inertia = np.array([[_value(inertial, "inertia", f"i{min(a, b)}{max(a, b)}") for b in "xyz"] for a in "xyz"])
+    turn = pose[:3, :3]
+    return parameters(mass, pose[:3, 3], turn @ inertia @ turn.T)
+
+
+def pose_of(origin: Element | None) -> np.ndarray:
+    """(4, 4) of an origin element; identity where there is none."""
+    pose = np.eye(4)
+    if origin is None:
+        return pose
+    x, y, z = (float(word) for word in (origin.get("rpy") or "0 0 0").split())
+    turns = []
+    for axis, angle in zip(np.eye(3), (x, y, z), strict=True):
+        turns.append(rotation(axis, angle))
+    pose[:3, :3] = turns[2] @ turns[1] @ turns[0]
+    pose[:3, 3] = [float(word) for word in (origin.get("xyz") or "0 0 0").split()]
+    return pose
+
+
+def rotation(axis: np.ndarray, angle: float) -> np.ndarray:
+    """(3, 3) about a unit axis (3,), by Rodrigues' formula."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def _value(inertial: Element | None, tag: str, key: str) -> float:
+    element = None if inertial is None else inertial.find(tag)
+    return 0.0 if element is None else float(element.get(key, "0"))
 
 
 def _end(joint: Element, which: str) -> str:

@@ -1,0 +1,257 @@
+"""A simulator corrected: its file's numbers moved, as bodies that could exist, and the effects that no file can say.
+
+What is linear in numbers that the file has becomes part of them: friction levels, rotor and link inertias, a payload,
+gravity of a tilted base, the zero of an encoder (joint `ref` of an MJCF, `origin` of a URDF), a linear spring (MJCF).
+The rest are effects beside the file (`effects_file`).
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from xml.etree.ElementTree import SubElement
+
+import numpy as np
+
+from agent.model.data import ModelEffect
+from agent.model.effects.base_tilt import across
+from agent.model.effects.payload import Payload, ball
+from agent.model.identified import IdentifiedModel
+from agent.model.simulators.arm import SimulatedArm, described, model_of
+from agent.model.simulators.bodies import about_centre, is_body, nearest, seen_from
+from agent.model.simulators.load import Simulator
+from agent.model.simulators.urdf import pose_of, rotation
+from agent.robot.parameter_layout import LINK_PARAMETERS, ParameterLayout
+
+_FRICTION = ("coulomb", "viscous")
+#: Effects that happen once, or show in the set-points only: no part of a simulator.
+NOT_OF_A_SIMULATOR = ("contact", "interpolator_mismatch")
+
+
+@dataclass
+class Released:
+    """What of a simulator was allowed to move (joints from 0), and why, by joint."""
+
+    links: dict[int, str] = field(default_factory=dict)
+    rotors: dict[int, str] = field(default_factory=dict)
+    friction: dict[int, str] = field(default_factory=dict)
+    offsets: dict[int, float] = field(default_factory=dict)
+    springs: dict[int, str] = field(default_factory=dict)
+    gravity: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """The corrected arm, its model with all effects, what was released, and the effects that are not in the file.
+
+    `inertia` (n,) [kg·m²] that the joints carried on average while effects were fitted.
+    """
+
+    given: SimulatedArm
+    arm: SimulatedArm
+    model: IdentifiedModel
+    released: Released
+    effects: tuple[ModelEffect, ...]
+    inertia: np.ndarray
+    notes: tuple[str, ...]
+
+
+def correct(
+    simulator: Simulator,
+    change: np.ndarray,
+    weight: np.ndarray,
+    inertia: np.ndarray,
+    effects: Sequence[ModelEffect],
+    released: Released,
+    reasons: Mapping[tuple[str, tuple[str, ...]], str],
+) -> Correction:
+    """Move a simulator's numbers by a fitted `change` (p,) of its model's parameters, and take in effects.
+
+    Args:
+        weight: (b, b) information of the logs on the base parameters; `inertia` as in `Correction`.
+        effects: found beside the change; `reasons` by effect and joints.
+    """
+    given, model = simulator.arm, simulator.model
+    names, n = given.joint_names, len(given.joint_names)
+    b = len(model.independent)
+    target, friction = change[:b].copy(), np.zeros((n, 2))
+    for k, term in enumerate(model.terms):
+        if term.axle in released.friction and term.form in _FRICTION:
+            friction[term.axle, _FRICTION.index(term.form)] = change[b + k]
+    layout = ParameterLayout.of(model.robot)
+    arm, left = given, []
+    for entry in effects:
+        reason = reasons.get((entry.effect, entry.joints), entry.effect)
+        joints = [names.index(name) for name in entry.joints]
+        values = entry.parameters
+        if entry.effect in ("payload", "inertial_mismatch"):
+            link, block = _added(entry, n)
+            target += model.projection[:, layout.link(link)] @ block
+            released.links.setdefault(link, reason)
+        elif entry.effect == "friction_change":
+            friction[joints[0]] += [values.get(f"{form}_change", 0.0) for form in _FRICTION]
+            released.friction.setdefault(joints[0], reason)
+        elif entry.effect == "base_tilt":
+            first, second = across(np.array(arm.gravity))
+            size = float(np.linalg.norm(arm.gravity))
+            x, y, z = np.array(arm.gravity) + size * (values["tilt_1"] * first + values["tilt_2"] * second)
+            arm, released.gravity = replace(arm, gravity=(float(x), float(y), float(z))), reason
+        elif entry.effect == "encoder_offset":
+            arm = _turned(arm, joints[0], values["offset"])
+            released.offsets[joints[0]] = values["offset"]
+        elif (
+            entry.effect == "dress_pack"
+            and set(values) == {"constant", "stiffness"}
+            and _springs(arm, joints[0], values)
+        ):
+            stiffness, rest = _springs(arm, joints[0], values) or (0.0, 0.0)
+            arm = replace(
+                arm, stiffness=_put(arm.stiffness, joints[0], stiffness), rest=_put(arm.rest, joints[0], rest)
+            )
+            released.springs[joints[0]] = reason
+        elif entry.effect not in NOT_OF_A_SIMULATOR:
+            left.append(entry)
+    moved = np.maximum(np.stack([given.frictionloss, given.damping], axis=1) + friction, 0.0)
+    arm = replace(arm, frictionloss=moved[:, 0], damping=moved[:, 1])
+    notes = []
+    if np.any(moved[list(released.friction)] == 0):
+        notes.append("friction below zero is none: where less than nothing was found, the file has 0")
+    arm, said = _with_bodies(arm, model, target, weight, released)
+    description, _ = described(arm, simulator.robot)
+    fixed = model_of(arm, description, dict(model.provenance))
+    fixed = replace(
+        fixed,
+        effects=(*fixed.effects, *left),
+        notes=(f"corrected from {given.path.name}, by what logs of the robot say", *given.notes),
+    )
+    return Correction(given, arm, fixed, released, tuple(left), inertia, (*notes, *said))
+
+
+def _added(entry: ModelEffect, n: int) -> tuple[int, np.ndarray]:
+    """Which link a payload or a mismatch changes, and by how much (10,)."""
+    values = entry.parameters
+    if entry.effect == "payload":
+        names = Payload().names({"m0": 1.0} if "m0" in values else {})
+        added = np.array([values[name] for name in names])
+        return n - 1, ball(values) @ added if "m0" in values else added
+    link = int(values["link"])
+    return link - 1, np.array([values[f"{name}{link}"] for name in LINK_PARAMETERS])
+
+
+def _springs(arm: SimulatedArm, joint: int, values: Mapping[str, float]) -> tuple[float, float] | None:
+    """Stiffness and rest of the joint with another linear spring; None where the file cannot say it."""
+    if arm.path.suffix.lower() == ".urdf":
+        return None
+    stiffness = float(arm.stiffness[joint] + values["stiffness"])
+    constant = -arm.stiffness[joint] * arm.rest[joint] + values["constant"]
+    return (stiffness, float(-constant / stiffness)) if stiffness > 0 else None
+
+
+def _put(values: np.ndarray, joint: int, value: float) -> np.ndarray:
+    found = values.copy()
+    found[joint] = value
+    return found
+
+
+def _turned(arm: SimulatedArm, joint: int, offset: float) -> SimulatedArm:
+    """The arm whose joint stands where it stood before at a position that is `offset` [rad or m] less."""
+    root = ElementTree.fromstring(arm.urdf)
+    element = next(e for e in root.findall("joint") if e.get("name") == arm.joint_names[joint])
+    place, axis = element.find("origin"), element.find("axis")
+    words = "1 0 0" if axis is None else str(axis.get("xyz"))
+    direction = np.array([float(word) for word in words.split()])
+    pose = turned_pose(pose_of(place), direction, arm.prismatic[joint], offset)
+    place = SubElement(element, "origin") if place is None else place
+    place.set("xyz", text(*pose[:3, 3]))
+    place.set("rpy", text(*rpy_of(pose[:3, :3])))
+    return replace(arm, urdf=ElementTree.tostring(root, encoding="unicode"))
+
+
+def turned_pose(pose: np.ndarray, axis: np.ndarray, prismatic: bool, offset: float) -> np.ndarray:
+    """(4, 4) of a joint's origin whose zero is moved by −offset along or about its axis (3,)."""
+    axis, step = axis / np.linalg.norm(axis), np.eye(4)
+    if prismatic:
+        step[:3, 3] = -offset * axis
+    else:
+        step[:3, :3] = rotation(axis, -offset)
+    return np.asarray(pose @ step)
+
+
+def _with_bodies(
+    arm: SimulatedArm, model: IdentifiedModel, target: np.ndarray, weight: np.ndarray, released: Released
+) -> tuple[SimulatedArm, list[str]]:
+    """The arm whose released bodies and rotors moved its base parameters by `target` (b,), as near as bodies can."""
+    links, rotors = sorted(released.links), sorted(released.rotors)
+    if not links and not rotors:
+        return arm, []
+    robot, layout = model.robot, ParameterLayout.of(model.robot)
+    gears = robot.gear_ratios[rotors] ** 2
+    columns = np.hstack(
+        [
+            *(model.projection[:, layout.link(k)] for k in links),
+            model.projection[:, layout.rotors][:, rotors] / gears,
+        ]
+    )
+    own = [arm.carrying[k].own for k in links]
+    begin = np.concatenate([*own, arm.armature[rotors]])
+    inertia = np.diag(model.rigid.dynamics.mass_matrix(np.zeros(robot.dof)))
+    usual = np.where(arm.armature[rotors] > 0, arm.armature[rotors], 0.1 * np.maximum(inertia[rotors], 1e-6))
+    reach = max(float(np.abs(model.rigid.dynamics.tip_pose(np.zeros((1, robot.dof)))[0, :3, 3]).sum()), 0.1)
+    wanted = target + columns @ begin
+    blocks, armature = nearest(columns, wanted, weight, own, usual, reach)
+    missed = columns @ np.concatenate([blocks.ravel(), armature]) - wanted
+    lost, size = float(missed @ weight @ missed), float(target @ weight @ target)
+    said = []
+    if size > 0 and lost > 0.01 * size:
+        said.append(
+            f"the bodies that fit best could not exist; the nearest that could are written, which lose "
+            f"{100 * min(lost / size, 1.0):.0f} % of what moving them gained"
+        )
+    weightless = [arm.joint_names[k] for k, block in zip(links, own, strict=True) if not is_body(block)]
+    if weightless:
+        said.append(
+            f"the file's inertia of the link that {', '.join(weightless)} moves was of no body that could exist"
+        )
+    root = ElementTree.fromstring(arm.urdf)
+    carrying = list(arm.carrying)
+    for k, block in zip(links, blocks, strict=True):
+        body = carrying[k]
+        element = next(link for link in root.findall("link") if link.get("name") == body.link)
+        total = _lumped(model, arm, k) - body.own + block if arm.path.suffix.lower() != ".urdf" else block
+        for old in element.findall("inertial"):
+            element.remove(old)
+        mass, centre, tensor = about_centre(seen_from(total, body.link_pose))
+        inertial = SubElement(element, "inertial")
+        SubElement(inertial, "origin", xyz=text(*centre), rpy="0 0 0")
+        SubElement(inertial, "mass", value=text(mass))
+        SubElement(inertial, "inertia", urdf_inertia(tensor))
+        carrying[k] = replace(body, own=block)
+    moved = arm.armature.copy()
+    moved[rotors] = armature
+    urdf = ElementTree.tostring(root, encoding="unicode")
+    return replace(arm, urdf=urdf, armature=moved, carrying=tuple(carrying)), said
+
+
+def _lumped(model: IdentifiedModel, arm: SimulatedArm, link: int) -> np.ndarray:
+    return ParameterLayout.of(model.robot).blocks(model.rigid.dynamics.standard_parameters())[link]
+
+
+def urdf_inertia(tensor: np.ndarray) -> dict[str, str]:
+    """Attributes of a URDF's inertia element."""
+    axes = "xyz"
+    return {f"i{axes[i]}{axes[j]}": text(tensor[i, j]) for i in range(3) for j in range(i, 3)}
+
+
+def rpy_of(turn: np.ndarray) -> np.ndarray:
+    """(3,) roll, pitch, yaw of a rotation matrix (3, 3), URDF's convention."""
+    flat = np.hypot(turn[0, 0], turn[1, 0])
+    pitch = np.arctan2(-turn[2, 0], flat)
+    if flat < 1e-9:
+        return np.array([0.0, pitch, np.arctan2(-turn[0, 1], turn[1, 1])])
+    return np.array([np.arctan2(turn[2, 1], turn[2, 2]), pitch, np.arctan2(turn[1, 0], turn[0, 0])])
+
+
+def text(*numbers: float) -> str:
+    """With every digit: rounding costs torque."""
+    return " ".join(repr(float(number)) for number in numbers)

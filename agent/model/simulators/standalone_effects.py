@@ -1,0 +1,254 @@
+"""What a simulator's file cannot say: torque that the robot's drives give beyond the simulator's own.
+
+Pure NumPy. `Effects.torque` takes one step of one arm, or of many at once (any leading shape), and returns what the
+motors have to give more, (..., n) [N·m]: a simulator applies the opposite to its joints. `Effects.reading` turns the
+torque that motors give into what the robot reports. In MuJoCo:
+
+    import mujoco
+    model = mujoco.MjModel.from_xml_path("arm.xml")
+    effects = install(mujoco, model)  # from here on every mj_step has them
+
+Positions, speeds and accelerations are of the joints in the order of JOINTS, SI.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+# data
+JOINTS: tuple[str, ...] = ()
+REVERSAL: tuple[float, ...] = ()  # rad/s over which friction changes sign, as tanh(speed / REVERSAL)
+ROTORS: tuple[float, ...] = ()  # kg·m² at the joint, part of the load on a gear
+ARMATURE: tuple[float, ...] = ()  # kg·m² at the joint that the file cannot say: give it to the simulator, or `qdd` here
+COULOMB: tuple[float, ...] = ()  # N·m, of the file
+VISCOUS: tuple[float, ...] = ()  # N·m·s/rad, of the file
+EFFECTS: tuple[dict[str, Any], ...] = ()
+# end of data
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+
+
+class Effects:
+    """The effects of arms of leading `shape`, stepped every `dt` [s]; `reset` starts anew, at time 0 and at rest."""
+
+    def __init__(self, shape: tuple[int, ...] = (), dt: float = 0.002):
+        self.shape, self.dt = shape, dt
+        self.reversal, self.armature = np.array(REVERSAL), np.array(ARMATURE)
+        self.reset()
+
+    def reset(self, time: float = 0.0) -> None:
+        """Forget all motion."""
+        self.time = time
+        self._states: dict[int, dict[str, Array]] = {}
+        self._past: list[Array] = []
+
+    def torque(
+        self, q: Array, qd: Array, qdd: Array | None = None, load: Array | None = None, mass: Array | None = None
+    ) -> Array:
+        """(..., n) [N·m] that the motors give beyond the simulator's, at q, qd, qdd (..., n); then time goes on.
+
+        `load` (..., n) [N·m] is the inverse dynamics of the bodies alone, without rotors and friction, and `mass`
+        (..., n, n) their mass matrix. What is not given counts as zero (the mass matrix as one).
+        """
+        q, qd = np.asarray(q, dtype=float), np.asarray(qd, dtype=float)
+        qdd = np.zeros_like(q) if qdd is None else np.asarray(qdd, dtype=float)
+        load = np.zeros_like(q) if load is None else np.asarray(load, dtype=float)
+        total = qdd * self.armature
+        for number, effect in enumerate(EFFECTS):
+            state = self._states.setdefault(number, {})
+            j, p = list(effect["joints"]), effect["parameters"]
+            kind = effect["effect"]
+            if kind in ("joint_elasticity", "backlash"):
+                total = total + self._two_mass(state, j[0], p, load, mass)
+            elif kind == "wrist_coupling":
+                total = total + self._coupled(j[0], j[1], p, qd, qdd, load)
+            elif kind not in ("torque_constant", "torque_offset", "time_delay"):
+                form = getattr(self, f"_{kind}")
+                total[..., j[0]] += form(state, j[0], p, q[..., j[0]], qd[..., j[0]], load[..., j[0]], qdd[..., j[0]])
+        self.time += self.dt
+        return total
+
+    def reading(self, torque: Array) -> Array:
+        """(..., n) [N·m] what the robot reports while its motors give `torque` (..., n); once a step."""
+        torque = np.asarray(torque, dtype=float)
+        told = torque.copy()
+        for effect in EFFECTS:
+            p = effect["parameters"]
+            if effect["effect"] == "torque_constant":
+                told[..., effect["joints"][0]] += p["scale_error"] * torque[..., effect["joints"][0]]
+            elif effect["effect"] == "torque_offset":
+                told[..., effect["joints"][0]] += p["offset"]
+            elif effect["effect"] == "time_delay" and p["delay"] > 0:
+                back = p["delay"] / self.dt
+                whole = int(back)
+                self._past = [torque, *self._past][: whole + 2]
+                near, far = (self._past[min(k, len(self._past) - 1)] for k in (whole, whole + 1))
+                told = told + p["share"] * ((1 - back + whole) * near + (back - whole) * far - torque)
+        return told
+
+    def _slide(self, joint: int, qd: Array) -> Array:
+        return np.tanh(qd / self.reversal[joint])
+
+    def _dahl(self, state: dict[str, Array], q: Array, travel: float) -> Array:
+        """Presliding: ds = (1 − s sign(dx)) dx / travel (Dahl, 1976), exact over a step."""
+        step = q - state.get("q", q)
+        decay = np.exp(-np.abs(step) / travel)
+        state["s"] = decay * state.get("s", np.zeros_like(q)) + np.sign(step) * (1 - decay)
+        state["q"] = q
+        return state["s"]
+
+    def _stribeck(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
+        fading = np.minimum((np.abs(qd) / p["speed"]) ** p["shape"], 700)
+        return p["rise"] * self._slide(j, qd) * np.exp(-fading)
+
+    def _friction_change(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
+        return p.get("coulomb_change", 0.0) * self._slide(j, qd) + p.get("viscous_change", 0.0) * qd
+
+    def _asymmetric_friction(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
+        slide = np.abs(self._slide(j, qd))
+        return p.get("coulomb_asymmetry", 0.0) * slide + p.get("viscous_asymmetry", 0.0) * np.abs(qd)
+
+    def _load_dependent_friction(
+        self, state: Any, j: int, p: Any, q: Array, qd: Array, load: Array, qdd: Array
+    ) -> Array:
+        return p["coefficient"] * self._slide(j, qd) * np.abs(load + ROTORS[j] * qdd)
+
+    def _viscous_nonlinearity(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
+        power = p.get("power", 1.0)
+        bent = p["speed"] * np.arcsinh(qd / p["speed"]) if "speed" in p else qd * np.abs(qd) ** (power - 1)
+        return p["bend"] * bent + p["viscous_change"] * qd
+
+    def _thermal_friction(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
+        cold = np.exp(-self.time / p["time_constant"])
+        coulomb = p["coulomb_change"] + p["coulomb_drift"] * cold
+        return coulomb * self._slide(j, qd) + (p["viscous_change"] + p["viscous_drift"] * cold) * qd
+
+    def _presliding(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
+        return p["level"] * (self._dahl(state, q, p["travel"]) - self._slide(j, qd))
+
+    def _torque_ripple(self, state: Any, j: int, p: Any, q: Array, *_: Array) -> Array:
+        return _harmonics(p, p["order"] * q)
+
+    def _gravity_spring(self, state: Any, j: int, p: Any, q: Array, *_: Array) -> Array:
+        return _harmonics(p, q)
+
+    def _dress_pack(self, state: Any, j: int, p: Any, q: Array, *_: Array) -> Array:
+        if "curve" in p:
+            nodes, powers = np.array(p["nodes"]), np.array(p["curve"])  # torque per power of the way from a node
+            inside = np.clip(q, nodes[0], nodes[-1])
+            piece = np.clip(np.searchsorted(nodes, inside, side="right") - 1, 0, len(nodes) - 2)
+            way = inside - nodes[piece]
+            torque = sum(powers[k][piece] * way**k for k in range(4))
+            slope = sum(k * powers[k][piece] * way ** (k - 1) for k in range(1, 4))
+            torque = torque + slope * (q - inside)
+        else:
+            torque = p["constant"] + p["stiffness"] * q
+        if "travel" in p:
+            torque = torque + p["hysteresis"] * self._dahl(state, q, p["travel"])
+        return np.asarray(torque)
+
+    def _two_mass(self, state: dict[str, Array], j: int, p: Any, load: Array, mass: Array | None) -> Array:
+        """Motor ahead of its link by d: ṗ + c ḋ + k z(d) = load, p = m ḋ; semi-implicit steps of 1/1500 s at most."""
+        matrix = np.broadcast_to(np.eye(len(JOINTS)), (*load.shape, len(JOINTS))) if mass is None else np.asarray(mass)
+        inertia, k, half = np.maximum(matrix[..., j, j], 1e-9), p["stiffness"], 0.5 * p.get("gap", 0.0)
+        here = load[..., j]
+        twist = state.get("twist", here / k + np.sign(here) * half)
+        momentum = before = state.get("momentum", np.zeros_like(here))
+        steps = max(2, int(np.ceil(1500.0 * self.dt)))
+        h = self.dt / steps
+        for _ in range(steps):
+            beyond = twist - np.clip(twist, -half, half)
+            kept = np.where((beyond != 0) | (half == 0), 1 - h * p["damper"] / inertia, 1.0)
+            momentum = kept * momentum + h * here - h * k * beyond
+            twist = twist + h * momentum / inertia
+        speed = momentum / inertia
+        second = (speed - state.get("speed", np.zeros_like(speed))) / self.dt
+        state.update(twist=twist, momentum=momentum, speed=speed)
+        felt = -p["share"] * matrix[..., :, j] * second[..., None]
+        felt[..., j] = -p["share"] * (momentum - before) / self.dt
+        return felt
+
+    def _coupled(self, i: int, j: int, p: Any, qd: Array, qdd: Array, load: Array) -> Array:
+        """Axle j turns along with joint i by a ratio: rotor, friction and load act on both."""
+        ratio, free = p["ratio"], "free" in p
+        speed = qd[..., j] + ratio * qd[..., i]
+
+        def friction(w: Array) -> Array:
+            if free:
+                return p["viscous"] * w + p["coulomb"] * self._slide(j, w)
+            return np.asarray(p["share"] * (COULOMB[j] * self._slide(j, w) + VISCOUS[j] * w))
+
+        felt = np.zeros_like(qd)
+        felt[..., j] = p["rotor"] * ratio * qdd[..., i] + friction(speed) - friction(qd[..., j])
+        if "axle_side" in p:
+            share = p["transmission"] if free else -p["share"]
+            carried = p["rotor"] * qdd[..., j] + share * (load[..., j] + ROTORS[j] * qdd[..., j])
+        else:
+            carried = p["rotor"] * (qdd[..., j] + ratio * qdd[..., i]) + friction(speed)
+        felt[..., i] = ratio * carried
+        return felt
+
+
+def _harmonics(p: Any, angle: Array) -> Array:
+    return sum(
+        (
+            p[f"cosine_{h}"] * np.cos(h * angle) + p[f"sine_{h}"] * np.sin(h * angle)
+            for h in range(1, int(p["harmonics"]) + 1)
+        ),
+        np.zeros_like(angle),
+    )
+
+
+def along(q: Array, qd: Array, qdd: Array, load: Array, mass: Array, dt: float) -> Array:
+    """(S, n) [N·m] along a motion of S steps, from rest; arguments as of `Effects.torque`, with the steps first."""
+    effects = Effects(dt=dt)
+    return np.array([effects.torque(*step) for step in zip(q, qd, qdd, load, mass, strict=True)])
+
+
+def install(mujoco: Any, model: Any, joints: tuple[str, ...] = JOINTS) -> Effects:
+    """Let MuJoCo apply the effects as passive forces (mjcb_passive) to the named joints of `model`.
+
+    `mujoco` is that package. ARMATURE is added to the model's. Acceleration and load are those of the step before.
+    Friction changes sign more softly where a step of the model would overshoot. MuJoCo has one such callback for all
+    models; None takes it off.
+    """
+    effects = Effects(dt=float(model.opt.timestep))
+    at = np.array([int(model.joint(name).qposadr[0]) for name in joints])
+    dof = np.array([int(model.joint(name).dofadr[0]) for name in joints])
+    rotors = np.array(ROTORS)
+    now: dict[str, Any] = {"time": -1.0}
+
+    def links(m: Any, d: Any) -> Array:
+        columns = np.zeros((len(dof), m.nv))
+        for column, k in zip(columns, dof, strict=True):
+            mujoco.mj_mulM(m, d, column, np.eye(m.nv)[k])
+        return columns[:, dof] - np.diag(rotors)
+
+    def passive(m: Any, d: Any) -> None:
+        if m.nv != model.nv or m.nq != model.nq:
+            return
+        if d.time != now["time"]:
+            if d.time < now["time"] or now["time"] < 0:
+                effects.reset()
+            matrix = links(m, d)
+            load = matrix @ d.qacc[dof] + d.qfrc_bias[dof]
+            now["torque"] = effects.torque(d.qpos[at], d.qvel[dof], d.qacc[dof], load, matrix)
+            now["time"] = float(d.time)
+        d.qfrc_passive[dof] -= now["torque"]
+
+    model.dof_armature[dof] += effects.armature
+    effects.armature = np.zeros(len(joints))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    inertia = np.diag(links(model, data)) + rotors
+    levels = np.zeros(len(joints))
+    for effect in EFFECTS:
+        keys = ("rise", "level", "coulomb_change", "coulomb_asymmetry", "coulomb_drift", "coulomb")
+        levels[list(effect["joints"])] += sum(abs(effect["parameters"].get(key, 0.0)) for key in keys)
+        grows = effect["parameters"].get("coefficient", 0.0)
+        levels[list(effect["joints"])] += abs(grows) * np.abs(data.qfrc_bias[dof][list(effect["joints"])])
+    effects.reversal = np.maximum(effects.reversal, effects.dt * levels / inertia)
+    mujoco.set_mjcb_passive(passive)
+    return effects
