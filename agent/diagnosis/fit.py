@@ -181,6 +181,11 @@ class Fit:
         return self._split(self.sigma)
 
     @property
+    def given(self) -> bool:
+        """Whether the model is of other data; one that was fitted to these is pulled by its prior."""
+        return not np.any(self.shift)
+
+    @property
     def near_rest(self) -> np.ndarray:
         """(S', n) bool: rows so near to a standstill of their joint that stiction may leave the torque open."""
         return self.sigma > 1.01 * self.sigma.min(axis=0)

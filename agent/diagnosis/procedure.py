@@ -154,9 +154,10 @@ class Search:
 
     def _refined(self, fit: Fit, best: dict) -> dict:
         """Search the nonlinear parameters of the leading places more finely."""
-        leaders = sorted(
-            (s for s in best.values() if s.gain > 0.5 * self.limits.least_gain * self.rows), key=lambda s: -s.gain
-        )[:6]
+        least = 0.5 * self.limits.least_gain * self.rows
+        over, noticed = self._over_background(fit), self._noticed(fit)
+        large = [s for s in best.values() if s.gain > least and self._over(s, over, noticed)]
+        leaders = sorted(large, key=lambda s: -s.gain)[:6]
         for factor in (1.25, 1.1, 1.04, 1.015):
             if factor < 1.1:
                 leaders = [s for s in leaders if best[s.candidate.place].gain > 0.5 * leaders[0].gain]
@@ -182,10 +183,8 @@ class Search:
                 continue
             if self.size(fit, score) < self.limits.practical_torque:
                 continue
-            repeats = self.given and not effect.once
-            joints = list(score.candidate.blocks)
-            if repeats and (not np.any(noticed[joints]) or np.sum(over[joints]) < self.limits.own_excess * score.gain):
-                continue  # a model that was fitted with it would look the same
+            if not self._over(score, over, noticed):
+                continue
             if any(
                 self._as_good(score, limit, best)
                 for limit in effect.simpler(score.candidate.settings, fit.reference.robot)
@@ -204,6 +203,13 @@ class Search:
         for number in np.unique(log):
             total += np.maximum(np.nansum(energy[log == number] - 1, axis=0), 0)
         return total
+
+    def _over(self, score: Score, over: np.ndarray, noticed: np.ndarray) -> bool:
+        """Whether an error over the background may be its own; a model fitted with it would look the same below."""
+        joints = list(score.candidate.blocks)
+        if not self.given or score.candidate.effect.once:
+            return True
+        return bool(np.any(noticed[joints]) and np.sum(over[joints]) >= self.limits.own_excess * score.gain)
 
     def _as_good(self, score: Score, limit: str, best: dict) -> bool:
         """Whether a simpler limit of the form does as well, so that the form has nothing to show for itself."""

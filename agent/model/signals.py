@@ -166,6 +166,11 @@ class MotionSignals:
         return self.reference.links.inverse_dynamics(self.q, self.qd, self.qdd)
 
     @cached_property
+    def link_slope(self) -> np.ndarray:
+        """(S, n, n) what `link_load` changes by [N·m/rad] with the position of each joint (columns)."""
+        return self.reference.links.torque_slope(self.q, self.qd, self.qdd)
+
+    @cached_property
     def mass(self) -> np.ndarray:
         """(S, n, n) mass matrix of the links, computed on every tenth sample and straight in between."""
         links = self.reference.solid

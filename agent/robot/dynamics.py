@@ -61,6 +61,13 @@ class Dynamics:
             torque[k] = pin.rnea(self._model, self._data, q[k], qd[k], qdd[k])
         return torque
 
+    def torque_slope(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """(S, n, n) ∂τ / ∂q of `inverse_dynamics`, row by joint torque (Carpentier, Mansard, RSS 2018)."""
+        slope = np.empty((len(q), self.dof, self.dof))
+        for k in range(len(slope)):
+            slope[k] = pin.computeRNEADerivatives(self._model, self._data, q[k], qd[k], qdd[k])[0]
+        return slope
+
     def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """(S, n, 10 n) regressor of the standard inertial parameters: τ = Y π, links base to tip."""
         columns = np.empty((len(q), self.dof, ParameterLayout.of(self.robot, rotors=False).size))

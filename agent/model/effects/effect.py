@@ -26,6 +26,10 @@ class FitContext(Protocol):
     residuals: Sequence[np.ndarray]
     sigmas: Sequence[np.ndarray]
 
+    @property
+    def given(self) -> bool:
+        """Whether the model is of other data, so that an effect shows as an error over the background only."""
+
     def gains_alone(self, joint: int, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K,) Σ e² / σ² that columns (S', K) [N·m] on one joint would take away one by one, and their factors (K,)."""
 

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from agent.model.effects.effect import Columns, Effect
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.signals import MotionSignals
 
-_STEP = 1e-4  # rad
-
 
 class EncoderOffset(Effect):
-    """τ = −a ∂τ_bodies / ∂q_k on all joints, by central differences: the joint stands at q_k − a."""
+    """τ = −a ∂τ_bodies / ∂q_k on all joints: the joint stands at q_k − a."""
 
     name = "encoder_offset"
     family = "measurement"
@@ -31,11 +27,7 @@ class EncoderOffset(Effect):
         return ("offset",)
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
-        step = np.zeros(signals.q.shape[1])
-        step[joints[0]] = _STEP
-        links = signals.reference.links
-        ahead, behind = (links.inverse_dynamics(signals.q + d, signals.qd, signals.qdd) for d in (step, -step))
-        change = (behind - ahead) / (2 * _STEP)
+        change = -signals.link_slope[:, :, joints[0]]
         return {joint: change[:, joint, None] for joint in range(signals.q.shape[1])}
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:

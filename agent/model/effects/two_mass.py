@@ -89,9 +89,9 @@ class TwoMass(Effect):
             return []
         tried, columns = self._alone(survey)[k]
         best, gain = self._best(survey, k, tried, columns)
-        energy = _energy(survey)[k] * len(columns)
+        energy = _energy(survey)[k]
         for factor in _NEIGHBOURS:
-            if gain < _PROMISING * energy:
+            if gain < _PROMISING * energy * len(columns) or (survey.given and energy <= 1):
                 break
             near = [neighbour for entry in best for neighbour in self._neighbours(entry, factor)]
             self.prepare(survey.signals, [((k,), entry) for entry in near])
@@ -126,7 +126,8 @@ class TwoMass(Effect):
     def _tried(self, survey: FitContext, k: int) -> list[dict[str, float]]:
         inertia = _inertia(survey, k)
         energy = _energy(survey)
-        grid = self.grid if energy[k] > min(_SUSPECT, 0.5 * energy.max()) else self.few
+        suspect = max(min(_SUSPECT, 0.5 * energy.max()), 1.0 if survey.given else 0.0)
+        grid = self.grid if energy[k] > suspect else self.few
         return [
             {"stiffness": inertia * (2 * np.pi * frequency) ** 2, "damping": damping, **({"gap": gap} if gap else {})}
             for frequency, damping, gap in grid
