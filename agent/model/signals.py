@@ -186,7 +186,14 @@ class MotionSignals:
         """(S, n, 10 n) regressor of the links' standard parameters."""
         return self.reference.links.regressor(self.q, self.qd, self.qdd)
 
+    def pushed(self, link: int, rows: np.ndarray) -> np.ndarray:
+        """(K, 3, n) Jacobian of the far end of a link (from 0), in the base frame, at the rows (S,) bool; K of them."""
+        screws, ends = self._screws
+        screws, point = screws[rows], ends[rows, link]
+        jacobian = screws[:, :3] + np.cross(screws[:, 3:], point[:, :, None], axis=1)
+        jacobian[:, :, link + 1 :] = 0
+        return jacobian
+
     @cached_property
-    def jacobian(self) -> np.ndarray:
-        """(S, 3, n) of the tip's position."""
-        return self.reference.links.tcp_jacobian(self.q)[:, :3]
+    def _screws(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.reference.links.joint_screws(self.q)

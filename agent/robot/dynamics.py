@@ -181,6 +181,16 @@ class Dynamics:
             jacobians[k] = jacobian
         return jacobians
 
+    def joint_screws(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Velocity per joint speed (S, 6, n), linear of a point that passes the base's origin, then angular, all in the
+        base frame; and the far end of every link (S, n, 3) [m], which is the next joint's origin, or the tip's."""
+        screws, ends = np.empty((len(q), 6, self.dof)), np.empty((len(q), self.dof, 3))
+        for k in range(len(q)):
+            screws[k] = pin.computeJointJacobians(self._model, self._data, q[k])
+            ends[k, :-1] = [self._data.oMi[joint].translation for joint in range(2, self.dof + 1)]
+            ends[k, -1] = pin.updateFramePlacement(self._model, self._data, self._tip).translation
+        return screws, ends
+
     def link_poses(self, q: np.ndarray, link: str) -> np.ndarray:
         """(S, 4, 4) pose of a URDF link's frame in the base frame."""
         frame = frame_id(self._model, link)

@@ -78,12 +78,14 @@ def test_torque_within_stiction_at_rest_keeps_no_cause_from_closing_the_gap(diag
 
 
 def test_a_contact_is_reported_with_link_force_and_times(reference):
-    settings = {"start_1": 2.0, "duration_1": 0.5, "start_0": 4.0, "duration_0": 1.0}
-    force = {f"force_{axis}_{log}": 10.0 * log + k for log in (1, 0) for k, axis in enumerate("xyz")}
+    pushes = {1: (1.0, 6.0, 2.0, 0.5), 2: (0.0, 4.0, 4.0, 1.0)}
+    keys = ("log", "link", "start", "duration")
+    settings = {f"{key}_{n}": value for n, push in pushes.items() for key, value in zip(keys, push, strict=True)}
+    force = {f"force_{axis}_{n}": 10.0 * n + k for n in pushes for k, axis in enumerate("xyz")}
     found = CATALOGUE["contact"].reported(reference, settings, force)
     first = {"link": 6.0, "force_x": 10.0, "force_y": 11.0, "force_z": 12.0, "log": 1.0, "start": 2.0, "end": 2.5}
     assert {key: value for key, value in found.items() if not key.endswith("_2")} == first
-    assert (found["force_z_2"], found["log_2"], found["start_2"], found["end_2"]) == (2.0, 0.0, 4.0, 5.0)
+    assert [found[f"{key}_2"] for key in ("link", "force_z", "log", "start", "end")] == [4.0, 22.0, 0.0, 4.0, 5.0]
 
 
 def test_a_coupling_of_any_ratio_is_tried(reference):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,20 +10,22 @@ import numpy as np
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.signals import MotionSignals, NominalModel
 
-_DURATIONS = (0.3, 0.4, 0.55, 0.75, 1.0, 1.35, 1.8, 2.4, 3.2, 4.2)  # s
+_DURATIONS = (0.2, 0.3, 0.4, 0.55, 0.75, 1.0, 1.35, 1.8, 2.4, 3.2, 4.2, 6.0, 8.5, 12.0)  # s
 _STARTS = 0.05  # s
 _EDGE = 0.15  # of the duration, at either end
-_USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of all windows of a length, and how far above it a contact is
+_USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of the other windows of a length, and how far above it a contact is
 _ALONE = 2.0  # times the window at the same place of another cycle
+_MOST, _LEAST = 6, 0.1  # pushes, and part of the strongest one's gain that another has
+_LINKS = 3  # tried as the one that all pushes are on
 
 
 class Contact(Effect):
-    """τ = −Jᵀ F over one segment of time in each of some logs, F constant but for its edges: a force on the tip."""
+    """τ = −J_lᵀ F over one segment of time or several, F constant but for its edges, at the far end of link l."""
 
     name = "contact"
     family = "load"
     scope = "arm"
-    formula = "−J(q)ᵀ · F · window(t)"
+    formula = "−J_l(q)ᵀ · F · window(t), l any link"
     source = "Haddadin, De Luca, Albu-Schäffer, IEEE Trans. Robotics 33 (2017)"
     signature = "residual in one segment of time that does not come back with the next cycle"
     confused_with = ()
@@ -34,106 +36,166 @@ class Contact(Effect):
     once = True
 
     def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
-        """Where three force components leave least: single windows, then one in each of several logs.
+        """Where three force components leave least: the strongest windows that do not overlap, fewest first.
 
-        A model's own error makes windows too. A contact stands out from the other segments of its length, and does
-        not come back at the same place of the next cycle.
+        All on the link that explains most, or each on its own. A model's own error makes windows too: a contact stands
+        out from the other segments of its length, and does not come back at the same place of the next cycle.
         """
-        sums = [_Sums.of(*parts) for parts in zip(survey.signals, survey.residuals, survey.sigmas, strict=True)]
-        found: list[tuple[float, int, float, float]] = []
-        for duration in _DURATIONS:
-            gains = [part.gains(duration) for part in sums]
-            every = np.concatenate([gain for _, gain in gains])
-            usual = float(np.quantile(every, _USUAL)) if len(every) else 0.0
-            for signals, (starts, gain) in zip(survey.signals, gains, strict=True):
-                if len(gain) == 0:
-                    continue
-                best = int(np.argmax(gain))
-                again = _elsewhere_in_cycle(signals.cycle_starts, starts, gain, best)
-                if gain[best] > max(_STANDS_OUT * usual, _ALONE * again):
-                    found.append((float(gain[best]), signals.log_index, float(starts[best]), duration))
-        found.sort(reverse=True)
-        best_of: dict[int, tuple[float, float]] = {}
-        for _, log, start, lasting in found:
-            best_of.setdefault(log, (start, lasting))
-        first = found[0][0] if found else 0.0
-        settings = [_windows([(log, start, long)]) for gain, log, start, long in found[:4] if gain > 0.5 * first]
-        entries = [(log, *window) for log, window in best_of.items()]
-        return settings + [_windows(entries[:count]) for count in range(2, len(entries) + 1)]
+        dof = survey.reference.robot.dof
+        windows = [
+            window
+            for link in range(dof)
+            for part in zip(survey.signals, survey.residuals, survey.sigmas, strict=True)
+            for window in _Windows.of(link, *part)
+        ]
+        found = [_strongest([w for w in windows if w.link == link]) for link in range(dof)]
+        found = sorted(found, key=lambda pushes: -sum(push.gain for push in pushes))[:_LINKS]
+        tried = [pushes[:count] for pushes in (*found, _strongest(windows)) for count in range(1, len(pushes) + 1)]
+        return list({str(entry): entry for entry in map(_settings, tried)}.values())
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
-        logs = [key.removeprefix("start_") for key in settings if key.startswith("start_")]
-        return tuple(f"force_{axis}_{log}" for log in logs for axis in "xyz")
+        return tuple(f"force_{axis}_{number}" for number in _numbers(settings) for axis in "xyz")
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         n = signals.q.shape[1]
-        logs = [int(key.removeprefix("start_")) for key in settings if key.startswith("start_")]
-        block = np.zeros((len(signals.time), n, 3 * len(logs)))
-        if signals.log_index in logs:
-            at = 3 * logs.index(signals.log_index)
-            start, lasting = (settings[f"{key}_{signals.log_index}"] for key in ("start", "duration"))
+        numbers = _numbers(settings)
+        block = np.zeros((len(signals.time), n, 3 * len(numbers)))
+        for place, number in enumerate(numbers):
+            log, link, start, lasting = (settings[f"{key}_{number}"] for key in ("log", "link", "start", "duration"))
+            if signals.log_index != log:
+                continue
             duration = lasting / (1 - _EDGE)
             since = signals.time - start + 0.5 * (duration - lasting)
             window = np.clip(np.minimum(since, duration - since) / (_EDGE * duration), 0, 1)
             inside = window > 0
-            if inside.any():
-                transposed = np.swapaxes(signals.jacobian[inside], 1, 2)
-                block[inside, :, at : at + 3] = -transposed * window[inside, None, None]
+            pushed = np.swapaxes(signals.pushed(int(link) - 1, inside), 1, 2)
+            block[inside, :, 3 * place : 3 * place + 3] = -pushed * window[inside, None, None]
         return {joint: block[:, joint] for joint in range(n)}
 
     def reported(
         self, reference: NominalModel, settings: Mapping[str, float], values: Mapping[str, float]
     ) -> dict[str, float]:
-        """Of each push the link (counted from 1; it is the last), force [N, base frame], log, start and end [s]."""
+        """Of each push the link (counted from 1), force [N, base frame], log (from 0), start and end [s]."""
         found: dict[str, float] = {}
-        for number, log in enumerate((key[6:] for key in settings if key.startswith("start_")), start=1):
-            of_push = {"link": float(reference.robot.dof)}
-            of_push |= {f"force_{axis}": values[f"force_{axis}_{log}"] for axis in "xyz"}
-            start = settings[f"start_{log}"]
-            of_push |= {"log": float(log), "start": start, "end": start + settings[f"duration_{log}"]}
+        for number in _numbers(settings):
+            start = settings[f"start_{number}"]
+            of_push = {"link": settings[f"link_{number}"]}
+            of_push |= {f"force_{axis}": values[f"force_{axis}_{number}"] for axis in "xyz"}
+            of_push |= {"log": settings[f"log_{number}"], "start": start, "end": start + settings[f"duration_{number}"]}
             found |= {key if number == 1 else f"{key}_{number}": value for key, value in of_push.items()}
         return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Sums:
-    """Running sums over the rows of a motion: time (S',), moments of a force's columns (S', 3, 3), with the error."""
+@dataclass(frozen=True)
+class _Push:
+    """A window in which a force on a link would take `gain` away."""
 
-    time: np.ndarray
-    gram: np.ndarray
-    side: np.ndarray
+    gain: float
+    link: int
+    log: int
+    start: float
+    duration: float
+
+    def overlaps(self, log: int, starts: np.ndarray, duration: float) -> np.ndarray:
+        """(K,) bool: which windows of a log it shares time with."""
+        return (log == self.log) & (starts < self.start + self.duration) & (starts + duration > self.start)
+
+
+@dataclass(frozen=True, eq=False)
+class _Windows:
+    """All windows of a length in one motion: starts (K,) [s], gain (K,) of a force on a link; `again` (K,) is the
+    largest gain at the same place of another cycle."""
+
+    link: int
+    log: int
+    duration: float
+    starts: np.ndarray
+    gain: np.ndarray
+    cycle_starts: Sequence[float]
 
     @classmethod
-    def of(cls, signals: MotionSignals, residual: np.ndarray, sigma: np.ndarray) -> _Sums:
-        columns = -signals.jacobian[signals.kept] / sigma[:, None]
+    def of(cls, link: int, signals: MotionSignals, residual: np.ndarray, sigma: np.ndarray) -> Iterator[_Windows]:
+        """Of every length, from running sums over the rows: moments of the force's columns, and with the error."""
+        rows = np.zeros(len(signals.time), dtype=bool)
+        rows[signals.kept] = True
+        columns = -signals.pushed(link, rows) / sigma[:, None]
         gram = np.cumsum(np.einsum("san,sbn->sab", columns, columns), axis=0)
         side = np.cumsum(np.einsum("san,sn->sa", columns, residual / sigma), axis=0)
-        return cls(signals.time[signals.kept], gram, side)
+        time = signals.time[signals.kept]
+        for duration in _DURATIONS:
+            starts = np.arange(time[0], time[-1] - duration, _STARTS)
+            if len(starts) == 0:
+                return
+            first = np.searchsorted(time, starts)
+            last = np.minimum(np.searchsorted(time, starts + duration), len(time) - 1)
+            moments = gram[last] - gram[first]
+            moments += 1e-6 * np.trace(moments, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
+            pull = side[last] - side[first]
+            gain = np.einsum("ka,ka->k", pull, np.linalg.solve(moments, pull[:, :, None])[:, :, 0])
+            yield cls(link, signals.log_index, duration, starts, gain, signals.cycle_starts)
 
-    def gains(self, duration: float) -> tuple[np.ndarray, np.ndarray]:
-        """(K,) starts [s] of all windows of a duration, and (K,) what a force in each would take away."""
-        starts = np.arange(self.time[0], self.time[-1] - duration, _STARTS)
-        if len(starts) == 0:
-            return starts, starts
-        first = np.searchsorted(self.time, starts)
-        last = np.minimum(np.searchsorted(self.time, starts + duration), len(self.time) - 1)
-        gram = self.gram[last] - self.gram[first]
-        gram += 1e-6 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
-        side = self.side[last] - self.side[first]
-        return starts, np.einsum("ka,ka->k", side, np.linalg.solve(gram, side[:, :, None])[:, :, 0])
+    def best(self, taken: Sequence[_Push]) -> _Push | None:
+        """The strongest window beside those taken."""
+        gain = np.where(self._shared(taken), -np.inf, self.gain)
+        at = int(np.argmax(gain))
+        if not np.isfinite(gain[at]):
+            return None
+        return _Push(float(gain[at]), self.link, self.log, float(self.starts[at]), self.duration)
+
+    def beside(self, taken: Sequence[_Push]) -> np.ndarray:
+        """Gains of the windows that share no time with those taken."""
+        return self.gain[~self._shared(taken)]
+
+    def again(self, push: _Push) -> float:
+        """Largest gain at the same place, give or take half a step, of another cycle; nought where there is none."""
+        edges = np.asarray(self.cycle_starts, dtype=float)
+        here = int(np.searchsorted(edges, push.start + 1e-9)) - 1
+        if len(edges) < 2 or here < 0:
+            return 0.0
+        places = np.delete(edges, here) + push.start - edges[here]
+        return max(
+            (float(self.gain[np.abs(self.starts - at) < 2 * _STARTS].max(initial=0.0)) for at in places), default=0
+        )
+
+    def _shared(self, taken: Sequence[_Push]) -> np.ndarray:
+        shared = np.zeros(len(self.starts), dtype=bool)
+        for push in taken:
+            shared |= push.overlaps(self.log, self.starts, self.duration)
+        return shared
 
 
-def _elsewhere_in_cycle(cycle_starts: Sequence[float], starts: np.ndarray, gain: np.ndarray, best: int) -> float:
-    """Largest gain at the same place, give or take half a step, of another cycle; nought where there is none."""
-    edges = np.asarray(cycle_starts, dtype=float)
-    here = int(np.searchsorted(edges, starts[best] + 1e-9)) - 1
-    if len(edges) < 2 or here < 0:
-        return 0.0
-    places = np.delete(edges, here) + starts[best] - edges[here]
-    return max((float(gain[np.abs(starts - at) < 2 * _STARTS].max(initial=0.0)) for at in places), default=0.0)
+def _strongest(windows: Sequence[_Windows]) -> list[_Push]:
+    """The strongest windows that do not overlap, as far as they stand out; strongest first."""
+    taken: list[_Push] = []
+    while len(taken) < _MOST:
+        candidates = [push for push in (w.best(taken) for w in windows) if push is not None]
+        push = max(candidates, key=lambda push: push.gain, default=None)
+        if push is None or (taken and push.gain < _LEAST * taken[0].gain):
+            break
+        taken.append(push)
+    while taken:
+        if all(_stands_out(push, taken, windows) for push in taken):
+            return taken
+        taken.pop()
+    return taken
 
 
-def _windows(entries: list[tuple[int, float, float]]) -> dict[str, float]:
-    """Settings of one window (log, start, duration) in each of some logs."""
-    named = (((f"start_{log}", start), (f"duration_{log}", lasting)) for log, start, lasting in entries)
-    return {key: value for pair in named for key, value in pair}
+def _stands_out(push: _Push, taken: Sequence[_Push], windows: Sequence[_Windows]) -> bool:
+    alike = [w for w in windows if (w.link, w.duration) == (push.link, push.duration)]
+    others = np.concatenate([w.beside(taken) for w in alike])
+    usual = float(np.quantile(others, _USUAL)) if len(others) else 0.0
+    again = max((w.again(push) for w in alike if w.log == push.log), default=0.0)
+    return push.gain > max(_STANDS_OUT * usual, _ALONE * again)
+
+
+def _settings(pushes: Sequence[_Push]) -> dict[str, float]:
+    entries: dict[str, float] = {}
+    for number, push in enumerate(pushes, start=1):
+        of_push = {"log": push.log, "link": push.link + 1, "start": push.start, "duration": push.duration}
+        entries |= {f"{key}_{number}": float(value) for key, value in of_push.items()}
+    return entries
+
+
+def _numbers(settings: Mapping[str, float]) -> list[int]:
+    """Of the pushes, from 1."""
+    return [int(key.removeprefix("link_")) for key in settings if key.startswith("link_")]

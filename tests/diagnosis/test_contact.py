@@ -1,0 +1,90 @@
+"""Contacts: on any link, several in a log, for any share of it; what comes back in every cycle is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.diagnosis.dataset import assemble
+from agent.model.effects import CATALOGUE
+from agent.robot.dynamics import Dynamics
+from fake_controller.plant import Plant
+from tests.diagnosis.test_small_arms import learn, make_arm, record
+
+FORCE = np.array([25.0, -40.0, 60.0])  # N
+CONTACT = CATALOGUE["contact"]
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return make_arm("RRR")
+
+
+@pytest.fixture(scope="module")
+def model(arm):
+    return learn(arm)
+
+
+@pytest.fixture(scope="module")
+def free(arm):
+    plant = Plant(arm, seed=3)
+    return [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))]
+
+
+def pushed(arm, log, end: str, times):
+    """The log with a force on a point during `times` [s]; `end` is the link that begins there."""
+    dynamics, step = Dynamics(arm), 1e-6
+    jacobian = np.stack(
+        [
+            (dynamics.link_poses(log.position + d, end) - dynamics.link_poses(log.position - d, end))[:, :3, 3]
+            / (2 * step)
+            for d in step * np.eye(arm.dof)
+        ],
+        axis=2,
+    )
+    acts = np.zeros(len(log.t))
+    for start, stop in times:
+        acts = np.maximum(acts, np.clip(np.minimum(log.t - start, stop - log.t) / 0.05, 0, 1))
+    return replace(log, effort=log.effort - acts[:, None] * np.einsum("san,a->sn", jacobian, FORCE))
+
+
+def best(arm, model, logs):
+    fit = assemble(arm, model, logs, None).fit
+    wanted = [(CONTACT, (), settings) for settings in CONTACT.settings(fit, ())]
+    scores = fit.score(fit.candidates(wanted))
+    if not scores:
+        return None
+    found = max(scores, key=lambda score: score.gain)
+    values = dict(zip(found.candidate.names, found.values, strict=True))
+    return CONTACT.reported(fit.reference, found.candidate.settings, values)
+
+
+def forces(found):
+    """Of each push by its start: link, log, start, end, and force."""
+    ends = [""] + [f"_{number}" for number in range(2, 10)]
+    return sorted(
+        (
+            *(found[f"{key}{suffix}"] for key in ("start", "end", "link", "log")),
+            np.array([found[f"force_{axis}{suffix}"] for axis in "xyz"]),
+        )
+        for suffix in ends
+        if f"link{suffix}" in found
+    )
+
+
+@pytest.mark.parametrize("times", [[(2.0, 2.6)], [(1.2, 2.0), (6.9, 7.5)], [(1.0, 7.0)]])
+def test_pushes_are_found_on_their_link_with_force_and_times(arm, model, free, times):
+    found = forces(best(arm, model, [pushed(arm, free[0], "link_3", times), free[1]]))
+    assert len(found) == len(times)
+    for (start, end, link, log, force), expected in zip(found, times, strict=True):
+        assert (start, end) == pytest.approx(expected, abs=0.2)
+        assert (link, log) == (2, 0)
+        assert np.linalg.norm(force - FORCE) < 0.25 * np.linalg.norm(FORCE)
+
+
+@pytest.mark.parametrize("times", [[], [(1.5, 2.2), (6.5, 7.2)]])
+def test_what_no_one_did_and_what_comes_back_with_every_cycle_is_none(arm, model, free, times):
+    found = best(arm, model, [pushed(arm, free[0], "link_3", times), free[1]])
+    assert found is None or all(np.linalg.norm(entry[-1]) < 0.05 * np.linalg.norm(FORCE) for entry in forces(found))
