@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from agent.core.console import Console
 from agent.core.errors import InputError
@@ -37,6 +37,17 @@ def check_simulator_out(model: Path | None, out: Path, inputs: Sequence[Path]) -
         )
     for path in written_files(out):
         check_output(path, inputs)
+
+
+def run_forward(found: Diagnosis, simulator: Simulator, console: Console) -> dict[str, Any]:
+    """`forward` of a result: the simulator run as given and corrected; nothing where it cannot be."""
+    from agent.diagnosis.forward_windows import forward_or_reason
+
+    console.step("running the simulator forward, as given and corrected")
+    figures, reason = forward_or_reason(found, simulator)
+    if reason:
+        console.warn(reason)
+    return {"forward": figures} if figures else {}
 
 
 def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: Console) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from agent.core.console import Console
 from agent.core.errors import InputError
-from agent.pipeline.corrected_simulator import check_simulator_out, write_simulator
+from agent.pipeline.corrected_simulator import check_simulator_out, run_forward, write_simulator
 from agent.pipeline.identify import check_one_machine, check_output, check_plausible, read_logs, say_used
 from agent.robot import RobotDescription, load_robot
 
@@ -134,6 +134,8 @@ def _diagnose(
     for warning in found.warnings:
         console.warn(warning)
     result = {**found.result, "simulation": simulation_part(found, simulated)}
+    if simulator is not None:
+        result |= run_forward(found, simulator, console)
     if question.report is not None:
         from agent.report.diagnosis_page import diagnosis_report
         from agent.runs.folder import write_atomically
@@ -261,6 +263,10 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         worst = max(range(len(units)), key=lambda k: (units[k] == SHARE, torque["before"][k]))
         before, after = (figure_text(torque[side][worst], units[worst]) for side in ("before", "after"))
         lines.append(f"torque error of {gap['joints'][worst]} in forward simulation: {before}, then {after}")
+    if result.get("forward"):
+        from agent.diagnosis.forward_windows import forward_lines
+
+        lines += list(forward_lines(result["forward"]))
     if result["next_experiment"] is not None:
         lines.append(f"run next: {result['next_experiment']['motion']}")
     if result["not_testable"]:

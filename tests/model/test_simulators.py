@@ -13,9 +13,11 @@ import pytest
 
 from agent.core.console import Console
 from agent.core.errors import InputError
-from agent.diagnosis import diagnose, extended_model
+from agent.diagnosis import diagnose, extended_model, forward_windows
+from agent.diagnosis.rollout import MujocoEngine
 from agent.model.identified import IdentifiedModel
 from agent.model.simulators import load_joint_map, load_simulator
+from agent.pipeline.corrected_simulator import write_simulator
 from agent.pipeline.diagnose import Question, diagnose_files, diagnosis_text
 from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile
@@ -238,11 +240,15 @@ def recorded(path: Path, model: IdentifiedModel, phase: float, added=lambda qd: 
     return path
 
 
-def test_a_right_simulator_has_no_gap_and_needs_no_description(tmp_path, robot):
+def test_a_right_simulator_has_no_gap_and_needs_no_description(tmp_path, robot, monkeypatch):
+    monkeypatch.setattr(forward_windows, "_WINDOWS", 2)
     right = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model
     logs = [recorded(tmp_path / f"{k}.mcap", right, k) for k in (1, 2)]
-    result = diagnose_files(None, logs, Question(tmp_path / "arm.urdf"), Console(-1))
+    result = diagnose_files(None, logs, Question(tmp_path / "arm.urdf", out=tmp_path / "same.urdf"), Console(-1))
     assert result["verdict"] == "no_gap"
+    assert result["forward"]["before"] == result["forward"]["after"]
+    assert (tmp_path / "same.urdf").read_text() == URDF
+    assert json.loads((tmp_path / "same.changes.json").read_text())["changes"] == []
     assert result["gap"]["joints"] == ["pan", "lift"]
     json.dumps(result, allow_nan=False)
 
@@ -291,10 +297,9 @@ def test_the_corrected_simulator_predicts_the_robot(nominal):
 
 
 def test_the_corrected_urdf_is_a_right_simulator_of_the_robot(nominal, tmp_path):
-    model, robot, _ = nominal
-    logs = [recorded(tmp_path / f"{k}.mcap", robot, k) for k in (1, 2)]
-    path = written(tmp_path, URDF, "arm.urdf")
-    diagnose_files(None, logs, Question(path, out=tmp_path / "fixed.urdf"), Console(-1))
+    model, robot, found = nominal
+    simulator = load_simulator(written(tmp_path, URDF, "arm.urdf"), None, ("pan", "lift"))
+    write_simulator(found, simulator, tmp_path / "fixed.urdf", Console(-1))
     fixed = load_simulator(tmp_path / "fixed.urdf", None, ("pan", "lift")).model
     document = json.loads((tmp_path / "fixed.changes.json").read_text())
     assert document["changes"][0]["reason"].endswith("of the held-out gap")
@@ -305,6 +310,50 @@ def test_the_corrected_urdf_is_a_right_simulator_of_the_robot(nominal, tmp_path)
     expected = robot.predict(q, qd, qdd)
     left = fixed.predict(q, qd, qdd) + armature * qdd - expected
     assert np.std(left) < 0.15 * np.std(model.predict(q, qd, qdd) - expected)
+
+
+@pytest.mark.parametrize("set_points", [False, True])
+def test_the_corrected_simulator_follows_the_robot_for_longer(nominal, tmp_path, monkeypatch, set_points):
+    monkeypatch.setattr(forward_windows, "_WINDOWS", 4)
+    found = nominal[2]
+    simulator = load_simulator(written(tmp_path, URDF, "arm.urdf"), None, ("pan", "lift"))
+    if set_points:  # of a servo that is soft enough for the model to show: 100 N·m/rad, 3 N·m·s/rad
+        logs = tuple(replace(log, reference_position=behind(log)) for log in found.dataset.logs)
+        found = replace(found, dataset=replace(found.dataset, logs=logs))
+    result = forward_windows.forward(found, simulator)
+    assert result["driven_by"] == ("set_points" if set_points else "torque")
+    assert result["horizon_s"] == [0.2, 0.5, 1.0, 2.0]
+    for prefix in ("", "velocity_"):
+        before, after, high = (np.array(result[f"{prefix}{key}"]) for key in ("before", "after", "after_interval"))
+        assert np.all(after < 0.2 * before)
+        assert np.all((high[..., 0] <= after) & (after <= high[..., 1]))
+    assert "pinocchio" in diagnosis_text({**found.result, "simulation": None, "forward": result})
+    json.dumps(result, allow_nan=False)
+
+
+def behind(log):
+    """Set-points (S, 2) whose servo gives the torque of a log."""
+    period, kp, kd = 1 / RATE, 100.0, 3.0
+    error = np.zeros(log.effort.shape)
+    for k in range(1, len(error)):  # kp e + kd ė = τ
+        error[k] = (log.effort[k] + kd / period * error[k - 1]) / (kp + kd / period)
+    return log.position + error
+
+
+def test_mujoco_runs_the_arm_that_it_is_given(tmp_path):
+    pytest.importorskip("mujoco")
+    path = written(tmp_path, MJCF, "arm.xml")
+    model = load_simulator(path, None, NAMES).model
+    time = np.arange(0, 0.5, 1e-3)
+    w = np.array([2.0, 3.0, 2.5])
+    q, qd, qdd = 0.3 - 0.2 * np.cos(np.outer(time, w)), 0.2 * w * np.sin(np.outer(time, w)), None
+    qdd = 0.2 * w**2 * np.cos(np.outer(time, w))
+    torque = model.predict(q, qd, qdd, time)
+    engine = MujocoEngine(path, NAMES)
+    at = np.array([0.2, 0.4])
+    found, speed = engine.run(q[20], qd[20], lambda t, *_: torque[min(20 + round(t / 1e-3), 499)], at - 0.02)
+    assert np.abs(found - q[[200, 400]]).max() < 2e-3  # of MuJoCo's steps of 2 ms, and friction at 0.2 % of top speed
+    assert np.abs(speed - qd[[200, 400]]).max() < 2e-2
 
 
 def test_the_waterfall_is_a_table_for_people(nominal):

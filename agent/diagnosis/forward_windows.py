@@ -1,0 +1,240 @@
+"""The gap in motion: the given and the corrected simulator run from measured states, and how far they drift.
+
+Windows of up to two seconds start at measured positions and velocities. Where set-points were recorded and a servo like
+
+    τ = kp e + kd ė + ki ∫ e + a ṙ + b r̈ + c,  e = r − q
+
+describes the torque on motion that it was not fitted to, both simulators follow the set-points through it; else both
+are given the recorded torque. A window's corrected simulator is the one fitted without the motion that it lies in.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.core.errors import InputError, RejectedError
+from agent.diagnosis.corrected import corrected
+from agent.diagnosis.result import Diagnosis
+from agent.diagnosis.rollout import Drive, at_motors, engine
+from agent.estimation.filtering import FilterSettings, Motion, motions
+from agent.model.data import ModelEffect
+from agent.model.simulators import Simulator
+from agent.model.simulators.corrected_file import write_corrected, written_files
+
+_HORIZONS = (0.2, 0.5, 1.0, 2.0)  # s
+_WINDOWS = 24  # at most, over all motions
+_DESCRIBED = 0.95  # of the torque's variance, by the servo on every joint, on the last third of the motion
+_RUNS_AWAY = np.pi  # rad, rad/s or m: an error counts no more
+_DRAWS, _INTERVAL = 200, (5, 95)
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """`motion` from sample `first`, seen by the fit of `fold` not at all."""
+
+    motion: Motion
+    first: int
+    fold: int
+
+
+def forward(diagnosis: Diagnosis, simulator: Simulator) -> dict[str, Any]:
+    """`forward` of a result; an empty dictionary where no window is long enough.
+
+    Raises:
+        InputError, RejectedError: the corrected file cannot be written.
+    """
+    windows = _windows(diagnosis)
+    horizons = [h for h in _HORIZONS if any(_lasts(window, h) for window in windows)]
+    if not horizons:
+        return {}
+    all_motions = list({id(window.motion): window.motion for window in windows}.values())
+    servo = _servo(all_motions)
+    given = engine(simulator, simulator.arm.path, simulator.model, None)
+    errors = np.full((2, 2, len(windows), len(horizons), len(simulator.arm.joint_names)), np.nan)
+    with tempfile.TemporaryDirectory() as folder:
+        for fold in sorted({window.fold for window in windows}):
+            correction = corrected(diagnosis, simulator, without=fold)
+            path = Path(folder) / f"fold_{fold}{simulator.arm.path.suffix}"
+            written = write_corrected(simulator, correction, path)
+            effects = written_files(path)[1] if written_files(path)[1] in written else None
+            fixed = engine(simulator, path, correction.model, effects)
+            for number, window in enumerate(windows):
+                if window.fold != fold:
+                    continue
+                times = np.array([h for h in horizons if _lasts(window, h)])
+                for side, (which, entries) in enumerate(((given, ()), (fixed, correction.effects))):
+                    drift = _drift(which, window, times, servo, entries, simulator.arm.joint_names)
+                    errors[side, :, number, : len(times)] = drift
+    return _figures(errors, horizons, "torque" if servo is None else "set_points", len(windows), simulator)
+
+
+def _lasts(window: Window, seconds: float) -> bool:
+    return window.first + round(seconds * window.motion.rate) < len(window.motion.time)
+
+
+def _windows(diagnosis: Diagnosis) -> list[Window]:
+    """Starts that are spread evenly over what each fold leaves out, none of them over the end of it."""
+    dataset, fit = diagnosis.dataset, diagnosis.finding.fit
+    settings = FilterSettings(dataset.cutoff, dataset.model.order)
+    found: list[list[Window]] = []
+    for number, log in enumerate(dataset.logs):
+        parts = [m for m in motions(log, settings, reduce=False) if m.torque is not None]
+        for fold, held_out in enumerate(fit.folds):
+            rows = np.isin(fit.cell, np.flatnonzero(held_out.test)) & (dataset.log == number)
+            if not rows.any():
+                continue
+            first, last = dataset.time[rows].min(), dataset.time[rows].max()
+            starts = [
+                Window(motion, int(k), fold)
+                for motion in (_cut(part, last) for part in parts)
+                for k in range(motion.edge, len(motion.time), max(1, int(0.5 * motion.rate)))
+                if first <= motion.time[k] <= last - _HORIZONS[0]
+            ]
+            found.append(starts)
+    share = max(1, _WINDOWS // max(len(found), 1))
+    chosen = []
+    for starts in found:
+        long = [window for window in starts if _lasts(window, _HORIZONS[-1])] or starts
+        pick = np.unique(np.linspace(0, len(long) - 1, min(share, len(long))).astype(int))
+        chosen += [long[k] for k in pick]
+    return chosen
+
+
+def _cut(motion: Motion, last: float) -> Motion:
+    """Up to a time of its log [s]."""
+    end = int(np.searchsorted(motion.time, last, side="right"))
+    assert motion.torque is not None
+    return replace(
+        motion,
+        time=motion.time[:end],
+        q=motion.q[:end],
+        qd=motion.qd[:end],
+        qdd=motion.qdd[:end],
+        torque=motion.torque[:end],
+        set_points=None if motion.set_points is None else motion.set_points[:end],
+    )
+
+
+def _features(motion: Motion, joint: int) -> np.ndarray:
+    """(S, 6) e, ė, ∫ e, ṙ, r̈ and 1 of one joint."""
+    assert motion.set_points is not None
+    r, period = motion.set_points[:, joint], 1 / motion.rate
+    rd = np.gradient(r, period)
+    e = r - motion.q[:, joint]
+    return np.stack(
+        [e, rd - motion.qd[:, joint], np.cumsum(e) * period, rd, np.gradient(rd, period), np.ones(len(r))], 1
+    )
+
+
+def _servo(parts: Sequence[Motion]) -> np.ndarray | None:
+    """(n, 6) gains of the servo that the recorded motion shows, or None where it shows none."""
+    if any(m.set_points is None or not np.all(np.isfinite(m.set_points)) for m in parts):
+        return None
+    motion = max(parts, key=lambda m: len(m.time))
+    assert motion.torque is not None
+    split, gains = 2 * len(motion.time) // 3, []
+    for joint in range(motion.q.shape[1]):
+        columns, torque = _features(motion, joint), motion.torque[:, joint]
+        size = np.maximum(np.abs(columns).max(axis=0), 1e-12)
+        found = np.linalg.lstsq(columns[:split] / size, torque[:split], rcond=1e-9)[0] / size
+        left = np.var(torque[split:] - columns[split:] @ found)
+        if found[0] <= 0 or found[1] < 0 or left > (1 - _DESCRIBED) * np.var(torque[split:]):
+            return None
+        gains.append(found)
+    return np.array(gains)
+
+
+def _drift(
+    which: Any, window: Window, times: np.ndarray, servo: np.ndarray | None, entries: Sequence[ModelEffect], names: Any
+) -> np.ndarray:
+    """(2, T, n) error of position [rad] and velocity [rad/s] at the times of a window."""
+    motion, first = window.motion, window.first
+    assert motion.torque is not None
+    torque = at_motors(entries, names, motion.torque) if servo is None else motion.torque
+    drive = _recorded(motion, first, torque) if servo is None else _following(motion, first, servo)
+    q, qd = which.run(motion.q[first], motion.qd[first], drive, times)
+    at = first + np.round(times * motion.rate).astype(int)
+    error = np.stack([q - motion.q[at], qd - motion.qd[at]])
+    return np.asarray(np.clip(np.where(np.isfinite(error), error, _RUNS_AWAY), -_RUNS_AWAY, _RUNS_AWAY))
+
+
+def _recorded(motion: Motion, first: int, torque: np.ndarray) -> Drive:
+    def drive(time: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        place = min(first + time * motion.rate, len(torque) - 1.001)
+        low, share = int(place), place - int(place)
+        return np.asarray((1 - share) * torque[low] + share * torque[low + 1])
+
+    return drive
+
+
+def _following(motion: Motion, first: int, servo: np.ndarray) -> Drive:
+    assert motion.set_points is not None
+    r, period = motion.set_points, 1 / motion.rate
+    rd = np.gradient(r, period, axis=0)
+    rdd = np.gradient(rd, period, axis=0)
+    integral = np.cumsum(r - motion.q, axis=0)[first] * period
+    before = 0.0
+
+    def drive(time: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        nonlocal integral, before
+        place = min(first + time * motion.rate, len(r) - 1.001)
+        low, share = int(place), place - int(place)
+        now, speed, bend = ((1 - share) * part[low] + share * part[low + 1] for part in (r, rd, rdd))
+        integral = integral + (now - q) * (time - before)
+        before = time
+        columns = np.stack([now - q, speed - qd, integral, speed, bend, np.ones(len(q))], axis=1)
+        return np.asarray(np.sum(servo * columns, axis=1))
+
+    return drive
+
+
+def _figures(
+    errors: np.ndarray, horizons: Sequence[float], driven: str, count: int, simulator: Simulator
+) -> dict[str, Any]:
+    """Root mean squares over the windows, and their 90 % intervals, windows drawn anew."""
+    draws = np.random.default_rng(0).integers(0, count, (_DRAWS, count))
+
+    def rms(values: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.nanmean(values**2, axis=-3))
+
+    whole = rms(errors)
+    low, high = np.percentile(np.stack([rms(errors[:, :, draw]) for draw in draws]), _INTERVAL, axis=0)
+    both = np.stack([low, high], axis=-1)
+    result: dict[str, Any] = {
+        "horizon_s": list(horizons),
+        "joints": list(simulator.arm.joint_names),
+        "engine": "pinocchio" if simulator.arm.path.suffix.lower() == ".urdf" else "mujoco",
+        "driven_by": driven,
+        "windows": count,
+    }
+    for side, name in enumerate(("before", "after")):
+        for kind, prefix in enumerate(("", "velocity_")):
+            result[f"{prefix}{name}"] = whole[side, kind].tolist()
+            result[f"{prefix}{name}_interval"] = both[side, kind].tolist()
+    return result
+
+
+def forward_or_reason(diagnosis: Diagnosis, simulator: Simulator) -> tuple[dict[str, Any], str]:
+    """`forward`, or an empty dictionary and why there is none."""
+    try:
+        return forward(diagnosis, simulator), ""
+    except (InputError, RejectedError) as error:
+        return {}, f"no roll-out: {error}"
+
+
+def forward_lines(result: dict[str, Any]) -> Iterator[str]:
+    """For people: the joint whose position drifts most."""
+    horizons, before, after = result["horizon_s"], np.array(result["before"]), np.array(result["after"])
+    worst = int(np.argmax(before[-1]))
+    yield (
+        f"run forward in {result['engine']} by the recorded {result['driven_by'].replace('_', '-')}, "
+        f"{result['windows']} windows held out: position error of {result['joints'][worst]} [rad or m]"
+    )
+    for k, horizon in enumerate(horizons):
+        yield f"  after {horizon:3.1f} s  {before[k, worst]:.3g}, corrected {after[k, worst]:.3g}"
