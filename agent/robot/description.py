@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, field
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
@@ -239,7 +240,7 @@ def load_robot(name_or_path: str | Path) -> RobotDescription:
         InputError: unknown name, or a file that breaks the format; names file, line and key.
     """
     if str(name_or_path) in builtin_robots():
-        return _load_file(Path(str(files("agent.robot") / "catalogue" / str(name_or_path) / "robot.yaml")))
+        return _load_builtin(str(name_or_path))
     path = Path(name_or_path)
     if path.is_dir():
         path = path / "robot.yaml"
@@ -248,6 +249,11 @@ def load_robot(name_or_path: str | Path) -> RobotDescription:
             f"robot {str(name_or_path)!r}: neither a built-in robot ({', '.join(builtin_robots())}) nor a file"
         )
     return _load_file(path)
+
+
+@cache
+def _load_builtin(name: str) -> RobotDescription:
+    return _load_file(Path(str(files("agent.robot") / "catalogue" / name / "robot.yaml")))
 
 
 def _load_file(path: Path) -> RobotDescription:

@@ -69,6 +69,7 @@ AS_THEY_ARE = {
         "when <= latest + ahead + self.step": "true is reached, anything else is not",
         "np.diff(found) > 1": "indices",
         "period > 0": "of a plan that was checked",
+        "np.linalg.norm(tool - tool[0], axis=1) <= margin": "of a plan that was checked; only where to look",
     },
     "preconditions.py": {
         "np.abs(np.radians(position) - program.chains[0].q[0]) <= START_TOLERANCE": "chooses the words",

@@ -19,10 +19,15 @@ from tests.conftest import free_port
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
-# Each page goes on where the one before ends; README and tutorial are read one after the other, too.
-STORIES = (
-    ("tutorial.md", "how-to-diagnosis.md", "how-to-recalibrate.md", "how-to-robot.md", "import.md", "recipe.md"),
-    ("../README.md", "tutorial.md"),
+# Each page goes on where the one before ends, in one clone.
+STORY = (
+    "../README.md",
+    "tutorial.md",
+    "how-to-diagnosis.md",
+    "how-to-recalibrate.md",
+    "how-to-robot.md",
+    "import.md",
+    "recipe.md",
 )
 
 
@@ -30,15 +35,15 @@ def _blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.M)
 
 
-def _tell(story: tuple[str, ...], folder: Path) -> subprocess.CompletedProcess[str]:
-    """Type all commands of some pages into a shell, in a folder that has the recipes."""
+def _tell(folder: Path) -> subprocess.CompletedProcess[str]:
+    """Type all commands of all pages into a shell, in a folder that has the recipes."""
     shutil.copytree(ROOT / "recipes", folder / "recipes")
     (folder / "bin").mkdir()
     for name, start in (("agent", "-m agent"), ("python", "")):
         command = folder / "bin" / name
         command.write_text(f'#!/bin/sh\nexec "{sys.executable}" {start} "$@"\n', encoding="utf-8")
         command.chmod(0o755)
-    script = "\n".join(f"echo '== {page}' >&2\n" + "\n".join(_blocks(DOCS / page, "sh")) for page in story)
+    script = "\n".join(f"echo '== {page}' >&2\n" + "\n".join(_blocks(DOCS / page, "sh")) for page in STORY)
     recipe = folder / "recipes" / "first_look.yaml"
     for port in ("9100", "9101"):
         free = str(free_port())
@@ -66,24 +71,18 @@ def _tell(story: tuple[str, ...], folder: Path) -> subprocess.CompletedProcess[s
         return subprocess.CompletedProcess(shell.args, code, out.read(), err.read())
 
 
-def test_every_command_of_tutorial_and_how_tos(tmp_path: Path):
-    run = _tell(STORIES[0], tmp_path)
+def test_every_command_of_the_readme_the_tutorial_and_every_how_to_in_one_clone(tmp_path: Path):
+    run = _tell(tmp_path)
     assert run.returncode == 0, run.stderr[-3000:]
     assert "skipped: the last accepted run" in run.stdout
     assert "parameters moved by more than" in run.stdout or "none of" in run.stdout
-    for made in ("plan/plan.html", "logs/index.html", "diagnosis.html", "tx40.yaml", "history.json", "table.mcap"):
-        assert (tmp_path / made).is_file(), made
-
-
-def test_every_command_of_the_readme_and_then_of_the_tutorial(tmp_path: Path):
-    run = _tell(STORIES[1], tmp_path)
-    assert run.returncode == 0, run.stderr[-3000:]
-    for made in ("first/plan.html", "plan/plan.html", "logs/index.html", "model.json", "diagnosis.html"):
+    pages = ("first/plan.html", "plan/plan.html", "logs/index.html", "diagnosis.html")
+    for made in (*pages, "model.json", "tx40.yaml", "history.json", "table.mcap"):
         assert (tmp_path / made).is_file(), made
 
 
 def test_no_page_has_commands_that_are_not_run():
-    told = {(DOCS / page).resolve() for story in STORIES for page in story}
+    told = {(DOCS / page).resolve() for page in STORY}
     pages = [README, *DOCS.rglob("*.md")]
     assert {page.resolve() for page in pages if _blocks(page, "sh")} == told
 
