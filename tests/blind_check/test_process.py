@@ -1,4 +1,4 @@
-"""The diagnosing process apart, and a dozen runs from end to end."""
+"""The diagnosing process apart, and some runs from end to end."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_run_that_breaks_the_diagnosis_is_told_and_does_not_end_the_check(tmp_
 
 
 def write_small_arm(folder: Path) -> Path:
-    """A robot.yaml of three axes, so that a dozen runs take a minute."""
+    """A robot.yaml of three axes, so that a run takes seconds."""
     parts, joints, parent = ['<robot name="bars"><link name="base"/>'], [], "base"
     drives = ((40, "0 0 1", 1.5, 4e-4), (25, "0 1 0", 1.5, 4e-4), (10, "0 1 0", 0.6, 1.5e-4))
     for k, (mass, axis, torque, rotor) in enumerate(drives, start=1):
@@ -88,55 +88,55 @@ def write_small_arm(folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def check(tmp_path_factory) -> BlindCheck:
-    """Twelve short runs, done."""
+    """Six short runs, done: two without an effect, three with, and one with an effect outside the catalogue."""
     folder = tmp_path_factory.mktemp("blind")
-    done = BlindCheck(12, 11, folder / "check", robot=str(write_small_arm(folder)), cycle=1.6)
-    done.run(QUIET)
-    return done
+    whole = BlindCheck(6, 1, folder / "check", robot=str(write_small_arm(folder)), cycle=1.6)
+    whole.run(QUIET)
+    return whole
 
 
 @pytest.fixture(scope="module")
-def dozen(check) -> Path:
+def done(check) -> Path:
     """Their folder."""
     return check.folder
 
 
-def test_a_dozen_runs_are_recorded_diagnosed_and_scored(dozen):
-    scores = json.loads((dozen / "blind_check.json").read_text())
-    assert scores["runs"] == 12
+def test_runs_are_recorded_diagnosed_and_scored(done):
+    scores = json.loads((done / "blind_check.json").read_text())
+    assert scores["runs"] == 6
     assert scores["not_recorded"] == []
-    assert sum(sum(kinds.values()) for kinds in scores["outcomes"].values()) == 12
-    assert scores["false_alarms"]["of"] >= 4
-    assert scores["false_alarms"]["count"] <= 1
-    assert scores["top_1"]["count"] >= 3
+    assert sum(sum(kinds.values()) for kinds in scores["outcomes"].values()) == 6
+    assert scores["kinds"] == {"one": 2, "two": 1, "none": 2, "outside": 1}
+    assert scores["false_alarms"] | {"count": 0, "of": 2} == scores["false_alarms"]
+    assert scores["top_1"]["count"] >= 2
     assert scores["closure"]["of_oracle"] > 0.8
     assert scores["closure"]["wrong_effect"] < scores["closure"]["oracle"]
-    assert (dozen / "blind_check.md").read_text().startswith("# Blind check")
+    assert (done / "blind_check.md").read_text().startswith("# Blind check")
 
 
-def test_the_key_is_the_one_that_was_sealed(dozen):
-    sealed = (dozen / "key.sha256").read_text().split()[0]
-    assert sha256_text((dozen / "key.json").read_text()) == sealed
-    assert json.loads((dozen / "blind_check.json").read_text())["key_sha256"] == sealed
+def test_the_key_is_the_one_that_was_sealed(done):
+    sealed = (done / "key.sha256").read_text().split()[0]
+    assert sha256_text((done / "key.json").read_text()) == sealed
+    assert json.loads((done / "blind_check.json").read_text())["key_sha256"] == sealed
 
 
-def test_nothing_but_the_key_tells_what_was_built_in(dozen):
-    key = json.loads((dozen / "key.json").read_text())
+def test_nothing_but_the_key_tells_what_was_built_in(done):
+    key = json.loads((done / "key.json").read_text())
     machines = {str(case["machine"]) for case in key["cases"]}
-    for path in dozen.glob("runs/*/diagnosis.json"):
+    for path in done.glob("runs/*/diagnosis.json"):
         assert not machines & set(path.read_text().replace('"', " ").split())
-    for path in dozen.rglob("*.mcap"):
+    for path in done.rglob("*.mcap"):
         data = path.read_bytes()
         assert not any(effect["effect"].encode() in data for case in key["cases"] for effect in case["effects"])
 
 
-def test_a_rerun_goes_on_and_does_nothing_twice(check, dozen):
+def test_a_rerun_goes_on_and_does_nothing_twice(check, done):
     def stamps():
-        return {path: path.stat().st_mtime_ns for path in dozen.rglob("diagnosis.json")}
+        return {path: path.stat().st_mtime_ns for path in done.rglob("diagnosis.json")}
 
     before = stamps()
     # One without an effect: it is the quickest to judge again.
-    key = json.loads((dozen / "key.json").read_text())
+    key = json.loads((done / "key.json").read_text())
     number = next(case["number"] for case in key["cases"] if not case["effects"])
     (lost,) = (path for path in before if int(path.parent.name) == number)
     lost.unlink()
