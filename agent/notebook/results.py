@@ -150,7 +150,8 @@ class Calibration(Shown):
         return Model.of(IdentifiedModel.load(self.outcome.run / "model.json"))
 
     def headline(self) -> str:
-        return f"{'Accepted' if self.outcome.accepted else 'Rejected'}: {self.outcome.run}"
+        word = {True: "Accepted", False: "Rejected", None: "Not judged"}[self.outcome.result.accepted]
+        return f"{word}: {self.outcome.run}"
 
     def text(self) -> str:
         return self.outcome.summary().strip()

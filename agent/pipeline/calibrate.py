@@ -35,8 +35,8 @@ class Outcome:
 
     @property
     def accepted(self) -> bool:
-        """Whether the gate accepted the model."""
-        return self.result.accepted
+        """Whether no gate rejected the model: one that can judge no joint rejects none."""
+        return self.result.accepted is not False
 
     def summary(self) -> str:
         """One screen."""
@@ -176,13 +176,13 @@ def _report(
         **against_last(run, log, console),
     )
     current = current_run(run.path.parent, recipe.robot.name, result.serial)
-    result = replace(result, current_model=run.path.name if result.accepted and current is None else current)
+    result = replace(result, current_model=current if result.rejected or current is not None else run.path.name)
     run.write_json("result.json", result.to_dict())
     typical = typical_motion(predictions)
     write_analysis(run.file("analysis.mcap"), read_log(run.file(typical.log), recipe.robot), typical)
     further = further_sections(RunContent(run.path, recipe, model, predictions))
     run.write_text("report.html", run_report(run_data(recipe, plan, result.to_dict(), model, predictions, further)))
-    run.complete(result.accepted)
+    run.complete(not result.rejected)
     return Outcome(run.path, result)
 
 

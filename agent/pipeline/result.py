@@ -84,13 +84,13 @@ class RecordingFigures:
 class CalibrationResult:
     """The content of `result.json`.
 
-    `accepted` is the gate's word, `reason` why not. `conditions` are those of the excitation; `reference` is the last
-    accepted run of the same loop and `diagnosis` why its model predicts worse now, if it does; `current_model` the run
-    whose model is the robot's.
+    `accepted` is the gate's word, None where it could judge no joint; `reason` why not. `conditions` are those of the
+    excitation; `reference` is the last accepted run of the same loop and `diagnosis` why its model predicts worse now,
+    if it does; `current_model` the run whose model is the robot's.
     """
 
     robot: str
-    accepted: bool
+    accepted: bool | None
     reason: str
     gate: GateFigures
     search: SearchFigures
@@ -103,6 +103,11 @@ class CalibrationResult:
     reference: str
     diagnosis: dict[str, Any] | None
     current_model: str | None = None
+
+    @property
+    def rejected(self) -> bool:
+        """Whether the gate said no."""
+        return self.accepted is False
 
     def to_dict(self) -> dict[str, Any]:
         """The document `calibration/1`."""
@@ -131,17 +136,11 @@ def build_result(
     figures = moving / model.robot.nominal_torque
     gate = recipe.gate.normalised_rmse
     not_judged = without_nominal(model.robot)
-    broken = [
-        (name, figure)
-        for name, figure in zip(model.robot.joint_names, figures, strict=True)
-        if name not in not_judged and not figure <= gate
-    ]
+    accepted, reason = judge(gate, model.robot.joint_names, figures, not_judged)
     return CalibrationResult(
         robot=recipe.robot.name,
-        accepted=not broken,
-        reason="; ".join(
-            f"{name}: prediction error {100 * figure:.2f} %, the gate is {100 * gate:.2f} %" for name, figure in broken
-        ),
+        accepted=accepted,
+        reason=reason,
         gate=GateFigures(gate, list(not_judged)),
         search=SearchFigures(
             method=recipe.search.method,
@@ -175,6 +174,18 @@ def build_result(
         reference=reference,
         diagnosis=diagnosis,
     )
+
+
+def judge(
+    gate: float, joints: Sequence[str], figures: Sequence[float] | np.ndarray, not_judged: Sequence[str]
+) -> tuple[bool | None, str]:
+    """The gate's word on the shares of nominal torque of the joints, and why not; None where it can judge no joint."""
+    broken = [
+        f"{name}: prediction error {100 * figure:.2f} %, the gate is {100 * gate:.2f} %"
+        for name, figure in zip(joints, figures, strict=True)
+        if name not in not_judged and not figure <= gate
+    ]
+    return (None if len(not_judged) == len(joints) else not broken), "; ".join(broken)
 
 
 def pooled_rmse(predictions: Sequence[Prediction]) -> np.ndarray:

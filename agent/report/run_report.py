@@ -45,7 +45,7 @@ class RunData:
 def run_report(data: RunData) -> str:
     """HTML text of the report."""
     result = data.result
-    accepted, diagnosis = result["accepted"], result["diagnosis"]
+    accepted, diagnosis = result["accepted"] is not False, result["diagnosis"]
     headline = f"{_headline(result)} {current_sentence(result)}".rstrip()
     if diagnosis is not None:
         headline = f"{headline} {diagnosis['summary']}"
@@ -110,7 +110,7 @@ def _validation(data: RunData) -> Section:
         f"{validation['motions']} random motions at {validation['speed']:g} m/s that took no part in the fit.",
         "Normalised: RMSE over the axis's nominal joint torque. Moving samples decide; standstill is shown beside.",
     ]
-    if not data.result["accepted"]:
+    if data.result["accepted"] is False:
         text.append(
             "The model of a rejected run is not made current. The residuals below show in which regime it is off; "
             "if they are alike everywhere, more cycles, a longer search or faster motion tell more."

@@ -190,7 +190,7 @@ def history_json(history: History, runs: Sequence[PastRun], current: Collection[
                 "kind": run.kind,
                 "started": run.started,
                 "status": run.status,
-                "accepted": run.accepted,
+                "accepted": run.accepted if run.judged else None,
                 "current": run.run in current,
                 "reason": run.reason,
                 "reference": run.reference,

@@ -63,6 +63,11 @@ class PastRun:
         return self.status == "finished" and self.kind != "diagnose"
 
     @property
+    def judged(self) -> bool:
+        """Whether its gate could judge any joint."""
+        return not self.data["joints"] or len(self.data["not_judged"]) < len(self.data["joints"])
+
+    @property
     def worst_torque(self) -> float | None:
         """Largest error of any axis [N·m]."""
         return max((torque for torque in self.data["rmse"] if torque is not None), default=None)
@@ -76,7 +81,7 @@ class PastRun:
     def outcome(self) -> str:
         """What came of it, in a word or two: the gate's, or the diagnosis's."""
         finished = "accepted" if self.accepted else self.data["verdict"].replace("_", " ")
-        if self.accepted and self.data["joints"] and len(self.data["not_judged"]) == len(self.data["joints"]):
+        if self.accepted and not self.judged:
             finished = "not judged"
         return finished if self.status == "finished" else self.status
 

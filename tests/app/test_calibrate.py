@@ -47,6 +47,7 @@ def test_the_whole_job(controller, write_recipe, run_agent, tmp_path: Path):
     assert [entry["lost"] for entry in result["recordings"]] == [0, 0, 0]
     for name in ("fitness", "condition number", "prediction error", "accepted", "report.html"):
         assert name in run.stderr
+    assert re.search(r"motion 1 of 3, excitation: .* s left in all", run.stderr)
     assert "current model       that of this run" in run.stderr
     assert f"agent recalibrate {recipe}" in run.stderr
     page = (folder / "report.html").read_text(encoding="utf-8")

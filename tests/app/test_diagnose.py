@@ -17,6 +17,7 @@ def test_a_recipe_is_recorded_then_diagnosed(start_controller, write_recipe, run
     recipe = write_recipe(controller.address, speed="0.3 m/s")
     run = run_agent("diagnose", "--record", recipe, "--json", "-o", "model.json")
     assert run.returncode == 0, run.stderr
+    assert "filtering" in run.stderr, "it says how far it has come"
     result = json.loads(run.stdout)
     named = {cause["effect"]: cause["parameters"] for cause in result["causes"]}
     assert abs(named["time_delay"]["delay"] - DELAY) < 0.2 * DELAY

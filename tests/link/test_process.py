@@ -32,6 +32,7 @@ def process(*options):
 
 def test_it_says_where_it_listens_and_ends_on_sigterm(tmp_path):
     ready = tmp_path / "ready"
+    ready.write_text("an address that a killed one has left\n")
     with process("--port", "0", "--seed", "7", "--clock", "fast", "--ready-file", str(ready)) as running:
         line = running.stdout.readline()
         start, address = "fake controller: comau_ns16 at 127.0.0.1:", ready.read_text().strip()
@@ -53,6 +54,7 @@ def test_it_says_where_it_listens_and_ends_on_sigterm(tmp_path):
         np.testing.assert_allclose(blocks[-1].reference_velocity[-1], 0, atol=1e-9)
         assert running.wait(20) == 0
         assert running.stderr.read() == ""
+    assert not ready.exists(), "nobody takes it for the next one's"
 
 
 def test_a_port_that_is_taken():

@@ -13,11 +13,12 @@ import pytest
 from agent.core.figures import error_text
 from agent.pipeline.calibrate import Outcome
 from agent.pipeline.drift_check import worse_joints
+from agent.pipeline.result import judge
 from agent.report.figures import motion_box_plot
 from agent.report.run_report import _headline
 from agent.robot import RobotDescription, load_robot
 from agent.robot.torque_figures import figure_text, not_judged_text
-from agent.runs.history import History, history_table, open_history
+from agent.runs.history import History, history_json, history_table, open_history
 
 NAMES = ("j1", "j2")
 
@@ -26,7 +27,7 @@ def result(*shares: float | None, gate: float = 0.03) -> dict:
     missing = [name for name, share in zip(NAMES, shares, strict=True) if share is None]
     return {
         "schema": "calibration/1",
-        "accepted": True,
+        "accepted": None if len(missing) == len(NAMES) else True,
         "reason": "",
         "gate": {"normalised_rmse": gate, "not_judged": missing},
         "search": {"fitness": 10.0},
@@ -78,8 +79,21 @@ def test_history(tmp_path: Path, shares, row):
     with open_history(tmp_path) as history:
         assert isinstance(history, History)
         table = history_table(history.runs())
+        (told,) = history_json(history, history.runs())["runs"]
     assert row in table
     assert "nan" not in table
+    assert told["accepted"] is (None if row.startswith("not judged") else True)
+
+
+@pytest.mark.parametrize(
+    ("shares", "word"),
+    [((np.nan, np.nan), None), ((0.01, np.nan), True), ((0.05, np.nan), False), ((0.01, 0.05), False)],
+)
+def test_a_gate_that_can_judge_no_joint_accepts_nothing(shares, word):
+    missing = [name for name, share in zip(NAMES, shares, strict=True) if np.isnan(share)]
+    accepted, reason = judge(0.03, NAMES, shares, missing)
+    assert accepted is word
+    assert ("the gate is 3.00 %" in reason) == (word is False)
 
 
 def test_the_gate_says_before_anything_moves_whom_it_cannot_judge():
