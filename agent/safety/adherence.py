@@ -44,7 +44,7 @@ THERE = 1e-3
 #: No joint is farther than this [rad, m].
 FARTHEST = 1e6
 #: Samples are judged together until so long [s] has passed: a link may hand them out one by one.
-TOGETHER = 0.008
+TOGETHER = 0.016
 _BLOCKS, _ROWS = 16, 64  # at once
 
 

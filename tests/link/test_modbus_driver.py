@@ -172,6 +172,30 @@ def test_a_start_whose_answer_is_lost_is_not_given_again(server, tampered):
         time.sleep(0.001)
 
 
+def test_one_lost_answer_to_a_start_leaves_no_motion_unwatched(server, tampered):
+    """The start is given once; what became of it is read, and all its samples come."""
+    starts, lost = [], []
+
+    def swallow(outward, data):
+        if outward and data[7] == 16 and data[8:10] == struct.pack(">H", wire.COMMAND.address):
+            values = wire.COMMAND.unpack(struct.unpack(f">{wire.COMMAND.registers}H", data[13:]))
+            if values["command"] == wire.Command.START:
+                starts.append(data[:2])
+        if not outward and starts and not lost and data[:2] == starts[0]:
+            lost.append(True)
+            return b""
+        return data
+
+    with closing(ModbusDriver(tampered(server.port, swallow), watchdog=patience(2.0))) as driver:
+        driver.connect()
+        driver.start("p", driver.upload("p", SHORT))
+        blocks = list(driver.samples())
+    assert lost
+    assert len(starts) == 1
+    assert server.controller.motions_started == 1
+    np.testing.assert_array_equal(sequence(blocks), np.arange(1 + blocks[-1].sequence[-1]))
+
+
 def test_one_lost_answer_to_a_read_is_made_good(server, tampered):
     lost = []
 

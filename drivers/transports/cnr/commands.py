@@ -16,14 +16,18 @@ _STOP_AGAIN = 0.05  # s between two stop commands of which the first was not tak
 _HAND_TIMEOUT = 600.0  # s for somebody to press START
 
 
-def command_start(sockets: Sockets, host: str, what: str, point: Point, timeout: float) -> Answer:
-    """The answer to a start that was carried out.
+def command_start(
+    sockets: Sockets, host: str, what: str, point: Point, timeout: float, acts: Callable[[], bool]
+) -> Answer | None:
+    """The answer to a start that was carried out; None where the arm moves and no answer came.
 
     Raises:
         RefusedError: it was not; nothing has moved.
         DriverError: no answer.
     """
-    answer = sockets.command(MessageType.START, point, timeout)
+    answer = sockets.command(MessageType.START, point, timeout, acts)
+    if answer is None and acts():
+        return None  # it is time to watch it, whatever became of the answer
     if answer is None:
         raise DriverError(
             f"the controller at {host} did not answer {what} within {timeout:g} s; the "

@@ -274,11 +274,15 @@ class CnrDriver:
         self._sockets.guarded = True
         return motion
 
-    def _command_start(self, sockets: Sockets, what: str, point: Point) -> Answer:
-        """The answer to a start that was carried out; raises as `command_start`."""
-        answer = command_start(sockets, self._address.host, what, point, self._start_timeout)
-        assert self._motion is not None
-        self._motion.started = True
+    def _command_start(self, sockets: Sockets, what: str, point: Point) -> Answer | None:
+        """The answer to a start that was carried out; None and raises as `command_start`."""
+        motion = self._motion
+        assert motion is not None
+        rested = not motion.begun  # later on, that it moves says nothing of this start
+        answer = command_start(
+            sockets, self._address.host, what, point, self._start_timeout, lambda: rested and motion.begun
+        )
+        motion.started = True
         return answer
 
     def _wait_for_a_person(self, sockets: Sockets, name: str) -> None:

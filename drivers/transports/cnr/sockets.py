@@ -33,6 +33,7 @@ from drivers.wire.cnr import (
 from drivers.wire.cnr import CommType as Comm
 
 _RECEIVE = 64 * 1024
+_ACTING = 0.25  # s: an answer that comes so late, where it is seen already that a command acts, is taken for lost
 _TURN = 0.02  # s between two looks at what has to be done, where nothing comes
 
 
@@ -144,8 +145,14 @@ class Sockets:
         self.check()
         return condition()
 
-    def command(self, kind: MessageType, point: Point | None = None, timeout: float | None = None) -> Answer | None:
-        """Send a command, once, and wait for its answer; None where none comes in time [s].
+    def command(
+        self,
+        kind: MessageType,
+        point: Point | None = None,
+        timeout: float | None = None,
+        acts: Callable[[], bool] = lambda: False,
+    ) -> Answer | None:
+        """Send a command, once, and wait for its answer; None where none comes in time [s], or once it `acts`.
 
         Raises:
             DriverError: the link is down.
@@ -156,7 +163,12 @@ class Sockets:
             while not self._answers.empty():
                 self._answers.get()  # the answer to a command that was given up
             self._send(self._trajectory, Message(kind, Comm.REQUEST, ReplyCode.NONE, point))
-            return self._answer(kind, point, limit)
+            while (left := limit - time.monotonic()) > 0:
+                seen = acts()
+                answer = self._answer(kind, point, time.monotonic() + min(left, _ACTING))
+                if answer is not None or seen:
+                    return answer
+            return None
 
     def post(self, kind: MessageType) -> None:
         """Send a command without waiting for its answer.

@@ -159,6 +159,7 @@ class ModbusDriver:
                 wire.Command.START,
                 self._start_timeout,
                 f"start of {name}",
+                motion.has_begun,  # samples say as well that the arm moves: then it is time to watch it
                 name=name,
                 checksum=bytes.fromhex(checksum),
                 motion=motion_id,
@@ -233,20 +234,33 @@ class ModbusDriver:
         blank: dict[str, Any] = {"watchdog": 0, "name": "", "size": 0, "checksum": b"", "motion": b""}
         return {"session": self._session, **blank}
 
-    def _command(self, command: wire.Command, timeout: float, what: str, **fields: Any) -> dict[str, Any]:
-        """Give a command once and wait for what becomes of it."""
+    def _command(
+        self, command: wire.Command, timeout: float, what: str, acts: Callable[[], bool] | None = None, **fields: Any
+    ) -> dict[str, Any]:
+        """Give a command once and wait for what becomes of it, but no longer than until it is seen that it `acts`.
+
+        A lost answer to the writing of what `acts` is made good by reading what became of it.
+        """
         link = self._connected()
         request = next(self._requests)
-        link.write(wire.COMMAND, **{**self._blank(), "command": command, "request": request, **fields})
+        lost: DriverError | None = None
+        try:
+            link.write(wire.COMMAND, **{**self._blank(), "command": command, "request": request, **fields})
+        except SilentError as error:
+            if acts is None:
+                raise
+            lost = error
         until = time.monotonic() + timeout
         while True:
             answer = link.read(wire.ANSWER)
             if (answer["session"], answer["request"]) != (self._session, request):
-                raise DriverError(
+                raise lost or DriverError(
                     f"{what}: the controller at {self.address} went on to another command, or was started again"
                 )
             if answer["outcome"] != wire.Outcome.WORKING:
                 break
+            if acts is not None and acts():
+                return answer
             if time.monotonic() > until:
                 raise DriverError(f"the controller at {self.address} did not finish {what} within {timeout:g} s")
             self._closed.wait(_ANSWER_POLL)
