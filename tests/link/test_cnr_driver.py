@@ -13,6 +13,7 @@ from drivers.errors import ConfigurationError, DriverError, ProtocolError, Refus
 from drivers.protocol import AcceptsViaPoints, Driver, MeasuresCurrents, ReportsDiagnostics, RequiresOperator, ViaPoint
 from drivers.registry import create
 from drivers.transports.cnr.address import CnrAddress, parse_address
+from drivers.transports.cnr.commands import command_start
 from drivers.transports.cnr.points import _Feeder, trajectories
 from drivers.transports.cnr.sockets import Sockets
 from drivers.wire import cnr
@@ -107,6 +108,15 @@ def test_a_command_that_is_not_answered_is_not_sent_again(linked):
     script, sockets = linked(lambda m: success(m) if m.type == MessageType.PING else None, timeout=patience(0.3))
     assert sockets.command(MessageType.START, Point(sequence_number=5)) is None
     assert [m.type for m in script.heard].count(MessageType.START) == 1
+
+
+def test_a_start_that_is_seen_to_act_is_watched_without_its_answer(linked):
+    script, sockets = linked(lambda m: success(m) if m.type == MessageType.PING else None)
+    point = Point(sequence_number=5)
+    assert command_start(sockets, "the controller", "the start", point, 600.0, lambda: True) is None
+    assert [m.type for m in script.heard].count(MessageType.START) == 1
+    with pytest.raises(DriverError, match="did not answer the start"):
+        command_start(sockets, "the controller", "the start", point, patience(0.3), lambda: False)
 
 
 @pytest.mark.parametrize(("moves", "kind"), [(0, RefusedError), (1, DriverError)])

@@ -277,11 +277,16 @@ class CnrDriver:
     def _command_start(self, sockets: Sockets, what: str, point: Point) -> Answer | None:
         """The answer to a start that was carried out; None and raises as `command_start`."""
         motion = self._motion
-        assert motion is not None
-        rested = not motion.begun  # later on, that it moves says nothing of this start
+        rested = motion is not None and not motion.begun  # later on, that it moves says nothing of this start
         answer = command_start(
-            sockets, self._address.host, what, point, self._start_timeout, lambda: rested and motion.begun
+            sockets,
+            self._address.host,
+            what,
+            point,
+            self._start_timeout,
+            lambda: rested and motion is not None and motion.begun,
         )
+        assert motion is not None
         motion.started = True
         return answer
 
