@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from agent.cli.options import AllowMixed, AsJson, Cutoff, Force, Quiet, Verbose, console_for
+from agent.core.errors import InputError
 
 app = typer.Typer(no_args_is_help=True, help="The same over many robots, on local cores or a Dask scheduler.")
 
@@ -21,6 +23,10 @@ Scheduler = Annotated[
 ]
 Workers = Annotated[int | None, typer.Option("--workers", metavar="N", min=1, help="local processes; one a core")]
 Memory = Annotated[str | None, typer.Option("--memory", metavar="SIZE", help="limit of a local process, as in 2GiB")]
+Columns = Annotated[
+    list[Path] | None,
+    typer.Option("--columns", metavar="TABLE", help="CSV or Parquet with a column robot: cell, batch, and the like"),
+]
 
 
 @app.command()
@@ -105,21 +111,34 @@ def _run(
     quiet: bool,
 ) -> None:
     from agent.core.console import print_json
+
+    summary = _do(kind, source, out, robot, model, asked, where, console_for(verbose, quiet))
+    if as_json:
+        print_json(summary.to_dict())
+    else:
+        print(summary.text())
+
+
+def _do(
+    kind: str,
+    source: str,
+    out: str,
+    robot: str | None,
+    model: str | None,
+    asked: dict[str, Any],
+    where: tuple[str | None, int | None, str | None],
+    console: Any,
+) -> Any:
     from agent.core.on_dask import open_engine
     from agent.core.parallel import available_cores
     from agent.fleet import make_question, run_fleet
 
-    console = console_for(verbose, quiet)
     scheduler, workers, memory = where
 
     def engine(tasks: int) -> Any:
         return open_engine(scheduler, min(tasks, workers or available_cores()), memory, console.detail)
 
-    summary = run_fleet(source, make_question(kind, robot, model, **asked), out, engine, console)
-    if as_json:
-        print_json(summary.to_dict())
-    else:
-        print(summary.text())
+    return run_fleet(source, make_question(kind, robot, model, **asked), out, engine, console)
 
 
 @app.command()
@@ -138,3 +157,41 @@ def simulate(
 
     for written in simulate_fleet(robot, machines, weeks, seed, out, rows):
         print(written)
+
+
+@app.command()
+def trends(
+    source: Annotated[
+        str, typer.Argument(metavar="SOURCE", help="result of a fleet, or folder or URL of folders with logs")
+    ],
+    out: Annotated[
+        str | None,
+        typer.Option("-o", "--out", metavar="RESULT", help="folder or URL for the trends as Parquet, a row an axle"),
+    ] = None,
+    columns: Columns = None,
+    robot: Robot = None,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
+    memory: Memory = None,
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """What drifts or has stepped in a fleet, at a controlled rate of false discoveries; families that share a cause."""
+    from agent.core.console import print_json
+    from agent.fleet.trends import fleet_trends, is_result, write_trends
+
+    result = source
+    if not is_result(source):
+        if out is None:
+            raise InputError(f"{source}: no result of a fleet; name one, or a folder for the result with -o")
+        result = f"{out.rstrip('/')}/_estimates"
+        where = (scheduler, workers, memory)
+        _do("estimate", source, result, robot, None, {}, where, console_for(verbose, quiet))
+    found = fleet_trends(result, columns or ())
+    if out is not None:
+        write_trends(found, out)
+    if as_json:
+        print_json(found.to_dict())
+    else:
+        print(found.text())

@@ -23,7 +23,7 @@ from agent.core.parallel import needed
 from agent.fleet.store import Store, StoreError
 
 ROWS, DONE, MODELS = "rows.parquet", "_done", "_models"
-_META = b"agent.fleet"
+META = b"agent.fleet"
 SCHEMA_NAME = "fleet/1"
 #: Rows of a group: what is in memory at once, times a few.
 _GROUP = 128
@@ -92,7 +92,7 @@ def schema(kind: str) -> Any:
         },
     }
     inputs = {"asked": text, "inputs": table(path=text, size=pa.int64(), stamp=text, sha256=text)}
-    return pa.schema([*common.items(), *own[kind].items(), *inputs.items()], metadata={_META: kind.encode()})
+    return pa.schema([*common.items(), *own[kind].items(), *inputs.items()], metadata={META: kind.encode()})
 
 
 def open_rows(url: str, folder: Path) -> tuple[str, Any]:
@@ -121,7 +121,7 @@ def _find_rows(store: Store, folder: Path) -> tuple[str, Any] | None:
         rows = pq.ParquetFile(path)
     except Exception as error:  # of Arrow: whatever is wrong with the bytes
         raise InputError(f"{store.url}/{ROWS}: no Parquet file: {str(error).splitlines()[0]}") from None
-    kind = (rows.schema_arrow.metadata or {}).get(_META)
+    kind = (rows.schema_arrow.metadata or {}).get(META)
     if kind is None:
         raise InputError(f"{store.url}/{ROWS}: not written by `agent fleet`")
     return kind.decode(), rows

@@ -56,45 +56,61 @@ def fit_course(y: np.ndarray, background: Background, shape: np.ndarray | None) 
     return np.linalg.lstsq(rows, right, rcond=1e-9)[0], design
 
 
-def size_of_change(y: np.ndarray, background: Background, shape: np.ndarray) -> tuple[float, float, float]:
-    """Size of `shape` in y beside the background, its deviation, and the probability of as much by chance.
+def sizes_of_change(
+    y: np.ndarray, background: Background, shapes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Size of each of the `shapes` (K, R) in y (R,) beside the background, its deviation, and the probability of as
+    much by chance, (K,) each.
 
     Where the background goes along with the shape, little but its own noise is left to tell its coefficient by, which
     would come out as zero. So that noise is taken from what the data say of it, and what was known before decides.
     """
     from scipy.special import stdtr
 
-    y, shape = y - y.mean(), shape - shape.mean()
-    power, freedom = float(shape @ shape), len(y) - 2 - background.varies
-    coefficient, doubt, along = 0.0, 0.0, 0.0
+    y = y - y.mean()
+    shapes = shapes - shapes.mean(axis=1, keepdims=True)
+    power, freedom = np.sum(shapes**2, axis=1), len(y) - 2 - background.varies
+    raw = shapes @ y / power
+    coefficient, doubt, along = np.zeros(len(shapes)), np.zeros(len(shapes)), np.zeros(len(shapes))
     common = np.zeros(len(y))
     if background.varies:
         common = background.covariate - background.covariate.mean()
-        along = float(shape @ common) / power
-        coefficient, doubt = _coefficient(y - shape * float(shape @ y) / power, common - along * shape, background)
-        if not np.isfinite(doubt):
-            return 0.0, np.inf, 1.0
-    size = float(shape @ (y - coefficient * common)) / power
-    left = y - coefficient * common - size * shape
-    deviation = float(np.sqrt(max(_widened(left, freedom) / power + (along * doubt) ** 2, 1e-30)))
-    return size, deviation, float(2 * stdtr(freedom, -abs(size) / deviation))
+        along = shapes @ common / power
+        rest, common_rest = y - raw[:, None] * shapes, common - along[:, None] * shapes
+        coefficient, doubt = _coefficients(rest, common_rest, background)
+    known = np.isfinite(doubt)
+    coefficient, doubt = np.where(known, coefficient, 0.0), np.where(known, doubt, 0.0)
+    sizes = raw - coefficient * along
+    left = y - coefficient[:, None] * common - sizes[:, None] * shapes
+    variance = _widened(left, freedom) / power + (along * doubt) ** 2
+    deviations = np.sqrt(np.maximum(variance, 1e-30))
+    chances = 2 * stdtr(freedom, -np.abs(sizes) / deviations)
+    return np.where(known, sizes, 0.0), np.where(known, deviations, np.inf), np.where(known, chances, 1.0)
 
 
-def _coefficient(y: np.ndarray, common: np.ndarray, background: Background) -> tuple[float, float]:
-    """Coefficient of the background in y (R,), both without the shape, and its deviation."""
-    noise = len(y) * background.noise
-    seen = float(common @ common) - noise
-    if seen < _CLEAR * np.sqrt(2 / len(y)) * noise or seen <= 1e-12 * len(y) * np.ptp(background.covariate) ** 2:
-        return background.coefficient, background.doubt
-    told = float(common @ y) / seen
-    variance = _widened(y - told * common, len(y) - 3)
-    precision, before = seen / max(variance, 1e-30), background.doubt**-2
+def size_of_change(y: np.ndarray, background: Background, shape: np.ndarray) -> tuple[float, float, float]:
+    """The same of one shape (R,)."""
+    size, deviation, chance = sizes_of_change(y, background, shape[None])
+    return float(size[0]), float(deviation[0]), float(chance[0])
+
+
+def _coefficients(y: np.ndarray, common: np.ndarray, background: Background) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (K,) of the background in y (K, R), both without the shapes, and their deviations."""
+    runs = y.shape[1]
+    noise = runs * background.noise
+    seen = np.sum(common**2, axis=1) - noise
+    clear = (seen >= _CLEAR * np.sqrt(2 / runs) * noise) & (seen > 1e-12 * runs * np.ptp(background.covariate) ** 2)
+    seen = np.where(clear, seen, 1.0)
+    told = np.sum(common * y, axis=1) / seen
+    variance = _widened(y - told[:, None] * common, runs - 3)
+    precision, before = seen / np.maximum(variance, 1e-30), background.doubt**-2
     total = precision + before
-    return (precision * told + before * background.coefficient) / total, float(total**-0.5)
+    found = (precision * told + before * background.coefficient) / total
+    return np.where(clear, found, background.coefficient), np.where(clear, total**-0.5, background.doubt)
 
 
-def _widened(left: np.ndarray, freedom: int) -> float:
-    """Variance of the noise from residuals (R,), for what their autocorrelation makes of a mean."""
-    energy = float(left @ left)
-    rho = float(np.clip(left[1:] @ left[:-1] / max(energy, 1e-300), 0.0, 0.9))
+def _widened(left: np.ndarray, freedom: int) -> np.ndarray:
+    """Variance (K,) of the noise from residuals (K, R), for what their autocorrelation makes of a mean."""
+    energy = np.sum(left**2, axis=1)
+    rho = np.clip(np.sum(left[:, 1:] * left[:, :-1], axis=1) / np.maximum(energy, 1e-300), 0.0, 0.9)
     return energy / freedom * (1 + rho) / (1 - rho)

@@ -25,7 +25,8 @@ import numpy as np
 
 from agent.runs.changes import Background, fit_course, line, size_of_change
 from agent.runs.past_run import PastParameter, PastRun
-from agent.runs.warm_up import FEWEST, common_rate, warm_up_rates, warm_up_response
+from agent.runs.series import FrictionSeries, find_change
+from agent.runs.warm_up import FEWEST, common_rate, warm_up_rates
 
 #: Probability of an alarm of any series of a machine without change.
 FALSE_ALARMS = 1e-3
@@ -33,7 +34,6 @@ FALSE_ALARMS = 1e-3
 PRACTICAL = 0.03
 #: How many of the latest runs are looked at.
 WINDOW = 40
-_SEGMENT = 3  # runs on either side of a step
 _DAY = 86_400.0
 
 
@@ -167,30 +167,18 @@ def parameter_trends(
 
 def _watch(key: tuple[str, str, str], runs: list[PastRun]) -> Watch:
     robot, serial, program = key
-    keys = [(level["joint"], k) for k, level in enumerate(runs[-1].data["conditions"]["friction"])]
-    runs = [run for run in runs if len(run.data["conditions"]["friction"]) == len(keys)]
+    levels = runs[-1].data["conditions"]["friction"]
+    runs = [run for run in runs if len(run.data["conditions"]["friction"]) == len(levels)]
     times, (rates, doubts) = _times(runs), warm_up_rates(runs)
     axles = list(runs[-1].data["joints"])
-    values = _column(runs, "value")
-    deviations = _column(runs, "from_run_to_run")
-    usable = np.all(values > 0, axis=0)
-    logs = np.log(np.where(values > 0, values, 1.0))
-    centred = logs - np.median(logs, axis=0)
+    of_level = tuple(axles.index(level["joint"]) for level in levels)
+    series = FrictionSeries(times, of_level, _column(runs, "value"), _column(runs, "from_run_to_run"), rates, doubts)
     trends = []
-    for (joint, k), level in zip(keys, runs[-1].data["conditions"]["friction"], strict=True):
-        if not usable[k]:
-            continue
-        others = [m for (other, m) in keys if other != joint and usable[m]]
-        background = Background(common_rate(rates, doubts))
-        if len({keys[m][0] for m in others}) >= 3:  # with fewer, wear of one axle would be half of the others' median
-            scatter = np.median(deviations[:, others] / values[:, others])
-            noise = np.pi / 2 * float(scatter) ** 2 / len(others)  # of a median
-            answer = warm_up_response(rates, axles.index(joint))
-            background = Background(np.median(centred[:, others], axis=1), *answer, noise)
-        name = f"friction of {joint} at {level['speed']:.2g} rad/s"
-        trends.append(
-            _trend(name, joint, "N·m", runs, times, values[:, k], deviations[:, k], None, background, len(keys))
-        )
+    for k, background in series.backgrounds():
+        name = f"friction of {levels[k]['joint']} at {levels[k]['speed']:.2g} rad/s"
+        values, deviations = series.values[:, k], series.deviations[:, k]
+        found = _trend(name, levels[k]["joint"], "N·m", runs, times, values, deviations, None, background, len(levels))
+        trends.append(found)
     warnings = tuple(_warnings(runs, times, trends))
     return Watch(robot, serial, program, tuple(trends), warnings, common_rate(rates, doubts))
 
@@ -212,19 +200,9 @@ def _trend(
     It is looked at as its logarithm, where `scale` is None, or as a multiple of `scale`.
     """
     y = np.log(values) if scale is None else values / scale
-    number = np.arange(len(y))
-    shapes = [("drift", line(times), 1), ("drift", line(number), 1)]  # age wears, and so does use
-    places = range(_SEGMENT, len(y) - _SEGMENT + 1)
-    shapes += [("step", (number >= k) - 0.5, k) for k in places]
-    tests = [size_of_change(y, background, shape) for _, shape, _ in shapes]
-    alike = {"drift": 2, "step": len(places)}
-    paid = [test[2] * 2 * alike[kind] for (kind, _, _), test in zip(shapes, tests, strict=True)]
-    best = int(np.argmin(paid))
-    kind, shape, place = shapes[best]
-    change, deviation, _ = tests[best]
-    probability = min(1.0, paid[best])
-    significant = probability < FALSE_ALARMS / series
-    fit, design = fit_course(y, background, shape if significant else None)
+    found = find_change(y, times, background)
+    significant = found.probability < FALSE_ALARMS / series
+    fit, design = fit_course(y, background, found.shape if significant else None)
     common = design[:, 1] * fit[1] if background.varies else np.zeros(len(y))
     expected = np.exp(design @ fit) if scale is None else design @ fit * scale
     return Trend(
@@ -237,12 +215,12 @@ def _trend(
         deviations=deviations,
         expected=expected,
         common=common,
-        kind=kind if significant else "none",
-        change=float(np.expm1(change) if joint else change) if significant else 0.0,
-        deviation=deviation,
-        probability=probability,
-        since=runs[place - 1].run if significant and kind == "step" else "",
-        alarm=bool(joint and significant and abs(change) >= PRACTICAL),
+        kind=found.kind if significant else "none",
+        change=float(np.expm1(found.size) if joint else found.size) if significant else 0.0,
+        deviation=found.deviation,
+        probability=found.probability,
+        since=runs[found.place - 1].run if significant and found.kind == "step" else "",
+        alarm=bool(joint and significant and abs(found.size) >= PRACTICAL),
     )
 
 
