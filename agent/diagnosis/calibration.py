@@ -54,9 +54,9 @@ class Calibration:
     groups: tuple[Group, ...]
 
 
-def calibration(dataset: Dataset) -> Calibration:
-    """Release group after group while that gains."""
-    pool = _groups(dataset)
+def calibration(dataset: Dataset, links: bool = True) -> Calibration:
+    """Release group after group while that gains; without `links`, friction and rotors only."""
+    pool = [group for group in _groups(dataset) if links or group.kind != "link inertia"]
     chosen: list[Group] = []
     fit = dataset.fit
     least = dataset.limits.least_gain * float(fit.count.sum())

@@ -7,13 +7,12 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from agent.core.errors import InputError
-from agent.diagnosis.calibration import Calibration, calibration
 from agent.diagnosis.dataset import assemble
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.motion_gap import MotionGap, motion_gap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.result import Diagnosis, build
-from agent.diagnosis.simulator import with_expected_error
+from agent.diagnosis.simulator import search_simulator
 from agent.diagnosis.verdict import judge
 from agent.model.effects import CATALOGUE
 from agent.model.identified import IdentifiedModel
@@ -40,27 +39,16 @@ def diagnose(
         raise InputError("no logs were given, so there is nothing to diagnose")
     check_effects(without)
     logs, twice = _distinct(logs)
-    simulator = model is not None and model.method == SIMULATOR
-    if model is not None and simulator:
-        model = with_expected_error(model, logs, limits)
-    progress("filtering, and fitting the model in every fold" if model is None else "filtering")
-    dataset = assemble(robot, model, logs, cutoff, limits)
-    search = Search(dataset.fit, without, dataset.given, progress, limits)
-    finding, gap = judge(dataset, search.run(), dataset.fit)
     calibrated = None
-    if simulator:
-        progress("moving friction, rotors and links of the simulator, step by step")
-        calibrated = calibration(dataset)
-        moved = calibrated.moved
-        if calibrated.groups:
-            again = Search(moved.fit, without, True, progress, limits)
-            other, left = judge(moved, again.run(), moved.fit)
-            # one named effect is a better answer than many small corrections that do hardly more
-            total, one, many = (float(np.mean(part**2)) for part in (gap.before, gap.after, left.after))
-            if len(finding.causes) == 1 and one - many <= limits.part * total:
-                calibrated = Calibration(dataset, dataset, ())
-            else:
-                dataset, search, finding, gap = moved, again, other, left
+    if model is not None and model.method == SIMULATOR:
+        answer = search_simulator(robot, model, logs, cutoff, without, progress, limits)
+        search, finding, gap, calibrated = answer.search, answer.finding, answer.gap, answer.calibrated
+        dataset = calibrated.moved
+    else:
+        progress("filtering, and fitting the model in every fold" if model is None else "filtering")
+        dataset = assemble(robot, model, logs, cutoff, limits)
+        search = Search(dataset.fit, without, dataset.given, progress, limits)
+        finding, gap = judge(dataset, search.run(), dataset.fit)
     motion = motion_gap(logs, limits)
     warnings = (*twice, *_warnings(robot, logs, model is not None, limits), *_path_warnings(motion))
     return build(dataset, finding, gap, search, motion, warnings, calibrated)

@@ -136,6 +136,9 @@ class DecisionLimits:
     unknown_error: float = _limit(
         0.04, "RMS torque", "what a model usually leaves, where no other logs tell", "tuned on simulated arms"
     )
+    least_error: float = _limit(
+        0.01, "RMS torque", "expected of a simulator's file, however little its numbers moved leave", "chosen"
+    )
     clipped: float = _limit(0.002, "samples", "at exactly the largest torque before it looks clipped", "chosen")
     moves: float = _limit(3e-3, "rad or m", "that a joint travels in one log, or it never moves", "chosen")
 

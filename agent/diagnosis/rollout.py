@@ -20,6 +20,7 @@ from agent.model.simulators.mjcf import compiled, mujoco_package
 #: (seconds since the start, q (n,), q̇ (n,)) → torque of the motors (n,) [N·m].
 Drive = Callable[[float, np.ndarray, np.ndarray], np.ndarray]
 
+_LOST = 1e3  # rad/s or m/s: a simulator that has blown up
 _STEP = 1e-3  # s, of the URDF's roll-out
 _HOLD = 1e6  # armature that holds a joint, over the arm's mass
 
@@ -60,6 +61,9 @@ class MujocoEngine:
                 while data.time < until - 0.5 * model.opt.timestep:
                     data.qfrc_applied[self._dof] = drive(data.time, data.qpos[self._at], data.qvel[self._dof])
                     mujoco.mj_step(model, data)
+                    if not np.abs(data.qvel).max() < _LOST:
+                        found[:, row:] = np.nan
+                        return found[0], found[1]
                 found[:, row] = data.qpos[self._at], data.qvel[self._dof]
         finally:
             mujoco.set_mjcb_passive(None)
