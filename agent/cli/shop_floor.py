@@ -11,8 +11,10 @@ import typer
 from agent.cli.options import (
     AsJson,
     Authorised,
+    Logs,
     Quiet,
     RecipePath,
+    RobotOption,
     RunArgument,
     RunsFolder,
     Serial,
@@ -166,6 +168,26 @@ def export(
         raise InputError(f"{out}: is a file; name a folder to write to")
     for path in export_model(IdentifiedModel.load(model), out):
         print(path)
+
+
+@app.command("learn-interpolator")
+def learn_interpolator(
+    logs: Logs,
+    robot: RobotOption,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE", help="YAML file to write")],
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """The controller's interpolation law from recorded set-points, for `search.interpolator` of a recipe."""
+    from agent.core.console import print_json
+    from agent.pipeline.learn import learn_files
+
+    learned = learn_files(robot, logs, out, console_for(verbose, quiet))
+    if as_json:
+        print_json(learned.to_dict())
+    else:
+        print(learned.text())
 
 
 @app.command()

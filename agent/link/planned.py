@@ -37,7 +37,7 @@ def plan_statements(recipe: Recipe, text: str, path: str, start: np.ndarray) -> 
     chains: list[Trajectory] = []
     known: dict[tuple[Any, ...], list[Trajectory]] = {}
     for moves in _stop_to_stop(program.run()):
-        alike = known.setdefault(_chain_key(moves), [])
+        alike = known.setdefault(chain_key(moves), [])
         chain = next((one for one in alike if np.allclose(one.q[0], start, rtol=0, atol=_SAME)), None)
         if chain is None:
             chain = interpolator.plan(moves, start)
@@ -76,7 +76,7 @@ def _stop_to_stop(statements: Iterator[Statement]) -> Iterator[list[Move]]:
         yield pending
 
 
-def _chain_key(moves: list[Move]) -> tuple[Any, ...]:
+def chain_key(moves: list[Move]) -> tuple[Any, ...]:
     def target(value: Any) -> tuple[Any, ...]:
         if value is None:
             return ()

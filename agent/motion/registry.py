@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any
 
 from agent.core.errors import InputError
 from agent.motion.fly.interpolator import FlyInterpolator
 from agent.motion.interpolator import Interpolator
+from agent.motion.learned import is_file_name, load_law
 from agent.motion.orl import OrlInterpolator
 from agent.robot.description import RobotDescription
 
@@ -24,11 +26,13 @@ def interpolator_names() -> tuple[str, ...]:
 
 
 def create_interpolator(name: str, robot: RobotDescription, tool: Any = None, **options: Any) -> Interpolator:
-    """An interpolator by its registered name.
+    """An interpolator by its registered name, or by the file of a learned law (`agent.motion.learned`).
 
     Raises:
-        InputError: no interpolator has that name.
+        InputError: no interpolator has that name, or the file is none for this robot.
     """
+    if is_file_name(name):
+        return FlyInterpolator(robot, tool, parameters=load_law(Path(name), robot).parameters, **options)
     factory = _BUILT_IN.get(name)
     if factory is None:
         found = next((entry for entry in entry_points(group=ENTRY_POINTS) if entry.name == name), None)

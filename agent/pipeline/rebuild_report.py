@@ -27,7 +27,7 @@ def report_again(run: Path, console: Console) -> Path:
         raise InputError(f"{run}: {_unfinished(run, past)}; there is nothing to report yet")
     with readable(run):
         make = {"calibrate": _calibration, "recalibrate": _recalibration, "diagnose": _diagnosis}[past.kind]
-        page = make(run, _recipe(run), console)
+        page = make(run, recipe_of(run), console)
     return write_atomically(run / "report.html", page)
 
 
@@ -92,7 +92,7 @@ def _result(run: Path) -> dict[str, Any]:
     return {**result, "current_model": current_run(run.parent, result["robot"], result["serial"])}
 
 
-def _recipe(run: Path) -> Recipe:
+def recipe_of(run: Path) -> Recipe:
     """The run's own recipe; where it names files beside it, the original must still be what it was."""
     state = read_object(run / "state.json")
     original, copy = Path(state["recipe"]), run / "recipe.yaml"

@@ -153,6 +153,7 @@ def _contradictions(
 ) -> Iterator[tuple[tuple[str, ...], str]]:
     """What is wrong between values that are each right by themselves."""
     from agent.motion import interpolator_names
+    from agent.motion.learned import is_file_name, load_law
     from drivers.errors import ConfigurationError
     from drivers.registry import available, create
 
@@ -174,8 +175,14 @@ def _contradictions(
         except ConfigurationError as error:
             yield ("controller", "address"), str(error)
     interpolators = interpolator_names()
-    if document.search.interpolator not in interpolators:
+    if is_file_name(document.search.interpolator):
+        try:
+            load_law(path.parent / document.search.interpolator, robot)
+        except InputError as error:
+            yield ("search", "interpolator"), str(error)
+    elif document.search.interpolator not in interpolators:
         message = f"there is no interpolator {document.search.interpolator!r}; allowed are {', '.join(interpolators)}"
+        message += ", or the .yaml file of a learned one"
         yield ("search", "interpolator"), message
     for name in document.cell.joint_ranges:
         try:
@@ -213,13 +220,22 @@ def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Re
             {name: _joint_range(name, document, robot) for name in document.cell.joint_ranges},
         ),
         motion=MotionPlan(settings, via_points_of(path, document.motion.via_points)),
-        search=document.search,
+        search=_search(path, document),
         record=document.record,
         estimate=document.estimate,
         validate=document.validate_,
         gate=document.gate,
         recalibrate=document.recalibrate,
     )
+
+
+def _search(path: Path, document: RecipeDocument) -> SearchSection:
+    """With the file of a learned interpolator as a path from here."""
+    from agent.motion.learned import is_file_name
+
+    name = document.search.interpolator
+    file = str(path.parent / name) if is_file_name(name) else name
+    return document.search.model_copy(update={"interpolator": file})
 
 
 def _joint_range(name: str, document: RecipeDocument, robot: RobotDescription) -> tuple[float, float]:

@@ -171,9 +171,12 @@ def _by_name(value: Any) -> dict[str, Any] | None:
 
 def _interpolator(name: str) -> Any:
     """Its name, with what tells one installed or licensed interpolator from another of that name."""
+    from agent.motion.learned import is_file_name
     from agent.motion.orl import LIBRARY
     from agent.motion.registry import ENTRY_POINTS
 
+    if is_file_name(name):
+        return {"name": "learned", "file": _file_digest(Path(name))}
     library = os.environ.get(LIBRARY) if name == "orl" else None
     if library and os.path.isfile(library):
         return {"name": name, "library": _file_digest(Path(library))}

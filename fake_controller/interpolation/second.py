@@ -137,11 +137,13 @@ class SecondInterpolator:
             ways.append(piece.way + at)
             at += piece.way[-1]
         joints = self._solved(pieces, q)
-        knots = np.concatenate([ways[0][:1], *(way[1:] for way in ways)])
-        spline = CubicSpline(knots, np.concatenate([joints[0][:1], *(part[1:] for part in joints)]))
+        # One spline over all pieces would carry the curvature of a corner into the legs beside it, and slow them down.
+        splines = [CubicSpline(way, part) for way, part in zip(ways, joints, strict=True)]
+        limits = np.array([self._limits(*each) for each in zip(pieces, ways, splines, strict=True)]).T
         slower = np.ones(len(pieces))
         for _ in range(_REPAIRS):
-            rows, which = self._sampled(pieces, ways, spline, slower, parts[0].index)
+            stretches = self._timed(pieces, limits, slower)
+            rows, which = self._sampled(stretches, ways, splines, parts[0].index)
             full = np.abs(rows[:, 2]) / self.robot.max_acceleration
             over = np.array([full[which == k].max(initial=0.0) for k in range(len(pieces))])
             slower *= np.where(over > 1.0, 0.99 / np.maximum(over, 1.0), 1.0)
@@ -152,22 +154,21 @@ class SecondInterpolator:
         return rows, owner
 
     def _sampled(
-        self, pieces: Sequence[_Piece], ways: Sequence[np.ndarray], spline: CubicSpline, slower: np.ndarray, index: int
+        self, stretches: Sequence[Stretch], ways: Sequence[np.ndarray], splines: Sequence[CubicSpline], index: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """(S, 3, n) joints, velocities and accelerations from rest to rest, and (S,) the pieces they belong to."""
-        stretches = self._timed(pieces, ways, spline, slower)
         begins = np.concatenate(([0.0], np.cumsum([stretch.duration for stretch in stretches])))
         if begins[-1] > _LONGEST:
             raise MotionError(f"the motion would take {begins[-1]:.0f} s", index, "duration", 1.0)
         t = np.minimum(np.arange(int(np.ceil(begins[-1] / self.period - 1e-9)) + 1) * self.period, begins[-1])
         which = np.clip(np.searchsorted(begins, t, side="right") - 1, 0, len(stretches) - 1)
-        s, v, a = np.empty((3, len(t)))
-        for k, stretch in enumerate(stretches):
+        rows = np.empty((len(t), 3, self.robot.dof))
+        for k, (stretch, spline) in enumerate(zip(stretches, splines, strict=True)):
             mine = which == k
-            s[mine], v[mine], a[mine] = stretch.at(t[mine] - begins[k])
-            s[mine] += ways[k][0]
-        first, second = spline(s, 1), spline(s, 2)
-        return np.stack((spline(s), first * v[:, None], second * v[:, None] ** 2 + first * a[:, None]), axis=1), which
+            s, v, a = stretch.at(t[mine] - begins[k])[..., None]
+            q, first, second = (spline(s[:, 0] + ways[k][0], order) for order in range(3))
+            rows[mine] = np.stack((q, first * v, second * v**2 + first * a), axis=1)
+        return rows, which
 
     def _solved(self, pieces: Sequence[_Piece], q: np.ndarray) -> list[np.ndarray]:
         """Joints (K, n) at the knots of each piece."""
@@ -188,11 +189,9 @@ class SecondInterpolator:
             q = places[-1]
         return out
 
-    def _timed(
-        self, pieces: Sequence[_Piece], ways: Sequence[np.ndarray], spline: CubicSpline, slower: np.ndarray
-    ) -> list[Stretch]:
+    def _timed(self, pieces: Sequence[_Piece], limits: np.ndarray, slower: np.ndarray) -> list[Stretch]:
         """Speed and acceleration of each piece, with corners as slow as the ways between them make it."""
-        speed, up, down = np.array([self._limits(*pair, spline) for pair in zip(pieces, ways, strict=True)]).T
+        speed, up, down = limits
         speed, up, down = speed * np.sqrt(slower), up * slower, down * slower
         length = np.array([piece.way[-1] for piece in pieces])
         jerk = np.inf if self.law.jerk_time == 0 else max(up.max(), down.max()) / self.law.jerk_time
@@ -211,11 +210,9 @@ class SecondInterpolator:
         ]
 
     def _limits(self, piece: _Piece, way: np.ndarray, spline: CubicSpline) -> tuple[float, float, float]:
-        """Speed, acceleration and deceleration along a piece."""
+        """Speed, acceleration and deceleration along a piece, by the joints on it alone."""
         law, robot, round_corner = self.law, self.robot, len(piece.parts) == 2
-        # A leg's last knots are bent by the spline of the corner beside it.
-        inside = slice(None) if round_corner or len(way) < 7 else slice(2, -2)
-        first, second = np.abs(spline(way, 1)).max(axis=0), np.abs(spline(way[inside], 2)).max(axis=0)
+        first, second = np.abs(spline(way, 1)).max(axis=0), np.abs(spline(way, 2)).max(axis=0)
         with np.errstate(divide="ignore"):
             joints = float(np.min(robot.max_velocity / first))
             speed = min(joints, float(np.sqrt(np.min(law.curve * robot.max_acceleration / second))))

@@ -9,7 +9,8 @@ lowers z, the constraints are monotone, and so passes over all joints converge t
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -44,8 +45,15 @@ class ArmLimits:
             for joint in robot.joints
         ]
         tcp = robot.cartesian_limits or CartesianLimits(np.inf, np.inf, np.inf, np.inf)
-        cartesian = CartesianLimits(*(_KEPT * limit for limit in astuple(tcp)))
-        return cls(_KEPT * robot.max_velocity, _KEPT * robot.max_acceleration, _KEPT * np.array(jerk), cartesian)
+        kept = 1.0 if parameters.ramps == "blocks" else _KEPT  # which keep their limits to the last digit
+        part = kept * parameters.acceleration
+        cartesian = CartesianLimits(
+            kept * tcp.linear_speed,
+            part * tcp.linear_acceleration,
+            kept * tcp.rotational_speed,
+            part * tcp.rotational_acceleration,
+        )
+        return cls(kept * robot.max_velocity, part * robot.max_acceleration, kept * np.array(jerk), cartesian)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +62,7 @@ class PathShape:
 
     coefficients (4, n + 7, K - 1): of the cell from each knot on, highest power first, rows q, p and the quaternion.
     Knots last: q1, q2, q3 (n, K); `travel` (K,) = |dp/ds| and `bend` (K,), the part of d²p/ds² across the path; `turn`
-    and `turn_bend` (K,) the same for the rotation.
+    and `turn_bend` (K,) the same for the rotation. Where it is not `smooth`, curvature jumps from block to block.
     """
 
     coefficients: np.ndarray
@@ -65,6 +73,7 @@ class PathShape:
     bend: np.ndarray
     turn: np.ndarray
     turn_bend: np.ndarray
+    smooth: bool
 
     def roughness(self, path: Path) -> float:
         """How far joints and TCP may be from the true path between knots, in units of what is tolerated.
@@ -84,14 +93,20 @@ class PathShape:
         errors = change * np.maximum(step[1:], step[:-1]) ** 3 / 384.0
         # At its ends the spline has one cubic for two cells, and errs about ten times as much.
         errors[[0, 1, -2, -1]] *= 10.0
+        if not self.smooth:
+            errors[path.borders[1:-1] - 1] = 0.0
         return errors
 
 
-def shape_of(path: Path) -> PathShape:
-    """The spline of a path and its derivatives at the knots."""
+def shape_of(path: Path, smooth: bool = True) -> PathShape:
+    """The spline of a path and its derivatives at the knots; one for each block where the path is not `smooth`."""
     n = path.q.shape[1]
     rows = np.concatenate((path.q.T, path.position.T, path.orientation.T))
-    coefficients = not_a_knot(path.s, rows)
+    if smooth:
+        coefficients = not_a_knot(path.s, rows)
+    else:
+        pieces = [_piece(path.s[a : b + 1], rows[:, a : b + 1]) for a, b in pairwise(path.borders)]
+        coefficients = np.concatenate(pieces, axis=2)
     cubic, square, linear, _ = coefficients
     step = path.s[-1] - path.s[-2]
     first, second, third = np.empty((3, *rows.shape))
@@ -106,7 +121,16 @@ def shape_of(path: Path) -> PathShape:
     inverse = rotation.conjugate(path.orientation)
     turning = 2.0 * rotation.multiply(way[:, 3:], inverse)[:, 1:]
     turn, turn_bend = _along_and_across(turning, 2.0 * rotation.multiply(change[:, 3:], inverse)[:, 1:])
-    return PathShape(coefficients, first[:n], second[:n], third[:n], travel, bend, turn, turn_bend)
+    return PathShape(coefficients, first[:n], second[:n], third[:n], travel, bend, turn, turn_bend, smooth)
+
+
+def _piece(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """As `not_a_knot`; through two or three knots the line or the parabola."""
+    if len(x) > 3:
+        return not_a_knot(x, rows)
+    from scipy.interpolate import CubicSpline
+
+    return CubicSpline(x, rows.T).c.transpose(0, 2, 1)
 
 
 def not_a_knot(x: np.ndarray, rows: np.ndarray) -> np.ndarray:

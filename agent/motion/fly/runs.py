@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from agent.motion.fly.blocks import plan_blocks
 from agent.motion.fly.profile import ArmLimits, PathShape, shape_of
 from agent.motion.fly.setpoints import Run, plan_run
 from agent.motion.fly_parameters import FlyParameters
@@ -65,7 +66,8 @@ class RunPlanner:
         path, shape = self._path(segments, corners, start)
         self._check_positions(path, segments)
         self._check_care(path, segments)
-        return plan_run(path, shape, segments, self.limits, self.period, self.parameters)
+        plan = plan_blocks if self.parameters.ramps == "blocks" else plan_run
+        return plan(path, shape, segments, self.limits, self.period, self.parameters)
 
     def _path(
         self, segments: Sequence[Segment], corners: Sequence[Corner], start: np.ndarray
@@ -88,7 +90,7 @@ class RunPlanner:
                     for corner, deviation in zip(corners, path.deviations, strict=True)
                 ]
                 continue
-            shape = shape_of(path)
+            shape = shape_of(path, self.parameters.blend == "polynomial")
             roughness = shape.roughness(path)
             if roughness <= 1.0 or fineness >= _FINEST or last:
                 break

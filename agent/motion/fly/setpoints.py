@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from agent.motion.fly.profile import ArmLimits, PathShape, fastest, speed_ceiling, widened
-from agent.motion.fly.time_law import TimeLaw, samples_in, time_law
+from agent.motion.fly.time_law import samples_in, time_law
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.interpolator import MotionError
 from agent.motion.path import rules
@@ -28,6 +29,20 @@ _TURNING = 6.0
 #: A stretch of this part is left alone: speed 0.05 %, acceleration 0.1 %, jerk 0.15 % over what is planned for, which
 #: itself is 0.2 % below the arm's limits.
 _TOLERANCE = 5e-4
+
+
+class Law(Protocol):
+    """s over time: from t (P,) on at s (P,), until `duration` [s]."""
+
+    @property
+    def t(self) -> np.ndarray: ...
+    @property
+    def s(self) -> np.ndarray: ...
+    @property
+    def duration(self) -> float: ...
+    def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """s, ṡ, s̈ (S,) at times t (S,) [s]."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +90,7 @@ class Run:
 
     path: Path
     shape: PathShape
-    law: TimeLaw
+    law: Law
     samples: SetPoints
 
 
@@ -92,35 +107,36 @@ def plan_run(
     Raises:
         MotionError: it would take too long, or the arm would all but stop near a singularity; names one of `segments`.
     """
-    _refuse_crawling(path, shape, segments, limits, parameters)
+    refuse_crawling(path, shape, segments, limits, parameters)
     ramp = parameters.ramp * float(np.max(limits.acceleration / limits.jerk))
     window = max(round(ramp / period), 1) * period
     ceiling = widened(path, speed_ceiling(path, shape, limits, parameters), window)
     step = _COARSE * period
     for _ in range(_REPAIRS):
         law = time_law(path, fastest(path, shape, limits, ceiling), window)
-        _refuse_long(path, law, segments, parameters)
-        samples = _sampled(path, shape, law, step)
-        stretch = _stretch(path, samples, limits, step)
+        refuse_long(path, law, segments, parameters)
+        samples = sampled(path, shape, law, step)
+        stretch = stretch_needed(path, samples, limits, step)
         if step > period and stretch.max() <= 1.0 + _TOLERANCE:
             step = period
-            samples = _sampled(path, shape, law, step)
-            stretch = _stretch(path, samples, limits, step)
+            samples = sampled(path, shape, law, step)
+            stretch = stretch_needed(path, samples, limits, step)
         if stretch.max() <= 1.0 + _TOLERANCE:
             return Run(path, shape, law, samples)
         ceiling = _lowered(ceiling, path, samples, stretch, round(window / step))
     for _ in range(_STRETCHES):
-        samples = _sampled(path, shape, law, period)
-        stretch = _stretch(path, samples, limits, period)
+        samples = sampled(path, shape, law, period)
+        stretch = stretch_needed(path, samples, limits, period)
         if stretch.max() <= 1.0 + _TOLERANCE:
             break
         law = replace(law, stretch=law.stretch * float(stretch.max()))
     return Run(path, shape, law, samples)
 
 
-def _refuse_crawling(
+def refuse_crawling(
     path: Path, shape: PathShape, segments: Sequence[Segment], limits: ArmLimits, parameters: FlyParameters
 ) -> None:
+    """Refuse a path on which the arm would all but stop near a singularity (MotionError)."""
     linear = np.minimum(path.rules[:, rules.LINEAR], limits.cartesian.linear_speed)
     turning = min(limits.cartesian.rotational_speed, _TURNING)
     with np.errstate(divide="ignore"):
@@ -142,10 +158,12 @@ def _refuse_crawling(
     )
 
 
-def _refuse_long(path: Path, law: TimeLaw, segments: Sequence[Segment], parameters: FlyParameters) -> None:
+def refuse_long(path: Path, law: Law, segments: Sequence[Segment], parameters: FlyParameters) -> None:
+    """Refuse a motion that takes too long (MotionError); names the move on which the longest of it is spent."""
     if law.duration <= parameters.longest:
         return
-    move = int(path.move[int(np.argmax(np.diff(law.t)))])
+    slowest = int(np.argmax(np.diff(law.t, append=law.duration)))
+    move = int(path.move[np.searchsorted(path.s[:-1], path.s[0] + law.s[slowest])])
     raise MotionError(
         f"{_label(segments, move)}: the motion would take {law.duration:.3g} s, and {parameters.longest:g} s are "
         "allowed; raise the speed or the overrides",
@@ -159,7 +177,8 @@ def _label(segments: Sequence[Segment], move: int) -> str:
     return next((segment.label for segment in segments if segment.move == move), segments[0].label)
 
 
-def _sampled(path: Path, shape: PathShape, law: TimeLaw, period: float) -> SetPoints:
+def sampled(path: Path, shape: PathShape, law: Law, period: float) -> SetPoints:
+    """Samples of a path run through by a time law."""
     n = path.q.shape[1]
     t = np.arange(int(np.ceil(law.duration / period - 1e-9)) + 1) * period
     s, speed, acceleration = law.sample(t)
@@ -190,7 +209,7 @@ def _sampled(path: Path, shape: PathShape, law: TimeLaw, period: float) -> SetPo
     return SetPoints(value[:n], rate[:n], change[:n], s, speed, value[n:], rate[n:], change[n:])
 
 
-def _stretch(path: Path, samples: SetPoints, limits: ArmLimits, period: float) -> np.ndarray:
+def stretch_needed(path: Path, samples: SetPoints, limits: ArmLimits, period: float) -> np.ndarray:
     """(S,) the factor by which time would have to be stretched at each sample for every limit to hold there.
 
     Where all hold it is 1 or less. Programmed speeds of the TCP count as limits: a change of speed from move to move

@@ -5,8 +5,9 @@ dσ₂/dτ = 2 e₂ h(τ), with e the part of the move given to the blend and h 
 
     p = p₁(σ₁) + p₂(σ₂) − p_corner,   R = R₁(σ₁) R_cornerᵀ R₂(σ₂),   q = q₁(σ₁) + q₂(σ₂) − q_corner
 
-so one law serves lines, arcs, orientations and joints. Because h and h' vanish at τ = 0 and h' at τ = 1, the path is
-curvature-continuous. Nothing here knows about speed.
+so one law serves lines, arcs, orientations and joints. Because h and h' of a polynomial vanish at τ = 0 and h' at
+τ = 1, its path is curvature-continuous. With h = τ two lines are joined by a parabola, with h ∝ sin θτ by the circle
+that touches both, θ the angle between them: what other controllers do. Nothing here knows about speed.
 """
 
 from __future__ import annotations
@@ -23,23 +24,40 @@ from agent.motion.program import FlyTrajectory, FlyType, MotionSettings
 _CELLS, _MOST_CELLS = 24, 256
 #: [m] Blends smaller than this are stops.
 _SMALLEST = 1e-4
+#: [rad] A circle through less is a parabola.
+_STRAIGHT = 1e-3
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 
 @dataclass(frozen=True)
 class BlendStep:
-    """The polynomial step h of a blend: a cubic, a quintic or a mixture of both (`shape` 0..1)."""
+    """The step h of a blend: polynomial (cubic, quintic or a mixture, `shape` 0..1), `parabola`, or `circle`.
+
+    `angle` [rad] by which the way turns, of a circle. `turn`: the orientation goes by the same step (`path`), or by
+    `slerp` from one move's to the other's, each run on beyond the blend.
+    """
 
     shape: float = 0.0
+    family: str = "polynomial"
+    angle: float = 1.0
+    turn: str = "path"
 
     def value(self, tau: np.ndarray) -> np.ndarray:
         """h(τ)"""
+        if self.family == "parabola":
+            return tau
+        if self.family == "circle":
+            return 0.5 * self.angle * np.sin(self.angle * tau) / (1.0 - np.cos(self.angle))
         cubic = tau * tau * (3.0 - 2.0 * tau)
         quintic = tau**3 * (10.0 + tau * (6.0 * tau - 15.0))
         return (1.0 - self.shape) * cubic + self.shape * quintic
 
     def integral(self, tau: np.ndarray) -> np.ndarray:
         """∫h from 0 to τ; one half at τ = 1."""
+        if self.family == "parabola":
+            return 0.5 * tau * tau
+        if self.family == "circle":
+            return 0.5 * (1.0 - np.cos(self.angle * tau)) / (1.0 - np.cos(self.angle))
         cubic = tau**3 * (1.0 - 0.5 * tau)
         quintic = tau**4 * (2.5 + tau * (tau - 3.0))
         return (1.0 - self.shape) * cubic + self.shape * quintic
@@ -68,8 +86,8 @@ class Corner:
 
     def sigma(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Parameters of the move before and the move after."""
-        integral = self.step.integral(tau)
-        return 1.0 - self.before + 2.0 * self.before * (tau - integral), 2.0 * self.after * integral
+        leaving = self.step.integral(1.0 - tau)
+        return 1.0 - 2.0 * self.before * leaving, 2.0 * self.after * self.step.integral(tau)
 
     def scaled(self, factor: float) -> Corner:
         """The same blend, smaller."""
@@ -81,8 +99,7 @@ class Corner:
 
     def rate(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Their derivatives by τ."""
-        value = self.step.value(tau)
-        return 2.0 * self.before * (1.0 - value), 2.0 * self.after * value
+        return 2.0 * self.before * self.step.value(1.0 - tau), 2.0 * self.after * self.step.value(tau)
 
 
 def bump(tau: np.ndarray) -> np.ndarray:
@@ -105,12 +122,13 @@ def corner_between(before: Segment, after: Segment, parameters: FlyParameters) -
     if before.kinematics is not after.kinematics:
         return None
     lines = (before, after) if isinstance(before, CartesianSegment) and isinstance(after, CartesianSegment) else None
-    step = BlendStep(parameters.blend_shape)
     sizes = before.extent, after.extent
     half = 0.5 * min(sizes)
     overlap = settings.fly_type is FlyType.FLY_NORM
     through = settings.fly_trajectory is FlyTrajectory.FLY_PASS
     turn = 0.5 * np.pi if lines is None else _deflection(*lines)
+    family = "parabola" if parameters.blend == "circle" and turn < _STRAIGHT else parameters.blend
+    step = BlendStep(parameters.blend_shape, family, turn, parameters.blend_turn)
     if turn > parameters.stop_angle:
         return None
     size = min(half, _reach(settings, half, before, parameters))
@@ -215,6 +233,8 @@ def blended_orientation(
     """(S, 4) orientation in the blend."""
 
     def blend(tau: np.ndarray) -> np.ndarray:
+        if corner.step.turn == "slerp":
+            return _slerped(corner, before, after, tau)
         one, two = corner.sigma(tau)
         since_corner = rotation.multiply(rotation.conjugate(at_corner), after.turn.orientation(two))
         return rotation.multiply(before.turn.orientation(one), since_corner)
@@ -228,11 +248,25 @@ def blended_orientation(
     return blended
 
 
+def _slerped(corner: Corner, before: CartesianSegment, after: CartesianSegment, tau: np.ndarray) -> np.ndarray:
+    # At both ends the rate is that of the step h.
+    u = tau + (float(corner.step.value(np.ones(1))[0]) - 1.0) * tau * (1.0 - tau) * (1.0 - 2.0 * tau)
+    leaving = before.turn.orientation(1.0 - corner.before * (1.0 - u))
+    between = rotation.multiply(rotation.conjugate(leaving), after.turn.orientation(corner.after * u))
+    part = rotation.from_rotation_vector(u[:, None] * np.stack([rotation.rotation_vector(one) for one in between]))
+    return rotation.multiply(leaving, part)
+
+
 def blended_length(
     corner: Corner, before: CartesianSegment, after: CartesianSegment, tau: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lengths of the blend's cells (S - 1,) [m], and at the samples how far the superposed moves add up (S,), 0..1."""
     cells = np.diff(tau)
+    if corner.step.family == "parabola":
+        # It is run through at a constant rate of τ: one acceleration from the one velocity to the other.
+        along, apart = _rates(corner, before, after, tau)
+        way = corner.before * before.extent + corner.after * after.extent
+        return way * cells, np.minimum(along / apart, 1.0)
     nodes = (tau[:-1, None] + cells[:, None] * 0.5 * (1.0 + _NODES)).ravel()
     along, apart = _rates(corner, before, after, np.concatenate((nodes, tau)))
     lengths = (along[: len(nodes)].reshape(-1, 3) @ _WEIGHTS) * 0.5 * cells

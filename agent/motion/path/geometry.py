@@ -26,6 +26,7 @@ class Path:
 
     s (K,); q (K, n); position (K, 3) [m] and orientation (K, 4) of the TCP; move (K,) statement index;
     rules (K, 7) as in `path_rules`; overlap (K,) the part of the speed that FLY_NORM leaves, 1 elsewhere;
+    block (K,): the k-th move of the run (2k), or the corner after it (2k + 1), whose cell ends at a knot.
     deviations: by corner, how many times $FLY_DIST a joint-space blend is away from it (0 for other blends).
     """
 
@@ -36,13 +37,20 @@ class Path:
     move: np.ndarray
     rules: np.ndarray
     overlap: np.ndarray
+    block: np.ndarray
     deviations: tuple[float, ...]
+
+    @property
+    def borders(self) -> np.ndarray:
+        """(B + 1,) knots at which blocks begin, and the last one."""
+        return np.concatenate(([0], 1 + np.flatnonzero(np.diff(self.block[1:])), [len(self.s) - 1]))
 
 
 @dataclass(eq=False)
 class _Stretch:
     """Knots in a row: `steps` (k,) of s, each from the knot before, and what is known of the knots so far."""
 
+    block: int
     steps: np.ndarray
     move: np.ndarray
     rules: np.ndarray
@@ -80,10 +88,11 @@ def build_path(
         lead = corners[first - 1] if first > 0 else None
         trail = corners[last] if last < len(corners) else None
         unit = segments[first : last + 1]
-        body = _body(unit, corners[first:last], lead, trail, parameters, fineness)
-        head, solved, tail = _solve(unit, body, lead, trail, q)
+        body = _body(unit, corners[first:last], lead, trail, parameters, fineness, first)
+        head, solved, tail = _solve(unit, body, lead, trail, q, parameters)
         if lead is not None:
-            stretches.append(_joint_corner(segments[first - 1], unit[0], lead, running_out, head, speeds, parameters))
+            two = segments[first - 1], unit[0]
+            stretches.append(_joint_corner(2 * first - 1, *two, lead, running_out, head, speeds, parameters))
             deviations[first - 1] = _deviation(lead, unit[0], running_out, head, stretches[-1])
             body[0].steps[0] = stretches[-1].steps[-1]
             stretches[-1].steps = stretches[-1].steps[:-1]
@@ -100,6 +109,7 @@ def _body(
     trail: Corner | None,
     parameters: FlyParameters,
     fineness: float,
+    first: int,
 ) -> list[_Stretch]:
     """Knots of the moves of one unit outside joint-space corners; the first stretch has the first knot, step 0."""
     corners = (lead, *inner, trail)
@@ -115,16 +125,24 @@ def _body(
         travel = _cells((end - begin) * segment.metric, edges[0], edges[1], _spacing(segment, parameters) / fineness)
         sigma = begin + travel / segment.metric
         skip = 0 if k == 0 else 1
-        body.append(_on_segment(segment, sigma[skip:], np.diff(travel, prepend=0.0)[skip:]))
+        body.append(
+            _on_segment(2 * (first + k), segment, sigma[skip:], np.diff(travel, prepend=0.0)[skip:], parameters)
+        )
         if k < len(inner):
-            body.append(_on_corner(inner[k], segment, unit[k + 1], parameters))
+            body.append(_on_corner(2 * (first + k) + 1, inner[k], segment, unit[k + 1], parameters))
     return body
 
 
-def _on_segment(segment: Segment, sigma: np.ndarray, steps: np.ndarray) -> _Stretch:
+def _on_segment(
+    block: int, segment: Segment, sigma: np.ndarray, steps: np.ndarray, parameters: FlyParameters
+) -> _Stretch:
     count = len(sigma)
     stretch = _Stretch(
-        steps, np.full(count, segment.move), np.broadcast_to(segment_rules(segment), (count, 7)), np.ones(count)
+        block,
+        steps,
+        np.full(count, segment.move),
+        np.broadcast_to(segment_rules(segment, parameters), (count, 7)),
+        np.ones(count),
     )
     if isinstance(segment, JointSegment):
         stretch.q = segment.start + sigma[:, None] * (segment.end - segment.start)
@@ -138,12 +156,13 @@ def _on_segment(segment: Segment, sigma: np.ndarray, steps: np.ndarray) -> _Stre
     return stretch
 
 
-def _on_corner(corner: Corner, before: Segment, after: Segment, parameters: FlyParameters) -> _Stretch:
+def _on_corner(block: int, corner: Corner, before: Segment, after: Segment, parameters: FlyParameters) -> _Stretch:
     assert isinstance(before, CartesianSegment)
     assert isinstance(after, CartesianSegment)
     tau = corner.tau()
     lengths, along = blended_length(corner, before, after, tau)
     return _Stretch(
+        block,
         lengths,
         np.where(tau[1:] < 0.5, before.move, after.move),
         np.broadcast_to(corner_rules(before, after, parameters), (corner.cells, 7)),
@@ -155,12 +174,21 @@ def _on_corner(corner: Corner, before: Segment, after: Segment, parameters: FlyP
 
 
 def _solve(
-    unit: Sequence[Segment], body: list[_Stretch], lead: Corner | None, trail: Corner | None, start: np.ndarray
+    unit: Sequence[Segment],
+    body: list[_Stretch],
+    lead: Corner | None,
+    trail: Corner | None,
+    start: np.ndarray,
+    parameters: FlyParameters,
 ) -> tuple[np.ndarray, list[_Stretch], np.ndarray]:
     """Joints of a unit from `start` (n,): on the way in (lead.cells + 1, n), its knots, on the way out."""
     into = np.empty(0) if lead is None else lead.sigma(lead.tau())[1][:-1]
     out = np.empty(0) if trail is None else trail.sigma(trail.tau())[0][1:]
-    ways = [_on_segment(unit[0], into, into), *body, _on_segment(unit[-1], out, out)]
+    ways = [
+        _on_segment(-1, unit[0], into, into, parameters),
+        *body,
+        _on_segment(-1, unit[-1], out, out, parameters),
+    ]
     if isinstance(unit[0], CartesianSegment):
         position, orientation = (
             np.concatenate([getattr(way, name) for way in ways]) for name in ("position", "orientation")
@@ -176,6 +204,7 @@ def _solve(
 
 
 def _joint_corner(
+    block: int,
     before: Segment,
     after: Segment,
     corner: Corner,
@@ -196,6 +225,7 @@ def _joint_corner(
     along = np.minimum(moves[0] / np.maximum(moves[1] + moves[2], 1e-300), 1.0)
     count = corner.cells - 1
     return _Stretch(
+        block,
         before.metric * np.diff(one) + after.metric * np.diff(two),
         np.where(tau[1:-1] < 0.5, before.move, after.move),
         np.broadcast_to(corner_rules(before, after, parameters), (count, 7)),
@@ -238,6 +268,7 @@ def _assemble(stretches: list[_Stretch], segment: Segment, deviations: tuple[flo
         np.concatenate([stretch.move for stretch in stretches]),
         np.concatenate([stretch.rules for stretch in stretches]),
         np.concatenate([stretch.overlap for stretch in stretches]),
+        np.concatenate([np.full(len(stretch.move), stretch.block) for stretch in stretches]),
         deviations,
     )
 

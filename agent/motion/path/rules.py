@@ -14,7 +14,7 @@ from agent.motion.program import SpeedOption
 LINEAR, ROTATIONAL, JOINT, CARTESIAN, STRESS, ACCELERATION, DECELERATION = range(7)
 
 
-def segment_rules(segment: Segment) -> np.ndarray:
+def segment_rules(segment: Segment, parameters: FlyParameters) -> np.ndarray:
     """(7,) rules along one move."""
     settings = segment.settings
     override = settings.speed_override * settings.arm_override
@@ -39,15 +39,15 @@ def segment_rules(segment: Segment) -> np.ndarray:
             joint,
             cartesian,
             1.0,
-            settings.acceleration_override * settings.arm_override,
-            settings.deceleration_override * settings.arm_override,
+            settings.acceleration_override * settings.arm_override**parameters.override_power,
+            settings.deceleration_override * settings.arm_override**parameters.override_power,
         ]
     )
 
 
 def corner_rules(before: Segment, after: Segment, parameters: FlyParameters) -> np.ndarray:
     """(7,) rules in the blend between two moves: the stricter of both, and what `$STRESS_PER` leaves."""
-    rules = np.minimum(segment_rules(before), segment_rules(after))
+    rules = np.minimum(segment_rules(before, parameters), segment_rules(after, parameters))
     floor = parameters.stress_floor
     rules[STRESS] = floor + (1.0 - floor) * before.settings.stress_percent / 100.0
     return rules

@@ -1,0 +1,274 @@
+"""Block by block: one speed and one acceleration for each move, one speed for each corner, ramps in between.
+
+So most numerical controls run a path (Biagiotti and Melchiorri, Trajectory Planning for Automatic Machines and Robots,
+2008, ch. 3): a move has the lowest speed and acceleration that its limits leave anywhere on it, and speed changes on
+moves only. A ramp is trapezoidal in speed, or its acceleration rises and falls at the jerk a/rise, with a the highest
+acceleration of the run. A controller whose set-points look so is planned for so (`agent learn-interpolator`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from agent.motion.fly.profile import ArmLimits, PathShape
+from agent.motion.fly.setpoints import Run, SetPoints, refuse_crawling, refuse_long, sampled, stretch_needed
+from agent.motion.fly_parameters import FlyParameters
+from agent.motion.path import rules
+from agent.motion.path.geometry import Path
+from agent.motion.path.segments import Segment
+
+_REPAIRS, _HALVINGS = 6, 50
+_SMALL = 1e-12
+_TOLERANCE = 5e-4
+
+
+@dataclass(frozen=True, eq=False)
+class BlockLaw:
+    """s over time: phases from t (P,) on, at s, speed and acceleration (P,), with a constant jerk (P,)."""
+
+    t: np.ndarray
+    s: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+    raw_duration: float
+    stretch: float = 1.0
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return self.raw_duration * self.stretch
+
+    def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """s, ṡ, s̈ (S,) at times t (S,) [s] since the start of the run; at rest outside of it."""
+        t = np.clip(t / self.stretch, 0.0, self.raw_duration)
+        k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 1)
+        dt, a, jerk = t - self.t[k], self.acceleration[k], self.jerk[k]
+        speed = self.speed[k] + dt * (a + 0.5 * jerk * dt)
+        s = self.s[k] + dt * (self.speed[k] + dt * (0.5 * a + jerk * dt / 6.0))
+        at_rest = (t <= 0.0) | (t >= self.raw_duration)
+        acceleration = np.where(at_rest, 0.0, (a + jerk * dt) / self.stretch**2)
+        return s, np.where(at_rest, 0.0, speed / self.stretch), acceleration
+
+
+def plan_blocks(
+    path: Path,
+    shape: PathShape,
+    segments: Sequence[Segment],
+    limits: ArmLimits,
+    period: float,
+    parameters: FlyParameters,
+) -> Run:
+    """Samples along `path`, block by block, within its rules and the arm's limits, from rest to rest.
+
+    Where a ramp on a curve asks too much of a joint, its whole block is slowed down. Jerk limits are not looked at.
+
+    Raises:
+        MotionError: it would take too long, or the arm would all but stop near a singularity; names one of `segments`.
+    """
+    refuse_crawling(path, shape, segments, limits, parameters)
+    blocks = _Blocks.of(path, shape, limits, parameters)
+    for _ in range(_REPAIRS):
+        law = blocks.law(parameters.rise)
+        refuse_long(path, law, segments, parameters)
+        samples = sampled(path, shape, law, period)
+        full = np.max(np.abs(samples.qdd) / (limits.acceleration / parameters.acceleration)[:, None], axis=0)
+        over = np.array([full[mine].max(initial=0.0) for mine in blocks.split(samples.s)])
+        if over.max() <= 1.0 + _TOLERANCE:
+            break
+        blocks = blocks.slower(np.where(over > 1.0, 0.99 / np.maximum(over, 1.0), 1.0))
+    return _within_limits(path, shape, limits, parameters, law, samples, period)
+
+
+def _within_limits(
+    path: Path,
+    shape: PathShape,
+    limits: ArmLimits,
+    parameters: FlyParameters,
+    law: BlockLaw,
+    samples: SetPoints,
+    period: float,
+) -> Run:
+    """The run, stretched in time by what is left beyond the arm's limits."""
+    tcp = replace(limits.cartesian, linear_acceleration=np.inf, rotational_acceleration=np.inf)
+    joints = limits.acceleration / parameters.acceleration
+    whole = ArmLimits(limits.speed, joints, np.full(len(joints), np.inf), tcp)
+    for _ in range(_REPAIRS):
+        stretch = float(stretch_needed(path, samples, whole, period).max())
+        if stretch <= 1.0 + 2.0 * _TOLERANCE:
+            break
+        law = replace(law, stretch=law.stretch * stretch)
+        samples = sampled(path, shape, law, period)
+    return Run(path, shape, law, samples)
+
+
+@dataclass(frozen=True, eq=False)
+class _Blocks:
+    """B blocks: the way `edges` (B + 1,), highest speed, acceleration and deceleration (B,), whether a corner (B,)."""
+
+    edges: np.ndarray
+    speed: np.ndarray
+    up: np.ndarray
+    down: np.ndarray
+    corner: np.ndarray
+
+    @classmethod
+    def of(cls, path: Path, shape: PathShape, limits: ArmLimits, parameters: FlyParameters) -> _Blocks:
+        """Of a path, by the limits at its knots."""
+        borders = path.borders
+        corner = path.block[borders[1:]] % 2 == 1
+        asked, ramp = _asked(path, shape, limits), _ramp(path, shape, limits)
+        in_cells = _bent_joints(path, shape, limits)
+        share = parameters.curve_share / parameters.acceleration
+        speed, up, down = np.empty((3, len(corner)))
+        for k, (a, b) in enumerate(pairwise(borders)):
+            # At a border there is the curvature of the cell before, and that of the cell after.
+            bent = share * min(np.min(in_cells[a:b]), _bent_tool(path, shape, limits, parameters, a, b))
+            whole = slice(a, b + 1)
+            # A rule belongs to the cell that ends at its knot.
+            own = path.rules[a + 1 : b + 1]
+            speed[k] = min(np.min(asked[whole if corner[k] else slice(a + 1, b + 1)]), float(np.sqrt(bent)))
+            up[k] = np.min(ramp[whole]) * np.min(own[:, rules.ACCELERATION])
+            down[k] = np.min(ramp[whole]) * np.min(own[:, rules.DECELERATION])
+        return cls(path.s[borders] - path.s[0], speed, up, down, corner)
+
+    def split(self, s: np.ndarray) -> list[np.ndarray]:
+        """Which samples at s (S,) are of which block."""
+        block = np.clip(np.searchsorted(self.edges, s, side="right") - 1, 0, len(self.speed) - 1)
+        return [block == k for k in range(len(self.speed))]
+
+    def slower(self, factor: np.ndarray) -> _Blocks:
+        """With accelerations times `factor` (B,), and speeds by its root."""
+        return replace(self, speed=self.speed * np.sqrt(factor), up=self.up * factor, down=self.down * factor)
+
+    def law(self, rise: float) -> BlockLaw:
+        """Speeds at the borders as high as all blocks allow, and the ramps between them."""
+        top = float(max(self.up.max(), self.down.max()))
+        jerk = top / rise if rise > 0.0 else np.inf
+        length, count = np.diff(self.edges), len(self.speed)
+        border = np.concatenate(([0.0], np.minimum(self.speed[:-1], self.speed[1:]), [0.0]))
+        for order, rate in ((range(count), self.up), (reversed(range(count)), self.down)):
+            for k in order:
+                one, other = (k, k + 1) if rate is self.up else (k + 1, k)
+                if self.corner[k]:
+                    border[other] = min(border[other], border[one])
+                else:
+                    border[other] = _reached(border[one], border[other], length[k], rate[k], jerk)
+        phases: list[tuple[float, float, float]] = []
+        speeds: list[float] = []
+        for k in range(count):
+            for phase, speed in self._phases(k, border[k], border[k + 1], length[k], jerk):
+                phases.append(phase)
+                speeds.append(speed)
+        times, acceleration, jerks = np.array(phases).T
+        ends = np.cumsum(times)
+        s = np.empty(len(times))
+        at = 0.0
+        for k, (dt, a, j) in enumerate(phases):
+            s[k] = at
+            at += dt * (speeds[k] + dt * (0.5 * a + j * dt / 6.0))
+        # Round-off of the ramps' lengths is put right here: the run ends where its path does.
+        scale = self.edges[-1] / at if at > 0.0 else 1.0
+        return BlockLaw(
+            ends - times, s * scale, np.array(speeds) * scale, acceleration * scale, jerks * scale, float(ends[-1])
+        )
+
+    def _phases(
+        self, k: int, start: float, end: float, length: float, jerk: float
+    ) -> list[tuple[tuple[float, float, float], float]]:
+        """((duration, acceleration, jerk), speed at its beginning) of one block."""
+        if self.corner[k]:
+            return [((length / max(start, _SMALL), 0.0, 0.0), start)]
+        up, down = self.up[k], self.down[k]
+
+        def needs(peak: float) -> float:
+            return _length(start, peak, up, jerk) + _length(peak, end, down, jerk)
+
+        peak, low = max(self.speed[k], start, end), max(start, end)
+        if needs(peak) > length:
+            high = peak
+            for _ in range(_HALVINGS):
+                peak = 0.5 * (low + high)
+                low, high = (peak, high) if needs(peak) <= length else (low, peak)
+            peak = low
+        rest = max(length - needs(peak), 0.0)
+        flat = [((rest / max(peak, _SMALL), 0.0, 0.0), peak)] if rest > _SMALL else []
+        return [*_ramp_phases(start, peak, up, jerk), *flat, *_ramp_phases(peak, end, down, jerk)]
+
+
+def _times(change: float, acceleration: float, jerk: float) -> tuple[float, float]:
+    """Seconds in which a ramp's acceleration rises (and falls), and in which it is constant."""
+    full, rise = acceleration / jerk, float(np.sqrt(change / jerk))
+    return (full, max(change / acceleration - full, 0.0)) if full <= rise else (rise, 0.0)
+
+
+def _length(start: float, end: float, acceleration: float, jerk: float) -> float:
+    rise, flat = _times(abs(end - start), acceleration, jerk)
+    return 0.5 * (start + end) * (2.0 * rise + flat)
+
+
+def _reached(start: float, wanted: float, length: float, acceleration: float, jerk: float) -> float:
+    """The highest speed up to `wanted` that a ramp from `start` reaches within `length`."""
+    if wanted <= start or _length(start, wanted, acceleration, jerk) <= length:
+        return wanted
+    low, high = start, wanted
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _length(start, middle, acceleration, jerk) <= length else (low, middle)
+    return low
+
+
+def _ramp_phases(
+    start: float, end: float, acceleration: float, jerk: float
+) -> list[tuple[tuple[float, float, float], float]]:
+    change = abs(end - start)
+    if change < _SMALL:
+        return []
+    rise, flat = _times(change, acceleration, jerk)
+    sign = float(np.sign(end - start))
+    peak = sign * change / (rise + flat)
+    bent = peak / rise if rise > 0.0 else 0.0
+    early = [((rise, 0.0, bent), start)] if rise > 0.0 else []
+    even = [((flat, peak, 0.0), start + 0.5 * peak * rise)] if flat > 0.0 else []
+    late = [((rise, peak, -bent), end - 0.5 * peak * rise)] if rise > 0.0 else []
+    return [*early, *even, *late]
+
+
+def _asked(path: Path, shape: PathShape, limits: ArmLimits) -> np.ndarray:
+    """(K,) speed that program and speed limits allow at each knot."""
+    rule, tcp = path.rules, limits.cartesian
+    linear = np.minimum(rule[:, rules.LINEAR], tcp.linear_speed * rule[:, rules.CARTESIAN])
+    turning = np.minimum(rule[:, rules.ROTATIONAL], tcp.rotational_speed * rule[:, rules.CARTESIAN])
+    joint = np.min(limits.speed[:, None] / np.maximum(np.abs(shape.q1), _SMALL), axis=0) * rule[:, rules.JOINT]
+    tool = np.minimum(linear / np.maximum(shape.travel, _SMALL), turning / np.maximum(shape.turn, _SMALL))
+    return np.minimum(tool, joint)
+
+
+def _bent_joints(path: Path, shape: PathShape, limits: ArmLimits) -> np.ndarray:
+    """(K - 1,) the largest z = ṡ² at which the curve alone takes no more than a joint's acceleration in a cell."""
+    n = path.q.shape[1]
+    first = 2.0 * shape.coefficients[1, :n]
+    last = first + 6.0 * shape.coefficients[0, :n] * np.diff(path.s)
+    return np.min(limits.acceleration[:, None] / np.maximum(np.maximum(np.abs(first), np.abs(last)), _SMALL), axis=0)
+
+
+def _bent_tool(path: Path, shape: PathShape, limits: ArmLimits, parameters: FlyParameters, a: int, b: int) -> float:
+    """The same of the tool's acceleration between knots a and b. Rotation counts as going with the way, as in ramps."""
+    tcp, limited = limits.cartesian, float(path.rules[b, rules.CARTESIAN])
+    allowed = tcp.linear_acceleration
+    if parameters.curve_turns:
+        allowed = min(allowed, tcp.rotational_acceleration / max(shape.turn[a], shape.turn[b], _SMALL))
+    bend = float(np.max(shape.bend[a + 1 : b], initial=0.0))
+    return limited * allowed / max(bend, _SMALL)
+
+
+def _ramp(path: Path, shape: PathShape, limits: ArmLimits) -> np.ndarray:
+    """(K,) acceleration along the path that each knot allows."""
+    joint = np.min(limits.acceleration[:, None] / np.maximum(np.abs(shape.q1), _SMALL), axis=0)
+    limited, tcp = path.rules[:, rules.CARTESIAN], limits.cartesian
+    linear = limited * tcp.linear_acceleration / np.maximum(shape.travel, _SMALL)
+    return np.minimum(joint, np.minimum(linear, limited * tcp.rotational_acceleration / np.maximum(shape.turn, _SMALL)))

@@ -1,0 +1,127 @@
+"""The interpolation law of one controller, learned from its set-points, as a small file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from agent.core.documents import load_document
+from agent.core.errors import InputError
+from agent.motion.fly_parameters import FlyParameters
+from agent.robot.description import RobotDescription
+
+SCHEMA = "interpolator/1"
+#: File name endings that tell a learned interpolator from the name of an installed one.
+SUFFIXES = (".yaml", ".yml")
+
+
+class _Parameters(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    blend: Literal["polynomial", "parabola", "circle"]
+    blend_shape: float = Field(ge=0, le=1)
+    blend_turn: Literal["path", "slerp"]
+    ramps: Literal["window", "blocks"]
+    acceleration: float = Field(gt=0, le=1)
+    rise: float = Field(ge=0, le=2)
+    override_power: float = Field(ge=0, le=3)
+    ramp: float = Field(gt=0, le=20)
+    jerk_time: float = Field(gt=0, le=2)
+    stress_floor: float = Field(ge=0, le=1)
+    auto_tightness: float = Field(ge=0, le=1)
+    curve_share: float = Field(gt=0, le=1)
+    curve_turns: bool
+    norm_acceleration: float = Field(gt=0, le=100)
+
+
+class _Document(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    schema_: Literal["interpolator/1"] = Field(alias="schema")
+    robot: str
+    robot_digest: str
+    parameters: _Parameters
+    settling_s: dict[str, float] = {}
+    figures: dict[str, dict[str, float]] = {}
+    logs: list[dict[str, str]] = []
+
+
+@dataclass(frozen=True)
+class LearnedLaw:
+    """Parameters, and what is known of how they came about.
+
+    `settling` [s] by `$TERM_TYPE`, what a stop takes beyond its set-points. `figures`: path error [mm] and time error
+    [%], `before` and `after`. `logs`: name and SHA-256 of each.
+    """
+
+    robot: str
+    robot_digest: str
+    parameters: FlyParameters
+    settling: dict[str, float]
+    figures: dict[str, dict[str, float]]
+    logs: tuple[Mapping[str, str], ...]
+
+    def text(self) -> str:
+        """The file's content."""
+        import io
+
+        from ruamel.yaml import YAML
+
+        data = {
+            "schema": SCHEMA,
+            "robot": self.robot,
+            "robot_digest": self.robot_digest,
+            "parameters": {key: getattr(self.parameters, key) for key in _Parameters.model_fields},
+            "settling_s": self.settling,
+            "figures": self.figures,
+            "logs": [dict(log) for log in self.logs],
+        }
+        out = io.StringIO()
+        yaml = YAML()
+        yaml.default_flow_style = False
+        yaml.dump(data, out)
+        return f"# Written by agent learn-interpolator, for search.interpolator of a recipe.\n{out.getvalue()}"
+
+
+def load_law(path: Path, robot: RobotDescription) -> LearnedLaw:
+    """The law of a file, for this robot.
+
+    Raises:
+        InputError: no such file, another schema, values out of range, another robot, or other limits of it.
+    """
+    document = load_document(path, _Document)
+    if document.robot != robot.name:
+        raise InputError(f"{path}: was learned from {document.robot}, and the robot is {robot.name}; learn it anew")
+    if document.robot_digest != robot_digest(robot):
+        raise InputError(
+            f"{path}: was learned with other limits of {robot.name} than its robot.yaml has now; learn it anew"
+        )
+    return LearnedLaw(
+        document.robot,
+        document.robot_digest,
+        FlyParameters(**document.parameters.model_dump()),
+        document.settling_s,
+        document.figures,
+        tuple(document.logs),
+    )
+
+
+def is_file_name(interpolator: str) -> bool:
+    """Whether the name of an interpolator is that of a learned one's file."""
+    return interpolator.lower().endswith(SUFFIXES)
+
+
+def robot_digest(robot: RobotDescription) -> str:
+    """SHA-256 (hex) of all that a law is relative to: joints, their limits and the tool's."""
+    limits = robot.cartesian_limits
+    parts: list[Any] = [
+        [joint.name, joint.max_velocity, joint.max_acceleration, joint.max_jerk] for joint in robot.joints
+    ]
+    text = json.dumps([robot.name, parts, None if limits is None else asdict(limits)])
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()

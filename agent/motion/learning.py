@@ -1,0 +1,239 @@
+"""A controller's interpolation law from its set-points: families of blends and ramps, and their parameters.
+
+First the path, whatever its speed: the blend family whose path lies nearest to the recorded one. Then the time law: the
+ramps that pass the same places at the same times. What the families are is general practice of motion control; the
+learner knows nothing else of the controller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from agent.motion.fly.interpolator import FlyInterpolator
+from agent.motion.fly_parameters import FlyParameters
+from agent.motion.interpolator import MotionError
+from agent.motion.program import FlyTrajectory, FlyType, Move
+from agent.robot.description import RobotDescription
+from agent.robot.kinematics import kinematics_for
+
+#: Parts of the way at which motions are compared; how the ends are crept along is lost in the set-points' digits.
+_PARTS = np.linspace(0.002, 0.998, 250)
+#: The same place is looked for so far before and after the same part of the way, on a path so fine.
+_AROUND, _FINE = 0.03, np.linspace(0.0, 1.0, 1001)
+#: A family has to be better than a simpler one by this part of its error.
+_BETTER = 0.9
+#: A simplex ends where it tells so little of the cost, or after so many plans; of a family on trial, so many.
+_ENOUGH, _PLANS, _TRIAL = 1e-3, 120, 40
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """What was moved from a standstill to the next: its moves, and times (S,) [s] and set-points (S, n) recorded."""
+
+    moves: tuple[Move, ...]
+    t: np.ndarray
+    q: np.ndarray
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Of a law on stretches. `path` [mm]: the farthest that the tool is from the planned path. `time` [%]: the largest
+    difference of the times at which the same place is passed, of the stretch's duration."""
+
+    path: float
+    time: float
+
+
+class Learner:
+    """Compares laws with stretches of one robot; `period` [s] of its set-points."""
+
+    def __init__(self, robot: RobotDescription, stretches: Sequence[Stretch], period: float, tool: Any = None):
+        self._interpolator = FlyInterpolator(robot, tool, period)
+        self._forward = kinematics_for(robot, tool).forward
+        self._all = [(stretch, _Way.of(stretch.t, stretch.q)) for stretch in stretches]
+        # Where something flies, a lone move from stop to stop teaches nothing more, and is judged all the same.
+        self._taught = [one for one in self._all if any(move.fly for move in one[0].moves)] or self._all
+
+    def errors(self, parameters: FlyParameters) -> Errors:
+        """Of a law.
+
+        Raises:
+            MotionError: it cannot run one of the stretches.
+        """
+        found = []
+        for recorded, planned in self._pairs(parameters, self._all):
+            away = self._away(recorded, planned, lambda q: self._forward(q)[:, :3, 3])
+            duration = float(recorded.t[-1] - recorded.t[0])
+            found.append((1e3 * away.max(), 100.0 * np.max(np.abs(_late(recorded, planned))) / duration))
+        path, time = np.max(found, axis=0)
+        return Errors(float(path), float(time))
+
+    def _off_path(self, parameters: FlyParameters) -> float:
+        """Root mean square distance from the planned path, in joints [rad]: of the tool's turn too."""
+        away = [self._away(*pair, lambda q: q) for pair in self._pairs(parameters, self._taught)]
+        return float(np.sqrt(np.mean(np.square(away))))
+
+    def _off_time(self, parameters: FlyParameters) -> float:
+        """Root mean square difference [s] of the times at which the same place is passed."""
+        late = [_late(*pair) for pair in self._pairs(parameters, self._taught)]
+        return float(np.sqrt(np.mean(np.square(late))))
+
+    def _pairs(
+        self, parameters: FlyParameters, stretches: Sequence[tuple[Stretch, _Way]]
+    ) -> Iterator[tuple[_Way, _Way]]:
+        interpolator = self._interpolator.with_parameters(parameters)
+        for stretch, recorded in stretches:
+            planned = interpolator.plan(stretch.moves, stretch.q[0])
+            yield recorded, _Way.of(planned.t, planned.q)
+
+    def _away(self, recorded: _Way, planned: _Way, place: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """(K,) distance of recorded places from the planned path."""
+        there = recorded.joints(_PARTS)
+        # The same place is looked for a little before and after the same part of the way.
+        return _nearest(place(planned.joints(_FINE)), place(there), np.abs(_FINE[None] - _PARTS[:, None]) <= _AROUND)
+
+    def learn(self, progress: Callable[[str], None] = lambda text: None) -> FlyParameters:
+        """The law that is nearest to the stretches.
+
+        Raises:
+            MotionError: no law can run them.
+        """
+        progress("path: blends")
+        path = self._path()
+        progress("time: ramps")
+        return self._time(path)
+
+    def _path(self) -> FlyParameters:
+        start = FlyParameters()
+        flying = [move for stretch, _ in self._taught for move in stretch.moves if move.fly]
+        if not flying:
+            return start
+        free = []
+        if any(move.settings.fly_trajectory is FlyTrajectory.FLY_AUTO for move in flying):
+            free.append(("auto_tightness", 0.0, 1.0))
+        if any(move.settings.fly_type is FlyType.FLY_NORM for move in flying):
+            free.append(("norm_acceleration", 0.3, 20.0))
+        families = [
+            (replace(start, blend="polynomial"), [("blend_shape", 0.0, 1.0), *free]),
+            (replace(start, blend="parabola"), free),
+            (replace(start, blend="circle"), free),
+            (replace(start, blend="parabola", blend_turn="slerp"), free),
+            (replace(start, blend="circle", blend_turn="slerp"), free),
+        ]
+        return self._best(families, self._off_path)
+
+    def _time(self, path: FlyParameters) -> FlyParameters:
+        slowed = any(move.settings.arm_override < 0.99 for stretch, _ in self._taught for move in stretch.moves)
+        powers = (1.0, 2.0, 0.0) if slowed else (1.0,)
+        shares = [("acceleration", 0.2, 1.0), ("curve_share", 0.1, 1.0)]
+        families = []
+        for power in powers:
+            known = replace(path, override_power=power)
+            averaged = [*shares, ("ramp", 0.1, 6.0), ("stress_floor", 0.05, 1.0)]
+            families.append((known, averaged))
+            for turns in (False, True):
+                blocks = replace(known, ramps="blocks", curve_turns=turns, acceleration=0.95, curve_share=0.9)
+                families.append((replace(blocks, rise=0.0), shares))
+                families.append((blocks, [*shares, ("rise", 0.0, 0.6)]))
+        return self._best(families, self._off_time)
+
+    def _best(
+        self,
+        families: Iterable[tuple[FlyParameters, list[tuple[str, float, float]]]],
+        cost: Callable[[FlyParameters], float],
+    ) -> FlyParameters:
+        """The family of the lowest cost; the earlier one of two that are about as good."""
+        best, least, left = None, np.inf, []
+        refused: MotionError | None = None
+        for start, free in families:
+            try:
+                fitted, found = self._fitted(start, free, cost, _TRIAL)
+            except MotionError as error:
+                refused = error
+                continue
+            if best is None or found < _BETTER * least:
+                best, least, left = fitted, found, free
+        if best is None:
+            assert refused is not None
+            raise refused
+        return self._fitted(best, left, cost, _PLANS)[0]
+
+    def _fitted(
+        self,
+        start: FlyParameters,
+        free: list[tuple[str, float, float]],
+        cost: Callable[[FlyParameters], float],
+        plans: int,
+    ) -> tuple[FlyParameters, float]:
+        from scipy.optimize import minimize
+
+        first = cost(start)
+        if not free:
+            return start, first
+        names, low, high = [name for name, _, _ in free], *np.array([bounds for _, *bounds in free]).T
+
+        def law(x: np.ndarray) -> FlyParameters:
+            return replace(start, **dict(zip(names, (low + np.clip(x, 0, 1) * (high - low)).tolist(), strict=True)))
+
+        def value(x: np.ndarray) -> float:
+            try:
+                return cost(law(x))
+            except MotionError:
+                return 10.0 * first
+
+        at = (np.array([getattr(start, name) for name in names]) - low) / (high - low)
+        # A simplex as wide as what is unknown: away from the bound that the start may lie on.
+        steps = np.where(at > 0.5, -0.15, 0.15)
+        simplex = np.vstack([at, at + np.diag(steps)])
+        options = {"initial_simplex": simplex, "maxfev": plans, "xatol": _ENOUGH, "fatol": _ENOUGH * first}
+        found = minimize(value, at, method="Nelder-Mead", bounds=[(0.0, 1.0)] * len(at), options=options)
+        return law(found.x), float(found.fun)
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """Times (S,) and joints (S, n) by the part (S,) of the way in joints that is done."""
+
+    t: np.ndarray
+    q: np.ndarray
+    part: np.ndarray
+
+    @classmethod
+    def of(cls, t: np.ndarray, q: np.ndarray) -> _Way:
+        way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))))
+        return cls(t, q, way / max(way[-1], 1e-12))
+
+    def joints(self, part: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(part, self.part, column) for column in self.q.T], axis=1)
+
+    def times(self, part: np.ndarray) -> np.ndarray:
+        return np.interp(part, self.part, self.t)
+
+
+def _late(recorded: _Way, planned: _Way) -> np.ndarray:
+    """(K,) how much later [s] the planned motion passes the same places, both from the first of them on."""
+    late = planned.times(_PARTS) - recorded.times(_PARTS)
+    return late - late[0]
+
+
+def _nearest(path: np.ndarray, points: np.ndarray, allowed: np.ndarray) -> np.ndarray:
+    """(K,) distance of points (K, d) from the polyline path (P, d), of the corners that are allowed (K, P)."""
+    start, step = path[:-1], np.diff(path, axis=0)
+    size = np.maximum(np.einsum("pd,pd->p", step, step), 1e-24)
+    along = np.clip((points @ step.T - np.einsum("pd,pd->p", start, step)) / size, 0.0, 1.0)
+    squares = (
+        np.einsum("kd,kd->k", points, points)[:, None]
+        - 2.0 * points @ start.T
+        + np.einsum("pd,pd->p", start, start)
+        - 2.0 * along * (points @ step.T - np.einsum("pd,pd->p", start, step))
+        + along**2 * size
+    )
+    squares[~allowed[:, :-1]] = np.inf
+    best = np.argmin(squares, axis=1)
+    rows = np.arange(len(points))
+    foot = start[best] + along[rows, best][:, None] * step[best]
+    return np.linalg.norm(points - foot, axis=1)

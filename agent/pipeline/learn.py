@@ -1,0 +1,256 @@
+"""From recorded logs and the programs beside them to the controller's interpolation law."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agent.core.console import Console
+from agent.core.errors import InputError
+from agent.pipeline.identify import check_one_machine, check_output, read_logs
+
+if TYPE_CHECKING:
+    from agent.motion.learned import LearnedLaw
+    from agent.motion.learning import Stretch
+    from agent.motion.program import Move, Statement
+    from agent.recording.log import Log
+    from agent.robot import RobotDescription
+
+#: Set-points rest where no joint changes by more than this [rad, m] within so long [s], for so long at least.
+_STILL, _WITHIN, _REST = 1e-8, 0.01, 0.02
+#: [rad, m] A stretch ends where a move does; a way shorter than this is none.
+_THERE = 2e-3
+#: Stretches that are learned from at most, the longest first: more tell little that is new.
+_MOST = 6
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A law and the file it was written to."""
+
+    law: LearnedLaw
+    path: Path
+    stretches: int
+
+    def text(self) -> str:
+        """For a terminal."""
+        law = self.law
+        before, after = law.figures["before"], law.figures["after"]
+        p = law.parameters
+        ramps = "speeds averaged over a window" if p.ramps == "window" else "one speed a move and a corner"
+        rise = (
+            "" if p.ramps == "window" else ", trapezoidal" if p.rise < 1e-3 else f", S-curves of {1e3 * p.rise:.0f} ms"
+        )
+        lines = [
+            f"{law.robot}: blends {p.blend}, {ramps}{rise}, {100 * p.acceleration:.1f} % of the acceleration limits",
+            f"path error {before['path_mm']:.3f} mm before, {after['path_mm']:.3f} mm after",
+            f"time error {before['time_percent']:.3f} % before, {after['time_percent']:.3f} % after",
+            *(f"a stop with {word} takes {1e3 * seconds:.0f} ms to settle" for word, seconds in law.settling.items()),
+            f"learned from {self.stretches} stretches between stops, and judged on the same; in a recipe: "
+            f"search: {{interpolator: {self.path.name}}}",
+        ]
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON has it."""
+        from dataclasses import asdict
+
+        return {
+            "schema": "learned_interpolator/1",
+            "robot": self.law.robot,
+            "file": str(self.path),
+            "parameters": asdict(self.law.parameters),
+            "settling_s": self.law.settling,
+            "stretches": self.stretches,
+            **self.law.figures,
+        }
+
+
+def learn_files(robot: str, paths: Sequence[Path], out: Path, console: Console) -> Learned:
+    """Learn the law from logs with set-points, and write it.
+
+    Raises:
+        InputError: logs without set-points, of another robot or of several, at rest, without their program, or that do
+            not follow it.
+    """
+    from agent.motion import FlyParameters, MotionError
+    from agent.motion.learned import LearnedLaw, robot_digest
+    from agent.motion.learning import Learner
+    from agent.robot import load_robot
+    from agent.runs.folder import write_atomically
+
+    check_output(out, paths)
+    if out.suffix.lower() not in (".yaml", ".yml"):
+        raise InputError(f"{out}: name a .yaml file: a recipe's search.interpolator tells it by that from a name")
+    description = load_robot(robot)
+    logs = read_logs(list(paths), description, console)
+    check_one_machine(logs, None, False)
+    stretches: dict[Any, Stretch] = {}
+    rests: dict[str, list[float]] = {}
+    for log in logs:
+        _check_log(log, description)
+        for key, stretch in _stretches(log, _statements(log, description), description, rests):
+            stretches.setdefault(key, stretch)
+    if not stretches:
+        raise InputError(f"{logs[0].path}: no stretch between two stops is whole; record one loop without gaps")
+    chosen = sorted(stretches.values(), key=lambda one: -float(one.t[-1] - one.t[0]))[:_MOST]
+    learner = Learner(description, chosen, 1.0 / logs[0].sample_rate)
+    try:
+        parameters = learner.learn(lambda text: console.step(f"learning from {len(chosen)} stretches: {text}"))
+        before, after = learner.errors(FlyParameters()), learner.errors(parameters)
+    except MotionError as error:
+        raise InputError(f"{logs[0].path}: the program cannot be planned: {error}") from None
+    law = LearnedLaw(
+        description.name,
+        robot_digest(description),
+        parameters,
+        {word: round(float(np.median(seconds)), 4) for word, seconds in sorted(rests.items())},
+        {
+            name: {"path_mm": round(one.path, 4), "time_percent": round(one.time, 4)}
+            for name, one in (("before", before), ("after", after))
+        },
+        tuple({"log": log.name, "sha256": log.sha256} for log in logs),
+    )
+    write_atomically(out, law.text())
+    return Learned(law, out, len(chosen))
+
+
+def _check_log(log: Log, robot: RobotDescription) -> None:
+    named = log.metadata.get("robot", robot.name)
+    if named != robot.name:
+        raise InputError(f"{log.path}: a log of {named}, and the robot is {robot.name}; name that robot with --robot")
+    if log.reference_position is None:
+        raise InputError(
+            f"{log.path}: has no /joint_references, the controller's set-points, and measured positions follow them "
+            "too late to learn from; record with a driver that delivers set-points"
+        )
+    good = np.isfinite(log.reference_position).all(axis=1)
+    if not good.any() or np.ptp(log.reference_position[good], axis=0).max() < _THERE:
+        raise InputError(f"{log.path}: the set-points stand still; record a loop")
+
+
+def _statements(log: Log, robot: RobotDescription) -> list[Statement]:
+    """Of the program that was recorded: a file beside the log with its name, or that of its run."""
+    from agent.motion.pdl2 import parse_program
+
+    beside = log.path.with_suffix(".pdl")
+    of_run = log.path.with_name("program.pdl")
+    chosen = beside if beside.is_file() else of_run if log.path.stem == "excitation" and of_run.is_file() else None
+    if chosen is not None:
+        try:
+            text = chosen.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"{chosen}: cannot be read: {error}") from None
+    else:
+        text = _of_the_plan(log)
+    return list(parse_program(text, str(chosen or log.path), robot).run())
+
+
+def _of_the_plan(log: Log) -> str:
+    """Text of a validation motion, from the plan of the run that the log lies in."""
+    from agent.pipeline.planning import program_text, replan
+    from agent.pipeline.rebuild_report import recipe_of
+
+    folder = log.path.parent
+    if (folder / "plan.json").is_file() and (folder / "state.json").is_file():
+        recipe = recipe_of(folder)
+        plan = replan(recipe, folder / "plan.json")
+        for motion in plan.validation:
+            if motion.name == log.path.stem:
+                return program_text(recipe, motion)
+    raise InputError(
+        f"{log.path}: the program that was recorded is not beside it; put it there as {log.path.stem}.pdl "
+        "(a run folder has it)"
+    )
+
+
+def _stretches(
+    log: Log, statements: Sequence[Statement], robot: RobotDescription, rests: dict[str, list[float]]
+) -> list[tuple[Any, Stretch]]:
+    """What was moved between stops, by what tells one motion from another; `rests` [s] grows by what stops took."""
+    from agent.link.planned import chain_key
+    from agent.motion import FlyInterpolator
+    from agent.motion.learning import Stretch
+    from agent.motion.program import Move
+
+    tool = log.metadata.get("tool", "none")
+    if tool != "none" and any(isinstance(one, Move) and one.settings.tool is None for one in statements):
+        raise InputError(
+            f"{log.path}: its program leaves $TOOL open, and the log was recorded with {tool}; "
+            "record a program that sets it"
+        )
+    reference = log.reference_position
+    assert reference is not None
+    good = np.isfinite(reference).all(axis=1)
+    t, q = log.t[good], reference[good]
+    moving = _moving(t, q)
+    interpolator = FlyInterpolator(robot, period=1.0 / log.sample_rate)
+    found: list[tuple[Any, Stretch]] = []
+    at, stand, left = 0, q[0], None
+    for moves, waited in _chains(statements):
+        planned = interpolator.plan(moves, stand).q
+        if np.ptp(planned, axis=0).max() < _THERE:
+            continue
+        way = float(np.abs(np.diff(planned, axis=0)).sum())
+        for last in range(at, len(moving)):
+            a, b = moving[at][0], moving[last][1]
+            done = float(np.abs(np.diff(q[a:b], axis=0)).sum())
+            if np.abs(q[b - 1] - planned[-1]).max() < _THERE and done > 0.5 * way:
+                break
+        else:
+            since = t[moving[at][0]] if at < len(moving) else t[-1]
+            raise InputError(
+                f"{log.path}: the set-points do not follow the program: after {since:.2f} s the arm does not come to "
+                f"{moves[-1].name or 'the next stop'}; is it the program that was recorded?"
+            )
+        if left is not None and waited == 0.0:
+            rests.setdefault(left[0], []).append(float(t[a] - left[1]) + 2.0 * _WITHIN)
+        even = np.diff(t[a:b]).max() <= 2.5 / log.sample_rate
+        if even:
+            found.append((chain_key(moves), Stretch(tuple(moves), t[a:b], q[a:b])))
+        left = moves[-1].settings.termination.value, float(t[b - 1])
+        at, stand = last + 1, q[b - 1]
+        if at == len(moving):
+            break
+    return found
+
+
+def _chains(statements: Sequence[Statement]) -> list[tuple[list[Move], float]]:
+    """Moves from stop to stop, each with the DELAY [s] before it."""
+    from agent.motion.program import Delay, Move
+
+    chains: list[tuple[list[Move], float]] = []
+    pending: list[Move] = []
+    waited = 0.0
+    for statement in statements:
+        if isinstance(statement, Delay):
+            waited += statement.seconds
+        elif isinstance(statement, Move):
+            pending.append(statement)
+            if not statement.fly:
+                chains.append((pending, waited))
+                pending, waited = [], 0.0
+    return [*chains, (pending, waited)] if pending else chains
+
+
+def _moving(t: np.ndarray, q: np.ndarray) -> list[tuple[int, int]]:
+    """[start, stop) sample ranges between rests; the first and last sample of each are at rest."""
+    period = float(np.median(np.diff(t)))
+    lag = max(1, round(_WITHIN / period))
+    changed = np.abs(q[lag:] - q[:-lag]).max(axis=1) > _STILL
+    busy = np.zeros(len(q), dtype=bool)
+    for k in np.flatnonzero(changed):
+        busy[k : k + lag + 1] = True
+    edges = np.flatnonzero(np.diff(busy.astype(int), prepend=0, append=0))
+    ranges = [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+    joined: list[tuple[int, int]] = []
+    for a, b in ranges:
+        if joined and t[a] - t[joined[-1][1] - 1] < _REST:
+            joined[-1] = (joined[-1][0], b)
+        else:
+            joined.append((a, b))
+    return joined
