@@ -111,12 +111,19 @@ def test_a_command_that_is_not_answered_is_not_sent_again(linked):
 
 
 def test_a_start_that_is_seen_to_act_is_watched_without_its_answer(linked):
+    class Moves:
+        """As the motion that the driver follows: at rest before the start, in motion once it was heard."""
+
+        @property
+        def begun(self):
+            return any(m.type == MessageType.START for m in script.heard)
+
     script, sockets = linked(lambda m: success(m) if m.type == MessageType.PING else None)
     point = Point(sequence_number=5)
-    assert command_start(sockets, "the controller", "the start", point, 600.0, lambda: True) is None
+    assert command_start(sockets, "the controller", "the start", point, 600.0, Moves()) is None
     assert [m.type for m in script.heard].count(MessageType.START) == 1
-    with pytest.raises(DriverError, match="did not answer the start"):
-        command_start(sockets, "the controller", "the start", point, patience(0.3), lambda: False)
+    with pytest.raises(DriverError, match="did not answer the start"):  # it moves already, which says nothing
+        command_start(sockets, "the controller", "the start", point, patience(0.3), Moves())
 
 
 @pytest.mark.parametrize(("moves", "kind"), [(0, RefusedError), (1, DriverError)])

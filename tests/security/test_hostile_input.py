@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import json
+import socket
 import struct
 import sys
+import threading
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +28,7 @@ from drivers.protocol import Identity, SampleBlock, Status
 from drivers.texts import ALARM, MANY, NAME, printable
 from drivers.transports.cnr.address import parse_address
 from drivers.transports.cnr.files import ProgramFolder
+from drivers.transports.cnr.samples import BrokerLink
 from drivers.transports.frames import to_block
 from drivers.transports.motion import Motion
 from drivers.transports.sequencer import Sequencer
@@ -357,3 +360,24 @@ def test_json_that_is_none_is_one_message(tmp_path: Path, data: bytes):
     path.write_bytes(data)
     with pytest.raises(InputError, match="damaged"):
         read_json(path)
+
+
+def test_a_packet_of_the_broker_of_256_mib_ends_the_link():
+    """MQTT's longest: after CONNACK, a PUBLISH whose length says so and whose content does not come."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def serve() -> None:
+            connection, _ = listener.accept()
+            with connection:
+                connection.recv(1024)
+                connection.sendall(b"\x20\x02\x00\x00" + b"\x30\xff\xff\xff\x7f" + bytes(1000))
+                with contextlib.suppress(ConnectionResetError):
+                    while connection.recv(1024):
+                        pass
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        with pytest.raises(DriverError, match="is gone"):
+            BrokerLink(("127.0.0.1", listener.getsockname()[1]), "robot/arm1", 0.002, 60.0, lambda _: None)
+        thread.join(10)
+        assert not thread.is_alive()

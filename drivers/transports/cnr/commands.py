@@ -17,7 +17,7 @@ _HAND_TIMEOUT = 600.0  # s for somebody to press START
 
 
 def command_start(
-    sockets: Sockets, host: str, what: str, point: Point, timeout: float, acts: Callable[[], bool]
+    sockets: Sockets, host: str, what: str, point: Point, timeout: float, motion: CnrMotion | None
 ) -> Answer | None:
     """The answer to a start that was carried out; None where the arm moves and no answer came.
 
@@ -25,6 +25,11 @@ def command_start(
         RefusedError: it was not; nothing has moved.
         DriverError: no answer.
     """
+    rested = motion is not None and not motion.begun  # later on, that it moves says nothing of this start
+
+    def acts() -> bool:
+        return rested and motion is not None and motion.begun
+
     answer = sockets.command(MessageType.START, point, timeout, acts)
     if answer is None and acts():
         return None  # it is time to watch it, whatever became of the answer

@@ -276,18 +276,9 @@ class CnrDriver:
 
     def _command_start(self, sockets: Sockets, what: str, point: Point) -> Answer | None:
         """The answer to a start that was carried out; None and raises as `command_start`."""
-        motion = self._motion
-        rested = motion is not None and not motion.begun  # later on, that it moves says nothing of this start
-        answer = command_start(
-            sockets,
-            self._address.host,
-            what,
-            point,
-            self._start_timeout,
-            lambda: rested and motion is not None and motion.begun,
-        )
-        assert motion is not None
-        motion.started = True
+        answer = command_start(sockets, self._address.host, what, point, self._start_timeout, self._motion)
+        assert self._motion is not None
+        self._motion.started = True
         return answer
 
     def _wait_for_a_person(self, sockets: Sockets, name: str) -> None:

@@ -180,8 +180,7 @@ class BrokerLink:
         user: str = "",
         password_from: str = "",
     ) -> None:
-        from paho.mqtt.client import Client
-        from paho.mqtt.enums import CallbackAPIVersion
+        from drivers.transports.cnr.broker_client import BrokerClient
 
         self.peer = "{}:{}".format(*broker)
         self.joiner = Joiner(wire.CHANNELS, period * 1e6)
@@ -192,7 +191,7 @@ class BrokerLink:
         self._closing = False
         self._ready = threading.Event()
         self._fault: DriverError | None = None
-        self._client = Client(CallbackAPIVersion.VERSION2, reconnect_on_failure=False)
+        self._client = BrokerClient()
         if user or password_from:
             self._client.username_pw_set(user or None, read_secret(password_from) if password_from else None)
         self._client.on_connect = self._connected

@@ -155,15 +155,9 @@ class ModbusDriver:
         motion_id = uuid.uuid4().bytes
         link.call(lambda: self._begin(motion, motion_id))
         try:
-            self._command(
-                wire.Command.START,
-                self._start_timeout,
-                f"start of {name}",
-                motion.has_begun,  # samples say as well that the arm moves: then it is time to watch it
-                name=name,
-                checksum=bytes.fromhex(checksum),
-                motion=motion_id,
-            )
+            fields = {"name": name, "checksum": bytes.fromhex(checksum), "motion": motion_id}
+            # Samples say as well that the arm moves: then it is time to watch it.
+            self._command(wire.Command.START, self._start_timeout, f"start of {name}", motion.has_begun, **fields)
         except RefusedError:
             link.call(self._not_begun)
             raise
