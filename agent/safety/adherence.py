@@ -67,7 +67,7 @@ class Tolerance:
 
 #: No margin is smaller than this [m]: blends and rounding of the controller.
 SMALLEST_MARGIN = 0.005
-SET_POINTS = Tolerance(tool=5e-5, joint=0.03, faster=0.3, floor=0.05, span=0.03, resting=1e-5)
+SET_POINTS = Tolerance(tool=5e-5, joint=0.03, faster=0.3, floor=0.03, span=0.03, resting=1e-5)
 #: As of set-points, and an error of the servos and noise beside it.
 MEASURED = Tolerance(tool=0.015, joint=0.07, faster=0.3, floor=0.05, span=0.06, resting=0.003)
 

@@ -173,6 +173,11 @@ def test_an_arm_that_goes_astray_is_stopped():
     assert np.median(ways) <= 0.005
 
 
+def test_half_again_the_speed_of_a_slow_program_is_stopped():
+    stopped, count, _, _, missed = run_faults([249], 40)
+    assert stopped == count == 1, missed
+
+
 @pytest.mark.parametrize("seen", [True, False])
 def test_an_arm_that_does_as_planned_is_not(seen):
     arm = Arm(drawn(1000), 3)
