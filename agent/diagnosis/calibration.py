@@ -34,11 +34,15 @@ REMAINDER = "remainder"
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Parameters released together: `kind` (friction, rotor inertia, link inertia), joint from 0, directions (p, k)."""
+    """Parameters released together: `kind` (friction, rotor inertia, link inertia), joint from 0, directions (p, k).
+
+    `scale` (k,) are the physical parameters' sizes, standard ones or friction's, of which the directions are images.
+    """
 
     kind: str
     joint: int
     directions: np.ndarray
+    scale: np.ndarray
 
     def text(self, names: Sequence[str]) -> str:
         """As a step is called."""
@@ -90,7 +94,7 @@ def _groups(dataset: Dataset) -> list[Group]:
         for column, k in enumerate(own):
             size = torque[joint] if model.terms[k].form == "coulomb" else torque[joint] / speed[joint]
             columns[base + k, column] = size
-        friction.append(Group("friction", joint, columns))
+        friction.append(Group("friction", joint, columns, columns[[base + k for k in own], range(len(own))]))
         for kind, place, found in (
             ("rotor inertia", slice(layout.rotors.start + joint, layout.rotors.start + joint + 1), rotors),
             ("link inertia", layout.link(joint), links),
@@ -98,7 +102,7 @@ def _groups(dataset: Dataset) -> list[Group]:
             directions = np.zeros((len(model.values), place.stop - place.start))
             directions[:base] = model.projection[:, place] * scale[place]
             if np.any(np.abs(directions) > 1e-12):
-                found.append(Group(kind, joint, directions))
+                found.append(Group(kind, joint, directions, scale[place]))
     return [*friction, *rotors, *reversed(links)]
 
 

@@ -35,7 +35,7 @@ def check_simulator_out(model: Path | None, out: Path, inputs: Sequence[Path]) -
             f"{given or ('none' if model is None else 'a model file')}: write a model file (-o model.json), from which "
             "agent export makes both"
         )
-    for path in written_files(out):
+    for path in (*written_files(out), _ranges_file(out)):
         check_output(path, inputs)
 
 
@@ -57,8 +57,10 @@ def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: 
         InputError, RejectedError: the file cannot be changed in place, or did not read back as meant.
     """
     from agent.diagnosis.corrected import corrected
+    from agent.diagnosis.ranges import ranges, ranges_text
     from agent.model.simulators.corrected_file import write_corrected
     from agent.model.simulators.correction import NOT_OF_A_SIMULATOR
+    from agent.runs.folder import write_atomically
 
     correction = corrected(found, simulator)
     for note in correction.notes:
@@ -74,3 +76,9 @@ def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: 
         return
     for path in write_corrected(simulator, correction, out):
         console.say(f"wrote {path}")
+    write_atomically(_ranges_file(out), ranges_text(ranges(found)))
+    console.say(f"wrote {_ranges_file(out)}")
+
+
+def _ranges_file(out: Path) -> Path:
+    return out.with_name(f"{out.stem}.ranges.yaml")

@@ -140,7 +140,7 @@ def _diagnose(
         from agent.report.diagnosis_page import diagnosis_report
         from agent.runs.folder import write_atomically
 
-        write_atomically(question.report, diagnosis_report(found, simulated))
+        write_atomically(question.report, diagnosis_report(found, simulated, result.get("forward")))
     if question.out is not None:
         if simulator is not None:
             write_simulator(found, simulator, question.out, console)

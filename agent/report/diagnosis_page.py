@@ -12,6 +12,7 @@ from agent.diagnosis.result import Diagnosis
 from agent.model.effects import CATALOGUE
 from agent.report.diagnosis_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
 from agent.report.page import Page, Section, Table, render
+from agent.report.simulator_section import simulator_sections
 from agent.robot.torque_figures import figure_text
 
 _HEADLINES = {
@@ -22,13 +23,16 @@ _MOST_STEPS = 8
 _MOST_SCORES = 6
 
 
-def diagnosis_report(diagnosis: Diagnosis, simulated: Sequence[Simulated] = ()) -> str:
-    """HTML text of the report."""
+def diagnosis_report(
+    diagnosis: Diagnosis, simulated: Sequence[Simulated] = (), forward: Mapping[str, Any] | None = None
+) -> str:
+    """HTML text of the report; `forward` is that of a result against a simulator's file."""
     verdict = diagnosis.result["verdict"]
     sections = [
         _cause_section(diagnosis),
         _where_section(diagnosis),
         _closure_section(diagnosis, simulated),
+        *simulator_sections(diagnosis, forward),
         _steps_section(diagnosis),
         _testability_section(diagnosis),
     ]

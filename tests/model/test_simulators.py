@@ -10,10 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
 from agent.core.console import Console
-from agent.core.errors import InputError
+from agent.core.errors import InputError, RejectedError
 from agent.diagnosis import diagnose, extended_model, forward_windows
+from agent.diagnosis.ranges import ranges, ranges_text
 from agent.diagnosis.rollout import MujocoEngine
 from agent.model.identified import IdentifiedModel
 from agent.model.simulators import load_joint_map, load_simulator
@@ -21,6 +23,7 @@ from agent.pipeline.corrected_simulator import write_simulator
 from agent.pipeline.diagnose import Question, diagnose_files, diagnosis_text
 from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile
+from agent.report.diagnosis_page import diagnosis_report
 from agent.robot import load_robot
 
 NAMES = ("pan", "lift", "slide")
@@ -203,6 +206,12 @@ REFUSED = {
     "a massless URDF": (re.sub(r"(value|i[xyz][xyz])=\"[0-9.]+\"", r'\1="0"', URDF), "positive"),
     "another arm": (URDF.replace('<origin xyz="0.3 0 0"/>', '<origin xyz="0.7 0 0"/>'), "another arm"),
     "a slide for a hinge": (URDF.replace("revolute", "prismatic", 1), "slides here"),
+    "joints that follow one another": (
+        URDF.replace("</joint></robot>", '<mimic joint="pan"/></joint></robot>'),
+        "'lift' follows 'pan'",
+    ),
+    "angles in degrees": (URDF.replace('xyz="0.3 0 0"/>', 'xyz="0.3 0 0" rpy="90 0 0"/>'), "degrees"),
+    "limits in degrees": (URDF.replace('"-2"', '"-170"').replace('"2"', '"170"'), "'pan': 170"),
     "a joint short": (URDF.replace('"lift" type="revolute"', '"lift" type="fixed"'), "only in robot bench: lift"),
 }
 
@@ -216,6 +225,34 @@ def test_what_cannot_be_used_is_refused_with_one_message(what, tmp_path, robot):
         load_simulator(written(tmp_path, text, "model.xml"), robot, ())
     assert "model.xml" in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+TOOL = """<link name="finger_a"/><link name="finger_b"/><link name="tcp"/>
+<joint name="left" type="prismatic"><parent link="b"/><child link="finger_a"/><axis xyz="0 1 0"/>
+<limit lower="0" upper="0.04" velocity="1" effort="9"/></joint>
+<joint name="right" type="prismatic"><parent link="b"/><child link="finger_b"/><axis xyz="0 -1 0"/>
+<limit lower="0" upper="0.04" velocity="1" effort="9"/><mimic joint="left"/></joint>
+<joint name="tip" type="fixed"><parent link="b"/><child link="tcp"/><origin xyz="0 0 0.1"/></joint></robot>"""
+
+
+def test_a_gripper_whose_fingers_follow_one_another_and_a_tip_are_part_of_the_last_link(tmp_path, robot):
+    path = written(tmp_path, URDF.replace("</robot>", TOOL), "held.urdf")
+    found = load_simulator(path, robot, ())
+    assert "left, right held at zero" in " ".join(found.notes)
+    q, qd, qdd = states(2)
+    same = load_simulator(tmp_path / "arm.urdf", robot, ()).model
+    np.testing.assert_allclose(found.model.predict(q, qd, qdd), same.predict(q, qd, qdd))
+
+
+def test_positions_in_degrees_are_refused(tmp_path, robot):
+    right = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model
+    log = read_log(recorded(tmp_path / "1.mcap", right, 1), right.robot)
+    file = LogFile(tmp_path / "deg.mcap", right.robot.joint_names, "bench", "x", RATE)
+    file.write_states(STATES, 100 + log.t, np.degrees(log.position), np.degrees(log.velocity), log.effort)
+    file.finish()
+    file.close()
+    with pytest.raises(RejectedError, match="look like degrees"):
+        diagnose_files(None, [tmp_path / "deg.mcap"], Question(tmp_path / "arm.urdf"), Console(-1))
 
 
 RATE = 125.0
@@ -338,6 +375,23 @@ def behind(log):
     for k in range(1, len(error)):  # kp e + kd ė = τ
         error[k] = (log.effort[k] + kd / period * error[k - 1]) / (kp + kd / period)
     return log.position + error
+
+
+def test_ranges_hold_what_is_true_and_stand_on_the_page(nominal, tmp_path):
+    model, robot, found = nominal
+    by_name = {(entry.of, entry.parameter): entry for entry in ranges(found)}
+    true = robot.values[len(model.independent) :]
+    for k, joint in enumerate(("pan", "lift")):
+        for entry, value in zip(("frictionloss", "damping"), true[2 * k : 2 * k + 2], strict=True):
+            found_range = by_name[f"joint {joint}", entry]
+            assert found_range.low - 0.02 <= value <= found_range.high + 0.02
+            assert 0 < found_range.high - found_range.low < 0.5
+    text = ranges_text(ranges(found))
+    assert YAML(typ="safe").load(text)["ranges"][0]["of"].startswith("joint ")
+    page = diagnosis_report(found)
+    for title in ("What the simulator gets wrong", "For training policies"):
+        assert title in page
+    assert page.count("<svg") > 3
 
 
 def test_mujoco_runs_the_arm_that_it_is_given(tmp_path):

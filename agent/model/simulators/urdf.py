@@ -14,6 +14,7 @@ from agent.model.simulators.arm import SimulatedArm
 from agent.model.simulators.bodies import CarryingBody, parameters, seen_from
 from agent.robot.urdf_checks import check_urdf
 
+_TURN = 6.3  # rad
 _MOVABLE = ("revolute", "continuous", "prismatic")
 
 
@@ -30,6 +31,7 @@ def read_urdf(
     movable = [name for name, joint in elements.items() if joint.get("type") in _MOVABLE]
     used = match(movable)
     check_urdf(path, root, list(used))
+    _check_radians(path, root)
     floating = [name for name, joint in elements.items() if joint.get("type") in ("floating", "planar")]
     if floating:
         raise InputError(
@@ -74,6 +76,28 @@ def read_urdf(
         carrying=tuple(_carrying(root, joint, set(used.values())) for joint in joints),
         notes=notes,
     )
+
+
+def _check_radians(path: Path, root: Element) -> None:
+    """Raise InputError where angles are larger than any in radians would be written."""
+    for owner in (*root.findall("link"), *root.findall("joint")):
+        for origin in owner.iter("origin"):
+            largest = max((abs(float(word)) for word in (origin.get("rpy") or "0").split()), default=0.0)
+            if largest > _TURN:
+                raise InputError(
+                    f"{path}: {owner.tag} {owner.get('name')!r}: rpy {origin.get('rpy')!r} looks like degrees; a URDF "
+                    "has radians"
+                )
+    limits = {
+        str(joint.get("name")): max(abs(_number(joint, "limit", key, 0.0)) for key in ("lower", "upper"))
+        for joint in root.findall("joint")
+        if joint.get("type") == "revolute"
+    }
+    degrees = [name for name, limit in limits.items() if 4 * _TURN < limit <= 60 * _TURN]
+    if degrees and len(degrees) == len(limits):
+        raise InputError(
+            f"{path}: limits look like degrees ({degrees[0]!r}: {limits[degrees[0]]:g}); a URDF has radians"
+        )
 
 
 def _chain(path: Path, elements: Mapping[str, Element], by_child: Mapping[str, Element], used: list[str]) -> list[str]:

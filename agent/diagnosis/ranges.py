@@ -1,0 +1,98 @@
+"""Ranges for whoever trains policies: how far a corrected simulator's numbers may still be off, one by one.
+
+Of what was moved, x = x₀ + D c with c ~ N(0, 1) before the logs, the logs leave cov(c) = (1 + Dᵀ H D)⁻¹, for effects
+and all numbers at once; H is their information, as in `fit`. Where the motion held out is worse described than its
+background says, deviations grow alike. What was not moved has no range: the logs gave no reason to move it.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from agent.diagnosis.result import Diagnosis
+
+_WIDTH = 1.645  # standard deviations, 90 %
+
+
+@dataclass(frozen=True)
+class Range:
+    """A number of the simulator, or of an effect beside it: value, 90 % interval, SI unit, and where it belongs."""
+
+    of: str
+    parameter: str
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+def ranges(diagnosis: Diagnosis) -> tuple[Range, ...]:
+    """All numbers that the diagnosis moved or found; empty without a simulator's file."""
+    if diagnosis.calibrated is None:
+        return ()
+    fit, found = diagnosis.finding.fit, diagnosis.calibrated
+    model, robot = diagnosis.dataset.model, diagnosis.dataset.robot
+    p, b = len(model.values), len(model.independent)
+    groups = [group.directions for group in found.groups]
+    count = sum(columns.shape[1] for columns in groups)
+    spread = np.zeros((fit.size, count + fit.size - p))
+    spread[:p, :count] = np.hstack([np.zeros((p, 0)), *groups])
+    spread[p:, count:] = np.eye(fit.size - p)
+    information = fit.gram[:, :-1, :-1].sum(axis=0) / fit.repeat
+    prior = np.eye(spread.shape[1])
+    prior[count:, count:] = fit.prior[p:, p:]
+    covariance = np.linalg.inv(spread.T @ information @ spread + prior)
+    energy = np.nanmean((fit.out_of_fold(any(c.effect.once for c in fit.chosen)) / fit.sigma) ** 2)
+    deviation = np.sqrt(np.diag(covariance) * max(1.0, float(energy)))
+    change, effects = fit.fitted()
+    moved = np.linalg.lstsq(spread[:p, :count], change, rcond=1e-9)[0] if count else np.zeros(0)
+    standard = np.zeros(11 * robot.dof) if model.standard is None else model.standard
+    result, at = [], 0
+    for group in found.groups:
+        columns, joint, name = group.directions, group.joint, robot.joint_names[group.joint]
+        own = slice(at, at + columns.shape[1])
+        at = own.stop
+        unit, way = ("N", "m") if robot.joints[joint].prismatic else ("N·m", "rad")
+        if group.kind == "friction":
+            terms = [k for k, term in enumerate(model.terms) if term.axle == joint]
+            for column, k in enumerate(terms):
+                size = columns[b + k, column]
+                coulomb = model.terms[k].form == "coulomb"
+                value, least = model.values[b + k] + change[b + k], size * deviation[own][column]
+                called, of = ("frictionloss", unit) if coulomb else ("damping", f"{unit}·s/{way}")
+                result.append(_range(f"joint {name}", called, value, least, of))
+        elif group.kind == "rotor inertia":
+            gear, size = robot.gear_ratios[joint] ** 2, group.scale[0]
+            value = gear * (standard[10 * robot.dof + joint] + size * moved[own][0])
+            mass = "kg" if robot.joints[joint].prismatic else "kg·m²"
+            result.append(_range(f"joint {name}", "armature", value, gear * size * deviation[own][0], mass))
+        else:
+            value = standard[10 * joint] + group.scale[0] * moved[own][0]
+            result.append(_range(f"link of {name}", "mass", value, group.scale[0] * deviation[own][0], "kg"))
+    for candidate, values in zip(fit.chosen, effects, strict=True):
+        own = slice(at, at + len(values))
+        at = own.stop
+        where = " of " + ", ".join(robot.joint_names[j] for j in candidate.joints) if candidate.joints else ""
+        for name, value, least in zip(candidate.names, values, deviation[own], strict=True):
+            either = Range(candidate.effect.name + where, name, float(value), *_ends(value, least), "SI")
+            result.append(either)
+    return tuple(result)
+
+
+def _ends(value: float, deviation: float) -> tuple[float, float]:
+    return float(value - _WIDTH * deviation), float(value + _WIDTH * deviation)
+
+
+def _range(of: str, parameter: str, value: float, deviation: float, unit: str) -> Range:
+    """Of a number that is nothing below zero."""
+    low, high = _ends(value, deviation)
+    return Range(of, parameter, max(float(value), 0.0), max(low, 0.0), max(high, 0.0), unit)
+
+
+def ranges_text(found: tuple[Range, ...]) -> str:
+    """Content of a ranges file, YAML with one line a number."""
+    lines = [f"  - {json.dumps(asdict(entry), ensure_ascii=False)}" for entry in found]
+    return "\n".join(["schema: randomisation/1", "interval: 0.9", "ranges:" if lines else "ranges: []", *lines, ""])

@@ -1,0 +1,95 @@
+"""A simulator's file on a diagnosis's page: the waterfall, the drift in motion, and ranges for training."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from agent.diagnosis.ranges import Range, ranges
+from agent.diagnosis.result import Diagnosis
+from agent.report.figures import SERIES, Figure, new_plot, to_figure
+from agent.report.page import Section, Table
+
+
+def simulator_sections(diagnosis: Diagnosis, forward: Mapping[str, Any] | None = None) -> list[Section]:
+    """Sections of a diagnosis against an MJCF or URDF; none where the model was not such a file."""
+    if diagnosis.calibrated is None:
+        return []
+    result, sections = diagnosis.result, []
+    if result.get("waterfall"):
+        sections.append(_waterfall(result["waterfall"]))
+    if forward:
+        sections.append(_forward(forward))
+    found = ranges(diagnosis)
+    if found:
+        sections.append(_ranges(found))
+    return sections
+
+
+def _waterfall(steps: Sequence[Mapping[str, Any]]) -> Section:
+    rows = [
+        (
+            entry["step"],
+            f"{100 * entry['closes']:.1f} %",
+            f"{100 * entry['interval'][0]:.1f} to {100 * entry['interval'][1]:.1f} %",
+            "-" if entry["alone"] is None else f"{100 * entry['alone']:.1f} %",
+        )
+        for entry in steps
+    ]
+    text = [
+        "What closes the gap on motion held out, in the order found, each step beside those before it; with the rest, "
+        "the steps sum to the whole gap. Alone: what a step closes by itself; where that is more, it shares the gap "
+        "with steps before it.",
+    ]
+    table = Table("waterfall", ("step", "closes", "90 % interval", "alone"), rows)
+    return Section("What the simulator gets wrong", text, (_picture(steps), table))
+
+
+def _picture(steps: Sequence[Mapping[str, Any]]) -> Figure:
+    closes = 100 * np.array([entry["closes"] for entry in steps])
+    before = 100 - np.concatenate([[0.0], np.cumsum(closes)[:-1]])
+    plot, grid = new_plot(height=0.9 + 0.3 * len(steps))
+    axes = np.ravel(grid)[0]
+    places = np.arange(len(steps))
+    axes.barh(places[:-1], closes[:-1], left=before[:-1] - closes[:-1], color=SERIES[0])
+    axes.barh(places[-1:], closes[-1:], color=SERIES[1])
+    axes.set_yticks(places, [entry["step"] for entry in steps])
+    axes.invert_yaxis()
+    axes.set_xlabel("% of the gap that is left")
+    caption = "From the whole gap, each step takes its bar away; the last bar is what remains."
+    rows = np.column_stack([places, closes, before])
+    return to_figure("waterfall-picture", caption, plot, ("step", "closes", "before"), rows)
+
+
+def _forward(forward: Mapping[str, Any]) -> Section:
+    joints, horizons = forward["joints"], forward["horizon_s"]
+    rows = [
+        (f"{joint}, {seconds:g} s", *(_error(forward, side, h, j) for side in ("before", "after")))
+        for j, joint in enumerate(joints)
+        for h, seconds in enumerate(horizons)
+    ]
+    text = [
+        f"From {forward['windows']} measured states the simulator is run in {forward['engine']} by the recorded "
+        f"{forward['driven_by'].replace('_', '-')}, as given and as corrected by the other motions: root mean square "
+        "error of position [rad or m], with its 90 % interval.",
+    ]
+    return Section("How far it drifts", text, (Table("forward", ("joint, after", "given", "corrected"), rows),))
+
+
+def _error(forward: Mapping[str, Any], side: str, horizon: int, joint: int) -> str:
+    low, high = forward[f"{side}_interval"][horizon][joint]
+    return f"{forward[side][horizon][joint]:.3g} ({low:.2g} to {high:.2g})"
+
+
+def _ranges(found: Sequence[Range]) -> Section:
+    rows = [
+        (f"{entry.of}, {entry.parameter}", f"{entry.value:.4g}", f"{entry.low:.4g} to {entry.high:.4g}", entry.unit)
+        for entry in found
+    ]
+    text = [
+        "How far the numbers that were moved may still be off (90 %): the ranges over which it is justified to "
+        "randomise a simulator that policies are trained in. What is not listed was not moved.",
+    ]
+    return Section("For training policies", text, (Table("ranges", ("number", "value", "range", "unit"), rows),))
