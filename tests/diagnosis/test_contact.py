@@ -88,3 +88,10 @@ def test_pushes_are_found_on_their_link_with_force_and_times(arm, model, free, t
 def test_what_no_one_did_and_what_comes_back_with_every_cycle_is_none(arm, model, free, times):
     found = best(arm, model, [pushed(arm, free[0], "link_3", times), free[1]])
     assert found is None or all(np.linalg.norm(entry[-1]) < 0.05 * np.linalg.norm(FORCE) for entry in forces(found))
+
+
+def test_friction_that_drifts_is_no_string_of_pushes(arm, model, free):
+    since = np.exp(-free[0].t / 3.0)[:, None] * np.array([0.0, 8.0, 0.0])
+    drifting = replace(free[0], effort=free[0].effort + since * np.sign(free[0].velocity))
+    found = best(arm, model, [drifting, free[1]])
+    assert found is None or len(forces(found)) == 1, "the strongest stroke at most"

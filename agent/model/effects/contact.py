@@ -14,6 +14,7 @@ _DURATIONS = (0.2, 0.3, 0.4, 0.55, 0.75, 1.0, 1.35, 1.8, 2.4, 3.2, 4.2, 6.0, 8.5
 _STARTS = 0.05  # s
 _EDGE = 0.15  # of the duration, at either end
 _USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of the other windows of a length, and how far above it a contact is
+_NEAR = 2.0  # durations before and after, where no window comes near it
 _ALONE = 2.0  # times the window at the same place of another cycle
 _MOST, _LEAST = 6, 0.1  # pushes, and part of the strongest one's gain that another has
 _LINKS = 3  # tried as the one that all pushes are on
@@ -38,8 +39,9 @@ class Contact(Effect):
     def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         """Where three force components leave least: the strongest windows that do not overlap, fewest first.
 
-        All on the link that explains most, or each on its own. A model's own error makes windows too: a contact stands
-        out from the other segments of its length, and does not come back at the same place of the next cycle.
+        All on the link that explains most, or each on its own. A model's own error and what drifts make windows too: a
+        contact stands out from the other segments of its length, those before and after it above all, and does not come
+        back at the same place of the next cycle.
         """
         dof = survey.reference.robot.dof
         windows = [
@@ -146,6 +148,12 @@ class _Windows:
         """Gains of the windows that share no time with those taken."""
         return self.gain[~self._shared(taken)]
 
+    def near(self, push: _Push) -> float:
+        """Largest gain of the windows right before and after a push."""
+        reach = (1 + _NEAR) * push.duration
+        around = (np.abs(self.starts - push.start) <= reach) & ~self._shared([push])
+        return float(self.gain[around].max(initial=0.0))
+
     def again(self, push: _Push) -> float:
         """Largest gain at the same place, give or take half a step, of another cycle; nought where there is none."""
         edges = np.asarray(self.cycle_starts, dtype=float)
@@ -185,7 +193,8 @@ def _stands_out(push: _Push, taken: Sequence[_Push], windows: Sequence[_Windows]
     others = np.concatenate([w.beside(taken) for w in alike])
     usual = float(np.quantile(others, _USUAL)) if len(others) else 0.0
     again = max((w.again(push) for w in alike if w.log == push.log), default=0.0)
-    return push.gain > max(_STANDS_OUT * usual, _ALONE * again)
+    near = max((w.near(push) for w in alike if w.log == push.log), default=0.0)
+    return push.gain > max(_STANDS_OUT * usual, _STANDS_OUT * near, _ALONE * again)
 
 
 def _settings(pushes: Sequence[_Push]) -> dict[str, float]:
