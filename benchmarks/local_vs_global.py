@@ -53,7 +53,7 @@ class DOptimality(Criterion):
 class ConditionNumber(DOptimality):
     """Minus log10 of the condition number of H."""
 
-    def __call__(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> float:
+    def __call__(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, regressor: np.ndarray | None = None) -> float:
         matrix = self.observation_matrix(q, qd, qdd)
         if not np.isfinite(log_determinant(matrix, len(q))):
             return -np.inf

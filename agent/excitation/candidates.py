@@ -90,6 +90,7 @@ class Candidates:
         self._dynamics = Dynamics(problem.robot, problem.tool)
         self._cell = Cell(problem.robot, problem.tool, problem.keep_out, problem.joint_ranges)
         self._cell.check_boxes(problem.settings.fly_distance)
+        self._standard = self._dynamics.standard_parameters()
         self._rotors = np.array([joint.rotor_inertia or 0.0 for joint in problem.robot.joints])
         self._max_torque = np.array([joint.max_torque or np.inf for joint in problem.robot.joints])
 
@@ -141,16 +142,20 @@ class Candidates:
         report = check_cell(trajectory, self.problem.settings.fly_distance)
         if report.collision is not None:
             return infeasible(report.depth / CELL_SCALE, str(report.collision))
-        overload = self._overload(trajectory.q[::EVERY], trajectory.qd[::EVERY], trajectory.qdd[::EVERY])
+        tenth = trajectory.q[::EVERY], trajectory.qd[::EVERY], trajectory.qdd[::EVERY]
+        regressor = self._dynamics.regressor(*tenth)
+        overload = self._overload(regressor, tenth[2])
         if overload is not None:
             return overload
+        if every == EVERY:
+            return Score(self._criterion(*tenth, regressor))
         return Score(self._criterion(trajectory.q[::every], trajectory.qd[::every], trajectory.qdd[::every]))
 
-    def _overload(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> Score | None:
+    def _overload(self, regressor: np.ndarray, qdd: np.ndarray) -> Score | None:
         """The joint that the description's inertias ask most beyond its max_torque, at every tenth sample."""
         if np.isinf(self._max_torque).all():
             return None
-        rigid = self._dynamics.inverse_dynamics(q, qd, qdd)
+        rigid = regressor @ self._standard
         torque = np.abs(rigid + rotor_regressor(self.problem.robot, qdd) @ self._rotors)
         excess = (torque / self._max_torque).max(axis=0) - 1.0
         joint = int(np.argmax(excess))

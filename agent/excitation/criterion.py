@@ -29,6 +29,8 @@ from agent.robot.parameter_layout import ParameterLayout
 
 #: Columns of unit length with a reciprocal condition number below this are not excited independently of each other.
 DEPENDENT = 1e-10
+#: Columns that LAPACK works on at once, which its work space has to allow.
+_LAPACK_BLOCK = 32
 
 
 class Criterion:
@@ -46,31 +48,57 @@ class Criterion:
         self._inertial = [k for k in names if k < inertial]
         self._rotors = [k - inertial for k in names if k >= inertial]
         self.weights = torque_weights(robot)
+        self._used = self._may_be_used()
         self.columns = (
             *(names[k] for k in self._inertial),
             *(names[k + inertial] for k in self._rotors),
             *(f"{term} {joint}" for term in PAPER_TERMS for joint in robot.joint_names),
         )
 
+    def _may_be_used(self) -> list[np.ndarray]:
+        """Of each joint the columns of H that are not zero whatever the motion."""
+        q, qd, qdd = np.random.default_rng(0).uniform(0.5, 1.5, (3, 4, self._robot.dof))
+        used = np.any(self._columns(q, qd, qdd, None) != 0.0, axis=2)
+        return [np.flatnonzero(of_joint) for of_joint in used.T]
+
     def observation_matrix(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-        """(M n, p) H of M points, positions, velocities and accelerations each (M, n); column-major."""
+        """(M n, p) H of M points, positions, velocities and accelerations each (M, n)."""
+        columns = self._columns(q, qd, qdd, None) * self.weights[:, None]
+        return columns.transpose(2, 1, 0).reshape(-1, len(columns))
+
+    def __call__(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, regressor: np.ndarray | None = None) -> float:
+        """f of M points, each argument (M, n); -inf where they do not excite every column.
+
+        `regressor` (M, n, 10 n) is that of the rigid bodies, where it is known already.
+        """
+        with one_blas_thread():
+            return log_determinant(self._triangles(self._columns(q, qd, qdd, regressor)), len(q))
+
+    def _columns(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, regressor: np.ndarray | None) -> np.ndarray:
+        """(p, n, M) the columns of H, by joint, without weights."""
+        rigid = self._dynamics.regressor(q, qd, qdd) if regressor is None else regressor
         blocks = (
-            self._dynamics.regressor(q, qd, qdd)[:, :, self._inertial],
+            rigid[:, :, self._inertial],
             rotor_regressor(self._robot, qdd)[:, :, self._rotors],
             friction_regressor(self._robot, qd),
         )
-        matrix = np.empty((len(self.columns), *np.shape(q)))
-        first = 0
-        for block in blocks:
-            last = first + block.shape[2]
-            np.multiply(block.transpose(2, 0, 1), self.weights, out=matrix[first:last])
-            first = last
-        return matrix.reshape(len(matrix), -1).T
+        return np.concatenate([block.transpose(2, 1, 0) for block in blocks])
 
-    def __call__(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> float:
-        """f of M points, each argument (M, n); -inf where they do not excite every column."""
-        with one_blas_thread():
-            return log_determinant(self.observation_matrix(q, qd, qdd), len(q))
+    def _triangles(self, columns: np.ndarray) -> np.ndarray:
+        """(rows, p) of the same HᵀH: the rows of each joint turned into a triangle (QR), without its zero columns.
+
+        What lies nearer to the base than a joint does not load it, and its friction is its own: most columns are zero.
+        """
+        from scipy.linalg.lapack import dgeqrf
+
+        rows = []
+        for weight, used, of_joint in zip(self.weights, self._used, columns.transpose(1, 0, 2), strict=True):
+            block = of_joint[used]
+            factored, _, _, _ = dgeqrf(block.T, lwork=_LAPACK_BLOCK * len(block), overwrite_a=True)
+            triangle = np.zeros((min(block.shape), len(columns)))
+            triangle[:, used] = weight * np.triu(factored[: len(triangle)])
+            rows.append(triangle)
+        return np.concatenate(rows)
 
 
 def log_determinant(matrix: np.ndarray, points: int) -> float:
@@ -81,7 +109,7 @@ def log_determinant(matrix: np.ndarray, points: int) -> float:
     lengths = np.linalg.norm(matrix, axis=0)
     if rows < columns or not np.all(lengths > 0):
         return -np.inf
-    factored, _, _, _ = dgeqrf(matrix / lengths, overwrite_a=True)
+    factored, _, _, _ = dgeqrf(np.asfortranarray(matrix / lengths), lwork=_LAPACK_BLOCK * columns, overwrite_a=True)
     inverse_condition, _ = dtrcon(factored[:columns])
     if not inverse_condition > DEPENDENT:
         return -np.inf

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -87,7 +88,7 @@ class _Plan:
         self.pending: list[Segment] = []
         self._of = interpolator
         self._samples = 0
-        self._binding: list[BindingLimit] = []
+        self._runs: list[tuple[float, Run]] = []
         self._parts: list[tuple[np.ndarray, ...]] = []
         self._add_rest(0, 1)
 
@@ -109,17 +110,10 @@ class _Plan:
 
     def trajectory(self) -> Trajectory:
         """All samples so far."""
-        q, qd, qdd, pose, speed, move = (np.concatenate(column) for column in zip(*self._parts, strict=True))
-        return Trajectory(
-            np.arange(len(q)) * self._of.period,
-            q,
-            qd,
-            qdd,
-            matrices(pose[:, :3], pose[:, 3:]),
-            speed,
-            move,
-            tuple(self._binding),
+        q, qd, qdd, pose, speed, move = (
+            np.ascontiguousarray(np.concatenate(column)) for column in zip(*self._parts, strict=True)
         )
+        return _Planned(self._of, q, qd, qdd, pose, speed, move, tuple(self._runs))
 
     def _add_rest(self, index: int, count: int) -> None:
         pose = self._of._maker.pose_at(self.q)
@@ -137,9 +131,8 @@ class _Plan:
         self._count(count, index)
 
     def _add(self, run: Run) -> None:
-        of, samples, path = self._of, run.samples, run.path
-        begin = (self._samples - 1) * of.period
-        self._binding += binding_limits(run, of._planner.limits, of.robot.joint_names, begin, of.period)
+        samples, path = run.samples, run.path
+        self._runs.append(((self._samples - 1) * self._of.period, run))
         counts = samples_in(path.s[:-1], samples.s + path.s[0], "right")
         speed = np.sqrt(np.einsum("is,is->s", samples.pose_rate[:3], samples.pose_rate[:3]))
         columns = (samples.q.T, samples.qd.T, samples.qdd.T, samples.pose.T, speed, np.repeat(path.move, counts))
@@ -153,3 +146,33 @@ class _Plan:
         if seconds > longest:
             message = f"statement {index + 1}: the program takes more than {longest:g} s up to here; run it in parts"
             raise MotionError(message, index, "duration", seconds / longest - 1.0)
+
+
+class _Planned(Trajectory):
+    """Poses and the limits that bind are worked out when they are asked for: a search never asks for them."""
+
+    def __init__(
+        self,
+        of: FlyInterpolator,
+        q: np.ndarray,
+        qd: np.ndarray,
+        qdd: np.ndarray,
+        pose: np.ndarray,
+        speed: np.ndarray,
+        move: np.ndarray,
+        runs: tuple[tuple[float, Run], ...],
+    ):
+        values = {"t": np.arange(len(q)) * of.period, "q": q, "qd": qd, "qdd": qdd, "path_speed": speed, "move": move}
+        limits, names = of._planner.limits, of.robot.joint_names
+        # A frozen dataclass is set like this.
+        self.__dict__.update(values, _pose=pose, _runs=runs, _limits=limits, _names=names, _period=of.period)
+
+    @cached_property
+    def tcp(self) -> np.ndarray:
+        pose: np.ndarray = self.__dict__["_pose"]
+        return matrices(pose[:, :3], pose[:, 3:])
+
+    @cached_property
+    def binding(self) -> tuple[BindingLimit, ...]:
+        limits, names, period, runs = (self.__dict__[name] for name in ("_limits", "_names", "_period", "_runs"))
+        return tuple(found for begin, run in runs for found in binding_limits(run, limits, names, begin, period))
