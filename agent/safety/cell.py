@@ -116,7 +116,9 @@ class Cell:
         clearance = min((pair.clearance for pair in pairs), default=np.inf)
         depth = max([depth, *(violation.depth for violation in found)])
         ends = [q] if stop is None else [q, q + stop]
-        margins = np.min([np.minimum(end - self.lower, self.upper - end).min(axis=0) for end in ends], axis=0)
+        margins = np.min(
+            [np.minimum(end.min(axis=0) - self.lower, self.upper - end.max(axis=0)) for end in ends], axis=0
+        )
         first = min(found, key=lambda violation: violation.index, default=None)
         return CellReport(pairs, clearance, first, depth, margins)
 
@@ -127,12 +129,12 @@ class Cell:
         for positions, stopping in ((q, False), (None if stop is None else q + stop, True)):
             if positions is None:
                 continue
-            beyond = np.maximum(self.lower - positions, positions - self.upper)
-            outside = ~(beyond <= RANGE_SLACK)
-            for joint in np.flatnonzero(outside.any(axis=0)):
-                index = int(np.argmax(outside[:, joint]))
+            farthest = np.maximum(self.lower - positions.min(axis=0), positions.max(axis=0) - self.upper)
+            for joint in np.flatnonzero(~(farthest <= RANGE_SLACK)):
+                beyond = np.maximum(self.lower[joint] - positions[:, joint], positions[:, joint] - self.upper[joint])
+                index = int(np.argmax(~(beyond <= RANGE_SLACK)))
                 time = None if times is None else float(times[index])
-                depth = float(beyond[:, joint].max())
+                depth = float(beyond.max())
                 found.append(Violation(self.robot.joint_names[joint], "", index, time, depth, 0.0, stopping))
         return found
 

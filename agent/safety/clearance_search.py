@@ -35,10 +35,10 @@ class ClearanceSearch:
         self, model: CollisionModel, q: np.ndarray, stop: np.ndarray | None, margin: np.ndarray, tolerance: float
     ):
         self.model, self.q, self.stop, self.margin, self.tolerance = model, q, stop, margin, tolerance
-        reach = np.array([pair.reach for pair in model.pairs]).T  # (n, pairs)
-        self.travelled = _cumulated(q) @ reach
-        self.stop_changed = None if stop is None else _cumulated(stop) @ reach
-        self.stop_length = None if stop is None else np.abs(stop) @ reach
+        self.reach = np.array([pair.reach for pair in model.pairs]).T  # (n, pairs)
+        self.travelled = _cumulated(q)
+        self.stop_changed = None if stop is None else _cumulated(stop)
+        self.stop_length = None if stop is None else np.abs(stop)
         count = len(model.pairs)
         self.smallest = np.full(count, np.inf)
         self.smallest_at = np.zeros(count)
@@ -100,14 +100,14 @@ class ClearanceSearch:
         middle = (u0 + u1) / 2
 
         def half(cumulated: np.ndarray) -> np.ndarray:
-            there = _at(cumulated, middle)
-            return np.maximum(there - _at(cumulated, u0), _at(cumulated, u1) - there)
+            before, there, after = (_at(cumulated, u) @ self.reach for u in (u0, middle, u1))
+            return np.maximum(there - before, after - there)
 
         along = half(self.travelled)
         if self.stop_changed is None or self.stop_length is None:
             return along, np.zeros_like(along)
         along = along + s1[:, None] * half(self.stop_changed)
-        return along, (s1 - s0)[:, None] / 2 * _at(self.stop_length, middle)
+        return along, (s1 - s0)[:, None] / 2 * (_at(self.stop_length, middle) @ self.reach)
 
     def _note(self, middle: np.ndarray, distances: np.ndarray) -> None:
         nearest = distances.argmin(axis=0)

@@ -207,19 +207,26 @@ def fastest(path: Path, shape: PathShape, limits: ArmLimits, ceiling: np.ndarray
     rule = path.rules
     rise = np.minimum(rule[:-1, rules.ACCELERATION], rule[1:, rules.ACCELERATION])
     fall = np.minimum(rule[:-1, rules.DECELERATION], rule[1:, rules.DECELERATION])
-    start = np.zeros((len(growth), 1))
-    rising = np.concatenate((start, np.cumsum(growth * rise, axis=1)), axis=1)
-    falling = np.concatenate((start, np.cumsum(growth * fall, axis=1)), axis=1)
+    rising = _cumulated(growth, rise)
+    falling = rising if np.array_equal(rise, fall) else _cumulated(growth, fall)
     used = weight * ceiling > least[:, None]
     inverse = 1.0 / np.where(used, weight, 1.0)
+    unused = np.where(used, 0.0, np.inf)
     z = ceiling.copy()
     z[[0, -1]] = 0.0
+    y, lowest = np.empty((2, *weight.shape))
     for _ in range(_PASSES):
         before = z
-        y = rising + np.minimum.accumulate(weight * z - rising, axis=1)
-        z = np.minimum(z, np.min(_lifted(y, inverse, used), axis=0))
-        y = np.minimum.accumulate((weight * z + falling)[:, ::-1], axis=1)[:, ::-1] - falling
-        z = np.minimum(z, np.min(_lifted(y, inverse, used), axis=0))
+        np.multiply(weight, z, out=y)
+        y -= rising
+        np.minimum.accumulate(y, axis=1, out=lowest)
+        lowest += rising
+        z = np.minimum(z, _lifted(lowest, inverse, unused))
+        np.multiply(weight, z, out=y)
+        y += falling
+        np.minimum.accumulate(y[:, ::-1], axis=1, out=lowest[:, ::-1])
+        lowest -= falling
+        z = np.minimum(z, _lifted(lowest, inverse, unused))
         if np.max(before - z) <= 1e-4 * np.max(z):
             break
     # Standstill belongs to the ends alone: a knot between them may not hold the arm for ever.
@@ -227,8 +234,17 @@ def fastest(path: Path, shape: PathShape, limits: ArmLimits, ceiling: np.ndarray
     return z
 
 
-def _lifted(y: np.ndarray, inverse: np.ndarray, used: np.ndarray) -> np.ndarray:
-    return np.where(used, np.maximum(y, 0.0) * inverse, np.inf)
+def _cumulated(growth: np.ndarray, part: np.ndarray) -> np.ndarray:
+    total = np.zeros((len(growth), growth.shape[1] + 1))
+    np.cumsum(growth * part, axis=1, out=total[:, 1:])
+    return total
+
+
+def _lifted(y: np.ndarray, inverse: np.ndarray, unused: np.ndarray) -> np.ndarray:
+    np.maximum(y, 0.0, out=y)
+    y *= inverse
+    y += unused
+    return y.min(axis=0)
 
 
 def _changes(
