@@ -75,11 +75,11 @@ class Clock:
         return position, torque, None if set_points is None else self._on(grid, set_points)
 
     def _on(self, grid: slice, values: np.ndarray, monotone: bool = False) -> np.ndarray:
-        from scipy.interpolate import CubicSpline, PchipInterpolator
-
         rows = self._rows(grid)
         if self.knots is None:
             return values[rows]
+        from scipy.interpolate import CubicSpline, PchipInterpolator  # most of a second, and even logs need none of it
+
         knots = self.knots[rows.start - self.start : rows.stop - self.start]
         curve: Callable[[np.ndarray], np.ndarray]
         curve = (PchipInterpolator if monotone else CubicSpline)(knots, values[rows])

@@ -15,6 +15,7 @@ programme goes to Clarabel directly: its cost is one small matrix made of the mo
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -108,7 +109,6 @@ class _Programme:
     def solve(self, total: np.ndarray) -> np.ndarray:
         """(10 n + n + T,) unknowns from a weighted sum of moments (p + 1, p + 1)."""
         import clarabel
-        from scipy.sparse import csc_matrix
 
         columns = self.to_parameters * self.scale
         offset = self.to_parameters @ self.mean
@@ -120,14 +120,23 @@ class _Programme:
         settings.max_threads = 1
         cones = [clarabel.NonnegativeConeT(self._linear), *[clarabel.PSDTriangleConeT(4)] * self._links]
         solution = clarabel.DefaultSolver(
-            csc_matrix(np.triu(cost / size)),
+            _by_columns(np.triu(cost / size)),
             slope / size,
-            csc_matrix(-self._cone_rows),
+            _by_columns(-self._cone_rows),
             -self._cone_floor,
             cones,
             settings,
         ).solve()
         return self.mean + self.scale * np.array(solution.x)
+
+
+def _by_columns(matrix: np.ndarray) -> SimpleNamespace:
+    """A matrix (m, n) in compressed columns: what Clarabel reads of one of SciPy's, which is slow to load."""
+    column, row = np.nonzero(matrix.T)
+    starts = np.searchsorted(column, np.arange(matrix.shape[1] + 1))
+    return SimpleNamespace(
+        data=matrix[row, column], indices=row, indptr=starts, shape=matrix.shape, has_canonical_format=True
+    )
 
 
 def _unit(k: int, size: int) -> np.ndarray:

@@ -16,6 +16,7 @@ sinc under a Gaussian and that of |H|² decays exponentially, so nothing reaches
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -228,12 +229,11 @@ def smooth_and_differentiate(
 
     Flat up to `pass_edge`, nothing from `stop_edge` on [Hz].
     """
-    from scipy.special import erfc
-
     middle, width = (pass_edge + stop_edge) / 2, (stop_edge - pass_edge) / (2 * _HALF_BAND)
 
     def smooth(frequency: np.ndarray) -> np.ndarray:
-        return 0.5 * erfc((frequency - middle) / (np.sqrt(2) * width))
+        argument = (frequency - middle) / (np.sqrt(2) * width)
+        return 0.5 * np.fromiter(map(math.erfc, argument), float, len(argument))
 
     responses = [
         smooth,
@@ -256,15 +256,13 @@ def _respond(signals: np.ndarray, rate: float, responses: list[_Response], kept:
     The spectrum is cut at the new Nyquist frequency where `kept` takes every k-th sample, so only responses that pass
     nothing beyond it may be decimated.
     """
-    from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
-
     size, count = len(signals), signals.shape[1]
     first, stop, step = kept.indices(size)
-    reduced = next_fast_len((size + 2 * min(size - 1, int(rate))) // step + 1, real=True)
+    reduced = _fast_length((size + 2 * min(size - 1, int(rate))) // step + 1)
     length = reduced * step
     before = min(size - 1, (length - size) // 2)
     after = min(size - 1, length - size - before)
-    frequency = rfftfreq(length, 1 / rate)[: reduced // 2 + 1]
+    frequency = np.fft.rfftfreq(length, 1 / rate)[: reduced // 2 + 1]
     gains = [response(frequency) / step for response in responses]
     results = [np.empty((count, -(-(stop - first) // step))) for _ in responses]
     # sample `first` comes first in the transform, what precedes it wraps around
@@ -276,10 +274,23 @@ def _respond(signals: np.ndarray, rate: float, responses: list[_Response], kept:
         rows[:, size - first : size - first + after] = 2 * part[-1][:, None] - part[-2 : -after - 2 : -1].T
         rows[:, length - first :] = part[:first].T
         rows[:, length - first - before : length - first] = 2 * part[0][:, None] - part[before:0:-1].T
-        spectrum = rfft(rows, axis=1)[:, : len(frequency)]
+        spectrum = np.fft.rfft(rows, axis=1)[:, : len(frequency)]
         for result, gain in zip(results, gains, strict=True):
-            result[start : start + _TOGETHER] = irfft(spectrum * gain, reduced, axis=1)[:, : result.shape[1]]
+            result[start : start + _TOGETHER] = np.fft.irfft(spectrum * gain, reduced, axis=1)[:, : result.shape[1]]
     return [result.T for result in results]
+
+
+def _fast_length(least: int) -> int:
+    """The smallest product of twos, threes and fives that is not less: what a Fourier transform is quick with."""
+    length = least
+    while True:
+        rest = length
+        for factor in (2, 3, 5):
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
+            return length
+        length += 1
 
 
 def _bands(log: Log, cutoff: float, settings: FilterSettings) -> tuple[float, float]:

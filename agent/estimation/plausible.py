@@ -16,6 +16,7 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.estimation.filtering import FilterSettings, motions, resolve_cutoff
+from agent.estimation.rigid_fit import Bodies, Samples, solved
 from agent.estimation.velocity_check import velocity_doubts
 from agent.recording.log import Log
 from agent.robot import RobotDescription
@@ -36,26 +37,8 @@ _FAR = 0.2  # rad or m that a joint that is asked to go does not stay behind, ho
 _MOVING = 1e-2  # rad or m that a joint travels to count as moving
 
 
-@dataclass(frozen=True, eq=False)
-class _Samples:
-    """S low-passed samples: q, qd, qdd, torque and the direction of motion, all (S, n); so many are independent."""
-
-    q: np.ndarray
-    qd: np.ndarray
-    qdd: np.ndarray
-    torque: np.ndarray
-    direction: np.ndarray
-    independent: float
-
-    def thinned(self, every: int) -> _Samples:
-        """Every k-th."""
-        signals = (self.q, self.qd, self.qdd, self.torque, self.direction)
-        q, qd, qdd, torque, direction = (values[::every] for values in signals)
-        return _Samples(q, qd, qdd, torque, direction, self.independent)
-
-
 _Regressor = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-_Mistake = tuple[str, RobotDescription, _Samples]
+_Mistake = tuple[str, RobotDescription, Samples]
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +159,7 @@ def _too_strong(robot: RobotDescription, turning: np.ndarray, moving: np.ndarray
     return None
 
 
-def _samples(logs: Sequence[Log]) -> _Samples | None:
+def _samples(logs: Sequence[Log]) -> Samples | None:
     """Samples of all logs that are long enough to be filtered; None where that leaves too few."""
     parts, independent = [], 0.0
     for log in logs:
@@ -197,10 +180,10 @@ def _samples(logs: Sequence[Log]) -> _Samples | None:
     if len(rows) * rows.shape[1] // 5 < 100:
         return None
     q, qd, qdd, torque, direction = np.split(rows, 5, axis=1)
-    return _Samples(q, qd, qdd, torque, direction, independent)
+    return Samples(q, qd, qdd, torque, direction, independent)
 
 
-def _mechanics(robot: RobotDescription, samples: _Samples) -> Iterator[str]:
+def _mechanics(robot: RobotDescription, samples: Samples) -> Iterator[str]:
     plain = _fit(robot, samples)
     names = robot.joint_names
     if not plain.enough:
@@ -227,16 +210,18 @@ def _mechanics(robot: RobotDescription, samples: _Samples) -> Iterator[str]:
         yield f"{likeliest}: much more of the torque would be explained"
 
 
-def _likeliest(robot: RobotDescription, samples: _Samples) -> str | None:
+def _likeliest(robot: RobotDescription, samples: Samples) -> str | None:
     """The mistake that explains clearly more than the log as it is; None where none does."""
-    every = max(1, len(samples.q) // _TRIED)
-    as_it_is = _fit(robot, samples.thinned(every)).joints
-    tried = [(what, _fit(here, s.thinned(every)).joints) for what, here, s in _mistakes(robot, samples)]
+    bodies, some = Bodies(robot), samples.thinned(max(1, len(samples.q) // _TRIED))
+    as_it_is = solved(bodies, some).joints
+    tried = [
+        (what, solved(bodies if here is robot else Bodies(here), s).joints) for what, here, s in _mistakes(robot, some)
+    ]
     what, left = min(tried, key=lambda entry: entry[1].mean())
     return what if left.mean() < _BETTER * as_it_is.mean() else None
 
 
-def _other_gravity(robot: RobotDescription, samples: _Samples) -> Iterator[_Mistake]:
+def _other_gravity(robot: RobotDescription, samples: Samples) -> Iterator[_Mistake]:
     size = float(np.linalg.norm(robot.gravity)) or 9.80665
     for direction in (*np.eye(3), *-np.eye(3)):
         x, y, z = (float(size * value) for value in direction)
@@ -244,7 +229,7 @@ def _other_gravity(robot: RobotDescription, samples: _Samples) -> Iterator[_Mist
         yield f"gravity in the base frame looks like ({text})", replace(robot, gravity=(x, y, z)), samples
 
 
-def _mistakes(robot: RobotDescription, s: _Samples) -> Iterator[_Mistake]:
+def _mistakes(robot: RobotDescription, s: Samples) -> Iterator[_Mistake]:
     names, n = robot.joint_names, robot.dof
     yield from _other_gravity(robot, s)
     turning = ~np.array([joint.prismatic for joint in robot.joints])
@@ -266,48 +251,27 @@ def _mistakes(robot: RobotDescription, s: _Samples) -> Iterator[_Mistake]:
         yield f"{who} look swapped", robot, replace(swapped, torque=s.torque[:, order])
 
 
-def _fit(robot: RobotDescription, s: _Samples) -> _Fit:
-    """Rigid links, rotors, Coulomb, viscous and offset, by least squares with every joint weighted alike."""
-    from agent.robot.drivetrain import rotor_regressor
-    from agent.robot.dynamics import Dynamics
-
+def _fit(robot: RobotDescription, s: Samples) -> _Fit:
+    """What the log leaves unexplained as it is, and whether what explains it would drive the joints on."""
+    bodies = Bodies(robot)
+    fit = solved(bodies, s)
     count, n = s.q.shape
-    dynamics = Dynamics(robot)
-
-    def rigid(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-        return np.concatenate([dynamics.regressor(q, qd, qdd), rotor_regressor(robot, qdd)], axis=2)
-
-    own = np.eye(n)[None]
-    coupling = robot.coupling.T[None]
-    axle = s.qd @ robot.coupling.T, s.direction
-    friction = [coupling * column[:, None, :] for column in (axle[1], axle[0])]
-    columns = np.concatenate([rigid(s.q, s.qd, s.qdd), *friction, np.broadcast_to(own, (count, n, n))], axis=2)
-    scale = np.sqrt(np.mean(s.torque**2, axis=0))
-    scale = np.where(scale > 0, scale, 1.0)
-    a = (columns / scale[None, :, None]).reshape(count * n, -1)
-    length = np.linalg.norm(a, axis=0)
-    length[length == 0] = 1.0
-    u, sizes, directions = np.linalg.svd(a / length, full_matrices=False)
-    known = sizes > 1e-7 * sizes[0]
-    solution = directions[known].T @ ((u[:, known].T @ (s.torque / scale).ravel()) / sizes[known]) / length
-    error = s.torque - columns @ solution
     total = np.linalg.norm(s.torque)
-    joints = np.linalg.norm(error, axis=0) / (scale * np.sqrt(count))
     independent = n * min(count, s.independent)
-    spare = independent - np.count_nonzero(known)
-    push = _push(robot, s, columns, rigid) / scale[:, None] / length
-    variance = np.mean(joints**2) * count * n / max(spare, 1e-9)
-    scatter = np.linalg.norm(push @ directions.T / np.maximum(sizes, 1e-7 * sizes[0]), axis=1)
+    spare = independent - np.count_nonzero(fit.known)
+    push = _push(robot, s, fit.columns, bodies.regressor) / fit.scale[:, None] / fit.length
+    variance = np.mean(fit.joints**2) * count * n / max(spare, 1e-9)
+    scatter = np.linalg.norm(push @ fit.directions.T / np.maximum(fit.sizes, 1e-7 * fit.sizes[0]), axis=1)
     return _Fit(
-        joints,
-        float(np.linalg.norm(error) / total) if total > 0 else 0.0,
-        push @ (solution * length),
+        fit.joints,
+        float(np.linalg.norm(fit.error) / total) if total > 0 else 0.0,
+        push @ (fit.solution * fit.length),
         np.sqrt(variance) * scatter,
-        bool(independent > _ENOUGH * np.count_nonzero(known)),
+        bool(independent > _ENOUGH * np.count_nonzero(fit.known)),
     )
 
 
-def _push(robot: RobotDescription, s: _Samples, columns: np.ndarray, rigid: _Regressor) -> np.ndarray:
+def _push(robot: RobotDescription, s: Samples, columns: np.ndarray, rigid: _Regressor) -> np.ndarray:
     """(n, p): torque by which each joint drives itself on, by friction and by its own inertia, a unit of parameter."""
     n = robot.dof
     bodies = columns.shape[2] - 3 * n

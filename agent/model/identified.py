@@ -92,13 +92,13 @@ class IdentifiedModel(ModelData):
         The variance is that of the parameters, xᵀ Σ x, and that of held-out rows: in motion, or at standstill where the
         joints' `speed` (S, n) is given and says so, since stiction leaves friction open there.
         """
-        from scipy.special import ndtri
+        from statistics import NormalDist
 
         variance = np.einsum("snp,pq,snq->sn", columns, self.covariance, columns, optimize=True)
         rest = self.residual_rmse
         if speed is not None and self.group_rmse is not None:
             rest = np.where(np.abs(speed) > self.standstill_speed, *self.group_rmse)
-        return float(ndtri(0.5 + probability / 2)) * np.sqrt(variance + rest**2)
+        return NormalDist().inv_cdf(0.5 + probability / 2) * np.sqrt(variance + rest**2)
 
     @property
     def _friction_share(self) -> np.ndarray:
