@@ -1,6 +1,6 @@
 """The set-points of some loops and the loops of two seeds, as they were before the interpolator was made faster.
 
-`same_loop.json` was written by `python tests/excitation/test_same_loop.py` at commit 05cde62; what is written anew
+`same_loop.json` was written by `python tests/excitation/test_same_loop.py` at commit 4d9f4fb; what is written anew
 there changes what stored seeds mean, and has to be said in the commit.
 """
 
