@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from agent.core.errors import InputError
 from agent.robot import KinematicsError, RobotDescription, kinematics_for
+from agent.robot.kinematics.base import SINGULAR_DISTANCE
 from agent.robot.kinematics.chain import chain_of
 from agent.robot.kinematics.numerical import NumericalKinematics
 
@@ -132,3 +133,26 @@ def test_no_poses_are_no_path(arms: dict[str, RobotDescription]) -> None:
         nothing = np.empty((0, 4, 4))
         assert kinematics.follow(nothing, np.zeros(kinematics.dof)).shape == (0, kinematics.dof)
         assert kinematics.inverse(nothing).valid.shape == (0, 8)
+
+
+@pytest.mark.parametrize("name", NUMERICAL)
+def test_what_a_bound_clears_is_not_singular(arms: dict[str, RobotDescription], name: str) -> None:
+    """The bound may ask for more than is needed, never for less."""
+    kinematics = kinematics_for(arms[name])
+    assert isinstance(kinematics, NumericalKinematics)
+    q = np.random.default_rng(2).uniform(-np.pi, np.pi, (600, kinematics.dof))
+    q[::4] *= 1e-6
+    singular = kinematics.singularity(q).smallest < SINGULAR_DISTANCE
+    assert kinematics._suspects(q)[singular].all()
+
+
+@pytest.mark.parametrize("name", ["anthropomorphic", "skew", "scara"])
+def test_all_poses_at_once_are_on_the_branch_of_pose_by_pose(arms: dict[str, RobotDescription], name: str) -> None:
+    kinematics = kinematics_for(arms[name])
+    assert isinstance(kinematics, NumericalKinematics)
+    poses = kinematics.forward(swing(kinematics.dof, np.random.default_rng(3), 150))
+    start = kinematics.solve(poses[0], np.full(kinematics.dof, 0.7))
+    alone = [start]
+    for pose in poses[1:]:
+        alone.append(kinematics.follow(pose[None], alone[-1])[0])
+    np.testing.assert_allclose(kinematics.follow(poses, start), alone, rtol=0, atol=1e-8)

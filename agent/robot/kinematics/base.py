@@ -217,3 +217,17 @@ def pose_error(target: np.ndarray, actual: np.ndarray) -> np.ndarray:
     error[:, 3:] = sine * scale[:, None]
     error[(length <= 1e-12) & (angle > 1), 3] = np.pi
     return error
+
+
+def cubic_between(known: np.ndarray, values: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(P, n) at places (P,) by the cubic through the four nearest of values (K, n) at places `known` (K,)."""
+    count = min(4, len(known))
+    first = np.clip(np.searchsorted(known, places) - count // 2, 0, len(known) - count)
+    total = np.zeros((len(places), values.shape[1]))
+    for one in range(count):
+        part = np.ones(len(places))
+        for other in range(count):
+            if other != one:
+                part *= (places - known[first + other]) / (known[first + one] - known[first + other])
+        total += part[:, None] * values[first + one]
+    return total

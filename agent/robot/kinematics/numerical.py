@@ -22,6 +22,7 @@ from agent.robot.kinematics.base import (
     Kinematics,
     KinematicsError,
     SingularityDistance,
+    cubic_between,
     pose_error,
     position_text,
 )
@@ -40,6 +41,7 @@ _LONGEST = 0.2  # rad or m: a step towards the nearest solution
 _DISTINCT = 1e-4  # rad or m: solutions nearer than this are one
 _POSES_AT_ONCE = 100
 _STRETCH = 64
+_NEIGHBOURS = 0.3  # rad: joints of neighbouring poses that are nearer than this are on one branch
 
 
 class NumericalKinematics(Kinematics):
@@ -75,6 +77,9 @@ class NumericalKinematics(Kinematics):
         if not error[0] < ACCURACY * self.length:
             self._raise(0, poses[0], first, error)
         q[0] = first[0]
+        if self.dof <= 6 and self._follow_at_once(poses, q):
+            self._check_singularity(poses, q)
+            return q
         longest = 1 if self.dof > 6 else _STRETCH
         done, stretch = 0, longest
         while done < len(poses) - 1:
@@ -85,6 +90,25 @@ class NumericalKinematics(Kinematics):
                 stretch //= 2
         self._check_singularity(poses, q)
         return q
+
+    def _follow_at_once(self, poses: np.ndarray, q: np.ndarray) -> bool:
+        """Fill q (S, n) after its first row for all poses together; False where that may have left the branch.
+
+        First some poses far apart, all from the start, then ever more between those that are known. Neighbours that
+        are near each other, everywhere, are on one branch.
+        """
+        last = len(poses) - 1
+        known = np.zeros(1, dtype=int)
+        for apart in (_STRETCH, _STRETCH // 8, 1):
+            new = np.setdiff1d(np.append(np.arange(0, last, apart), last), known)
+            if len(new) == 0:
+                continue
+            guess = q[:1] if len(known) == 1 else cubic_between(known, q[known], new)
+            q[new], error = self._converge(poses[new], np.broadcast_to(guess, (len(new), self.dof)))
+            if not (error < ACCURACY * self.length).all():
+                return False
+            known = np.sort(np.append(known, new))
+        return bool(np.abs(np.diff(q, axis=0))[:, self._revolute].max(initial=0.0) <= _NEIGHBOURS)
 
     def nearest(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(S, n) joints of a redundant arm at poses (S, 4, 4) nearest to `near` (S, n), and where they were found (S,).
@@ -100,9 +124,10 @@ class NumericalKinematics(Kinematics):
         for _ in range(_ITERATIONS):
             if len(active) == 0:
                 break
-            jacobian = self.jacobian(q[active]) * weights[:, None]
+            reached, jacobian = self.chain.forward_and_jacobian(q[active])
+            jacobian = jacobian * weights[:, None]
             transposed = jacobian.transpose(0, 2, 1)
-            residual = pose_error(poses[active], self.forward(q[active])) * weights
+            residual = pose_error(poses[active], reached) * weights
             away = near[active] - q[active]
             # J⁺ e + (1 - J⁺ J) away, J⁺ = Jᵀ (J Jᵀ)⁻¹; what is added keeps a singular pose finite until it is refused
             asked = residual[:, :, None] - jacobian @ away[:, :, None]
@@ -150,10 +175,27 @@ class NumericalKinematics(Kinematics):
         return q
 
     def _check_singularity(self, poses: np.ndarray, q: np.ndarray) -> None:
-        distances = self.singularity(q).smallest
+        suspects = self._suspects(q)
+        distances = np.full(len(q), np.inf)
+        distances[suspects] = self.singularity(q[suspects]).smallest
         if distances.min(initial=np.inf) < SINGULAR_DISTANCE:
             index = int(np.flatnonzero(distances < SINGULAR_DISTANCE)[0])
             self._raise_singular(index, poses[index], float(distances.min()))
+
+    def _suspects(self, q: np.ndarray) -> np.ndarray:
+        """(S,) bool: configurations that a bound on the singular values does not clear, which costs a tenth of them.
+
+        Of m singular values with squares that sum to F², the smallest over the largest is at least the product of all,
+        √det J Jᵀ, over the largest product that the others can have, (F² / (m - 1))^((m - 1) / 2), and over F.
+        """
+        jacobian = self.jacobian(q)
+        jacobian[:, 3:] *= self.length
+        transposed = jacobian.transpose(0, 2, 1)
+        square = jacobian @ transposed if self.dof >= 6 else transposed @ jacobian
+        others = square.shape[1] - 1
+        whole = np.einsum("sii->s", square)
+        product = np.sqrt(np.maximum(np.linalg.det(square), 0.0))
+        return ~(product * max(others, 1) ** (0.5 * others) > 2.0 * SINGULAR_DISTANCE * whole ** (0.5 * others + 0.5))
 
     def solve(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
         """As in `Kinematics`; a redundant arm's nearest solution is looked for from `near` itself first."""
@@ -228,13 +270,14 @@ class NumericalKinematics(Kinematics):
         weights = np.repeat([1.0, self.length], 3)
         longest = np.where(self._revolute, 0.5, 0.5 * self.length)
         for _ in range(_ITERATIONS):
-            residual = pose_error(poses[active], self.forward(q[active])) * weights
+            reached, jacobian = self.chain.forward_and_jacobian(q[active])
+            residual = pose_error(poses[active], reached) * weights
             error[active] = np.linalg.norm(residual, axis=1)
             going = ~(error[active] < ACCURACY * self.length)
-            active, residual = active[going], residual[going]
+            active, residual, jacobian = active[going], residual[going], jacobian[going]
             if len(active) == 0:
                 break
-            step = self._damped_step(self.jacobian(q[active]) * weights[:, None], residual)
+            step = self._damped_step(jacobian * weights[:, None], residual)
             q[active] += step / np.maximum(np.abs(step / longest).max(axis=1, keepdims=True), 1.0)
         return q, error
 
@@ -264,14 +307,14 @@ class NumericalKinematics(Kinematics):
                 self._raise_branch(target, poses[target], float(turned))
             q[target] = end[0]
             return True
-        if not reached or turned > 0.3:
+        if not reached or turned > _NEIGHBOURS:
             return False
         between = poses[done + 1 : target]
         part = np.linspace(0.0, 1.0, stretch + 1)[1:-1, None]
         inside, error = self._converge(between, q[done] + part * (end[0] - q[done]))
         path = np.vstack([q[done], inside, end])
         steps = np.abs(np.diff(path, axis=0))[:, self._revolute]
-        if not (error < ACCURACY * self.length).all() or steps.max(initial=0.0) > 0.3:
+        if not (error < ACCURACY * self.length).all() or steps.max(initial=0.0) > _NEIGHBOURS:
             return False
         q[done + 1 : target + 1] = path[1:]
         return True
