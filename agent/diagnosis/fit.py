@@ -169,10 +169,9 @@ class Fit:
 
     def with_prior(self, precision: np.ndarray) -> Fit:
         """The same data without effects, and with another prior precision (p, p) of the model's parameters."""
-        shared = {**self._shared, "known": {}, "made": {}}
         return Fit(
             self.reference, self.signals, self.rows, self.index, self.sigma, precision, self.shift,
-            self.cell, self.block, self.folds, self.single, (), shared,
+            self.cell, self.block, self.folds, self.single, (), self._shared,
         )  # fmt: skip
 
     @property

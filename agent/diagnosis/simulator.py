@@ -5,7 +5,8 @@ as where no model is given (`DecisionLimits.unknown_error`), or less, where its 
 what one joint leaves over the others is then a gap that numbers do not close.
 
 Three answers are compared, the plainest first: the numbers are right and one effect explains the gap; friction and
-rotors moved, with effects; links moved too. A later one is taken only where it closes more by a part that counts.
+rotors moved, with effects; links moved too. A later one is taken only where it closes more by a part that counts; one
+whose effects may stand in for links only where links moved close no more.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.verdict import judge
 from agent.estimation.filtering import FilterSettings, resolve_cutoff
+from agent.model.effects.inertial_mismatch import InertialMismatch
+from agent.model.effects.payload import Payload
 from agent.model.identified import IdentifiedModel
 from agent.recording.log import Log
 from agent.robot import RobotDescription
@@ -38,6 +41,14 @@ class Answer:
     search: Search
     finding: Finding
     gap: Gap
+
+    @property
+    def like_links(self) -> bool:
+        """Whether an effect that was found may stand in for links that weigh otherwise: a torque over position."""
+        effects = [candidate.effect for candidate in self.finding.causes]
+        return any(
+            e.name != Payload.name and (e.family == "load" or InertialMismatch.name in e.confused_with) for e in effects
+        )
 
     @property
     def left(self) -> float:
@@ -98,14 +109,15 @@ def search_simulator(
     drives, everything = calibration(dataset, links=False), calibration(dataset)
     if drives.groups and len(everything.groups) > len(drives.groups):
         found.append(answer(drives))
-        if found[-1].finding.causes and found[-1].left <= enough:
+        if found[-1].finding.causes and found[-1].left <= enough and not found[-1].like_links:
             return found[-1]
     if everything.groups:
         found.append(answer(everything))
     best = min(entry.left for entry in found)
     for entry in found[:-1]:
         one = len(entry.finding.causes) == 1 if entry is plain else bool(entry.finding.causes)
-        if one and entry.left - best <= enough:
+        behind = 0.0 if entry is not plain and entry.like_links else enough
+        if one and entry.left - best <= behind:
             return entry
     return found[-1]
 
