@@ -109,7 +109,10 @@ class Candidates:
         joints = self._joints(poses)
         start = self.kinematics.solve(poses[0], self.posture) if joints is None else joints[0]
         moves = loop_moves(poses, self.problem.settings, joints)
-        return Loop(genome, poses, start, moves, self._interpolator.plan(moves, start))
+        loop = Loop(genome, poses, start, moves, self._interpolator.plan(moves, start))
+        if joints is None:
+            via_joints(self.kinematics, loop)
+        return loop
 
     def _joints(self, poses: np.ndarray) -> np.ndarray | None:
         """(K, n) of a redundant arm at the via-points, nearest to its posture, so that a loop ends where it began."""
@@ -166,6 +169,21 @@ class Candidates:
             f"{self.problem.robot.joint_names[joint]} needs {torque[:, joint].max():.0f} N·m by the description's "
             f"inertias, its max_torque is {self._max_torque[joint]:g} N·m",
         )
+
+
+def via_joints(kinematics: Kinematics, loop: Loop) -> list[np.ndarray]:
+    """Joints (n,) at every via-point of a loop, on the branch that it passes them on.
+
+    A blend may pass by a point where the arm itself cannot be; no controller takes that point as a target.
+
+    Raises:
+        KinematicsError: such a point.
+    """
+    joints = [loop.start]
+    for move, pose in enumerate(loop.poses[1:]):
+        there = loop.trajectory.q[np.flatnonzero(loop.trajectory.move == move)[-1]]
+        joints.append(kinematics.solve(pose, there))
+    return joints
 
 
 def posture(kinematics: Kinematics, regions: ViaRegions) -> np.ndarray:

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from agent.recording.log import Log
     from agent.robot import RobotDescription
 
-#: Set-points rest where no joint changes by more than this [rad, m] within so long [s], for so long at least.
-_STILL, _WITHIN, _REST = 1e-8, 0.01, 0.02
+#: A way between two stops is so many times as long as planned, at least and at most: it is another one otherwise.
+_SHORTER, _LONGER = 0.5, 2.0
 #: [rad, m] A stretch ends where a move does; a way shorter than this is none.
 _THERE = 2e-3
 #: Stretches that are learned from at most, the longest first: more tell little that is new.
@@ -159,8 +159,8 @@ def _of_the_plan(log: Log) -> str:
     if (folder / "plan.json").is_file() and (folder / "state.json").is_file():
         recipe = recipe_of(folder)
         plan = replan(recipe, folder / "plan.json")
-        for motion in plan.validation:
-            if motion.name == log.path.stem:
+        for number, motion in enumerate(plan.validation, 1):
+            if log.path.stem == f"validation_{number:02d}":
                 return program_text(recipe, motion)
     raise InputError(
         f"{log.path}: the program that was recorded is not beside it; put it there as {log.path.stem}.pdl "
@@ -172,6 +172,7 @@ def _stretches(
     log: Log, statements: Sequence[Statement], robot: RobotDescription, rests: dict[str, list[float]]
 ) -> list[tuple[Any, Stretch]]:
     """What was moved between stops, by what tells one motion from another; `rests` [s] grows by what stops took."""
+    from agent.link.alignment import Aligner, moving_stretches
     from agent.link.planned import chain_key
     from agent.motion import FlyInterpolator
     from agent.motion.learning import Stretch
@@ -187,7 +188,7 @@ def _stretches(
     assert reference is not None
     good = np.isfinite(reference).all(axis=1)
     t, q = log.t[good], reference[good]
-    moving = _moving(t, q)
+    moving = moving_stretches(q, max(2, round(Aligner.REST * log.sample_rate)))
     interpolator = FlyInterpolator(robot, period=1.0 / log.sample_rate)
     found: list[tuple[Any, Stretch]] = []
     at, stand, left = 0, q[0], None
@@ -199,7 +200,7 @@ def _stretches(
         for last in range(at, len(moving)):
             a, b = moving[at][0], moving[last][1]
             done = float(np.abs(np.diff(q[a:b], axis=0)).sum())
-            if np.abs(q[b - 1] - planned[-1]).max() < _THERE and done > 0.5 * way:
+            if np.abs(q[b - 1] - planned[-1]).max() < _THERE and _SHORTER * way < done < _LONGER * way:
                 break
         else:
             since = t[moving[at][0]] if at < len(moving) else t[-1]
@@ -208,7 +209,7 @@ def _stretches(
                 f"{moves[-1].name or 'the next stop'}; is it the program that was recorded?"
             )
         if left is not None and waited == 0.0:
-            rests.setdefault(left[0], []).append(float(t[a] - left[1]) + 2.0 * _WITHIN)
+            rests.setdefault(left[0], []).append(float(t[a] - left[1]))
         even = np.diff(t[a:b]).max() <= 2.5 / log.sample_rate
         if even:
             found.append((chain_key(moves), Stretch(tuple(moves), t[a:b], q[a:b])))
@@ -235,22 +236,3 @@ def _chains(statements: Sequence[Statement]) -> list[tuple[list[Move], float]]:
                 chains.append((pending, waited))
                 pending, waited = [], 0.0
     return [*chains, (pending, waited)] if pending else chains
-
-
-def _moving(t: np.ndarray, q: np.ndarray) -> list[tuple[int, int]]:
-    """[start, stop) sample ranges between rests; the first and last sample of each are at rest."""
-    period = float(np.median(np.diff(t)))
-    lag = max(1, round(_WITHIN / period))
-    changed = np.abs(q[lag:] - q[:-lag]).max(axis=1) > _STILL
-    busy = np.zeros(len(q), dtype=bool)
-    for k in np.flatnonzero(changed):
-        busy[k : k + lag + 1] = True
-    edges = np.flatnonzero(np.diff(busy.astype(int), prepend=0, append=0))
-    ranges = [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
-    joined: list[tuple[int, int]] = []
-    for a, b in ranges:
-        if joined and t[a] - t[joined[-1][1] - 1] < _REST:
-            joined[-1] = (joined[-1][0], b)
-        else:
-            joined.append((a, b))
-    return joined

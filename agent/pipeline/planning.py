@@ -294,6 +294,7 @@ def _draw_validation(recipe: Recipe, console: Console) -> Iterator[PlannedMotion
 
 def _targets(recipe: Recipe, loop: Loop) -> list[Target]:
     """Via-points as a controller takes them: poses with flags where the arm has flags, joint positions elsewhere."""
+    from agent.excitation.candidates import via_joints
     from agent.motion.program import CartesianTarget, JointTarget
     from agent.robot.kinematics import kinematics_for
 
@@ -301,11 +302,7 @@ def _targets(recipe: Recipe, loop: Loop) -> list[Target]:
         *flown, closing = (move.target for move in loop.moves)
         return [closing, *flown]
     kinematics = kinematics_for(recipe.robot, recipe.tool)
-    trajectory = loop.trajectory
-    passed = [loop.start]
-    for move, pose in enumerate(loop.poses[1:]):
-        there = trajectory.q[np.flatnonzero(trajectory.move == move)[-1]]
-        passed.append(kinematics.solve(pose, there))
+    passed = via_joints(kinematics, loop)
     if not hasattr(kinematics, "solve_configuration"):
         return [JointTarget(position) for position in passed]
 

@@ -23,7 +23,7 @@ from agent.robot.kinematics import kinematics_for
 from drivers.protocol import SampleBlock
 
 START = np.radians([0.0, 20.0, -90.0, 0.0, 60.0, 0.0])
-_REST = 0.08  # s at each stop
+REST = 0.08  # s at each stop
 
 
 def loop_program(robot: RobotDescription, seed: int, cycles: int = 2, speed: float = 1.0) -> str:
@@ -59,15 +59,16 @@ def record(
     program: str | None = None,
     change: str = "",
     period: float = 0.004,
+    rest: float = REST,
 ) -> Path:
     """A log of a program, `program` (or the same) beside it, with something about it changed."""
-    q, stand, moves = [np.tile(START, (round(_REST / period), 1))], START, []
+    q, stand, moves = [np.tile(START, (round(rest / period), 1))], START, []
     for statement in parse_program(text, "", robot).run():
         assert isinstance(statement, Move)
         moves.append(statement)
         if not statement.fly:
             planned = interpolator.plan(moves, stand)
-            q += [planned.q, np.tile(planned.q[-1], (round(_REST / period), 1))]
+            q += [planned.q, np.tile(planned.q[-1], (round(rest / period), 1))]
             stand, moves = planned.q[-1], []
     positions = np.concatenate(q)
     if change == "standstill":

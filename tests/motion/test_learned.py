@@ -12,7 +12,9 @@ from agent.motion import FlyInterpolator, FlyParameters, create_interpolator
 from agent.motion.learned import load_law
 from agent.motion.learning import Learner, Stretch
 from agent.motion.pdl2 import parse_program
+from agent.pipeline import learn as learning
 from agent.pipeline.learn import learn_files
+from agent.recording import read_log
 from agent.robot import load_robot
 from agent.robot.kinematics import kinematics_for
 from fake_controller.interpolation import build_interpolator
@@ -64,7 +66,18 @@ def test_the_file_is_an_interpolator(learned):
     assert isinstance(interpolator, FlyInterpolator)
     assert interpolator.parameters == load_law(path, ROBOT).parameters != FlyParameters()
     assert list(load_law(path, ROBOT).settling) == ["FINE"]
-    assert load_law(path, ROBOT).settling["FINE"] == pytest.approx(0.08, abs=0.02)
+    assert load_law(path, ROBOT).settling["FINE"] == pytest.approx(0.08, abs=0.01)
+
+
+def test_stops_of_a_few_samples_are_stops(tmp_path):
+    """A controller that settles at once goes on after 20 ms."""
+    text, interpolator = loop_program(ROBOT, 1, cycles=3), FlyInterpolator(ROBOT, period=0.004)
+    log = record(tmp_path / "loop.mcap", ROBOT, text, interpolator, period=0.004, rest=0.02)
+    rests = {}
+    read = read_log(log, ROBOT)
+    found = learning._stretches(read, learning._statements(read, ROBOT), ROBOT, rests)
+    assert [len(stretch.moves) for _, stretch in found] == [1, 4, 4, 4]
+    assert rests == {"FINE": [pytest.approx(0.02, abs=0.009)] * 3}
 
 
 def test_a_learned_law_keeps_the_arms_limits(learned):
