@@ -12,3 +12,16 @@ def error_text(share: float | None, torque: float | None, unit: str = "N·m", di
     if torque is not None and math.isfinite(torque):
         return f"{torque:.3g} {unit}"
     return "-"
+
+
+def plus_minus(value: float, half: float) -> str:
+    """A value with half of its interval, to two digits of the latter: "4.003 ± 0.021"; four digits without one."""
+    if not math.isfinite(half) or half <= 0:
+        return f"{value:.4g}"
+    size = max(abs(value), half)
+    if size >= 1e6 or size < 1e-3:
+        power = math.floor(math.log10(size))
+        return f"({plus_minus(value / 10**power, half / 10**power)})e{power}"
+    places = 1 - math.floor(math.log10(half))
+    shown = max(0, places)
+    return f"{round(value, places):.{shown}f} ± {round(half, places):.{shown}f}"

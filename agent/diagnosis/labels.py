@@ -52,9 +52,9 @@ def how_sure(verdict: str, probability: float) -> str:
 
 def closes(cause: Mapping[str, Any]) -> str:
     """What a cause closes of which gap; empty where that cannot be said."""
-    closure = cause["closure"]
-    if closure is None:
+    if cause["closure"] is None:
         return ""
+    part = "all" if cause["closure"] > 0.995 else f"{100 * cause['closure']:.0f} %"
     if in_torque(cause):
-        return f"closes {100 * closure:.0f} % of the gap"
-    return f"closes {100 * closure:.0f} % of the gap between planned and executed path"
+        return f"closes {part} of the gap"
+    return f"closes {part} of the gap between planned and executed path"

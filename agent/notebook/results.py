@@ -18,7 +18,7 @@ from agent.pipeline.diagnose import diagnosis_text
 from agent.pipeline.identify import validation_text
 from agent.pipeline.plan import PlanFiles
 from agent.recording import Log
-from agent.report.diagnosis_page import headline
+from agent.report.first_screen import headline
 from agent.robot.torque_figures import SHARE, torque_units
 from agent.validation import Prediction, summary
 

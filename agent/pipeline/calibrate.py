@@ -181,7 +181,8 @@ def _report(
     typical = typical_motion(predictions)
     write_analysis(run.file("analysis.mcap"), read_log(run.file(typical.log), recipe.robot), typical)
     further = further_sections(RunContent(run.path, recipe, model, predictions))
-    run.write_text("report.html", run_report(run_data(recipe, plan, result.to_dict(), model, predictions, further)))
+    shown = run_data(recipe, plan, result.to_dict(), model, predictions, further, run.path)
+    run.write_text("report.html", run_report(shown))
     run.complete(not result.rejected)
     return Outcome(run.path, result)
 

@@ -61,7 +61,7 @@ def diagnose_files(robot: str | None, paths: Sequence[Path], question: Question,
     Raises:
         InputError: a robot, model or log that cannot be used, an unknown effect, or an output that cannot be written.
     """
-    return _diagnose(None if robot is None else load_robot(robot), paths, question, console)
+    return _diagnose(None if robot is None else load_robot(robot), paths, question, console, robot)
 
 
 def diagnose_recording(recipe: Path, question: Question, console: Console, runs: Path, yes: bool) -> dict[str, Any]:
@@ -99,7 +99,8 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
         with step(run, "diagnose", console):
             report = run.file("report.html")
             here = replace(question, report=report)
-            result = _diagnose(loaded.robot, [recording.path for recording in recordings], here, console)
+            recorded = [recording.path for recording in recordings]
+            result = _diagnose(loaded.robot, recorded, here, console, loaded.robot_source)
             run.write_json("result.json", result)
             if question.report is not None:
                 write_atomically(question.report, report.read_text(encoding="utf-8"))
@@ -108,25 +109,30 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
     return result
 
 
-def diagnose_again(run: Path, robot: RobotDescription, console: Console) -> str:
-    """HTML of the page of a recorded diagnosis, from the run's files.
+def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Console) -> str:
+    """HTML of the page of a recorded diagnosis, from the run's files; `source` is what names the robot.
 
     Raises:
         InputError: a log or the model cannot be read.
         KeyError: the run does not say what was asked.
     """
+    from agent.pipeline.first_screen import after_diagnosis
     from agent.report.diagnosis_page import diagnosis_report
 
     asked = json.loads((run / "state.json").read_text(encoding="utf-8"))["question"]
     model = run / _SIMULATOR
     question = Question(model if model.exists() else None, cutoff=asked["cutoff"], without=tuple(asked["without"]))
     logs = [run / "excitation.mcap", *sorted(run.glob("validation_[0-9][0-9].mcap"))]
-    return diagnosis_report(*_find(robot, logs, question, console)[:2])
+    found, simulated, _ = _find(robot, logs, question, console)
+    return diagnosis_report(
+        found, simulated, next_steps=after_diagnosis(found.result, source, logs, question.model)
+    )
 
 
 def _diagnose(
-    robot: RobotDescription | None, paths: Sequence[Path], question: Question, console: Console
+    robot: RobotDescription | None, paths: Sequence[Path], question: Question, console: Console, source: str | None
 ) -> dict[str, Any]:
+    """`source` is what names the robot for whoever asks again."""
     from agent.diagnosis import simulation_part
 
     _check(question, paths)
@@ -137,10 +143,13 @@ def _diagnose(
     if simulator is not None:
         result |= run_forward(found, simulator, console)
     if question.report is not None:
+        from agent.pipeline.first_screen import after_diagnosis
         from agent.report.diagnosis_page import diagnosis_report
         from agent.runs.folder import write_atomically
 
-        write_atomically(question.report, diagnosis_report(found, simulated, result.get("forward")))
+        steps = after_diagnosis(found.result, source, paths, question.model)
+        page = diagnosis_report(found, simulated, result.get("forward"), steps)
+        write_atomically(question.report, page)
     if question.out is not None:
         if simulator is not None:
             write_simulator(found, simulator, question.out, console)

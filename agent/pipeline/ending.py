@@ -27,7 +27,9 @@ def current_run(logs: Path, robot: str, serial: str) -> str | None:
 def ending(run: RunFolder, recipe: Recipe) -> dict[str, Any]:
     """Of a complete run: `current_model`, the run that the robot's current model is of, and `next`, a command."""
     current = current_run(run.path.parent, run.state["robot"], run.state["serial"])
-    return {"current_model": current, "next": _next(run, recipe, current)}
+    kind, accepted = run.state["kind"], run.state["status"] == "finished"
+    steps = next_steps(kind, accepted, run.path, recipe, recipe.path, current)
+    return {"current_model": current, "next": "; ".join(f"{command} {what}" for command, what in steps)}
 
 
 def ending_text(run: RunFolder, recipe: Recipe) -> str:
@@ -43,24 +45,35 @@ def whose(current: str | None, run: str) -> str:
     return "that of this run" if current == run else f"that of {current}, not of this run"
 
 
-def _next(run: RunFolder, recipe: Recipe, current: str | None) -> str:
-    logs = run.path.parent
+def next_steps(
+    kind: str, accepted: bool, run: Path, recipe: Recipe, path: Path, current: str | None
+) -> list[tuple[str, str]]:
+    """Commands that may come after a complete run, and what each is for.
+
+    `path` is what they call the recipe, `current` the run that the robot's current model is of.
+    """
+    logs = run.parent
     where = "" if logs == _LOGS else f" --logs {shlex.quote(str(logs))}"
-    name, path = run.path.name, shlex.quote(str(recipe.path))
-    kind, accepted = run.state["kind"], run.state["status"] == "finished"
+    name, job = run.name, shlex.quote(str(path))
     if kind != "diagnose" and accepted and current == name:
-        return f"agent recalibrate {path}{where} when it is due; agent schedule {path}{where} sets up a timer"
+        return [
+            (f"agent recalibrate {job}{where}", "when it is due"),
+            (f"agent schedule {job}{where}", "sets up a timer"),
+        ]
+    apply = f"agent apply {name}{where}"
     if kind != "diagnose" and accepted and current is None:
-        return f"agent apply {name}{where}"
+        return [(apply, "makes this model the current one")]
     if kind != "diagnose" and accepted:
-        return f"agent compare {current} {name}{where}, then agent apply {name}{where} makes this model the current one"
+        compare = f"agent compare {current} {name}{where}"
+        return [(compare, "says what changed"), (apply, "makes this model the current one")]
+    calibrate = f"agent calibrate {job}{where}"
     if kind == "calibrate":
-        folder = shlex.quote(str(run.path))
-        robot = recipe.robot_source
-        return f"agent diagnose --robot {robot} --model {folder}/model.json {folder}/validation_*.mcap says why"
+        folder = shlex.quote(str(run))
+        logs_of = f"--model {folder}/model.json {folder}/validation_*.mcap"
+        return [(f"agent diagnose --robot {recipe.robot_source} {logs_of}", "says why")]
     if kind == "recalibrate":
-        return f"mend what the report names, then agent calibrate {path}{where}"
-    return f"agent history{where}; agent calibrate {path}{where} after a repair"
+        return [(calibrate, "after what the report names is mended")]
+    return [(f"agent history{where}", "lists what was found before"), (calibrate, "after a repair")]
 
 
 def going_on(run: RunFolder, step: str) -> str:

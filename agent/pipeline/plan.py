@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +17,11 @@ from agent.recipe import Recipe, ViaBox, ViaPointList
 from agent.runs.folder import write_atomically
 
 if TYPE_CHECKING:
+    from agent.model.identified import IdentifiedModel
     from agent.motion.trajectory import Trajectory
+    from agent.recording.log import Log
     from agent.report import MotionData, SearchData
+    from agent.validation import Prediction
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +103,7 @@ def planned_motion_data(recipe: Recipe, motion: PlannedMotion) -> MotionData:
 def motion_data(recipe: Recipe, cycle: Trajectory, via_points: np.ndarray, cycles: int) -> MotionData:
     """What a report shows of one planned cycle of a loop through via-points (K, 3) [m]."""
     from agent.report import MotionData
+    from agent.report.arm import arm_along
 
     return MotionData(
         robot=recipe.robot.name,
@@ -111,8 +115,32 @@ def motion_data(recipe: Recipe, cycle: Trajectory, via_points: np.ndarray, cycle
         t=cycle.t[::5],
         speed=cycle.path_speed[::5],
         programmed_speed=recipe.motion.speed,
+        arm=arm_along(recipe.robot, cycle.t, cycle.q, None if recipe.tool is None else recipe.tool.frame),
         limit_use={name: values[::5] for name, values in limit_use(recipe, cycle).items()},
     )
+
+
+def with_residual(motion: MotionData, model: IdentifiedModel, log: Path) -> MotionData:
+    """The loop coloured by what a model leaves of the torque measured along one cycle of its log."""
+    from agent.recording import read_log
+    from agent.recording.log import AROUND
+    from agent.validation import predict_log
+
+    recorded = read_log(log, model.robot)
+    start, stop = recorded.middle_cycle()
+    return left_over(motion, recorded, predict_log(model, recorded.between(start - AROUND, stop + AROUND)))
+
+
+def left_over(motion: MotionData, log: Log, prediction: Prediction) -> MotionData:
+    """The same from a prediction at hand: of the worst joint at each time, over nominal torque where all have one."""
+    start, stop = log.middle_cycle()
+    nominal = prediction.model.robot.nominal_torque
+    shares = bool(np.isfinite(nominal).all())
+    worst = np.abs(100 * prediction.error / nominal if shares else prediction.error).max(axis=1)
+    inside = (prediction.time >= start) & (prediction.time <= stop)
+    time = np.linspace(0.0, float(motion.t[-1]), len(motion.path))
+    found = np.interp(time, prediction.time[inside] - start, worst[inside])
+    return replace(motion, left=found, left_unit="% of nominal torque" if shares else "N·m")
 
 
 def search_data(found: dict[str, Any]) -> SearchData:

@@ -57,7 +57,7 @@ def _calibration(run: Path, recipe: Recipe, console: Console) -> str:
     predictions = [predict_log(model, read_log(path, recipe.robot)) for path in logs]
     plan = replan(recipe, run / "plan.json")
     further = further_sections(RunContent(run, recipe, model, predictions))
-    return run_report(run_data(recipe, plan, _result(run), model, predictions, further))
+    return run_report(run_data(recipe, plan, _result(run), model, predictions, further, run))
 
 
 def _recalibration(run: Path, recipe: Recipe, console: Console) -> str:
@@ -69,13 +69,13 @@ def _recalibration(run: Path, recipe: Recipe, console: Console) -> str:
     comparison = Comparison.from_dict(read_object(run / "comparison.json"))
     program = (run / "program.pdl").read_text(encoding="utf-8")
     prediction = predict_log(_model(run), log)
-    return recalibration_page(recipe, program, _result(run), comparison, log, prediction)
+    return recalibration_page(recipe, program, _result(run), comparison, log, prediction, run)
 
 
 def _diagnosis(run: Path, recipe: Recipe, console: Console) -> str:
     from agent.pipeline.diagnose import diagnose_again
 
-    return diagnose_again(run, recipe.robot, console)
+    return diagnose_again(run, recipe.robot, recipe.robot_source, console)
 
 
 def _model(run: Path) -> IdentifiedModel:

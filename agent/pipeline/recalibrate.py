@@ -300,6 +300,6 @@ def _report(
     write_analysis(run.file("analysis.mcap"), log, prediction)
     run.write_json("result.json", result)
     run.write_json("comparison.json", comparison.to_dict())
-    page = recalibration_page(recipe, loop.program, result, comparison, log, prediction)
+    page = recalibration_page(recipe, loop.program, result, comparison, log, prediction, run.path)
     run.write_text("report.html", page)
     run.complete(result["accepted"])

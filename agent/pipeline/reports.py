@@ -19,6 +19,7 @@ from agent.runs.history import last_accepted, open_history
 
 if TYPE_CHECKING:
     from agent.recording.log import Log
+    from agent.report.torque_section import TorqueData
     from agent.validation import Prediction
     from agent.validation.compare import Comparison
 
@@ -37,12 +38,20 @@ def against_last(run: RunFolder, log: Log, console: Console) -> dict[str, Any]:
 
 
 def recalibration_page(
-    recipe: Recipe, program: str, result: dict[str, Any], comparison: Comparison, log: Log, prediction: Prediction
+    recipe: Recipe,
+    program: str,
+    result: dict[str, Any],
+    comparison: Comparison,
+    log: Log,
+    prediction: Prediction,
+    run: Path,
 ) -> str:
-    """HTML of a recalibration's report; `program` is the text of the loop, `prediction` is of its `log`."""
+    """HTML of a recalibration's report; `program` is the text of the loop, `prediction` is of its `log` in `run`."""
     from agent.link.planned import plan_statements
-    from agent.pipeline.plan import motion_data
+    from agent.pipeline.first_screen import about_run
+    from agent.pipeline.plan import left_over, motion_data
     from agent.report.comparison_sections import comparison_section
+    from agent.report.friction_section import friction_section
     from agent.report.log_sections import log_section
     from agent.report.recalibration_report import RecalibrationData, recalibration_report
     from agent.report.residual_sections import residual_section
@@ -52,14 +61,16 @@ def recalibration_page(
     *_, cycle = plan_statements(recipe, program, "program.pdl", log.position[0])[1]
     via_points = np.array(result["loop"]["via_points"])
     sections = (
-        observation_part(model, log),
         comparison_section(comparison),
         residual_section([prediction]),
+        friction_section([prediction]),
+        observation_part(model, log),
         log_section([log]),
     )
     data = RecalibrationData(
         result,
-        motion_data(recipe, cycle, via_points, len(log.cycle_starts)),
+        about_run("recalibrate", recipe, result, run),
+        left_over(motion_data(recipe, cycle, via_points, len(log.cycle_starts)), log, prediction),
         model.rows(),
         _cycle_errors(log, prediction),
         model.robot.nominal_torque,
@@ -117,13 +128,12 @@ def _cycle_errors(log: Log, prediction: Prediction) -> np.ndarray:
     return np.array(rows)
 
 
-def _shown_cycle(log: Log, prediction: Prediction) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Time (S,), measured, predicted and half width of the bounds (S, n) along one cycle, few enough to be drawn."""
+def _shown_cycle(log: Log, prediction: Prediction) -> TorqueData:
+    """What one cycle shows, few enough samples to be drawn."""
+    from agent.report.torque_section import TorqueData
     from agent.validation import predict_log
 
     start, stop = log.middle_cycle()
     # bounds cost a regressor for every sample, so they are made for these alone
     part = predict_log(prediction.model, log.between(start - AROUND, stop + AROUND))
-    chosen = np.flatnonzero((part.time >= start) & (part.time <= stop))
-    chosen = chosen[:: max(1, len(chosen) // 1500)]
-    return part.time[chosen], part.measured[chosen], part.predicted[chosen], part.half_width[chosen]
+    return TorqueData.of(part, prediction.rmse(moving=True), start, stop)

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.link.record import Recording
-from agent.pipeline.plan import planned_motion_data, search_data
+from agent.pipeline.first_screen import about_run
+from agent.pipeline.plan import planned_motion_data, search_data, with_residual
 from agent.pipeline.planning import Plan
 from agent.recipe import Recipe
 from agent.report import RunData
+from agent.report.torque_section import TorqueData
 from agent.robot.torque_figures import torque_units, without_nominal
 
 if TYPE_CHECKING:
@@ -201,23 +203,18 @@ def run_data(
     model: IdentifiedModel,
     predictions: Sequence[Prediction],
     further: Sequence[Section],
+    run: Path,
 ) -> RunData:
-    """What the report shows of a run; `further` sections go between parameters and provenance."""
-    typical = typical_motion(predictions)
-    every = max(1, len(typical.time) // 1500)
+    """What the report shows of a run in its folder; `further` sections go between parameters and provenance."""
     return RunData(
         result=result,
-        motion=planned_motion_data(recipe, plan.excitation),
+        about=about_run("calibrate", recipe, result, run),
+        motion=with_residual(planned_motion_data(recipe, plan.excitation), model, run / "excitation.mcap"),
         search=search_data(plan.search),
         parameter_rows=model.rows(),
         motion_rmse=np.array([p.rmse(moving=True) for p in predictions]),
         nominal=model.robot.nominal_torque,
-        prediction=(
-            typical.time[::every],
-            typical.measured[::every],
-            typical.predicted[::every],
-            typical.half_width[::every],
-        ),
+        prediction=TorqueData.of(typical_motion(predictions), pooled_rmse(predictions)),
         further=further,
     )
 

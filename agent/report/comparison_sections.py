@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.report.figures import SERIES, Figure, new_plot, to_figure
+from agent.report.figures import Figure, new_plot, to_figure
 from agent.report.page import Section, Table
+from agent.report.plots import SERIES
 
 if TYPE_CHECKING:
     from agent.validation.compare import Comparison

@@ -9,10 +9,14 @@ import numpy as np
 from agent.diagnosis.forward import Simulated
 from agent.diagnosis.regimes import BANDS, SHOWN, band_shares, masks, motor_phase_share
 from agent.diagnosis.result import Diagnosis
-from agent.report.figures import SERIES, Figure, new_plot, to_figure
-from agent.robot.torque_figures import SHARE
+from agent.recording import Log
+from agent.report.figures import Figure, new_plot, to_figure
+from agent.report.plots import SERIES, Panel, Plot, Series, thinned
+from agent.report.torque_section import worst_first
+from agent.robot.torque_figures import SHARE, torque_units
 
-_POINTS = 1500  # of a line, at most
+_POINTS = 1200  # of a line, about
+_MOST_JOINTS = 3
 _MOST_LOGS = 6
 
 
@@ -53,28 +57,31 @@ def band_map(diagnosis: Diagnosis) -> Figure:
     return _map("bands", caption, values, [*labels, "motor angle"], dataset.robot.joint_names)
 
 
-def timeline(diagnosis: Diagnosis, joint: int) -> Figure:
-    """Torque error of one joint over each log, before and after."""
+def timeline(diagnosis: Diagnosis) -> Plot:
+    """Torque error of the joints over each log, before and after; the joint with most of the gap first."""
     dataset = diagnosis.dataset
-    logs = dataset.logs[:_MOST_LOGS]
-    plot, axes = new_plot(height=1.6 * len(logs) + 0.4, rows=len(logs))
-    rows = []
-    for number, (log, axis) in enumerate(zip(logs, axes[:, 0], strict=True)):
+    names = dataset.robot.joint_names
+    order = [names.index(entry["joint"]) for entry in diagnosis.result["where"]]
+    panels = []
+    for number, log in enumerate(dataset.logs[:_MOST_LOGS]):
         here = np.flatnonzero(dataset.log == number)
-        here = here[:: max(1, len(here) // _POINTS)]
-        before, after = diagnosis.gap.raw[here, joint], diagnosis.gap.left[here, joint]
-        axis.plot(dataset.time[here], before, label="model alone", color=SERIES[1])
-        axis.plot(dataset.time[here], after, label="with the effects", color=SERIES[0])
-        axis.set_ylabel(f"{log.name}\n[N·m]")
-        for start in log.cycle_starts[:50]:
-            axis.axvline(start, linewidth=0.6, linestyle=":", color=SERIES[5])
-        rows.append(np.column_stack([np.full(len(here), number), dataset.time[here], before, after]))
-    axes[0, 0].legend(ncols=2, fontsize=7, loc="lower right", bbox_to_anchor=(1.0, 1.0))
-    axes[-1, 0].set_xlabel("time [s]")
-    plot.align_ylabels()
-    name = dataset.robot.joint_names[joint]
-    caption = f"Torque error of {name} over time, held out; dotted lines are where cycles start."
-    return to_figure("timeline", caption, plot, ("log", "t_s", "before", "after"), np.concatenate(rows))
+        for joint in order[:_MOST_JOINTS]:
+            raw, left = diagnosis.gap.raw[here, joint], diagnosis.gap.left[here, joint]
+            chosen = thinned(np.column_stack([raw, left]), _POINTS)
+            series = (
+                Series("model alone", raw[chosen], colour=SERIES[1]),
+                Series("with the effects", left[chosen], colour=SERIES[0]),
+            )
+            title = f"{names[joint]}, {log_title(log)}"
+            time = dataset.time[here][chosen]
+            panels.append(Panel(title, torque_units(dataset.robot)[joint], series, time, joint=names[joint]))
+    caption = "Torque error over time, held out: each joint's, the one with most of the gap first."
+    return Plot("timeline", caption, "time", tuple(panels), x_unit="s", columns=2)
+
+
+def log_title(log: Log) -> str:
+    """A log's name, with its run where that says more than a path."""
+    return f"{log.path.parent.name}/{log.name}" if (log.path.parent / "state.json").is_file() else log.name
 
 
 def before_and_after(diagnosis: Diagnosis) -> Figure:
@@ -102,32 +109,24 @@ def before_and_after(diagnosis: Diagnosis) -> Figure:
     return to_figure("before-after", caption, plot, ("before", "after", "floor"), rows)
 
 
-def simulated_torque(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Figure:
+def simulated_torque(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Plot:
     """Torque and position error of the simulation on the joint where the effects change most, first log."""
-    one = simulated[0]
+    one, robot = simulated[0], diagnosis.dataset.robot
     change = np.sqrt(np.mean((one.torque_before - one.torque_after) ** 2, axis=0))
-    nominal = diagnosis.dataset.robot.nominal_torque
-    unit = np.where(np.isfinite(nominal), nominal, 1.0)
-    joint = int(np.argmax(change / unit))
-    part = slice(None, None, max(1, len(one.time) // _POINTS))
-    plot, axes = new_plot(height=3.6, rows=2, sharex=True)
-    rows = [one.time[part]]
-    for axis, kind, scale, label in (
-        (axes[0, 0], "torque", 1.0, "torque [N·m]"),
-        (axes[1, 0], "position", 1e3, "position [mrad, mm]"),
+    joint = worst_first(robot, change)[0]
+    chosen = thinned(np.column_stack([one.torque_before[:, joint], one.torque_after[:, joint]]))
+    panels = []
+    for kind, scale, unit in (
+        ("torque", 1.0, torque_units(robot)[joint]),
+        ("position", 1e3, "mm" if robot.joints[joint].prismatic else "mrad"),
     ):
-        for side, colour, word in (("before", SERIES[1], "model alone"), ("after", SERIES[0], "with the effects")):
-            error = scale * getattr(one, f"{kind}_{side}")[part, joint]
-            axis.plot(one.time[part], error, color=colour, label=word, linewidth=1.0)
-            rows.append(error)
-        axis.set_ylabel(label)
-    axes[0, 0].legend(ncols=2, fontsize=7, loc="lower right", bbox_to_anchor=(1.0, 1.0))
-    axes[1, 0].set_xlabel("time [s]")
-    plot.align_ylabels()
-    name = diagnosis.dataset.robot.joint_names[joint]
-    caption = f"Measured less simulated on {name}, {one.log}: torque and position."
-    header = ("t_s", "torque_before", "torque_after", "position_before", "position_after")
-    return to_figure("simulation-error", caption, plot, header, np.column_stack(rows))
+        series = [
+            Series(word, scale * getattr(one, f"{kind}_{side}")[chosen, joint], colour=colour)
+            for side, colour, word in (("before", SERIES[1], "model alone"), ("after", SERIES[0], "with the effects"))
+        ]
+        panels.append(Panel(kind, unit, series))
+    caption = f"Measured less simulated on {robot.joint_names[joint]}, {one.log}: torque and position."
+    return Plot("simulation-error", caption, "time", tuple(panels), one.time[chosen], "s")
 
 
 def _map(name: str, caption: str, values: np.ndarray, columns: Sequence[str], rows: Sequence[str]) -> Figure:

@@ -7,26 +7,29 @@ from typing import Any
 
 from agent.diagnosis.finding import Step
 from agent.diagnosis.forward import Simulated, simulation_part
-from agent.diagnosis.labels import REGIMES, closes, how_sure, name, place, torque_gap
+from agent.diagnosis.labels import REGIMES, closes, name, place, torque_gap
 from agent.diagnosis.result import Diagnosis
 from agent.model.effects import CATALOGUE
 from agent.report.diagnosis_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
-from agent.report.page import Page, Section, Table, render
+from agent.report.first_screen import about_diagnosis, headline, parameter_text, sentence, sized
+from agent.report.page import NextStep, Page, Section, Table, render
 from agent.report.simulator_section import simulator_sections
 from agent.robot.torque_figures import figure_text
 
-_HEADLINES = {
-    "no_gap": "No gap: model and robot agree within what the model's own prediction error allows.",
-    "unknown": "There is a gap, and no effect of the catalogue closes it.",
-}
 _MOST_STEPS = 8
 _MOST_SCORES = 6
 
 
 def diagnosis_report(
-    diagnosis: Diagnosis, simulated: Sequence[Simulated] = (), forward: Mapping[str, Any] | None = None
+    diagnosis: Diagnosis,
+    simulated: Sequence[Simulated] = (),
+    forward: Mapping[str, Any] | None = None,
+    next_steps: Sequence[NextStep] = (),
 ) -> str:
-    """HTML text of the report; `forward` is that of a result against a simulator's file."""
+    """HTML text of the report.
+
+    `forward` is that of a result against a simulator's file, `next_steps` are commands that whoever asked can run.
+    """
     verdict = diagnosis.result["verdict"]
     sections = [
         _cause_section(diagnosis),
@@ -38,33 +41,8 @@ def diagnosis_report(
     ]
     colour = {"no_gap": "good", "explained": "bad"}.get(verdict, "plain")
     title = f"Gap between model and {diagnosis.dataset.robot.name}"
-    return render(Page(title, headline(diagnosis.result), colour, sections))
-
-
-def headline(result: Mapping[str, Any]) -> str:
-    """The verdict in one sentence."""
-    if not result["causes"]:
-        text = _HEADLINES.get(result["verdict"], _HEADLINES["unknown"])
-        return text + (f" It is on {_worst_joints(result)}." if result["verdict"] == "unknown" else "")
-    cause = result["causes"][0]
-    sure = how_sure(result["verdict"], cause["probability"])
-    effect = cause["effect"]
-    text = (
-        f"{place(cause)}: {sure} {name(effect)}: {CATALOGUE[effect].phrase} (probability {cause['probability']:.2f})."
-    )
-    if not torque_gap(result):
-        text += " In torque, model and robot agree."
-    return _sentence(text)
-
-
-def _sentence(text: str) -> str:
-    """Begun with a capital, unless with the name of a joint."""
-    return f"T{text[1:]}" if text.startswith("the ") else text
-
-
-def _worst_joints(result: Mapping[str, Any]) -> str:
-    largest = [entry["joint"] for entry in result["where"] if entry["share"] > 0.25]
-    return " and ".join(largest or [result["where"][0]["joint"]])
+    about = about_diagnosis(diagnosis, next_steps)
+    return render(Page(title, headline(diagnosis.result, sized(diagnosis)), colour, sections, about))
 
 
 def _cause_section(diagnosis: Diagnosis) -> Section:
@@ -76,11 +54,11 @@ def _cause_section(diagnosis: Diagnosis) -> Section:
         text.append(f"Run next: {result['next_experiment']['motion']}.")
     text += [f"Mind: {warning}." for warning in diagnosis.warnings]
     rows = [
-        (f"{name(cause['effect'])}, {place(cause)}", key.replace("_", " "), f"{value:.4g}")
-        for cause in result["causes"]
-        for key, value in cause["parameters"].items()
+        (f"{name(cause['effect'])}, {place(cause)}", key.replace("_", " "), parameter_text(diagnosis, number, key))
+        for number, cause in enumerate(result["causes"])
+        for key in cause["parameters"]
     ]
-    tables = (Table("parameters", ("cause", "parameter", "value (SI)"), rows),) if rows else ()
+    tables = (Table("parameters", ("cause", "parameter", "value, 95 % interval"), rows),) if rows else ()
     return Section("What it is", text or ["Nothing to look for."], tables)
 
 
@@ -89,7 +67,7 @@ def _about_cause(cause: Mapping[str, Any]) -> Iterator[str]:
     closed = f" On motion that it was not fitted to: {closes(cause)}." if closes(cause) else ""
     together = " for it and what cannot be told from it" if cause["equivalent_to"] else ""
     opening = f"{place(cause)}, {name(effect.name)}: {effect.phrase}. "
-    yield f"{_sentence(opening)}Probability {cause['probability']:.2f}{together}.{closed}"
+    yield f"{sentence(opening)}Probability {cause['probability']:.2f}{together}.{closed}"
     yield f"Look at: {effect.look_at}."
     yield f"It shows as: {effect.signature}."
     if cause["equivalent_to"]:
@@ -119,8 +97,8 @@ def _where_section(diagnosis: Diagnosis) -> Section:
         "Errors of torque are root mean squares on motion held out, in % of nominal joint torque where there is one."
     )
     header = ("joint", "before", "after", "floor", "share of the gap")
-    joint = diagnosis.dataset.robot.joint_names.index(result["where"][0]["joint"])
-    parts = (Table("gap", header, rows), regime_map(diagnosis), band_map(diagnosis), timeline(diagnosis, joint))
+    rows.sort(key=lambda row: -share[row[0]]["share"])
+    parts = (Table("gap", header, rows), regime_map(diagnosis), band_map(diagnosis), timeline(diagnosis))
     return Section("Where it is", text, parts)
 
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from agent.report.plots import SERIES, Panel, Plot, Series
+
 #: A colour no plot uses: replaced by `currentColor`, so axes and text follow the page.
 _INK = "#010203"
-#: Colours that read on white and on near-black.
-SERIES = ("#3b82c4", "#d9822b", "#4f9d69", "#c75d8a", "#8f75d6", "#a0823c", "#3fa7a3")
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,11 @@ class Figure:
 def to_figure(
     name: str, caption: str, plot: Any, header: tuple[str, ...], rows: np.ndarray, fitted: bool = True
 ) -> Figure:
+    """A matplotlib figure with its data; `fitted` as in `svg_text`."""
+    return Figure(name, caption, svg_text(name, plot, fitted), header, np.asarray(rows))
+
+
+def svg_text(name: str, plot: Any, fitted: bool = True) -> str:
     """Turn a matplotlib figure into SVG without fixed ink, and close it.
 
     `fitted` margins follow their texts, which draws the plot twice.
@@ -42,8 +47,8 @@ def to_figure(
     svg = buffer.getvalue()
     svg = svg[svg.index("<svg") :].replace(_INK, "currentColor")
     # ids repeat from plot to plot on one page, and a clip path would then be another plot's
-    svg = re.sub(r'(id="|url\(#|href="#)', rf"\g<1>{name}-", svg)
-    return Figure(name, caption, svg, header, np.asarray(rows))
+    svg = re.sub(r"(\d{1,4}\.\d\d)\d+", r"\1", svg)  # a hundredth of a point is finer than paper
+    return re.sub(r'(id="|url\(#|href="#)', rf"\g<1>{name}-", svg)
 
 
 def new_plot(width: float = 10.0, height: float = 3.2, rows: int = 1, columns: int = 1, **options: Any) -> Any:
@@ -77,50 +82,39 @@ def new_plot(width: float = 10.0, height: float = 3.2, rows: int = 1, columns: i
     return plt.subplots(rows, columns, figsize=(width, height), squeeze=False, **options)
 
 
-def search_history(best: np.ndarray, mean: np.ndarray) -> Figure:
+def search_history(best: np.ndarray, mean: np.ndarray) -> Plot:
     """Fitness over the generations (the paper's Fig. 4a): best (G,) and mean of the feasible (G,)."""
-    plot, axes = new_plot()
-    generation = np.arange(1, len(best) + 1)
-    axes[0, 0].plot(generation, best, label="best")
-    axes[0, 0].plot(generation, mean, label="mean of the feasible", linestyle="--")
-    axes[0, 0].set_xlabel("generation")
-    axes[0, 0].xaxis.get_major_locator().set_params(integer=True)
-    axes[0, 0].set_ylabel("log10 det(HᵀH / M)")
-    axes[0, 0].legend()
-    rows = np.column_stack([generation, best, mean])
-    return to_figure(
-        "search-history", "Fitness over the generations; higher is better.", plot, ("generation", "best", "mean"), rows
-    )
+    series = (Series("best", best), Series("mean of the feasible", mean, "dashed", SERIES[1]))
+    caption = "Fitness, log10 det(HᵀH / M), over the generations; higher is better."
+    panel = Panel("fitness", "", series)
+    return Plot("search-history", caption, "generation", (panel,), np.arange(1.0, len(best) + 1))
 
 
-def speed_profile(t: np.ndarray, speed: np.ndarray, wanted: float) -> Figure:
+def speed_profile(t: np.ndarray, speed: np.ndarray, wanted: float) -> Plot:
     """TCP speed (S,) [m/s] over time, against the programmed one."""
-    plot, axes = new_plot(height=2.4)
-    axes[0, 0].plot(t, speed)
-    axes[0, 0].axhline(wanted, linestyle=":", color=SERIES[1])
-    axes[0, 0].set_xlabel("time [s]")
-    axes[0, 0].set_ylabel("TCP speed [m/s]")
-    rows = np.column_stack([t, speed])
-    caption = "Speed of the tool along one cycle; dots: as programmed."
-    return to_figure("speed", caption, plot, ("t_s", "speed_m_s"), rows)
-
-
-def limit_margins(t: np.ndarray, use: dict[str, np.ndarray], names: tuple[str, ...]) -> Figure:
-    """Use of each kind of limit over time, fraction of the limit: {kind: (S, n)}."""
-    plot, axes = new_plot(height=1.9 * len(use), rows=len(use), sharex=True)
-    for axis, (kind, values) in zip(axes[:, 0], use.items(), strict=True):
-        for joint, name in enumerate(names):
-            axis.plot(t, values[:, joint], label=name)
-        axis.axhline(1.0, linestyle=":", color=SERIES[3])
-        axis.set_ylabel(kind)
-        axis.set_ylim(0, 1.1)
-    axes[0, 0].legend(ncols=len(names), fontsize=7, loc="upper center", bbox_to_anchor=(0.5, 1.3))
-    axes[-1, 0].set_xlabel("time [s]")
-    header = ("t_s", *(f"{kind} {name}" for kind in use for name in names))
-    rows = np.column_stack([t, *use.values()])
-    return to_figure(
-        "margins", "Use of the limits along one cycle, as a fraction of each; dots: the limit.", plot, header, rows
+    panel = Panel(
+        "speed of the tool", "m/s", (Series("speed", speed),), marks={"as programmed": wanted}, from_zero=True
     )
+    return Plot("speed", "Speed of the tool along one cycle.", "time", (panel,), t, "s", link="cycle")
+
+
+def limit_margins(t: np.ndarray, use: dict[str, np.ndarray], names: tuple[str, ...]) -> Plot:
+    """Use of each kind of limit over time, fraction of the limit: {kind: (S, n)}."""
+    panels = [
+        Panel(
+            f"use of the {kind} limit",
+            "%",
+            [
+                Series(name, 100 * values[:, k], colour=SERIES[k % len(SERIES)], joint=name)
+                for k, name in enumerate(names)
+            ],
+            marks={"limit": 100.0},
+            from_zero=True,
+        )
+        for kind, values in use.items()
+    ]
+    caption = "Use of the limits of the joints along one cycle, in % of each."
+    return Plot("margins", caption, "time", tuple(panels), t, "s", link="cycle")
 
 
 def motion_box_plot(rmse: np.ndarray, nominal: np.ndarray, names: tuple[str, ...], gate: float, caption: str) -> Figure:
@@ -146,32 +140,3 @@ def motion_box_plot(rmse: np.ndarray, nominal: np.ndarray, names: tuple[str, ...
         axes[0, 0].legend()
     header = tuple(f"{name} [{'%' if has else 'N·m'}]" for name, has in zip(names, known, strict=True))
     return to_figure("validation-box", caption, plot, header, values)
-
-
-def torque_prediction(
-    t: np.ndarray,
-    measured: np.ndarray,
-    predicted: np.ndarray,
-    half_width: np.ndarray,
-    names: tuple[str, ...],
-    caption: str,
-) -> Figure:
-    """Measured and predicted torque (S, n) (the paper's Fig. 6); beside it what is left, and the 95 % bounds on it."""
-    n = len(names)
-    plot, axes = new_plot(height=1.5 * n, rows=n, columns=2, sharex=True)
-    for joint, (torque, left) in enumerate(axes):
-        torque.plot(t, measured[:, joint], label="measured")
-        torque.plot(t, predicted[:, joint], label="predicted", linewidth=0.9)
-        torque.set_ylabel(f"{names[joint]}\n[N·m]")
-        low, high = -half_width[:, joint], half_width[:, joint]
-        left.fill_between(t, low, high, color=SERIES[2], alpha=0.3, linewidth=0, label="95 % bounds")
-        left.plot(t, measured[:, joint] - predicted[:, joint], color=SERIES[3], linewidth=0.7, label="left over")
-    for axis in axes[0]:
-        axis.legend(ncols=2, fontsize=7, loc="upper center", bbox_to_anchor=(0.5, 1.4))
-    for axis in axes[-1]:
-        axis.set_xlabel("time [s]")
-    kinds = ("measured", "predicted", "half_width_95")
-    header = ("t_s", *(f"{kind} {name}" for kind in kinds for name in names))
-    rows = np.column_stack([t, measured, predicted, half_width])
-    plot.subplots_adjust(left=0.08, right=0.99, bottom=0.3 / n, top=1 - 0.25 / n, wspace=0.12)
-    return to_figure("prediction", caption, plot, header, rows, fitted=False)

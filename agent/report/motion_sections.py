@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.report.figures import limit_margins, search_history, speed_profile
-from agent.report.page import Page, Scene, Section, render
+from agent.report.page import Page, Section, render
+from agent.report.scene import Arm, Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +27,8 @@ class MotionData:
     """A planned loop.
 
     path (S, 3) of the TCP [m], via_points (K, 3), boxes {name: (min, max)} of sub-region and keep-out; of one cycle
-    t (S',) [s], speed (S',) [m/s], limit_use {kind: (S', n)} as fractions.
+    t (S',) [s], speed (S',) [m/s], limit_use {kind: (S', n)} as fractions, the arm along it. `left` (S,) in
+    `left_unit`: what a model leaves of the torque on the way, of the worst joint.
     """
 
     robot: str
@@ -39,16 +41,25 @@ class MotionData:
     speed: np.ndarray
     programmed_speed: float
     limit_use: dict[str, np.ndarray]
+    arm: Arm
+    left: np.ndarray | None = None
+    left_unit: str = ""
 
 
 def motion_section(data: MotionData) -> Section:
     """Path, speed, use of the limits."""
+    every = slice(None, None, max(1, len(data.path) // 400))
+    left = {} if data.left is None else {"loop": data.left[every]}
     scene = Scene(
         "path",
-        "The loop and its via-points, base frame.",
-        lines={"loop": data.path[:: max(1, len(data.path) // 800)]},
+        "The arm on its loop with the via-points, base frame"
+        + ("." if data.left is None else "; the loop is coloured by what the model leaves there."),
+        lines={"loop": data.path[every]},
         points={"via-points": data.via_points},
         boxes=data.boxes,
+        arm=data.arm,
+        colouring=left,
+        coloured_by=f"left by the model on the worst joint [{data.left_unit}]",
     )
     largest = ", ".join(f"{kind} {100 * values.max():.0f} %" for kind, values in data.limit_use.items())
     text = (*data.description, f"Largest use of a joint's limit: {largest}.")

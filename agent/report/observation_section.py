@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.report.figures import SERIES, Figure, new_plot, to_figure
 from agent.report.page import Section, Table
+from agent.report.plots import Panel, Plot, Series
 
 if TYPE_CHECKING:
     from agent.validation.observability import Observability
@@ -30,7 +30,9 @@ def observation_section(found: Observability, condition_number: str) -> Section:
         text.append("Every parameter is told from zero by this motion (95 %).")
     header = ("seen least", "singular value over the largest", "direction")
     rows = [(str(k + 1), f"{value:.2g}", _direction(parts)) for k, (value, parts) in enumerate(found.weakest)]
-    return Section("Observation matrix", text, (_figure(found.singular_values), Table("directions", header, rows)))
+    return Section(
+        "Observation matrix", text, (_singular_values(found.singular_values), Table("directions", header, rows))
+    )
 
 
 def _unidentifiable(found: Observability) -> str:
@@ -45,12 +47,9 @@ def _direction(parts: dict[str, float]) -> str:
     return " ".join(terms).removeprefix("+")
 
 
-def _figure(values: np.ndarray) -> Figure:
-    plot, axes = new_plot(height=2.4)
-    place = np.arange(1, len(values) + 1)
-    axes[0, 0].plot(place, np.log10(np.maximum(values / values[0], 1e-9)), ".-", markersize=4)
-    axes[0, 0].axhline(-np.log10(_USUAL_LIMIT), linestyle=":", color=SERIES[3])
-    axes[0, 0].set_xlabel("number")
-    axes[0, 0].set_ylabel("log10 of value / largest")
-    caption = "Singular values of the observation matrix; dots: a condition number of 100."
-    return to_figure("singular-values", caption, plot, ("number", "singular_value"), np.column_stack([place, values]))
+def _singular_values(values: np.ndarray) -> Plot:
+    decades = np.log10(np.maximum(values / values[0], 1e-9))
+    marks = {f"a condition number of {_USUAL_LIMIT}": -np.log10(_USUAL_LIMIT)}
+    panel = Panel("singular values", "log10 of value / largest", (Series("value / largest", decades),), marks=marks)
+    number = np.arange(1.0, len(values) + 1)
+    return Plot("singular-values", "Singular values of the observation matrix.", "number", (panel,), number)

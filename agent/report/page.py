@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import base64
-import json
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.resources import files
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from agent.report.figures import Figure
+from agent.report.plots import Plot, csv_text, packed, spec
+from agent.report.scene import Scene, scene_part
+from agent.report.stills import still
 
 
 @dataclass(frozen=True)
@@ -25,34 +28,46 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Scene:
-    """A 3-D view that turns: named polylines (k, 3) and points (k, 3) in metres, and boxes (min, max)."""
-
-    name: str
-    caption: str
-    lines: dict[str, np.ndarray] = field(default_factory=dict)
-    points: dict[str, np.ndarray] = field(default_factory=dict)
-    boxes: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class Section:
     """A heading, paragraphs, what belongs under them in order, and a listing of program text."""
 
     title: str
     text: Sequence[str] = ()
-    parts: Sequence[Table | Figure | Scene] = ()
+    parts: Sequence[Table | Figure | Plot | Scene] = ()
     listing: str = ""
 
 
 @dataclass(frozen=True)
+class NextStep:
+    """What to do next, and the command for it, ready to be copied; it may have none."""
+
+    what: str
+    command: str = ""
+
+
+@dataclass(frozen=True)
+class About:
+    """The first screen beside the answer.
+
+    What was `asked`, `facts` that the answer rests on, what comes `next`, and the `identity` of what the page is about
+    as (what, value).
+    """
+
+    asked: str = ""
+    facts: Sequence[str] = ()
+    next: Sequence[NextStep] = ()
+    identity: Sequence[tuple[str, str]] = ()
+
+
+@dataclass(frozen=True)
 class Page:
-    """A report. `verdict` is one of good, bad or plain and colours the headline."""
+    """A report. `verdict` is one of good, bad or plain and colours the headline, which is the answer."""
 
     title: str
     headline: str
     verdict: str
     sections: Sequence[Section]
+    about: About = About()
 
 
 def render(page: Page) -> str:
@@ -64,19 +79,31 @@ def render(page: Page) -> str:
     sections = [
         {
             "title": section.title,
+            "id": identifier,
             "text": section.text,
             "parts": [_part(part) for part in section.parts],
             "listing": section.listing,
         }
-        for section in page.sections
+        for section, identifier in zip(page.sections, _identifiers(page.sections), strict=True)
     ]
-    scenes = any(isinstance(part, Scene) for section in page.sections for part in section.parts)
-    return template.render(
-        page=page, sections=sections, css=_asset("page.css"), script=_asset("scene.js") if scenes else ""
-    )
+    kinds = {type(part) for section in page.sections for part in section.parts}
+    library = _uplot() if Plot in kinds else {}
+    scripts = [library["uPlot.iife.js"], _asset("plots.js")] if library else []
+    scripts += [_asset("scene.js")] if Scene in kinds else []
+    css = library.get("uPlot.min.css", "") + _asset("page.css")
+    return template.render(page=page, sections=sections, css=css, scripts=scripts, plots=bool(library))
 
 
-def _part(part: Table | Figure | Scene) -> dict[str, Any]:
+def _identifiers(sections: Sequence[Section]) -> list[str]:
+    """What the address of a section ends with, each its own."""
+    found: list[str] = []
+    for section in sections:
+        name = re.sub(r"[^a-z0-9]+", "-", section.title.lower()).strip("-") or "section"
+        found.append(name if name not in found else f"{name}-{len(found)}")
+    return found
+
+
+def _part(part: Table | Figure | Plot | Scene) -> dict[str, Any]:
     if isinstance(part, Table):
         return {
             "kind": "table",
@@ -84,19 +111,27 @@ def _part(part: Table | Figure | Scene) -> dict[str, Any]:
             "look": [_look([str(row[k]) for row in part.rows]) for k in range(len(part.header))],
             "csv": _data_link(_csv(part.header, part.rows)),
         }
+    if isinstance(part, Plot):
+        return {"kind": "plot", "part": part, "svg": still(part), "spec": spec(part), "csv": packed(csv_text(part))}
     if isinstance(part, Figure):
-        rows = [[repr(float(value)) for value in row] for row in part.rows]
-        return {"kind": "figure", "part": part, "csv": _data_link(_csv(part.header, rows))}
-    data = {
-        "lines": {name: np.round(line, 5).tolist() for name, line in part.lines.items()},
-        "points": {name: np.round(points, 5).tolist() for name, points in part.points.items()},
-        "boxes": {
-            name: [np.asarray(low).tolist(), np.asarray(high).tolist()] for name, (low, high) in part.boxes.items()
-        },
-    }
-    rows = [[name, *map(repr, point)] for name, line in {**data["lines"], **data["points"]}.items() for point in line]
-    text = json.dumps(data).replace("<", "\\u003c")
-    return {"kind": "scene", "part": part, "json": text, "csv": _data_link(_csv(("what", "x_m", "y_m", "z_m"), rows))}
+        rows = [[f"{float(value):.6g}" for value in row] for row in part.rows]
+        return {"kind": "figure", "part": part, "csv": packed(_csv(part.header, rows))}
+    return scene_part(part)
+
+
+def _uplot() -> dict[str, str]:
+    """Script and style of uPlot as text, shortened by what no browser needs; empty where it is not installed.
+
+    The package is found and not imported: it would bring a notebook with it.
+    """
+    found = find_spec("uplot")
+    if found is None or found.origin is None:
+        return {}
+    folder = Path(found.origin).parent / "static"
+    script = (folder / "uPlot.iife.js").read_text(encoding="utf-8")
+    lines = (line.strip() for line in script.splitlines())
+    kept = "\n".join(line for line in lines if line and not line.startswith("//"))
+    return {"uPlot.iife.js": kept, "uPlot.min.css": (folder / "uPlot.min.css").read_text(encoding="utf-8")}
 
 
 def _look(cells: Sequence[str]) -> str:

@@ -17,24 +17,25 @@ from agent.report.common_sections import (
     percent,
     provenance_section,
 )
-from agent.report.figures import motion_box_plot, torque_prediction
+from agent.report.figures import motion_box_plot
 from agent.report.motion_sections import MotionData, motion_section
-from agent.report.page import Page, Section, Table, render
+from agent.report.page import About, Page, Section, Table, render
+from agent.report.torque_section import TorqueData, torque_plot
 
 
 @dataclass(frozen=True, eq=False)
 class RecalibrationData:
-    """What it shows: the content of `result.json`, the loop, the model's table, RMSE (cycles, n) [N·m] of every
-    cycle and nominal torque (n,), one stretch of the motion (time (S,), measured, predicted and half width of the
-    bounds (S, n)), and sections made elsewhere, in order.
+    """What it shows: the content of `result.json`, the first screen, the loop, the model's table, RMSE (cycles, n)
+    [N·m] of every cycle and nominal torque (n,), one stretch of the motion, and sections made elsewhere, in order.
     """
 
     result: dict[str, Any]
+    about: About
     motion: MotionData
     parameter_rows: Sequence[Sequence[str]]
     cycle_rmse: np.ndarray
     nominal: np.ndarray
-    prediction: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+    prediction: TorqueData
     sections: Sequence[Section]
 
 
@@ -56,7 +57,7 @@ def recalibration_report(data: RecalibrationData) -> str:
     ]
     sections.insert(0 if diagnosis else 1, diagnosis_part(diagnosis, result["reference"]))
     title = f"Recalibration of {result['robot']} {result['serial']}"
-    return render(Page(title, headline, "good" if accepted and not diagnosis else "bad", sections))
+    return render(Page(title, headline, "good" if accepted and not diagnosis else "bad", sections, data.about))
 
 
 def _validation(data: RecalibrationData) -> Section:
@@ -86,7 +87,7 @@ def _validation(data: RecalibrationData) -> Section:
     parts = (
         Table("validation", header, rows),
         motion_box_plot(data.cycle_rmse, data.nominal, names, gate, cycles),
-        torque_prediction(*data.prediction, names, "Torque along one cycle of the loop."),
+        torque_plot(data.prediction, "Torque along one cycle of the loop."),
     )
     return Section("Prediction", text, parts)
 

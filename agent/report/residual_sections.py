@@ -9,6 +9,7 @@ import numpy as np
 
 from agent.report.figures import Figure, new_plot, to_figure
 from agent.report.page import Section
+from agent.report.residual_plots import residual_plots
 from agent.robot.torque_figures import torque_units
 
 if TYPE_CHECKING:
@@ -23,14 +24,14 @@ _REVERSAL = 0.1  # s
 
 
 def residual_section(predictions: Sequence[Prediction]) -> Section:
-    """Heat map of the RMSE by joint and regime, as a share of nominal torque (N·m where there is none)."""
+    """RMSE by joint and regime, over nominal torque or in N·m, then over time, angle, speed and frequency."""
     figures = residual_map(predictions)
     text = (
         "Root mean square of what the model leaves, by what the joint does: where it is larger than elsewhere, "
         "something acts that the model does not have.",
         "At standstill friction may be anything within stiction, so that column is the largest on a healthy arm too.",
     )
-    return Section("Residuals by joint and regime", text, (_heat_map(figures, predictions[0]),))
+    return Section("Residuals", text, (_heat_map(figures, predictions[0]), *residual_plots(predictions)))
 
 
 def residual_map(predictions: Sequence[Prediction]) -> np.ndarray:

@@ -17,28 +17,29 @@ from agent.report.common_sections import (
     percent,
     provenance_section,
 )
-from agent.report.figures import motion_box_plot, torque_prediction
+from agent.report.figures import motion_box_plot
 from agent.report.motion_sections import MotionData, SearchData, motion_section, search_section
-from agent.report.page import Page, Section, Table, render
+from agent.report.page import About, Page, Section, Table, render
+from agent.report.torque_section import TorqueData, torque_plot
 
 
 @dataclass(frozen=True, eq=False)
 class RunData:
     """What the report of a run shows.
 
-    result: the content of `result.json`; parameter_rows: the table of the model, header first; motion_rmse
-    (motions, n) [N·m] on moving samples; nominal (n,) torque of the joints, NaN where there is none; one unseen
-    motion's time, measured, predicted and half width of the bounds (S, n);
-    `further` sections made elsewhere, in order.
+    result: the content of `result.json`; about: the first screen; parameter_rows: the table of the model, header first;
+    motion_rmse (motions, n) [N·m] on moving samples; nominal (n,) torque of the joints, NaN where there is none;
+    `prediction` of one unseen motion; `further` sections made elsewhere, in order.
     """
 
     result: dict[str, Any]
+    about: About
     motion: MotionData
     search: SearchData
     parameter_rows: Sequence[Sequence[str]]
     motion_rmse: np.ndarray
     nominal: np.ndarray
-    prediction: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+    prediction: TorqueData
     further: Sequence[Section] = ()
 
 
@@ -62,7 +63,7 @@ def run_report(data: RunData) -> str:
     ]
     sections.insert(0 if diagnosis is not None else 1, verdict)
     title = f"Calibration of {result['robot']} {result['serial']}".rstrip()
-    return render(Page(title, headline, "good" if accepted and diagnosis is None else "bad", sections))
+    return render(Page(title, headline, "good" if accepted and diagnosis is None else "bad", sections, data.about))
 
 
 def _headline(result: dict[str, Any]) -> str:
@@ -124,6 +125,6 @@ def _validation(data: RunData) -> Section:
             gate,
             f"Prediction error on {len(data.motion_rmse)} unseen motions in the sub-region, per axis.",
         ),
-        torque_prediction(*data.prediction, names, "Torque on one unseen motion, the one in the middle of the field."),
+        torque_plot(data.prediction, "Torque on one unseen motion, the one in the middle of the field."),
     )
     return Section("Prediction of unseen motions", text, parts)

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from agent.report.comparison_sections import comparison_section
+from agent.report.correlation import correlation_section
+from agent.report.friction_section import friction_section
 from agent.report.log_sections import log_section
 from agent.report.observation_section import observation_section
 from agent.report.page import Section
@@ -66,6 +68,14 @@ def _residuals(content: RunContent) -> Section:
     return residual_section(content.predictions)
 
 
+def _friction(content: RunContent) -> Section:
+    return friction_section(content.predictions)
+
+
+def _correlation(content: RunContent) -> Section:
+    return correlation_section(content.model)
+
+
 def _paper(content: RunContent) -> Section | None:
     return paper_section(content.model, content.excitation, content.predictions, content.recipe.tool)
 
@@ -88,10 +98,12 @@ def _logs(content: RunContent) -> Section:
 
 #: In the order of the page; a function returns None where there is nothing to show.
 RUN_SECTIONS: list[Callable[[RunContent], Section | None]] = [
-    _observation,
     _residuals,
-    _paper,
+    _friction,
     _comparison,
+    _observation,
+    _correlation,
+    _paper,
     _logs,
 ]
 

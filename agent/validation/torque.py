@@ -61,6 +61,30 @@ class Prediction:
             parts.append(self.model.prediction_interval(flat, motion.low_pass(motion.qd)))
         return np.concatenate(parts)
 
+    @cached_property
+    def parts(self) -> dict[str, np.ndarray]:
+        """What sums to the prediction, (S, n) each [N·m]: torque of gravity, of acceleration ("inertia"), Coriolis and
+        centrifugal torque, friction, and effects where the model has any."""
+        rigid: dict[str, list[np.ndarray]] = {name: [] for name in ("gravity", "inertia", "Coriolis")}
+        base = self.model.base_values
+        for motion in self._motions:
+            still = np.zeros_like(motion.q)
+            torque = self.model.rigid.torque
+            gravity = torque(motion.q, still, still, base)
+            accelerated = torque(motion.q, still, motion.qdd, base) - gravity
+            turning = torque(motion.q, motion.qd, still, base) - gravity
+            for found, value in zip(rigid.values(), (gravity, accelerated, turning), strict=True):
+                found.append(motion.low_pass(value))
+        parts = {name: np.concatenate(found) for name, found in rigid.items()} | {"friction": self.friction}
+        if self.model.effects:
+            parts["effects"] = self.predicted - np.sum(list(parts.values()), axis=0)
+        return parts
+
+    @property
+    def position(self) -> np.ndarray:
+        """(S, n) position of the joints at the same samples."""
+        return np.concatenate([motion.q[motion.kept] for motion in self._motions])
+
     def by(self, model: IdentifiedModel) -> Prediction:
         """The same samples predicted by another model of the same robot, filtered as they are here."""
         parts = [m.low_pass(np.hstack(model.predict_parts(m.q, m.qd, m.qdd, m.time))) for m in self._motions]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import json
 import re
 import shutil
@@ -80,6 +81,10 @@ def _check_file(page: Path, links: tuple[str, ...] = ()) -> str:
     return text
 
 
+def _titles(page: str) -> list[str]:
+    return re.findall("<h2 [^>]*>([^<]+) <a", page)
+
+
 def _check_shown(browse, page: Path) -> str:
     console, asked, document = browse(page)
     assert console == []
@@ -91,13 +96,15 @@ def _check_shown(browse, page: Path) -> str:
 def test_a_calibration(calibrated: Path, browse):
     page = _pages(calibrated)["calibration"]
     text = _check_file(page)
-    assert re.findall("<h2>([^<]+)</h2>", text) == [
+    assert _titles(text) == [
         "Prediction of unseen motions",
         "Diagnosis",
         "Motion",
         "Search",
+        "Residuals",
+        "Friction",
         "Observation matrix",
-        "Residuals by joint and regime",
+        "Correlation of parameters",
         "The paper&#39;s own estimator",
         "Logs",
         "Conditions",
@@ -108,18 +115,22 @@ def test_a_calibration(calibrated: Path, browse):
     assert "95 % interval" in text
     assert "jitter [µs RMS]" in text
     document = _check_shown(browse, page)
-    assert document.count("<canvas") == 1
+    assert document.count("<canvas") > 1, "plots are drawn"
     narrow = browse(page, "--window-size=390,800", "--blink-settings=preferredColorScheme=0")
     assert narrow[0] == narrow[1] == []
 
 
 def test_every_plot_and_table_has_its_data_a_click_away(calibrated: Path):
     text = _pages(calibrated)["calibration"].read_text(encoding="utf-8")
-    links = re.findall(r'download="([^"]+\.csv)" href="data:text/csv;base64,([^"]*)"', text)
-    assert len(links) == text.count("<table>") + text.count("<figure>")
-    assert len({name for name, _ in links}) == len(links)
-    for _, data in links:
-        header, *rows = base64.b64decode(data).decode("utf-8").splitlines()
+    plain = re.findall(r'download="([^"]+\.csv)" href="data:text/csv;base64,([^"]*)"', text)
+    packed = re.findall(r'download="([^"]+\.csv)\.gz" href="data:application/gzip;base64,([^"]*)"', text)
+    assert len(plain) == text.count("<table>")
+    assert len(packed) == text.count("<figure")
+    assert len({name for name, _ in plain + packed}) == len(plain + packed)
+    tables = [base64.b64decode(data) for _, data in plain]
+    tables += [gzip.decompress(base64.b64decode(data)) for _, data in packed]
+    for table in tables:
+        header, *rows = table.decode("utf-8").splitlines()
         assert "," in header
         assert rows
 
@@ -129,14 +140,15 @@ def test_a_recalibration(shop: Path, run_agent, browse):
     assert run.returncode == 0, run.stderr
     page = shop / run.stdout.strip() / "report.html"
     text = _check_file(page)
-    assert re.findall("<h2>([^<]+)</h2>", text) == [
+    assert _titles(text) == [
         "Prediction",
         "Diagnosis",
         "Motion",
         "Search",
-        "Observation matrix",
         "Against the last accepted run",
-        "Residuals by joint and regime",
+        "Residuals",
+        "Friction",
+        "Observation matrix",
         "Logs",
         "Conditions",
         "Parameters",
@@ -159,7 +171,7 @@ def test_a_calibration_anew_of_a_machine_that_changed_opens_with_the_diagnosis(w
     found = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
     assert (found["causes"][0]["effect"], found["causes"][0]["joints"]) == ("friction_change", ["joint_2"])
     page = _check_file(folder / "report.html")
-    titles = re.findall("<h2>([^<]+)</h2>", page)
+    titles = _titles(page)
     assert titles[0].startswith("Diagnosis")
     assert "Against the last accepted run" in titles
     assert "friction change on joint_2" in page.split("</header>")[0]
@@ -230,7 +242,7 @@ def test_a_diagnosis_opens_the_report_when_the_last_model_predicts_worse(worn: P
     assert found["causes"][0]["effect"] == "friction_change"
     assert found["causes"][0]["joints"] == ["joint_2"]
     page = (folder / "report.html").read_text(encoding="utf-8")
-    assert page.index("<h2>Diagnosis") < page.index("<h2>Prediction")
+    assert page.index("Diagnosis against the last model <a") < page.index("Prediction <a")
     assert "friction change on joint_2" in page.split("</header>")[0]
     compared = json.loads(run_agent("compare", result["reference"], folder.name, "--json").stdout)
     assert next(entry["name"] for entry in compared["parameters"] if entry["moved"]) == "f0_2"

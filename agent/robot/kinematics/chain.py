@@ -40,6 +40,11 @@ class KinematicChain:
         poses[:, 3, 3] = 1.0
         return poses
 
+    def origins(self, q: np.ndarray) -> np.ndarray:
+        """(S, n + 1, 3) where the joints' frames and the TCP are in the base frame, from joint positions (S, n)."""
+        frames = self._sweep(np.asarray(q, dtype=float))
+        return np.stack([frame[3].T for frame in frames], axis=1)
+
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """(S, 6, n): linear velocity of the TCP, then angular velocity, in the base frame, per joint rate."""
         return self.forward_and_jacobian(q)[1]

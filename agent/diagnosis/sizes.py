@@ -1,0 +1,102 @@
+"""How large a cause is: its parameters with unit, and with the interval that leaving motions out gives them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from agent.core.figures import plus_minus
+from agent.diagnosis.finding import Finding
+
+#: What a cause is called large by, in the order of preference.
+_LEADING = (
+    "mass", "rise", "coulomb_change", "viscous_change", "coulomb_asymmetry", "viscous_asymmetry", "coefficient", "bend",
+    "level", "stiffness", "gap", "delay", "scale_error", "offset", "ratio", "tilt_1", "tilt_2", "force_x", "force_y",
+    "force_z", "shift", "m", "cosine_1", "sine_1", "constant", "hysteresis",
+)  # fmt: skip
+#: Units by name, or by what stands before the first underscore; of one effect alone where it is named.
+_UNITS = {
+    "mass": "kg", "moment": "kg·m", "inertia": "kg·m²", "rotor": "kg·m²",
+    "m": "kg", "mx": "kg·m", "my": "kg·m", "mz": "kg·m",
+    "Ixx": "kg·m²", "Ixy": "kg·m²", "Iyy": "kg·m²", "Ixz": "kg·m²", "Iyz": "kg·m²", "Izz": "kg·m²",
+    "rise": "N·m", "level": "N·m", "coulomb": "N·m", "viscous": "N·m·s/rad", "bend": "N·m",
+    "cosine": "N·m", "sine": "N·m", "constant": "N·m", "torque": "N·m", "hysteresis": "N·m",
+    "stiffness": "N·m/rad", "damping": "N·m·s/rad", "speed": "rad/s", "force": "N", "tilt": "rad",
+    "gap": "rad", "travel": "rad", "low": "rad", "high": "rad", "order": "1/rad",
+    "delay": "s", "shift": "s", "blend": "s", "start": "s", "end": "s", "duration": "s", "time": "s",
+    ("torque_offset", "offset"): "N·m", ("encoder_offset", "offset"): "rad", ("torque_constant", "scale"): "%",
+}  # fmt: skip
+_SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad")}  # where the figure is small
+
+
+def unit_of(effect: str, parameter: str) -> str:
+    """Unit of an effect's parameter on a turning joint; empty where it is a ratio or a count."""
+    stem = parameter.rstrip("0123456789") if parameter not in _UNITS else parameter
+    first = stem.split("_")[0]
+    for key in ((effect, parameter), (effect, first), stem, first):
+        if key in _UNITS:
+            return _UNITS[key]  # type: ignore[index]
+    return ""
+
+
+def size_text(
+    effect: str, parameter: str, value: float, interval: tuple[float, float] | None, slides: bool = False
+) -> str:
+    """A parameter's value, its interval and unit; `slides`: of a prismatic joint."""
+    unit = unit_of(effect, parameter)
+    half = float("nan") if interval is None else (interval[1] - interval[0]) / 2
+    if unit == "%":
+        value, half = 100 * value, 100 * half
+    elif unit in _SCALES and not slides and abs(value) < 0.1:
+        scale, unit = _SCALES[unit]
+        value, half = scale * value, scale * half
+    if slides:
+        unit = unit.replace("N·m", "N").replace("rad", "m")
+    return f"{plus_minus(value, half)} {unit}".rstrip()
+
+
+def leading(cause: Mapping[str, Any]) -> str | None:
+    """The parameter that says how large a cause is; None where none of it does."""
+    names = {key.rstrip("0123456789") or key: key for key in cause["parameters"]} | {k: k for k in cause["parameters"]}
+    return next((names[name] for name in _LEADING if name in names), None)
+
+
+def intervals(finding: Finding) -> list[dict[str, tuple[float, float]]]:
+    """Of every cause the 95 % intervals of its fitted parameters, by leaving the held-out motions out one at a time.
+
+    The delete-a-group jackknife: with θ_k fitted without group k of K, the variance is (K - 1) / K Σ (θ_k - mean)².
+    Parameters that are chosen from a grid have none.
+    """
+    fit = finding.fit
+    folds = [fit.fitted(fold)[1] for fold in fit.folds]
+    found = []
+    for number, candidate in enumerate(finding.causes):
+        settings = {name: float(value) for name, value in candidate.settings.items()}
+
+        def reported(values: np.ndarray, candidate: Any = candidate, settings: Any = settings) -> dict[str, float]:
+            named = {name: float(value) for name, value in zip(candidate.names, values, strict=True)}
+            return dict(candidate.effect.reported(fit.reference, settings, named))
+
+        whole = reported(fit.values[number])
+        parts = [reported(values[number]) for values in folds]
+        count = len(parts)
+        entry = {}
+        for name, value in whole.items():
+            spread = np.array([part[name] for part in parts])
+            deviation = (
+                float(np.sqrt((count - 1) / count * np.sum((spread - spread.mean()) ** 2))) if count > 1 else 0.0
+            )
+            if deviation > 0:
+                half = _student(count - 1) * deviation
+                entry[name] = (value - half, value + half)
+        found.append(entry)
+    return found
+
+
+def _student(freedom: int) -> float:
+    """97.5 % quantile of Student's t, from three degrees of freedom on; fewer say too little to be taken literally."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(max(freedom, 3), 0.975))

@@ -1,0 +1,59 @@
+"""The first screen of a run's page: what was asked, what comes next, and of which machine and model it is."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from agent.pipeline.ending import next_steps, whose
+from agent.recipe import Recipe
+from agent.report.page import About, NextStep
+
+_ASKED = {
+    "calibrate": "How well does a model of this arm, made from its own motion, predict its torque in the sub-region?",
+    "recalibrate": "Is the model still true, and if not, what changed?",
+}
+
+
+def about_run(kind: str, recipe: Recipe, result: dict[str, Any], run: Path) -> About:
+    """Of a calibration or recalibration, from the content of its `result.json`."""
+    steps = next_steps(kind, result["accepted"], run, recipe, recipe.path.resolve(), result["current_model"])
+    return About(
+        asked=_ASKED[kind],
+        next=[NextStep(what, command) for command, what in steps],
+        identity=identity(recipe, result, run.name),
+    )
+
+
+def identity(recipe: Recipe, result: dict[str, Any], run: str) -> list[tuple[str, str]]:
+    """(what, value) of the machine, its model and the program."""
+    provenance = result["provenance"]
+    return [
+        ("robot", result["robot"]),
+        ("serial", result["serial"] or "not told"),
+        ("tool", "none" if recipe.tool is None else recipe.tool.text()),
+        ("controller", f"{recipe.controller.driver} {recipe.controller.address}"),
+        ("date", provenance["started"].replace("T", " ").removesuffix("+00:00")[:16] + " UTC"),
+        ("run", run),
+        ("current model", whose(result["current_model"], run)),
+        ("program", f"calibration-agent {provenance.get('version of calibration-agent', '')}".strip()),
+    ]
+
+
+def after_diagnosis(
+    result: Mapping[str, Any], robot: str | None, logs: Sequence[Path], model: Path | None
+) -> list[NextStep]:
+    """What may come after a diagnosis of these logs: commands that take what was found further."""
+    words = ["agent", "diagnose"]
+    words += ["--robot", shlex.quote(robot)] if robot else []
+    words += ["--model", shlex.quote(str(model))] if model else []
+    again = " ".join([*words, *(shlex.quote(str(log)) for log in logs)])
+    if result["verdict"] == "no_gap":
+        return [NextStep("nothing to mend; the model can stay as it is.")]
+    if not result["causes"]:
+        return [NextStep("after that motion, the same question with its logs added:", again)]
+    if result["verdict"] == "ambiguous":
+        return [NextStep("then ask again with its logs added:", again)]
+    return [NextStep("or take what was found into the model:", f"{again} -o model_with_effects.json")]

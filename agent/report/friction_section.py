@@ -1,0 +1,95 @@
+"""Friction of every axle over its speed: the identified curve with its band, and what the data say there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from agent.model.friction_terms import AxleMotion, axle_columns
+from agent.report.page import Section
+from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series
+from agent.report.torque_section import worst_first
+from agent.robot.drivetrain import axle_motion
+from agent.robot.torque_figures import torque_units
+
+if TYPE_CHECKING:
+    from agent.model.identified import IdentifiedModel
+    from agent.validation import Prediction
+
+_GRID = 120
+_BINS = 60
+_FEWEST = 10  # samples of a bin
+
+
+def friction_section(predictions: Sequence[Prediction]) -> Section:
+    """Curves of all axles, the joint with the largest error first, over measured torque less that of the bodies."""
+    text = (
+        "Friction of each axle as the model has it (line, 95 % band of its parameters), and measured torque less the "
+        "torque of the links in the mean over narrow ranges of speed (dots). Load-dependent terms are left out of the "
+        "line.",
+    )
+    return Section("Friction", text, (friction_plot(predictions),))
+
+
+def friction_plot(predictions: Sequence[Prediction]) -> Plot:
+    """A panel an axle: curve and band over its speed, and the means of the data."""
+    model = predictions[0].model
+    robot = model.robot
+    speed = np.concatenate([axle_motion(robot, prediction.velocity) for prediction in predictions])
+    rest = np.concatenate([p.measured - p.predicted + p.friction for p in predictions]) @ np.linalg.inv(robot.coupling)
+    errors = np.concatenate([p.error[p.moving] for p in predictions])
+    panels = []
+    for axle in worst_first(robot, np.sqrt(np.mean(errors**2, axis=0))):
+        top = float(np.abs(speed[:, axle]).max())
+        if top <= 0:
+            continue
+        middle, mean = _means(speed[:, axle], rest[:, axle], top)
+        x = np.unique(np.concatenate([top * np.linspace(-1, 1, _GRID), [0.0], middle]))
+        curve, half = friction_curve(model, axle, x)
+        dots = np.full(len(x), np.nan)
+        dots[np.searchsorted(x, middle)] = mean
+        series = (
+            Series("95 % band", curve + half, colour=SERIES[0], low=curve - half),
+            Series("model", curve, colour=SERIES[0]),
+            Series("data", dots, "points", SERIES[1]),
+        )
+        name = robot.joint_names[axle]
+        panels.append(Panel(name, torque_units(robot)[axle], series, x, joint=name))
+    unit = "m/s" if all(joint.prismatic for joint in robot.joints) else "rad/s"
+    caption = "Friction over the speed of the axle: model and data."
+    return Plot("friction", caption, "speed", tuple(panels), x_unit=unit, link=UNLINKED, columns=2)
+
+
+def friction_curve(model: IdentifiedModel, axle: int, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(S,) torque of an axle's friction at speeds (S,) held, and (S,) half of its 95 % band [N·m].
+
+    Each point is that of long sliding one way: what a reversal does along a path has no place over speed.
+    """
+    own = [k for k, term in enumerate(model.terms) if term.axle == axle and term.form != "load"]
+    columns = np.zeros((len(speed), len(own)))
+    for sign in (-1.0, 1.0):
+        there = speed * sign > 0
+        motion = np.zeros((int(there.sum()), model.robot.dof))
+        motion[:, axle] = speed[there]
+        travel = np.zeros_like(motion)
+        travel[:, axle] = sign * np.arange(1, len(motion) + 1) * 100.0  # far beyond any presliding
+        found = axle_columns(tuple(model.terms[k] for k in own), AxleMotion(travel, motion))
+        columns[there] = found
+    places = len(model.independent) + np.array(own, dtype=int)
+    covariance = model.covariance[np.ix_(places, places)]
+    variance = np.einsum("sk,kl,sl->s", columns, covariance, columns)
+    return columns @ model.values[places], 1.96 * np.sqrt(np.maximum(variance, 0))
+
+
+def _means(speed: np.ndarray, torque: np.ndarray, top: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mean speed and torque of narrow ranges of speed that hold enough samples, standstill left out."""
+    edges = top * np.linspace(-1, 1, _BINS + 1)
+    moving = np.abs(speed) > 0.01 * top
+    place = np.clip(np.digitize(speed[moving], edges) - 1, 0, _BINS - 1)
+    count = np.bincount(place, minlength=_BINS)
+    enough = count >= _FEWEST
+    with np.errstate(invalid="ignore", divide="ignore"):
+        means = [np.bincount(place, weights=values[moving], minlength=_BINS) / count for values in (speed, torque)]
+    return means[0][enough], means[1][enough]

@@ -1,0 +1,180 @@
+"""A plot as data: what a page draws interactively, prints as a still picture, and gives away as a table."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+#: Seven colours that read on white and on near-black, and that the colour-blind tell apart (after Okabe and Ito).
+SERIES = ("#2a86c8", "#d55e00", "#009e73", "#c0649a", "#8f75d6", "#9a7d0a", "#3f9fb5")
+#: Rows of a plot, at most: more than a wide screen has pixels for.
+MOST_ROWS = 2400
+#: Link of a plot whose panels zoom alone.
+UNLINKED = "-"
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One curve: `values` (S,) over the panel's abscissa, NaN where there is nothing.
+
+    `look` is line, dashed, points, or part (of a stack, positive and negative parts apart); with `low` (S,) it is the
+    band between `low` and `values`. `joint` lets a reader switch it on and off with its joint.
+    """
+
+    label: str
+    values: np.ndarray
+    look: str = "line"
+    colour: str = SERIES[0]
+    low: np.ndarray | None = None
+    joint: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Curves that share two axes. `x` (S,) ascending, where it is not the plot's; `marks` are dotted levels by name;
+    `from_zero`: the ordinate begins there."""
+
+    title: str
+    unit: str
+    series: Sequence[Series]
+    x: np.ndarray | None = None
+    marks: dict[str, float] = field(default_factory=dict)
+    from_zero: bool = False
+    joint: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Plot:
+    """Panels under one caption. `x` (S,) ascending, in `x_unit`; `dates`: `x` is seconds since 1970, UTC.
+
+    Plots of one `link` zoom together, panels of one plot where it has none. `columns`: how many panels stand beside
+    each other where there is room.
+    """
+
+    name: str
+    caption: str
+    x_label: str
+    panels: Sequence[Panel]
+    x: np.ndarray | None = None
+    x_unit: str = ""
+    link: str = ""
+    dates: bool = False
+    columns: int = 1
+
+    def abscissa(self, panel: Panel) -> np.ndarray:
+        """(S,) of a panel."""
+        found = self.x if panel.x is None else panel.x
+        assert found is not None
+        return found
+
+
+def thinned(columns: np.ndarray, most: int = MOST_ROWS) -> np.ndarray:
+    """Indices of rows of (S, k) that show it as it is: of every stretch those with the extremes of every column.
+
+    All rows where they are no more than `most`; otherwise about as many, ascending, ends included.
+    """
+    size, count = columns.shape
+    if size <= most:
+        return np.arange(size)
+    stretches = max(1, most // (2 * count))
+    edges = np.linspace(0, size, stretches + 1).astype(int)
+    kept = {0, size - 1}
+    for start, stop in pairwise(edges):
+        part = columns[start:stop]
+        safe = np.where(np.isfinite(part), part, 0.0)
+        kept.update((start + safe.argmin(axis=0)).tolist(), (start + safe.argmax(axis=0)).tolist())
+    return np.array(sorted(kept))
+
+
+def table(plot: Plot) -> tuple[list[str], list[np.ndarray]]:
+    """Names and values of the columns behind a plot; those of panels with an abscissa of their own may be shorter."""
+    header, columns = [], []
+    if plot.x is not None:
+        header.append(_abscissa_name(plot))
+        columns.append(plot.x)
+    several = len(plot.panels) > 1
+    for panel in plot.panels:
+        before = f"{panel.title} " if several and panel.title else ""
+        if panel.x is not None:
+            header.append(before + _abscissa_name(plot))
+            columns.append(panel.x)
+        for series in panel.series:
+            ends = {"": series.values} if series.low is None else {" from": series.low, " to": series.values}
+            for end, values in ends.items():
+                header.append(f"{before}{series.label}{end}" + (f" [{panel.unit}]" if panel.unit else ""))
+                columns.append(np.asarray(values, dtype=float))
+    return header, columns
+
+
+def csv_text(plot: Plot) -> str:
+    """The same as text, six digits; cells are empty where there is nothing."""
+    header, columns = table(plot)
+    dates = [plot.dates and name.endswith(_abscissa_name(plot)) for name in header]
+    texts = [_cells(values, date) for values, date in zip(columns, dates, strict=True)]
+    longest = max(map(len, texts))
+    padded = [cells + [""] * (longest - len(cells)) for cells in texts]
+    head = ",".join('"' + name.replace('"', '""') + '"' for name in header)
+    return "\n".join([head, *map(",".join, zip(*padded, strict=True))]) + "\n"
+
+
+def packed(text: str) -> str:
+    """Text as a link that downloads it, compressed; the same text gives the same link."""
+    data = gzip.compress(text.encode("utf-8"), 9, mtime=0)
+    return "data:application/gzip;base64," + base64.b64encode(data).decode("ascii")
+
+
+def spec(plot: Plot) -> str:
+    """What the page's script needs beside the data: JSON, safe inside a script element."""
+    column = iter(range(1_000_000))
+    shared = next(column) if plot.x is not None else None
+    panels = [_panel(panel, shared, column) for panel in plot.panels]
+    content = {
+        "label": plot.x_label,
+        "unit": plot.x_unit,
+        "dates": plot.dates,
+        "link": plot.link or plot.name,
+        "panels": panels,
+    }
+    return json.dumps(content, ensure_ascii=False).replace("<", "\\u003c")
+
+
+def _panel(panel: Panel, shared: int | None, column: Iterator[int]) -> dict[str, Any]:
+    x = shared if panel.x is None else next(column)
+    series = [
+        {
+            "label": one.label,
+            "look": "band" if one.low is not None else one.look,
+            "colour": one.colour,
+            "joint": one.joint,
+            "columns": [next(column)] if one.low is None else [next(column), next(column)],
+        }
+        for one in panel.series
+    ]
+    marks = [[name, value] for name, value in panel.marks.items()]
+    return {
+        "title": panel.title,
+        "unit": panel.unit,
+        "joint": panel.joint,
+        "x": x,
+        "zero": panel.from_zero,
+        "marks": marks,
+        "series": series,
+    }
+
+
+def _abscissa_name(plot: Plot) -> str:
+    return f"{plot.x_label} [{plot.x_unit}]" if plot.x_unit else plot.x_label
+
+
+def _cells(values: np.ndarray, date: bool) -> list[str]:
+    if date:
+        return [datetime.fromtimestamp(value, UTC).strftime("%Y-%m-%dT%H:%M:%SZ") for value in values.tolist()]
+    return [f"{value:.6g}" if np.isfinite(value) else "" for value in values.tolist()]
