@@ -15,7 +15,6 @@ from agent.cli.options import (
     Quiet,
     RecipePath,
     RobotOption,
-    RunArgument,
     RunsFolder,
     Serial,
     Verbose,
@@ -113,23 +112,26 @@ def history(
 
 @app.command()
 def compare(
-    before: RunArgument,
-    after: RunArgument,
+    runs: Annotated[list[str], typer.Argument(metavar="RUN RUN...", help="run folders, or their names")],
     logs: RunsFolder = Path("logs"),
+    report: Annotated[Path | None, typer.Option("--report", metavar="OUT.html", help="page to write")] = None,
     as_json: AsJson = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Which parameters moved between two runs by more than their uncertainty, and what that does to torque."""
+    """Which parameters moved from the first run to the others by more than their uncertainty, and what that does."""
     from agent.core.console import print_json
     from agent.pipeline.compare import compare_runs
     from agent.runs.history import find_run
 
-    result = compare_runs(find_run(logs, before), find_run(logs, after), console_for(verbose, quiet))
+    if len(runs) < 2:
+        raise InputError("compare: name two runs or more: agent compare RUN RUN")
+    found = compare_runs([find_run(logs, run) for run in runs], console_for(verbose, quiet), report)
     if as_json:
-        print_json(result.to_dict())
+        pairs = [comparison.to_dict() for comparison in found]
+        print_json(pairs[0] if len(pairs) == 1 else {"schema": "comparisons/1", "comparisons": pairs})
     else:
-        print(result.text())
+        print("\n\n".join(comparison.text() for comparison in found))
 
 
 @app.command()

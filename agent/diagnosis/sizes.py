@@ -28,6 +28,7 @@ _UNITS = {
     "delay": "s", "shift": "s", "blend": "s", "start": "s", "end": "s", "duration": "s", "time": "s",
     ("torque_offset", "offset"): "N·m", ("encoder_offset", "offset"): "rad", ("torque_constant", "scale"): "%",
 }  # fmt: skip
+_INTERNAL = ("m0", "hx0", "hy0", "hz0")
 _SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad")}  # where the figure is small
 
 
@@ -55,6 +56,11 @@ def size_text(
     if slides:
         unit = unit.replace("N·m", "N").replace("rad", "m")
     return f"{plus_minus(value, half)} {unit}".rstrip()
+
+
+def told(cause: Mapping[str, Any]) -> list[str]:
+    """The parameters of a cause that say something to people: not the point about which a form is made linear."""
+    return [name for name in cause["parameters"] if name not in _INTERNAL]
 
 
 def leading(cause: Mapping[str, Any]) -> str | None:

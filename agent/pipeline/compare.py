@@ -1,7 +1,8 @@
-"""Two runs side by side, from their folders."""
+"""Runs side by side, from their folders."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,33 +10,64 @@ from agent.core.console import Console
 from agent.core.errors import InputError
 
 if TYPE_CHECKING:
+    from agent.model.identified import IdentifiedModel
+    from agent.recording.log import Log
     from agent.validation.compare import Comparison
 
 
-def compare_runs(before: Path, after: Path, console: Console) -> Comparison:
-    """Compare the models of two run folders along the excitation that the later one recorded.
+def compare_runs(runs: Sequence[Path], console: Console, report: Path | None = None) -> list[Comparison]:
+    """Compare the models of later run folders with that of the first, along the excitation that the last one recorded.
+
+    Writes a page to `report` where that is given.
 
     Raises:
         InputError: a run without a model or a log, or of different robots.
     """
-    from agent.estimation import IdentifiedModel
-    from agent.pipeline.identify import read_logs
+    from agent.validation import predict_log
     from agent.validation.compare import compare_models
 
-    for run in (before, after):
+    models = _models(runs)
+    motion = _motion(runs, models[-1], console)
+    found = [
+        compare_models(models[0], model, motion, runs[0].name, run.name)
+        for run, model in zip(runs[1:], models[1:], strict=True)
+    ]
+    if report is not None:
+        from agent.report.comparison_page import comparison_page
+        from agent.runs.folder import write_atomically
+
+        by_name = {run.name: model for run, model in zip(runs, models, strict=True)}
+        predictions = [predict_log(model, motion) for model in models]
+        write_atomically(report, comparison_page(by_name, found, predictions))
+    return found
+
+
+def _models(runs: Sequence[Path]) -> list[IdentifiedModel]:
+    from agent.estimation import IdentifiedModel
+
+    for run in runs:
         if not (run / "model.json").is_file():
             raise InputError(
                 f"{run}: this run has no model (a diagnosis, or stopped before its end); only calibrations and "
                 "recalibrations can be compared"
             )
-    models = [IdentifiedModel.load(run / "model.json") for run in (before, after)]
-    if models[0].robot.joint_names != models[1].robot.joint_names or models[0].robot.name != models[1].robot.name:
-        raise InputError(
-            f"{before.name} is of {models[0].robot.name}, {after.name} of {models[1].robot.name}: there is nothing to "
-            "compare between different robots"
-        )
-    log = next((run / "excitation.mcap" for run in (after, before) if (run / "excitation.mcap").exists()), None)
+    models = [IdentifiedModel.load(run / "model.json") for run in runs]
+    first = models[0].robot
+    for run, model in zip(runs, models, strict=True):
+        if model.robot.joint_names != first.joint_names or model.robot.name != first.name:
+            raise InputError(
+                f"{runs[0].name} is of {first.name}, {run.name} of {model.robot.name}: there is nothing to compare "
+                "between different robots"
+            )
+    return models
+
+
+def _motion(runs: Sequence[Path], model: IdentifiedModel, console: Console) -> Log:
+    from agent.pipeline.identify import read_logs
+
+    log = next((run / "excitation.mcap" for run in reversed(runs) if (run / "excitation.mcap").exists()), None)
     if log is None:
-        raise InputError(f"neither {before} nor {after} has its excitation.mcap any more: no motion to compare along")
-    (motion,) = read_logs([log], models[1].robot, console)
-    return compare_models(models[0], models[1], motion, before.name, after.name)
+        which = f"neither {runs[0]} nor {runs[1]} has its" if len(runs) == 2 else "none of these runs has its"
+        raise InputError(f"{which} excitation.mcap any more: no motion to compare along")
+    (motion,) = read_logs([log], model.robot, console)
+    return motion

@@ -240,6 +240,7 @@ def _write_model(found: Diagnosis, out: Path, console: Console) -> None:
 def diagnosis_text(result: dict[str, Any]) -> str:
     """A diagnosis for people."""
     from agent.diagnosis.labels import closes, torque_gap
+    from agent.diagnosis.sizes import size_text, told
     from agent.robot.torque_figures import SHARE, figure_text
 
     lines = [_VERDICTS[result["verdict"]]]
@@ -247,7 +248,8 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         joints = ", ".join(cause["joints"]) or "the whole arm"
         closed = f", {closes(cause)}" if closes(cause) else ""
         lines.append(f"  {cause['effect']} on {joints}{closed}, probability {cause['probability']:.2f}")
-        parameters = "  ".join(f"{name} {value:.4g}" for name, value in cause["parameters"].items())
+        sizes = (f"{key} {size_text(cause['effect'], key, cause['parameters'][key], None)}" for key in told(cause))
+        parameters = "  ".join(sizes)
         lines.append(f"    {parameters}")
         for other in cause["equivalent_to"]:
             lines.append(f"    as good: {other['effect']} on {', '.join(other['joints']) or 'the whole arm'}")

@@ -17,8 +17,14 @@ if TYPE_CHECKING:
 _SHOWN = 30.0
 
 
-def comparison_section(comparison: Comparison) -> Section:
-    """Table of all parameters with their change in standard deviations, and the torque that it makes."""
+def comparison_section(
+    comparison: Comparison, title: str = "Against the last accepted run", number: int = 0
+) -> Section:
+    """Table of all parameters with their change in standard deviations, and the torque that it makes.
+
+    `number` tells several on one page apart.
+    """
+    suffix = f"-{number + 1}" if number else ""
     moved = [change for change in comparison.changes if change.moved]
     text = [
         f"{comparison.before} against {comparison.after}: {len(moved)} of {len(comparison.changes)} parameters moved "
@@ -38,7 +44,7 @@ def comparison_section(comparison: Comparison) -> Section:
             f"{change.deviations:+.1f}",
             "moved" if change.moved else "",
         )
-        for change in comparison.changes
+        for change in sorted(comparison.changes, key=lambda change: -abs(change.deviations))
     ]
     header = ("parameter", "before", "after", "unit", "std. dev. of a change", "change [deviations]", "")
     torque = [
@@ -53,14 +59,14 @@ def comparison_section(comparison: Comparison) -> Section:
     ]
     torque_header = ("axis", "RMS [N·m]", "of nominal [%]", "largest [N·m]", "uncertainty explains [N·m]")
     parts = (
-        Table("torque-change", torque_header, torque),
-        changes_figure(comparison),
-        Table("parameter-changes", header, rows),
+        Table(f"torque-change{suffix}", torque_header, torque),
+        changes_figure(comparison, f"changes{suffix}"),
+        Table(f"parameter-changes{suffix}", header, rows),
     )
-    return Section("Against the last accepted run", text, parts)
+    return Section(title, text, parts)
 
 
-def changes_figure(comparison: Comparison) -> Figure:
+def changes_figure(comparison: Comparison, name: str = "changes") -> Figure:
     """Change of every parameter in standard deviations of a change."""
     from agent.validation.compare import BEYOND
 
@@ -79,7 +85,7 @@ def changes_figure(comparison: Comparison) -> Figure:
     axes[0, 0].set_ylabel("change [std. deviations]")
     rows = np.column_stack([[c.before for c in changes], [c.after for c in changes], values])
     caption = "Change of each parameter in standard deviations of a change, cut at 30; beyond the dots it is no chance."
-    return to_figure("changes", caption, plot, ("before", "after", "deviations"), rows)
+    return to_figure(name, caption, plot, ("before", "after", "deviations"), rows)
 
 
 def _percent(value: float) -> str:

@@ -11,11 +11,10 @@ from agent.diagnosis.regimes import BANDS, SHOWN, band_shares, masks, motor_phas
 from agent.diagnosis.result import Diagnosis
 from agent.recording import Log
 from agent.report.figures import Figure, new_plot, to_figure
-from agent.report.plots import SERIES, Panel, Plot, Series, thinned
+from agent.report.plots import SERIES, Panel, Plot, Series
 from agent.report.torque_section import worst_first
 from agent.robot.torque_figures import SHARE, torque_units
 
-_POINTS = 1200  # of a line, about
 _MOST_JOINTS = 3
 _MOST_LOGS = 6
 
@@ -66,15 +65,13 @@ def timeline(diagnosis: Diagnosis) -> Plot:
     for number, log in enumerate(dataset.logs[:_MOST_LOGS]):
         here = np.flatnonzero(dataset.log == number)
         for joint in order[:_MOST_JOINTS]:
-            raw, left = diagnosis.gap.raw[here, joint], diagnosis.gap.left[here, joint]
-            chosen = thinned(np.column_stack([raw, left]), _POINTS)
             series = (
-                Series("model alone", raw[chosen], colour=SERIES[1]),
-                Series("with the effects", left[chosen], colour=SERIES[0]),
+                Series("model alone", diagnosis.gap.raw[here, joint], colour=SERIES[1]),
+                Series("with the effects", diagnosis.gap.left[here, joint], colour=SERIES[0]),
             )
             title = f"{names[joint]}, {log_title(log)}"
-            time = dataset.time[here][chosen]
-            panels.append(Panel(title, torque_units(dataset.robot)[joint], series, time, joint=names[joint]))
+            unit = torque_units(dataset.robot)[joint]
+            panels.append(Panel(title, unit, series, dataset.time[here], joint=names[joint]))
     caption = "Torque error over time, held out: each joint's, the one with most of the gap first."
     return Plot("timeline", caption, "time", tuple(panels), x_unit="s", columns=2)
 
@@ -114,19 +111,18 @@ def simulated_torque(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Pl
     one, robot = simulated[0], diagnosis.dataset.robot
     change = np.sqrt(np.mean((one.torque_before - one.torque_after) ** 2, axis=0))
     joint = worst_first(robot, change)[0]
-    chosen = thinned(np.column_stack([one.torque_before[:, joint], one.torque_after[:, joint]]))
     panels = []
     for kind, scale, unit in (
         ("torque", 1.0, torque_units(robot)[joint]),
         ("position", 1e3, "mm" if robot.joints[joint].prismatic else "mrad"),
     ):
         series = [
-            Series(word, scale * getattr(one, f"{kind}_{side}")[chosen, joint], colour=colour)
+            Series(word, scale * getattr(one, f"{kind}_{side}")[:, joint], colour=colour)
             for side, colour, word in (("before", SERIES[1], "model alone"), ("after", SERIES[0], "with the effects"))
         ]
         panels.append(Panel(kind, unit, series))
     caption = f"Measured less simulated on {robot.joint_names[joint]}, {one.log}: torque and position."
-    return Plot("simulation-error", caption, "time", tuple(panels), one.time[chosen], "s")
+    return Plot("simulation-error", caption, "time", tuple(panels), one.time, "s")
 
 
 def _map(name: str, caption: str, values: np.ndarray, columns: Sequence[str], rows: Sequence[str]) -> Figure:

@@ -9,6 +9,7 @@ from agent.diagnosis.finding import Step
 from agent.diagnosis.forward import Simulated, simulation_part
 from agent.diagnosis.labels import REGIMES, closes, name, place, torque_gap
 from agent.diagnosis.result import Diagnosis
+from agent.diagnosis.sizes import told
 from agent.model.effects import CATALOGUE
 from agent.report.diagnosis_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
 from agent.report.first_screen import about_diagnosis, headline, parameter_text, sentence, sized
@@ -56,7 +57,7 @@ def _cause_section(diagnosis: Diagnosis) -> Section:
     rows = [
         (f"{name(cause['effect'])}, {place(cause)}", key.replace("_", " "), parameter_text(diagnosis, number, key))
         for number, cause in enumerate(result["causes"])
-        for key in cause["parameters"]
+        for key in told(cause)
     ]
     tables = (Table("parameters", ("cause", "parameter", "value, 95 % interval"), rows),) if rows else ()
     return Section("What it is", text or ["Nothing to look for."], tables)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from agent.diagnosis.labels import in_torque, torque_gap
+from agent.diagnosis.sizes import size_text, told
 from agent.report.page import Section, Table
 from agent.robot.torque_figures import SHARE, figure_text
 
@@ -37,7 +38,9 @@ def diagnosis_section(result: dict[str, Any]) -> Section:
             ", ".join(cause["joints"]) or "whole arm",
             _percent(cause["closure"]),
             f"{cause['probability']:.2f}",
-            "; ".join(f"{name} {value:.4g}" for name, value in cause["parameters"].items()),
+            "; ".join(
+                f"{key} {size_text(cause['effect'], key, cause['parameters'][key], None)}" for key in told(cause)
+            ),
             ", ".join(other["effect"] for other in cause["equivalent_to"]) or "-",
         )
         for cause in result["causes"]
@@ -61,6 +64,10 @@ def _cause(cause: dict[str, Any]) -> str:
     gap = "the gap" if in_torque(cause) else "the gap between planned and executed path"
     closure = "" if cause["closure"] is None else f", closing {100 * cause['closure']:.0f} % of {gap}"
     return f"{cause['effect'].replace('_', ' ')} on {joints}{closure}"
+
+
+def _size(cause: dict[str, Any], key: str) -> str:
+    return f"{key} {size_text(cause['effect'], key, cause['parameters'][key], None)}"
 
 
 def _percent(value: float | None) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.report.figures import Figure
-from agent.report.plots import Plot, csv_text, packed, spec
+from agent.report.plots import Plot, csv_text, for_screen, packed, spec
 from agent.report.scene import Scene, scene_part
 from agent.report.stills import still
 
@@ -112,7 +112,8 @@ def _part(part: Table | Figure | Plot | Scene) -> dict[str, Any]:
             "csv": _data_link(_csv(part.header, part.rows)),
         }
     if isinstance(part, Plot):
-        return {"kind": "plot", "part": part, "svg": still(part), "spec": spec(part), "csv": packed(csv_text(part))}
+        shown = for_screen(part)
+        return {"kind": "plot", "part": shown, "svg": still(shown), "spec": spec(shown), "csv": packed(csv_text(shown))}
     if isinstance(part, Figure):
         rows = [[f"{float(value):.6g}" for value in row] for row in part.rows]
         return {"kind": "figure", "part": part, "csv": packed(_csv(part.header, rows))}

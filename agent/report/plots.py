@@ -6,7 +6,7 @@ import base64
 import gzip
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import pairwise
 from typing import Any
@@ -77,21 +77,44 @@ class Plot:
 
 
 def thinned(columns: np.ndarray, most: int = MOST_ROWS) -> np.ndarray:
-    """Indices of rows of (S, k) that show it as it is: of every stretch those with the extremes of every column.
+    """Indices of rows of (S, k) that show it as it is: even ones, and of every stretch those with the extremes of
+    every column.
 
     All rows where they are no more than `most`; otherwise about as many, ascending, ends included.
     """
     size, count = columns.shape
     if size <= most:
         return np.arange(size)
-    stretches = max(1, most // (2 * count))
+    stretches = max(1, most // (4 * count))
     edges = np.linspace(0, size, stretches + 1).astype(int)
-    kept = {0, size - 1}
+    kept = set(np.linspace(0, size - 1, most // 2).astype(int).tolist())
     for start, stop in pairwise(edges):
         part = columns[start:stop]
         safe = np.where(np.isfinite(part), part, 0.0)
         kept.update((start + safe.argmin(axis=0)).tolist(), (start + safe.argmax(axis=0)).tolist())
     return np.array(sorted(kept))
+
+
+def for_screen(plot: Plot) -> Plot:
+    """The same plot with no more rows than a screen can show: panels of one abscissa are thinned alike."""
+    if plot.x is None:
+        return replace(plot, panels=[_part(panel, _kept([panel])) for panel in plot.panels])
+    shared = [panel for panel in plot.panels if panel.x is None]
+    kept = _kept(shared)
+    panels = [_part(panel, kept if panel.x is None else _kept([panel])) for panel in plot.panels]
+    return replace(plot, x=plot.x[kept], panels=panels)
+
+
+def _kept(panels: Sequence[Panel]) -> np.ndarray:
+    columns = [values for panel in panels for one in panel.series for values in (one.values, one.low)]
+    return thinned(np.column_stack([values for values in columns if values is not None]))
+
+
+def _part(panel: Panel, rows: np.ndarray) -> Panel:
+    series = [
+        replace(one, values=one.values[rows], low=None if one.low is None else one.low[rows]) for one in panel.series
+    ]
+    return replace(panel, series=series, x=None if panel.x is None else panel.x[rows])
 
 
 def table(plot: Plot) -> tuple[list[str], list[np.ndarray]]:

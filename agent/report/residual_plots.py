@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series, thinned
+from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series
 from agent.report.torque_section import worst_first
 
 if TYPE_CHECKING:
@@ -43,13 +43,10 @@ def _over_time(predictions: Sequence[Prediction], error: Sequence[np.ndarray], o
     ends = np.cumsum([0.0, *(float(np.ptp(p.time)) + 0.5 for p in predictions)])
     time = np.concatenate([p.time - p.time[0] + start for p, start in zip(predictions, ends, strict=False)])
     together = np.concatenate(error)
-    chosen = thinned(together)
-    series = [
-        Series(names[k], together[chosen, k], colour=SERIES[k % len(SERIES)], joint=names[k]) for k in reversed(order)
-    ]
+    series = [Series(names[k], together[:, k], colour=SERIES[k % len(SERIES)], joint=names[k]) for k in order]
     motions = f"all {len(predictions)} motions, one after the other" if len(predictions) > 1 else "the motion"
     caption = f"What the model leaves over time: {motions}."
-    return Plot("residual-time", caption, "time", (Panel("left over", unit, series),), time[chosen], "s")
+    return Plot("residual-time", caption, "time", (Panel("left over", unit, series),), time, "s")
 
 
 def _binned(
@@ -98,9 +95,7 @@ def _spectrum(predictions: Sequence[Prediction], error: Sequence[np.ndarray], or
         place = np.fft.rfftfreq(len(values), period)
         power += np.stack([np.interp(frequency, place, column**2) for column in found.T], axis=1)
     amplitude = np.sqrt(power / len(predictions))
-    series = [
-        Series(names[k], amplitude[:, k], colour=SERIES[k % len(SERIES)], joint=names[k]) for k in reversed(order)
-    ]
+    series = [Series(names[k], amplitude[:, k], colour=SERIES[k % len(SERIES)], joint=names[k]) for k in order]
     panel = Panel("amplitude", unit, series, marks={}, from_zero=True)
     caption = "What the model leaves over frequency; the torque filter takes away what lies above its cut-off."
     return Plot("residual-frequency", caption, "frequency", (panel,), frequency, "Hz")

@@ -31,7 +31,7 @@ def residual_section(predictions: Sequence[Prediction]) -> Section:
         "something acts that the model does not have.",
         "At standstill friction may be anything within stiction, so that column is the largest on a healthy arm too.",
     )
-    return Section("Residuals", text, (_heat_map(figures, predictions[0]), *residual_plots(predictions)))
+    return Section("Residuals", text, (heat_map(figures, predictions[0]), *residual_plots(predictions)))
 
 
 def residual_map(predictions: Sequence[Prediction]) -> np.ndarray:
@@ -82,7 +82,13 @@ def _after_reversal(velocity: np.ndarray, still: np.ndarray, time: np.ndarray) -
     return result
 
 
-def _heat_map(values: np.ndarray, prediction: Prediction) -> Figure:
+def heat_map(
+    values: np.ndarray,
+    prediction: Prediction,
+    name: str = "residuals",
+    caption: str = "RMSE by joint (rows) and regime (columns), in % of nominal joint torque where there is one.",
+) -> Figure:
+    """Cells (n, regimes) of `residual_map`, shaded by their values."""
     names = prediction.model.robot.joint_names
     known = np.isfinite(prediction.model.robot.nominal_torque)
     shown = np.where(known[:, None], 100 * values, values)
@@ -105,9 +111,8 @@ def _heat_map(values: np.ndarray, prediction: Prediction) -> Figure:
     axis.set_ylim(len(names) - 0.5, -0.5)
     axis.set_xticks(range(len(REGIMES)), REGIMES)
     axis.set_yticks(range(len(names)), [f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)])
-    caption = "RMSE by joint (rows) and regime (columns), in % of nominal joint torque where there is one."
     rows = np.column_stack([np.arange(1, len(names) + 1), shown])
-    return to_figure("residuals", caption, plot, ("axis", *REGIMES), rows)
+    return to_figure(name, caption, plot, ("axis", *REGIMES), rows)
 
 
 def _cell(column: int, row: int, shade: float) -> Rectangle:

@@ -14,6 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.browser import Browser
+from tests.browser import browser as start_browser
+
 ROOT = Path(__file__).resolve().parents[2]
 JOINTS = [f"joint_{k + 1}" for k in range(6)]
 RECIPE = """
@@ -77,6 +80,25 @@ def shop(calibrated: Path, tmp_path: Path) -> Path:
 def run_agent(shop: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
     """Runs the command line in that copy."""
     return lambda *arguments, **environment: agent(shop, *arguments, **environment)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """One Chromium for all tests of pages."""
+    with start_browser() as started:
+        yield started
+
+
+@pytest.fixture
+def browse(browser: Browser) -> Callable[[Path], tuple[list[str], list[str], str]]:
+    """Opens a page and draws its plots; returns console messages, addresses it asked for, and the document after."""
+
+    def open_page(page: Path) -> tuple[list[str], list[str], str]:
+        with browser.page(page) as opened:
+            opened.draw()
+            return opened.console, opened.asked, opened.tab.content()
+
+    return open_page
 
 
 @pytest.fixture

@@ -6,54 +6,11 @@ import base64
 import gzip
 import json
 import re
-import shutil
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 FOREIGN = re.compile(r"""(?:src|href|action|data)\s*=\s*["'](?!data:|#)([^"']+)|url\(\s*["']?(?!#|data:)([^"')]+)""")
-
-
-@pytest.fixture
-def browse(tmp_path: Path) -> Callable[..., tuple[list[str], list[str], str]]:
-    """Opens a page in headless Chromium; returns console messages, addresses it asked for, and the document after.
-
-    Skips where there is no Chromium.
-    """
-    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if browser is None:
-        pytest.skip("Chromium is not installed here: pages were not opened in a browser")
-
-    def open_page(page: Path, *options: str) -> tuple[list[str], list[str], str]:
-        net_log = tmp_path / "net.json"
-        command = [
-            browser,
-            "--headless=new",
-            "--no-sandbox",
-            "--disable-gpu",
-            "--disable-background-networking",
-            "--disable-component-update",
-            "--disable-sync",
-            "--no-first-run",
-            "--virtual-time-budget=3000",
-            f"--user-data-dir={tmp_path / 'profile'}",
-            f"--log-net-log={net_log}",
-            "--enable-logging=stderr",
-            *options,
-            "--dump-dom",
-            page.resolve().as_uri(),
-        ]
-        run = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
-        console = [line for line in run.stderr.splitlines() if ":CONSOLE" in line]
-        # the browser calls home by itself; what a page asks for has the page as its initiator
-        events = net_log.read_text(encoding="utf-8").splitlines()
-        started = [event for event in events if '"initiator":"' in event and "not an origin" not in event]
-        asked = [event for event in started if re.search(r'"url":"(?!file:|data:)', event)]
-        return console, asked, run.stdout
-
-    return open_page
 
 
 @pytest.fixture
@@ -116,8 +73,6 @@ def test_a_calibration(calibrated: Path, browse):
     assert "jitter [µs RMS]" in text
     document = _check_shown(browse, page)
     assert document.count("<canvas") > 1, "plots are drawn"
-    narrow = browse(page, "--window-size=390,800", "--blink-settings=preferredColorScheme=0")
-    assert narrow[0] == narrow[1] == []
 
 
 def test_every_plot_and_table_has_its_data_a_click_away(calibrated: Path):

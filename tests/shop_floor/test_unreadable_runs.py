@@ -133,7 +133,7 @@ def test_a_diagnosis_is_in_the_table_with_its_verdict_and_passes_no_gate(write_r
         assert [past.accepted for past in history.runs()] == [False, True]
         assert "diagnose     no gap" in history_table(history.runs())
     with pytest.raises(InputError, match="this run has no model"):
-        compare_runs(run, _runs(logs)[1], QUIET)
+        compare_runs([run, _runs(logs)[1]], QUIET)
 
 
 @pytest.mark.parametrize("seed", range(30))
@@ -230,7 +230,7 @@ def test_one_bad_folder_is_one_bad_folder(three_runs, data):
     for act in (
         lambda: report_again(bad, QUIET),
         lambda: apply_run(logs, bad),
-        lambda: compare_runs(first, bad, QUIET),
+        lambda: compare_runs([first, bad], QUIET),
         lambda: RunFolder.open(bad, "s"),
     ):
         with contextlib.suppress(AgentError):
