@@ -6,7 +6,7 @@ STAMP := $(VENV)/.ready
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: env calibrate test verify lint format lock clean
+.PHONY: env calibrate test verify docs lint format lock clean
 
 env: $(STAMP)
 
@@ -34,6 +34,10 @@ test: env lint
 
 verify: env
 	$(BIN)/python tests/verify.py
+
+docs: env
+	$(BIN)/mkdocs build --strict --quiet
+	@echo "build/site/index.html"
 
 format: env
 	$(BIN)/ruff check --fix .

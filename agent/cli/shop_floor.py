@@ -162,7 +162,7 @@ def export(
     model: Annotated[Path, typer.Argument(metavar="MODEL", help="model file")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="folder to write to")],
 ) -> None:
-    """Write a model as URDF, MuJoCo model and friction file for other programs. Prints their paths."""
+    """Write a model for other programs: URDF, MuJoCo model, SDF, friction, CSV, Foxglove layout. Prints the paths."""
     from agent.estimation import IdentifiedModel
     from agent.model.export import export_model
 

@@ -1,16 +1,19 @@
-"""A calibrated robot for other programs: URDF, MuJoCo model and friction file.
+"""A calibrated robot for other programs: URDF, MuJoCo model, SDF, friction file and a table of parameters.
 
 `<robot>.urdf` is the robot's URDF with the inertials of its moving links replaced, the bodies fixed to a link being
 part of it, and with each joint's friction as `dynamics`: damping and friction are the line through the identified
 curve. `<robot>.xml` is the same for MuJoCo, where rotors are armature; what acts on an axle that several joints turn
 (motor coupling) is on a tendon. `friction.json` has what a URDF cannot say: rotor inertias, coupling, every term of
-friction.
+friction. `<robot>.sdf` is for Gazebo (`agent.model.sdf`), `parameters.csv` the table of the report, and
+`foxglove-layout.json` a layout for logs of this arm.
 
 Nothing is written that has not been read back and found to give the model's torques.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
@@ -24,7 +27,9 @@ import numpy as np
 from agent.core.errors import RejectedError
 from agent.model.full_parameters import check_physical, full_parameters
 from agent.model.identified import IdentifiedModel
-from agent.robot.parameter_layout import ParameterLayout
+from agent.model.sdf import sdf_text
+from agent.recording.mcap import foxglove
+from agent.robot.parameter_layout import ParameterLayout, about_centre
 
 _STATES = 50
 _TOLERANCE = 1e-9  # of the largest torque
@@ -33,7 +38,9 @@ _ODD = ("coulomb", "viscous", "quadratic", "stribeck")
 
 
 def export_model(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
-    """Write URDF, MuJoCo model and friction file into a folder, replacing older ones; returns their paths.
+    """Write URDF, MuJoCo model, SDF, friction, parameters and a Foxglove layout into a folder, replacing older ones.
+
+    Returns their paths.
 
     Raises:
         RejectedError: no physical links have the model's base parameters, or what was written does not give them back.
@@ -46,19 +53,30 @@ def export_model(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
         folder / f"{model.robot.name}.urdf": urdf_text(model, standard, lines),
         folder / f"{model.robot.name}.xml": mujoco_text(model, standard, lines),
         folder / "friction.json": json.dumps(friction_data(model, standard, lines), indent=1, allow_nan=False),
+        folder / f"{model.robot.name}.sdf": sdf_text(model, standard, lines),
+        folder / "parameters.csv": _csv(model),
+        folder / foxglove.FILE_NAME: foxglove.foxglove_layout(model.robot.joint_names),
     }
     folder.mkdir(parents=True, exist_ok=True)
     parts = {path: path.with_name(path.name + ".part") for path in texts}
     try:
         for path, text in texts.items():
             parts[path].write_text(text, encoding="utf-8")
-        _read_back(model, *parts.values())
+        urdf, mujoco, friction, *_ = parts.values()
+        _read_back(model, urdf, mujoco, friction)
         for path, part in parts.items():
             part.replace(path)
     finally:
         for part in parts.values():
             part.unlink(missing_ok=True)
     return tuple(texts)
+
+
+def _csv(model: IdentifiedModel) -> str:
+    """The table of parameters, as spreadsheets read it."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(model.rows())
+    return text.getvalue()
 
 
 def urdf_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -> str:
@@ -115,7 +133,7 @@ def mujoco_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray)
         body = SubElement(body, "body", {"name": link, **_placement(np.linalg.solve(before, frame))})
         before = frame
         block = standard[layout.link(k)]
-        inertia = _about_centre(block)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        inertia = about_centre(block)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
         SubElement(
             body, "inertial", pos=_text(*(block[1:4] / block[0])), mass=_text(block[0]), fullinertia=_text(*inertia)
         )
@@ -253,19 +271,11 @@ def _inertial(block: np.ndarray) -> Element:
     element = Element("inertial")
     SubElement(element, "origin", xyz=_text(*(block[1:4] / block[0])), rpy="0 0 0")
     SubElement(element, "mass", value=_text(block[0]))
-    inertia = _about_centre(block)
+    inertia = about_centre(block)
     axes = "xyz"
     names = {f"i{axes[i]}{axes[j]}": _text(inertia[i, j]) for i in range(3) for j in range(i, 3)}
     SubElement(element, "inertia", names)
     return element
-
-
-def _about_centre(block: np.ndarray) -> np.ndarray:
-    """(3, 3) inertia [kg·m²] about the centre of mass, from ten standard parameters about the link's frame."""
-    mass, moment = block[0], block[1:4]
-    xx, xy, yy, xz, yz, zz = block[4:]
-    about_frame = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return about_frame - (moment @ moment * np.eye(3) - np.outer(moment, moment)) / mass
 
 
 def _placement(pose: np.ndarray) -> dict[str, str]:

@@ -55,3 +55,11 @@ class ParameterLayout:
     def blocks(self, standard: np.ndarray) -> np.ndarray:
         """(links, 10) the links' share of a vector (p,), or of one of links alone."""
         return np.asarray(standard)[self.links].reshape(self.n_links, len(LINK_PARAMETERS))
+
+
+def about_centre(block: np.ndarray) -> np.ndarray:
+    """(3, 3) inertia [kg·m²] about the centre of mass, from ten standard parameters about the link's frame."""
+    mass, moment = block[0], block[1:4]
+    xx, xy, yy, xz, yz, zz = block[4:]
+    about_frame = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return about_frame - (moment @ moment * np.eye(3) - np.outer(moment, moment)) / mass

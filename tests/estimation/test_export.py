@@ -133,7 +133,7 @@ def test_pseudo_inertia_is_the_second_moment_of_a_density() -> None:
 @pytest.mark.parametrize("known", [True, False])
 def test_pinocchio_finds_the_torques_of_the_fit(ns16: RobotDescription, tmp_path: Path, known: bool) -> None:
     model = model_of(ns16, bodies(ns16), known)
-    urdf, _, friction = export_model(model, tmp_path)
+    urdf, _, friction, *_ = export_model(model, tmp_path)
     read = pin.buildModelFromUrdf(str(urdf))
     data = read.createData()
     drive = json.loads(friction.read_text())
@@ -212,7 +212,7 @@ def test_mujoco_finds_the_torques_of_the_fit(ns16: RobotDescription, tmp_path: P
 def test_mujoco_reads_the_urdf_too(ns16: RobotDescription, tmp_path: Path) -> None:
     mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed: pip install calibration-agent[mujoco]")
     model = model_of(ns16, bodies(ns16), known=True)
-    urdf, _, friction = export_model(model, tmp_path)
+    urdf, _, friction, *_ = export_model(model, tmp_path)
     read = mujoco.MjModel.from_xml_path(str(urdf))
     assert read.opt.gravity[2] == ns16.gravity[2]
     read.dof_armature[:] = [axle["armature"] for axle in json.loads(friction.read_text())["axles"]]
@@ -296,7 +296,7 @@ def described(folder: Path, elements: str, joints: tuple[str, ...], tip: str) ->
 def test_every_description_is_exported_and_read_back(tmp_path: Path, kind: str) -> None:
     robot = described(tmp_path, *DESCRIPTIONS[kind])
     model = model_of(robot, bodies(robot, spread=0.1), known=True)
-    urdf, _, friction = export_model(model, tmp_path / "out")
+    urdf, _, friction, *_ = export_model(model, tmp_path / "out")
     read = pin.buildModelFromUrdf(str(urdf))
     assert tuple(read.names)[1:] == robot.joint_names
     data, drive = read.createData(), json.loads(friction.read_text())
@@ -309,3 +309,48 @@ def test_every_description_is_exported_and_read_back(tmp_path: Path, kind: str) 
         parts = [[np.cos(x), np.sin(x)] if width == 2 else [x] for x, width in zip(here, read.nqs[1:], strict=False)]
         torque[k] = pin.rnea(read, data, np.concatenate(parts), speed, acceleration)
     np.testing.assert_allclose(torque, model.rigid.torque(q, qd, qdd, model.base_values), rtol=0, atol=1e-9)
+
+
+def test_the_sdf_has_the_torques_of_the_bodies(ns16, tmp_path):
+    """Read by hand into another library: joints and links as SDF's own words place them."""
+    standard = bodies(ns16)
+    export_model(model_of(ns16, standard, known=True), tmp_path)
+    root = ElementTree.parse(tmp_path / f"{ns16.name}.sdf").getroot()
+    links = {link.get("name"): link for link in root.iter("link")}
+
+    def numbers(element, path):
+        return np.array(element.find(path).text.split(), dtype=float)
+
+    def frame(link):
+        pose = numbers(link, "pose")
+        return pin.SE3(pin.rpy.rpyToMatrix(*pose[3:]), pose[:3])
+
+    read, parent, before = pin.Model(), 0, pin.SE3.Identity()
+    for joint in root.iter("joint"):
+        link = links[joint.find("child").text]
+        turning = pin.JointModelRevoluteUnaligned(numbers(joint, "axis/xyz"))
+        parent = read.addJoint(parent, turning, before.actInv(frame(link)), joint.get("name"))
+        before = frame(link)
+        i = {e.tag: float(e.text) for e in link.find("inertial/inertia")}
+        tensor = np.array(
+            [[i["ixx"], i["ixy"], i["ixz"]], [i["ixy"], i["iyy"], i["iyz"]], [i["ixz"], i["iyz"], i["izz"]]]
+        )
+        body = pin.Inertia(float(link.find("inertial/mass").text), numbers(link, "inertial/pose")[:3], tensor)
+        read.appendBodyToJoint(parent, body, pin.SE3.Identity())
+    read.gravity.linear = np.array(ns16.gravity)
+    data = read.createData()
+    without_rotors = standard.copy()
+    without_rotors[-ns16.dof :] = 0.0
+    rigid, _, _ = rigid_bodies(ns16)
+    q, qd, qdd = states(ns16)
+    expected = rigid.torque(q, qd, qdd, rigid.projection @ without_rotors)
+    torque = np.array([pin.rnea(read, data, *state) for state in zip(q, qd, qdd, strict=True)])
+    np.testing.assert_allclose(torque, expected, atol=1e-7 * np.abs(expected).max())
+
+
+def test_parameters_go_to_spreadsheets(ns16, tmp_path):
+    paths = export_model(model_of(ns16, bodies(ns16), known=True), tmp_path)
+    header, *rows = (tmp_path / "parameters.csv").read_text("utf-8").splitlines()
+    assert header.startswith("parameter,value,")
+    assert len(rows) > 40
+    assert (tmp_path / "foxglove-layout.json") in paths

@@ -204,7 +204,7 @@ def test_files_that_are_no_logs(tools, tmp_path):
         tmp_path / "missing.mcap": "no such file",
         empty: "the file is empty",
         text: "not an MCAP file",
-        tmp_path: "Is a directory",
+        tmp_path: "folder without metadata",
         tools.write_foreign(tmp_path / "nothing.mcap", []): "no messages in it",
         no_states: r"no readable /joint_states.*it has .*/x: sensor_msgs/msg/JointState",
         tools.write_foreign(tmp_path / "one.mcap", tools.as_messages(tools.motion(1))): "1 sample",

@@ -26,6 +26,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
 from agent.core.errors import InputError
+from agent.recording.mcap.bag import DATABASE, bag_files, database_records
 from agent.recording.mcap.joint_state import JointStateLayout, parse_layout
 from agent.recording.scratch import Scratch
 
@@ -76,17 +77,24 @@ class Scan:
 
 
 def scan(path: Path) -> Scan:
-    """Read all joint states of a file.
+    """Read all joint states of a file, or of a bag of ROS 2: its folder, or its `.db3` file.
 
     Raises:
         InputError: no such file, not an MCAP file, or a compression that nobody here knows.
     """
     try:
-        with open(path, "rb") as file:
-            found = _Scanner(path).run(file, os.fstat(file.fileno()).st_size)
-            file.seek(0)
-            found.sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-            return found
+        scanner, digest = _Scanner(path), hashlib.sha256()
+        for part in bag_files(path) if path.is_dir() else [path]:
+            with open(part, "rb") as file:
+                if part.suffix == DATABASE:
+                    found = scanner.run_records(database_records(part, _TYPES))
+                else:
+                    found = scanner.run(file, os.fstat(file.fileno()).st_size)
+                file.seek(0)
+                while block := file.read(_BATCH):
+                    digest.update(block)
+        found.sha256 = digest.hexdigest()
+        return found
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except OSError as error:
@@ -112,7 +120,7 @@ class _Scanner:
         if magic != _MAGIC:
             what = "the file is empty" if size == 0 else "not an MCAP file"
             raise InputError(f"{self._path}: {what}; a log is an MCAP file with sensor_msgs/msg/JointState messages")
-        self._file_size = size
+        self._file_size += size
         chunks = 0
         for opcode, body, whole in self._records(file, size):
             if opcode == Opcode.CHUNK:
@@ -122,7 +130,20 @@ class _Scanner:
                 self._take(_RECORD.pack(opcode, len(body)) + body)
             elif opcode == Opcode.METADATA and whole:
                 self._take_metadata(body)
+        return self._end()
+
+    def run_records(self, records: Iterator[bytes]) -> Scan:
+        """The same from records at hand."""
+        for record in records:
+            self._take(record)
+        self._found.closed = True
+        return self._end()
+
+    def _end(self) -> Scan:
+        """Of a file; the next one of a bag numbers its channels anew."""
         self._decode()
+        self._schemas.clear()
+        self._channels.clear()
         return self._found
 
     def _records(self, file: BinaryIO, size: int) -> Iterator[tuple[int, bytes, bool]]:
