@@ -84,7 +84,7 @@ class BlindCheck:
                 job, reason = self._record(case)
                 found = {"error": reason} if reason else diagnosing.ask(job)
                 write_atomically(answer, json.dumps(found) + "\n")
-                console.progress(f"run {case.number + 1} of {len(cases)} diagnosed")
+                console.progress(f"run {case.number + 1} of {len(cases)} diagnosed", (case.number + 1) / len(cases))
 
     def _record(self, case: Case) -> tuple[dict[str, Any], str]:
         """What a diagnosis is told of a run, or why there is nothing; its machine's model is made where missing."""

@@ -28,7 +28,7 @@ from agent.core.errors import InputError
 
 app = typer.Typer(
     name="agent",
-    add_completion=False,
+    add_completion=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     no_args_is_help=True,
@@ -120,7 +120,7 @@ def calibrate(
     quiet: Quiet = False,
 ) -> None:
     """The whole job: plan, program, send, record, filter, estimate, validate, report. Prints the run folder."""
-    from agent.core.console import print_json
+    from agent.core.console import print_json, print_path
     from agent.pipeline.calibrate import calibrate as run_job
     from agent.recipe import load_recipe
     from agent.runs.history import find_run
@@ -132,7 +132,7 @@ def calibrate(
         print_json(outcome.result.to_dict())
     else:
         print(outcome.summary(), file=sys.stderr)
-        print(outcome.run)
+        print_path(outcome.run)
     raise typer.Exit(0 if outcome.accepted else 3)
 
 

@@ -15,7 +15,6 @@ AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on stdout"
 RobotOption = Annotated[str, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")]
 Cutoff = Annotated[float | None, typer.Option("--cutoff", metavar="HZ", help="cut-off of the torque filter")]
 RunsFolder = Annotated[Path, typer.Option("--logs", metavar="DIR", help="where runs are kept")]
-RunArgument = Annotated[str, typer.Argument(metavar="RUN", help="run folder, or its name")]
 Serial = Annotated[str | None, typer.Option("--serial", metavar="S", help="serial of one machine")]
 Authorised = Annotated[
     Path | None, typer.Option("--authorisation", metavar="FILE", help="a person's word that allows unattended motion")

@@ -37,7 +37,7 @@ def recalibrate(
     quiet: Quiet = False,
 ) -> None:
     """For cron and timers: run the stored loop again, re-estimate, judge, and keep what is accepted. No search."""
-    from agent.core.console import print_json
+    from agent.core.console import print_json, print_path
     from agent.pipeline.recalibrate import recalibrate as run_job
     from agent.recipe import load_recipe
     from agent.safety.authorisation import load_authorisation
@@ -49,7 +49,10 @@ def recalibrate(
     else:
         if outcome.run is not None:
             print(outcome.summary(), file=sys.stderr)
-        print(outcome.run or outcome.summary())
+        if outcome.run is None:
+            print(outcome.summary())
+        else:
+            print_path(outcome.run)
     raise typer.Exit(0 if outcome.accepted else 3)
 
 
@@ -141,10 +144,12 @@ def report(
     logs: RunsFolder = Path("logs"),
     robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="with --index: of this robot only")] = None,
     serial: Serial = None,
+    show: Annotated[bool, typer.Option("--open", help="open it in the browser")] = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Make the HTML page of a run again, or the page over all runs. Prints its path."""
+    from agent.core.console import print_path
     from agent.pipeline.rebuild_report import report_again
     from agent.pipeline.reports import write_index
     from agent.runs.history import find_run
@@ -152,9 +157,14 @@ def report(
     if (run is None) == (not index):
         raise InputError("report: name a run, or give --index for the page over all of them")
     if run is None:
-        print(write_index(logs, robot, serial))
+        page = write_index(logs, robot, serial)
     else:
-        print(report_again(find_run(logs, run), console_for(verbose, quiet)))
+        page = report_again(find_run(logs, run), console_for(verbose, quiet))
+    print_path(page)
+    if show:
+        import webbrowser
+
+        webbrowser.open(page.resolve().as_uri())
 
 
 @app.command()

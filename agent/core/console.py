@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from agent.core.output import PatientStream, patient
@@ -13,6 +15,7 @@ from drivers.texts import hide, hide_all, printable
 
 #: Characters of one message; a recipe with many faults has some thousands.
 LONGEST = 20_000
+_SOON = 2.0  # s
 
 
 class Console:
@@ -34,18 +37,26 @@ class Console:
         self._rich = RichConsole(file=_Messages(), highlight=False, soft_wrap=True)  # type: ignore[arg-type]
         self._begin = clock()
         self._last = -float("inf")
+        self._stage = self._begin
         self._open_line = False
 
     def step(self, title: str) -> None:
         """A stage begins."""
         self._last = -float("inf")
+        self._stage = self._clock()
         self.say(title)
 
-    def progress(self, text: str) -> None:
-        """The running stage has come this far; shown now and then."""
+    def progress(self, text: str, done: float | None = None) -> None:
+        """The running stage has come this far, of 1 `done` where that can be told; shown now and then.
+
+        With it the time left is told, once the stage has run for two seconds.
+        """
         if self.verbosity < 0:
             return
         now = self._clock()
+        spent = now - self._stage
+        if done and spent > _SOON:
+            text += f", about {max(1.0, spent * (1 - done) / done):.0f} s left" if done < 1 else ""
         if self._rich.is_terminal:
             if now - self._last > 0.1:
                 stream, line = patient(sys.stderr), f"\r\033[K{self._stamp()}   {fit_to_show(text)}"
@@ -96,6 +107,14 @@ class _Messages:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(patient(sys.stderr), name)
+
+
+def print_path(path: Path) -> None:
+    """A result's path on stdout; on a terminal it is a link that can be clicked (OSC 8)."""
+    shown = fit_to_show(str(path))
+    if sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb":
+        shown = f"\033]8;;{path.resolve().as_uri()}\033\\{shown}\033]8;;\033\\"
+    print(shown)
 
 
 def print_json(data: Any) -> None:

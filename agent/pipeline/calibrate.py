@@ -15,6 +15,7 @@ from agent.link.record import Recording
 from agent.pipeline import planning
 from agent.pipeline.ending import current_run, ending_text, going_on
 from agent.pipeline.record_plan import EXCITATION, record_plan, validation_logs
+from agent.pipeline.reports import refresh_index
 from agent.pipeline.result import CalibrationResult, build_result, provenance, run_data, typical_motion
 from agent.recipe import Recipe
 from agent.robot.torque_figures import not_judged_text, outcome_text
@@ -102,6 +103,7 @@ def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None,
         with step(run, "report", console):
             outcome = _report(recipe, plan, run, recordings, model, validation, console)
         register_run(run, console)
+        refresh_index(run.path.parent, console)
         return replace(outcome, ending=ending_text(run, recipe))
 
 

@@ -119,7 +119,7 @@ def _feasible(recipe: Recipe, speed: float, seed: int, console: Console) -> str:
     scores = []
     for number in range(LOOPS):
         scores.append(candidates.score(rng.uniform(size=candidates.problem.genes)))
-        console.progress(f"{number + 1} of {LOOPS} random loops at {speed:g} m/s tried")
+        console.progress(f"{number + 1} of {LOOPS} random loops at {speed:g} m/s tried", (number + 1) / LOOPS)
     broken = [score for score in scores if not score.feasible]
     text = f"{LOOPS - len(broken)} of {LOOPS} random loops at {speed:g} m/s keep all limits and clear of the cell"
     if not broken:

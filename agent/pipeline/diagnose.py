@@ -74,6 +74,7 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
     from agent.pipeline.calibrate import step
     from agent.pipeline.ending import ending_text
     from agent.pipeline.record_plan import record_plan
+    from agent.pipeline.reports import refresh_index
     from agent.recipe import load_recipe
     from agent.runs.approved import approve
     from agent.runs.folder import RunFolder, write_atomically
@@ -105,6 +106,7 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
             if question.report is not None:
                 write_atomically(question.report, report.read_text(encoding="utf-8"))
         run.complete(True)
+        refresh_index(runs, console)
     console.say(ending_text(run, loaded))
     return result
 

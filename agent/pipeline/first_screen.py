@@ -19,7 +19,9 @@ _ASKED = {
 
 def about_run(kind: str, recipe: Recipe, result: dict[str, Any], run: Path) -> About:
     """Of a calibration or recalibration, from the content of its `result.json`."""
-    steps = next_steps(kind, result["accepted"], run, recipe, recipe.path.resolve(), result["current_model"])
+    steps = next_steps(
+        kind, result["accepted"] is not False, run, recipe, recipe.path.resolve(), result["current_model"]
+    )
     return About(
         asked=_ASKED[kind],
         next=[NextStep(what, command) for command, what in steps],

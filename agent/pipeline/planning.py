@@ -108,7 +108,8 @@ def search_loop(recipe: Recipe, console: Console) -> tuple[PlannedMotion, dict[s
         seed=settings.seed,
         progress=lambda g: console.progress(
             f"generation {g.number + 1} of {settings.generations}: fitness {g.best:.2f}, "
-            f"{g.feasible} of {settings.population} keep all limits"
+            f"{g.feasible} of {settings.population} keep all limits",
+            (g.number + 1) / settings.generations,
         ),
     )
     loop = result.loop
@@ -284,7 +285,8 @@ def _draw_validation(recipe: Recipe, console: Console) -> Iterator[PlannedMotion
             continue
         found += 1
         yield PlannedMotion(f"valid{found:02d}", "validation", loop, recipe.validate.speed, 1)
-        console.progress(f"{found} of {recipe.validate.motions} drawn, {draw + 1 - found} broke a limit")
+        done = found / recipe.validate.motions
+        console.progress(f"{found} of {recipe.validate.motions} drawn, {draw + 1 - found} broke a limit", done)
     if found < recipe.validate.motions:
         raise InputError(
             f"only {found} of {_MAX_DRAWS} random motions in the sub-region keep all limits at "

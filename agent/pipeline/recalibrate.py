@@ -19,7 +19,7 @@ from agent.pipeline.drift_check import diagnose_if_worse, worse_joints
 from agent.pipeline.ending import current_run, ending_text
 from agent.pipeline.record_plan import EXCITATION
 from agent.pipeline.reference import Reference, find_reference, last_accepted
-from agent.pipeline.reports import watch_lines
+from agent.pipeline.reports import refresh_index, watch_lines
 from agent.pipeline.result import provenance
 from agent.recipe import Recipe
 from agent.robot.torque_figures import not_judged_text, outcome_text, torque_units, without_nominal
@@ -133,6 +133,7 @@ def recalibrate(
             apply_run(logs, run.path)
         watched = watch_lines(logs, recipe.robot.name, run.state["serial"])
         run.note(watch=watched)
+        refresh_index(logs, console)
     for line in watched:
         console.warn(line)
     return Outcome(run=run.path, result=result, ending=ending_text(run, recipe))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.core.console import Console
-from agent.core.errors import InputError
+from agent.core.errors import AgentError, InputError
 from agent.pipeline.drift_check import diagnose_if_worse, joint_moves, moving_rmse, worse_joints
 from agent.recipe import Recipe
 from agent.recording.log import AROUND
@@ -105,6 +105,14 @@ def write_index(logs: Path, robot: str | None = None, serial: str | None = None)
         for one in watched
     ]
     return write_atomically(logs / "index.html", index_page(IndexData(runs, watched, courses, current_runs(logs)[0])))
+
+
+def refresh_index(logs: Path, console: Console) -> None:
+    """The page over all runs, as a run that has just ended leaves it; what stands in its way is told, and no more."""
+    try:
+        write_index(logs)
+    except AgentError as error:  # the run itself is complete, and `agent report --index` makes the page again
+        console.warn(str(error))
 
 
 def watch_lines(logs: Path, robot: str, serial: str) -> list[str]:

@@ -31,9 +31,9 @@ def comparison_section(
         "by more than their uncertainty (3.3 standard deviations of a change, one in a thousand by chance).",
         f"Torque is compared along {comparison.motion}.",
     ]
-    for title, names in (("before", comparison.only_before), ("after", comparison.only_after)):
+    for which, names in (("before", comparison.only_before), ("after", comparison.only_after)):
         if names:
-            text.append(f"Only {title}: {', '.join(names)}.")
+            text.append(f"Only {which}: {', '.join(names)}.")
     rows = [
         (
             change.name,

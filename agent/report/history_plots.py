@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +10,6 @@ import numpy as np
 from agent.report.plots import SERIES, Panel, Plot, Series
 
 if TYPE_CHECKING:
-    from agent.report.index import IndexData
     from agent.runs.past_run import PastRun
     from agent.runs.trends import Trend, Watch
 
@@ -18,13 +17,14 @@ _MOST_RUNS = 1000
 _MOST_PARAMETERS = 24
 
 
-def machine_plot(one: Watch, parameters: Sequence[Trend], number: int, data: IndexData) -> Plot:
+def machine_plot(
+    one: Watch, parameters: Sequence[Trend], number: int, past: Sequence[PastRun], current: Collection[str]
+) -> Plot:
     """Friction, temperature and parameters over the dates of the runs that the trends look at."""
-    times = {run.run: run.time.timestamp() for run in data.runs}
-    runs = {run.run: run for run in data.runs}
+    runs = {run.run: run for run in past}
     chosen = one.trends[0].runs if one.trends else ()
-    x = np.array([times[name] for name in chosen])
-    panels = [_friction(one.trends, data)]
+    x = np.array([runs[name].time.timestamp() for name in chosen])
+    panels = [_friction(one.trends, current)]
     warmth = _temperatures([runs[name] for name in chosen])
     panels += [warmth] if warmth is not None else []
     for trend in parameters[:_MOST_PARAMETERS]:
@@ -37,7 +37,7 @@ def machine_plot(one: Watch, parameters: Sequence[Trend], number: int, data: Ind
     return Plot(f"history-{number}", caption, "date", panels, x, dates=True, columns=2)
 
 
-def _friction(trends: Sequence[Trend], data: IndexData) -> Panel:
+def _friction(trends: Sequence[Trend], current: Collection[str]) -> Panel:
     fastest = {trend.joint: trend for trend in trends}  # the last one of a joint is at its higher speed
     ordered = sorted(fastest.values(), key=lambda trend: (not trend.alarm, trend.probability))
     series = []
@@ -48,7 +48,7 @@ def _friction(trends: Sequence[Trend], data: IndexData) -> Panel:
         series.append(Series(trend.joint, values, "points", colour, joint=trend.joint))
         if trend.alarm:
             series.append(Series(f"{trend.joint}: alarm", course, colour=colour, joint=trend.joint))
-    if ordered and (marked := [name in data.current for name in ordered[0].runs]) and any(marked):
+    if ordered and (marked := [name in current for name in ordered[0].runs]) and any(marked):
         series.append(Series("current model", np.where(marked, 0.0, np.nan), "points", "#808890"))
     return Panel("change of friction", "%", series)
 
@@ -69,16 +69,16 @@ def _temperatures(runs: Sequence[PastRun]) -> Panel | None:
     return Panel("motors at the end of the run", "°C", series)
 
 
-def error_plot(data: IndexData, robot: str, serial: str, number: int) -> Plot | None:
+def error_plot(past: Sequence[PastRun], current: Collection[str], robot: str, serial: str, number: int) -> Plot | None:
     """Error of the worst axis of every run of one machine; None where no run tells it."""
-    runs = [run for run in data.runs if (run.robot, run.serial) == (robot, serial)]
+    runs = [run for run in past if (run.robot, run.serial) == (robot, serial)]
     shares = any(run.worst is not None for run in runs)
     known = [run for run in runs if (run.worst if shares else run.worst_torque) is not None][-_MOST_RUNS:]
     if not known:
         return None
     worst = np.array([run.worst if shares else run.worst_torque for run in known], dtype=float) * (100 if shares else 1)
     accepted = np.array([run.accepted for run in known], dtype=bool)
-    marked = np.array([run.run in data.current for run in known], dtype=bool)
+    marked = np.array([run.run in current for run in known], dtype=bool)
     series = [
         Series("accepted", np.where(accepted, worst, np.nan), "points", SERIES[2]),
         Series("rejected", np.where(accepted, np.nan, worst), "points", SERIES[1]),

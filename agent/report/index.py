@@ -47,7 +47,7 @@ def index_page(data: IndexData) -> str:
         _machine(one, parameters, number, data)
         for number, (one, parameters) in enumerate(zip(data.watched, data.parameters, strict=True))
     ]
-    errors = [error_plot(data, *machine, number) for number, machine in enumerate(machines)]
+    errors = [error_plot(data.runs, data.current, *machine, number) for number, machine in enumerate(machines)]
     sections.append(Section("Prediction error", (), [plot for plot in errors if plot is not None]))
     sections.append(_all_runs(data))
     return render(Page(f"Calibrations of {names}", headline, verdict, sections, _about(data, alarms)))
@@ -112,7 +112,7 @@ def _machine(one: Watch, parameters: Sequence[Trend], number: int, data: IndexDa
         "a run. By chance: probability that scatter alone does as much. Single friction parameters lean on each other; "
         "alarms go by friction at a speed."
     )
-    parts: list[Plot | Table] = [machine_plot(one, parameters, number, data)]
+    parts: list[Plot | Table] = [machine_plot(one, parameters, number, data.runs, data.current)]
     parts.append(Table(f"friction-trends-{number}", header, rows))
     if parameters:
         parts.append(_parameter_table(parameters, number))
