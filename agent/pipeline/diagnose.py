@@ -126,9 +126,7 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
     question = Question(model if model.exists() else None, cutoff=asked["cutoff"], without=tuple(asked["without"]))
     logs = [run / "excitation.mcap", *sorted(run.glob("validation_[0-9][0-9].mcap"))]
     found, simulated, _ = _find(robot, logs, question, console)
-    return diagnosis_report(
-        found, simulated, next_steps=after_diagnosis(found.result, source, logs, question.model)
-    )
+    return diagnosis_report(found, simulated, next_steps=after_diagnosis(found.result, source, logs, question.model))
 
 
 def _diagnose(

@@ -9,8 +9,9 @@ import numpy as np
 
 from agent.diagnosis.ranges import Range, ranges
 from agent.diagnosis.result import Diagnosis
-from agent.report.figures import SERIES, Figure, new_plot, to_figure
+from agent.report.figures import Figure, new_plot, to_figure
 from agent.report.page import Section, Table
+from agent.report.plots import SERIES
 
 
 def simulator_sections(diagnosis: Diagnosis, forward: Mapping[str, Any] | None = None) -> list[Section]:
