@@ -195,3 +195,17 @@ def trends(
         print_json(found.to_dict())
     else:
         print(found.text())
+
+
+@app.command()
+def report(
+    result: Annotated[str, typer.Argument(metavar="RESULT", help="result of a fleet")],
+    columns: Columns = None,
+    out: Annotated[
+        str | None, typer.Option("-o", "--out", metavar="OUT.html", help="page to write; RESULT/_report.html if absent")
+    ] = None,
+) -> None:
+    """One HTML page over a fleet: which machines need a look and why, all by joints, families. Prints its path."""
+    from agent.fleet.page import write_page
+
+    print(write_page(result, columns or (), out))

@@ -81,7 +81,7 @@ def run_fleet(
         AgentError: the result cannot be written, or the workers are gone; what is done is kept.
     """
     began = time.monotonic()
-    with _alone(out), Result(out, question.kind) as result:
+    with _alone(out), Result(out, question.kind, source) as result:
         console.step(f"looking for runs in {source}")
         plant = find_tasks(Store(source), question)
         robots = {task.robot for task in plant.tasks}

@@ -23,7 +23,8 @@ from agent.core.parallel import needed
 from agent.fleet.store import Store, StoreError
 
 ROWS, DONE, MODELS = "rows.parquet", "_done", "_models"
-META = b"agent.fleet"
+#: Keys of the file: the kind of result, and where its runs are.
+META, SOURCE = b"agent.fleet", b"agent.fleet.source"
 SCHEMA_NAME = "fleet/1"
 #: Rows of a group: what is in memory at once, times a few.
 _GROUP = 128
@@ -133,11 +134,11 @@ class Result:
     A context; leaving it by an error keeps what was finished for the next run. Memory does not grow with the rows.
     """
 
-    def __init__(self, url: str, kind: str):
+    def __init__(self, url: str, kind: str, source: str):
         self.kind = kind
         self.store = Store(url)
         self.written = 0  # bytes
-        self._schema = schema(kind)
+        self._schema = schema(kind).with_metadata({META: kind.encode(), SOURCE: Store(source).absolute.encode()})
         self._fresh: list[dict[str, Any]] = []
         self._same: dict[str, list[dict[str, Any]]] = {}
 

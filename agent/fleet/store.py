@@ -73,6 +73,11 @@ class Store:
         protocol = self._fs.protocol
         return Path(self._root) if "file" in ((protocol,) if isinstance(protocol, str) else protocol) else None
 
+    @property
+    def absolute(self) -> str:
+        """The URL, or the whole path of a folder of this machine."""
+        return self.url if self.local is None else str(self.local)
+
     def files(self) -> Iterator[StoredFile]:
         """All files, in the order of their paths; those below a folder or of a name that begins with . or _ are the
         program's own, or nobody's.

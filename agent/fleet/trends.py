@@ -18,7 +18,7 @@ import numpy as np
 from agent.core.errors import InputError
 from agent.fleet.discoveries import RATE, Family, false_discovery_levels, find_families, read_columns
 from agent.fleet.machines import Machine, read_machines
-from agent.fleet.result import META, ROWS, open_rows
+from agent.fleet.result import META, ROWS, SOURCE, open_rows
 from agent.fleet.store import Store
 from agent.fleet.tasks import KINDS
 from agent.runs.changes import Background
@@ -165,6 +165,16 @@ def is_result(url: str) -> bool:
     except (FileNotFoundError, NotADirectoryError):
         return False
     return True
+
+
+def source_of(url: str) -> str:
+    """Where the runs of a result are; "" where nobody knows.
+
+    Raises:
+        InputError: no result.
+    """
+    with tempfile.TemporaryDirectory(prefix="agent-fleet-") as folder:
+        return (open_rows(url, Path(folder))[1].schema_arrow.metadata or {}).get(SOURCE, b"").decode()
 
 
 def machine_courses(kind: str, machine: Machine) -> Iterator[Course]:
