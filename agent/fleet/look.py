@@ -31,7 +31,8 @@ _VERDICTS = {
 @dataclass(frozen=True, eq=False)
 class Sight:
     """A machine as the page shows it: its latest errors (n,), NaN where unknown, and of every run name, day, status,
-    reason and page. `failed`: why its latest run has no figures; `verdict`, `causes` of its latest diagnosis."""
+    reason and page. `failed`: why its latest run, or one nobody knows
+    the time of, has no figures; `verdict`, `causes` of its latest diagnosis."""
 
     robot: str
     joints: tuple[str, ...]
@@ -49,6 +50,12 @@ def see(machine: Machine) -> Sight:
     errors = known[-1]["errors"] if known else np.empty(0)
     n = len(machine.joints)
     rows = zip(machine.runs, machine.status, machine.reason, machine.page, strict=True)
+    figures = [k for k, status in enumerate(machine.status) if status == "ok"]
+    failed = [
+        f"{machine.status[k]}: {machine.reason[k]}"
+        for k in range(len(machine.runs))
+        if machine.status[k] != "ok" and (not machine.date(k) or not figures or k > figures[-1])
+    ]
     runs = tuple((run, machine.date(k), status, reason, page) for k, (run, status, reason, page) in enumerate(rows))
     return Sight(
         machine.robot,
@@ -56,7 +63,7 @@ def see(machine: Machine) -> Sight:
         machine.nominal,
         np.array(errors, dtype=float) if len(errors) == n else np.full(n, np.nan),
         runs,
-        "" if machine.status[-1] == "ok" else f"{machine.status[-1]}: {machine.reason[-1]}",
+        failed[-1] if failed else "",
         machine.verdict[-1] or "",
         machine.causes[-1],
     )
@@ -79,7 +86,7 @@ def urgency(sight: Sight, courses: Sequence[Course]) -> tuple[float, list[str]]:
         reasons.append(_VERDICTS[sight.verdict] + (f": {sight.causes}" if sight.causes else ""))
         weights.append(max([0.5, *(float(error) / GATE for error, _ in worst)]))
     if sight.failed:
-        reasons.append(f"its latest run has no figures; {sight.failed}")
+        reasons.append(f"a run has no figures; {sight.failed}")
         weights.append(1.0)
     return max(weights), reasons
 

@@ -86,6 +86,7 @@ def run_task(task: Task) -> Answer:
             reason = f"internal error: this is a fault of the agent: {type(error).__name__}: {error}"
             row = {"status": "error", "exit_code": 1, "reason": reason}
         if row is not None:
+            row = {"started": _named_date(task.run), **row}
             row = _readable(row, [f"{folder}/source/", f"{folder}/given/", f"{inputs.store.local}/"])
         return Answer(row, inputs.read, model, time.process_time() - began, inputs.size)
 
@@ -150,7 +151,6 @@ def _when(task: Task, state: Path | None, logs: list[Path]) -> dict[str, Any]:
     log = read_log(logs[0])
     metadata, stamp = log.metadata, log.stamp
     machine = {key: metadata.get(key) or None for key in ("serial", "tool")}
-    named = _DATE.search(task.run.rpartition("/")[2])
     started = None
     with contextlib.suppress(ValueError, OverflowError):  # no such day
         if isinstance(told, dict) and isinstance(told.get("started"), str):
@@ -158,11 +158,18 @@ def _when(task: Task, state: Path | None, logs: list[Path]) -> dict[str, Any]:
             started = started if started.tzinfo else started.replace(tzinfo=UTC)
         elif stamp >= _FIRST_DATE:
             started = datetime.fromtimestamp(stamp, UTC)
-        elif named is not None:
-            started = datetime.fromisoformat(
-                "".join(named.group(1, 2, 3)) + "T" + "".join(part or "00" for part in named.group(4, 5))
-            ).replace(tzinfo=UTC)
-    return {"started": started, **machine}
+    return {"started": started or _named_date(task.run), **machine}
+
+
+def _named_date(run: str) -> datetime | None:
+    """The date in the name of a run's folder."""
+    named = _DATE.search(run.rpartition("/")[2])
+    if named is None:
+        return None
+    with contextlib.suppress(ValueError):  # no such day
+        time = "".join(part or "00" for part in named.group(4, 5))
+        return datetime.fromisoformat("".join(named.group(1, 2, 3)) + "T" + time).replace(tzinfo=UTC)
+    return None
 
 
 def _readable(row: dict[str, Any], places: list[str]) -> dict[str, Any]:
