@@ -1,7 +1,9 @@
 """Takes the checks of the safety layer away, one at a time, and sees that a test of the guard fails each time.
 
 Every `if` is made never true and negated, every statement that calls a check or a stop is left out, every returned
-condition is negated. `python tests/safety/mutation.py` lists the survivors; there must be none.
+condition is negated, and every comparison by size is written by its opposite (`a < b` as not `a >= b`), which makes a
+difference for what is no number. `python tests/safety/mutation.py [MODULE…]` lists the survivors; there must be none.
+A change is tried with the tests that run its lines.
 """
 
 from __future__ import annotations
@@ -9,33 +11,30 @@ from __future__ import annotations
 import ast
 import copy
 import importlib
+import json
 import os
 import signal
 import sys
+import tempfile
+import threading
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.machinery import ModuleSpec
 from pathlib import Path
-from types import ModuleType
+from types import FrameType, ModuleType
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-TESTS = sorted(str(path) for path in ROOT.glob("tests/safety/test_guard*.py"))
-#: Modules of the layer; of one that holds more than that, the functions that belong to it.
-MODULES: dict[str, tuple[str, ...]] = {
-    "agent/safety/guard.py": (),
-    "agent/safety/watch.py": (),
-    "agent/safety/preconditions.py": (),
-    "agent/safety/checked.py": (),
-    "agent/safety/adherence.py": (),
-    "agent/safety/planned_path.py": (),
-    "agent/safety/patience.py": (),
-    "agent/safety/motion.py": (),
-    "agent/safety/first_run.py": (),
-    "agent/safety/authorisation.py": ("check",),
-}
+TESTS = [
+    *sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("tests/safety/test_guard*.py")),
+    *sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("tests/safety/test_cell*.py")),
+    "tests/link/test_frames_before_motion.py",
+    "tests/shop_floor/test_authorisation.py",
+]
+MODULES = sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("agent/safety/*.py") if path.name != "__init__.py")
 #: What is heavy is imported once, for all children; nothing of the layer itself.
 HEAVY = (
     "hypothesis",
@@ -47,9 +46,53 @@ HEAVY = (
     "agent.runs.folder",
     "drivers.transports.tcp",
 )
-LIMIT = 120.0  # s; a change that hangs is noticed
+#: A change that hangs is noticed: after so long [s], and so many times what its tests take.
+LIMIT, TIMES = 30.0, 5.0
 #: Calls that build a message or move a loop on, and check nothing.
 _HARMLESS_CALLS = {"append", "mkdir"}
+_OPPOSITE = {ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt}
+
+
+#: Comparisons by size of what is always a number there: no test can tell them from their opposites.
+ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
+    "adherence.py": {
+        "len(chains) > 1": "a count",
+        "len(self._waiting) < _BLOCKS": "a count",
+        "np.ptp(chains[0].q, axis=0).max() < THERE": "of a plan that was checked",
+        "float(block.time[-1]) - float(self._waiting[0].time[0]) < TOGETHER": "no number waits a little longer",
+        "np.diff(time, prepend=self._last) > GAP": "of times that are numbers",
+        "passed[k] > GAP": "of times that are numbers",
+        "over > GAP": "of times that are numbers",
+        "passed.max() <= GAP": "of times that are numbers",
+        "ways >= begin[:, None]": "indices",
+        "ways <= end[:, None]": "indices",
+        "speed > allowed.resting * self._robot.max_velocity": "of positions that are numbers",
+        "np.abs(np.radians(position) - q) <= allowed.joint": "of positions that are numbers",
+        "planned > WAY": "of times that are numbers",
+    },
+    "authorisation.py": {
+        "left <= _SOON": "dates",
+        "document.expires <= latest": "dates",
+        "now.date() <= self.expires": "dates",
+    },
+    "cell.py": {"widest < 0": "of distances that were found to be numbers"},
+    "clearance.py": {"self.margin > 0": "a margin that was found to be a number"},
+    "clearance_search.py": {
+        "np.where(is_open, along, 0.0).max(axis=1) >= np.where(is_open, aside, 0.0).max(axis=1)": "finite positions",
+        "found < self.smallest": "of distances that were found to be numbers",
+        "middle[row, 0] < self.first[0]": "indices",
+        "middle[row, 1] > 0": "indices",
+        "stretches[:, :1] < (np.inf if self.first is None else self.first[0] - 1.0)": "indices",
+        "bounds < target": "of distances that were found to be numbers",
+        "bounds < self.margin - self.tolerance": "of distances that were found to be numbers",
+        "short.min(axis=1) >= 0": "of distances that were found to be numbers",
+    },
+    "planned_path.py": {
+        "np.diff(found) > 1": "indices",
+        "period > 0": "of a plan that was checked",
+        "when <= latest + ahead + self.step": "of times that are numbers",
+    },
+}
 
 
 @dataclass(frozen=True)
@@ -58,6 +101,7 @@ class Mutant:
 
     module: str
     line: int
+    last: int
     what: str
     text: str
 
@@ -65,31 +109,35 @@ class Mutant:
         return f"{self.module}:{self.line}: {self.what}"
 
 
-def mutants() -> Iterator[Mutant]:
-    """All changes."""
-    for module, functions in MODULES.items():
+def mutants(modules: list[str]) -> Iterator[Mutant]:
+    """All changes of these modules."""
+    for module in modules:
         tree = ast.parse((ROOT / module).read_text(encoding="utf-8"))
-        scope = [
-            node
-            for node in ast.walk(tree)
-            if isinstance(node, ast.FunctionDef) and (not functions or node.name in functions)
-        ]
-        places = {
-            (index, what)
-            for function in scope
-            for index, node in enumerate(ast.walk(tree))
-            if node in list(ast.walk(function))
-            for what in _changes(node)
+        scope = {
+            id(node)
+            for function in ast.walk(tree)
+            if isinstance(function, ast.FunctionDef)
+            for node in ast.walk(function)
         }
-        for index, what in sorted(places):
+        places = [
+            (index, what)
+            for index, node in enumerate(ast.walk(tree))
+            if id(node) in scope
+            for what in _changes(node, Path(module).name)
+        ]
+        for index, what in places:
             changed = copy.deepcopy(tree)
             node = list(ast.walk(changed))[index]
-            line, said = node.lineno, ast.unparse(node).splitlines()[0]
+            line, last, said = node.lineno, node.end_lineno, ast.unparse(node).splitlines()[0]
+            if isinstance(node, ast.If):
+                last = node.test.end_lineno
             changed = _Change(node, what).visit(changed)
-            yield Mutant(module, line, f"{what}: {said}", ast.unparse(ast.fix_missing_locations(changed)))
+            yield Mutant(module, line, last, f"{what}: {said}", ast.unparse(ast.fix_missing_locations(changed)))
 
 
-def _changes(node: ast.AST) -> tuple[str, ...]:
+def _changes(node: ast.AST, module: str) -> tuple[str, ...]:
+    if isinstance(node, ast.Compare) and type(node.ops[0]) in _OPPOSITE:
+        return () if ast.unparse(node) in ALWAYS_NUMBERS.get(module, {}) else ("by its opposite",)
     if isinstance(node, (ast.If, ast.IfExp)):
         return ("never", "negated")
     if isinstance(node, ast.BoolOp):
@@ -112,6 +160,8 @@ class _Change(ast.NodeTransformer):
             return self.generic_visit(node)
         if self._what == "left out":
             return ast.Pass()
+        if isinstance(node, ast.Compare):
+            return _by_its_opposite(node)
         if self._what.startswith("without part"):
             del node.values[int(self._what.split()[-1]) - 1]
             return node.values[0] if len(node.values) == 1 else node
@@ -122,6 +172,20 @@ class _Change(ast.NodeTransformer):
         else:
             node.test = ast.UnaryOp(ast.Not(), node.test)
         return node
+
+
+def _by_its_opposite(node: ast.Compare) -> ast.AST:
+    """As `node`, of numbers and of arrays, where both sides are numbers."""
+    pairs = zip([node.left, *node.comparators], node.ops, node.comparators, strict=False)
+    denied = [
+        ast.Call(
+            ast.parse("__import__('numpy').logical_not", mode="eval").body,
+            [ast.Compare(left, [_OPPOSITE[type(op)]()], [right])],
+            [],
+        )
+        for left, op, right in pairs
+    ]
+    return denied[0] if len(denied) == 1 else ast.BoolOp(ast.And(), denied)
 
 
 class _Loader:
@@ -143,8 +207,46 @@ class _Loader:
         exec(compile(self._text, f"<changed {self._name}>", "exec"), module.__dict__)
 
 
-def survives(mutant: Mutant | None) -> bool:
-    """Whether the tests pass with this change (None: with none), in a child that imports the layer anew."""
+class _Reached:
+    """A plugin of pytest that writes down which lines of the layer each test runs, and how long each takes [s]."""
+
+    def __init__(self, path: Path):
+        self._path = path
+        self._test = ""
+        self._lines: dict[str, set[tuple[str, int]]] = defaultdict(set)
+        self._seconds: dict[str, float] = {}
+
+    def pytest_configure(self) -> None:
+        """From here on; what is run while tests are gathered belongs to none."""
+        threading.settrace(self._call)
+        sys.settrace(self._call)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        """One test with all its fixtures."""
+        self._test, began = item.nodeid, time.monotonic()
+        sys.settrace(self._call)
+        result = yield
+        self._seconds[item.nodeid] = time.monotonic() - began
+        return result
+
+    def pytest_unconfigure(self) -> None:
+        """Once, at the end."""
+        sys.settrace(None)
+        lines = {test: sorted(places) for test, places in self._lines.items() if test}
+        self._path.write_text(json.dumps({"lines": lines, "seconds": self._seconds}), encoding="utf-8")
+
+    def _call(self, frame: FrameType, event: str, argument: object) -> object:
+        return self._line if "/agent/safety/" in frame.f_code.co_filename else None
+
+    def _line(self, frame: FrameType, event: str, argument: object) -> object:
+        name = frame.f_code.co_filename.partition("/agent/safety/")[2]
+        self._lines[self._test].add((f"agent/safety/{name}", frame.f_lineno))
+        return self._line
+
+
+def passes(mutant: Mutant | None, tests: list[str], limit: float, plugins: tuple[object, ...] = ()) -> bool:
+    """Whether these tests pass with this change (None: with none), in a child that imports the layer anew."""
     child = os.fork()
     if child == 0:
         nothing = os.open(os.devnull, os.O_WRONLY)
@@ -152,9 +254,9 @@ def survives(mutant: Mutant | None) -> bool:
         os.dup2(nothing, 2)
         if mutant is not None:
             sys.meta_path.insert(0, _Loader(mutant))
-        options = ["-x", "-q", "-p", "no:cacheprovider", "-c", str(ROOT / "pyproject.toml")]
-        os._exit(int(pytest.main([*options, *TESTS])))
-    until = time.monotonic() + LIMIT
+        options = ["-x", "-q", "-m", "not verify", "-p", "no:cacheprovider", "-c", str(ROOT / "pyproject.toml")]
+        os._exit(int(pytest.main([*options, *tests], plugins=list(plugins))))
+    until = time.monotonic() + limit
     while time.monotonic() < until:
         ended, status = os.waitpid(child, os.WNOHANG)
         if ended:
@@ -165,21 +267,32 @@ def survives(mutant: Mutant | None) -> bool:
     return False
 
 
-def main() -> int:
+def main(chosen: list[str]) -> int:
     """0 if every change is noticed."""
+    os.chdir(ROOT)
     for name in HEAVY:
         importlib.import_module(name)
     early = [name for name in sys.modules if name.startswith("agent.safety.")]
     if early:
         print(f"imported too early to be changed: {early}")
         return 2
-    if not survives(None):
-        print("the tests fail on the unchanged layer")
-        return 2
+    with tempfile.TemporaryDirectory() as folder:
+        written = Path(folder) / "reached.json"
+        if not passes(None, TESTS, 1800.0, (_Reached(written),)):
+            print("the tests fail on the unchanged layer")
+            return 2
+        reached = json.loads(written.read_text(encoding="utf-8"))
+    seconds: dict[str, float] = reached["seconds"]
+    by_line: dict[tuple[str, int], set[str]] = defaultdict(set)
+    for test, places in reached["lines"].items():
+        for module, line in places:
+            by_line[module, line].add(test)
     survivors, count = 0, 0
-    for mutant in mutants():
+    for mutant in mutants([name for name in MODULES if not chosen or Path(name).stem in chosen]):
         count += 1
-        alive = survives(mutant)
+        lines = range(mutant.line, mutant.last + 1)
+        tests = sorted(set().union(*(by_line[mutant.module, line] for line in lines)), key=seconds.__getitem__)
+        alive = not tests or passes(mutant, tests, LIMIT + TIMES * sum(seconds[test] for test in tests))
         survivors += alive
         print(f"{'SURVIVED' if alive else 'noticed '} {mutant}", flush=True)
     print(f"{count - survivors} of {count} changes noticed")
@@ -187,4 +300,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))
