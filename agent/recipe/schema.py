@@ -198,7 +198,7 @@ class ViaPointsSection(Section):
 class MotionSection(Section):
     """How the arm moves, and where."""
 
-    speed: Annotated[Speed, Field(gt=0, le=100)] = 1.0
+    speed: Annotated[Speed, Field(ge=0.001, le=100)] = 1.0
     fly: FlySection = FlySection()
     via_points: ViaPointsSection
 
@@ -238,7 +238,7 @@ class ValidateSection(Section):
     """The random motions that judge the model."""
 
     motions: Annotated[Count, Field(ge=1, le=10_000)] = 30
-    speed: Annotated[Speed, Field(gt=0, le=100)] = 0.1
+    speed: Annotated[Speed, Field(ge=0.001, le=100)] = 0.1
     seed: Seed = 2
 
 

@@ -107,6 +107,11 @@ class Adherence:
         """Seconds of the plan that the arm has not gone."""
         return float(self._path.when[-1] - self._path.when[self._first + len(self._fits) - 1])
 
+    def ends_at(self, position: np.ndarray) -> bool:
+        """Whether an arm that stands at `position` (n,) has arrived."""
+        end = np.array([len(self._path.when) - 1])
+        return position.shape == self._path.q.shape[1:] and bool(self._near(position[None], MEASURED, end).all())
+
     def take(self, block: SampleBlock) -> str | None:
         """The next samples; returns why the arm has to stop, if it has to."""
         self._waiting.append(block)
@@ -159,7 +164,7 @@ class Adherence:
                 return self._wrong(what, leading[k], speed[k], allowed, time[k], ways[reached])
             reached &= fits[k]
             if passed[k] > GAP:  # in this cycle or in a later one: where it would be at its pace
-                reached = path.nearest_run(reached, first, expected)
+                reached = path.runs_near(reached, first, expected, ALLOWANCE)
             found = np.flatnonzero(reached)
             firsts[k], lasts[k] = first + found[0], first + found[-1]
         self._first, self._fits = int(firsts[-1]), reached[firsts[-1] - first : lasts[-1] - first + 1]

@@ -75,13 +75,17 @@ class PlannedPath:
         latest = np.maximum.accumulate(np.where(reached, when, -np.inf))
         return when <= latest + ahead + self.step
 
-    def nearest_run(self, reached: np.ndarray, first: int, expected: float) -> np.ndarray:
-        """(W,) of the places, from `first` on, that were `reached` (W,), the run that is nearest to `expected` [s]."""
+    def runs_near(self, reached: np.ndarray, first: int, expected: float, within: float) -> np.ndarray:
+        """(W,) of the places, from `first` on, that were `reached` (W,), the run that is nearest to `expected` [s].
+
+        Others, too, that are no more than `within` [s] farther from it.
+        """
         found = np.flatnonzero(reached)
         runs = np.split(found, np.flatnonzero(np.diff(found) > 1) + 1)
-        nearest = min(runs, key=lambda run: float(np.min(np.abs(self.when[first + run] - expected))))
+        away = [float(np.min(np.abs(self.when[first + run] - expected))) for run in runs]
         chosen = np.zeros_like(reached)
-        chosen[nearest] = True
+        for run, off in zip(runs, away, strict=True):
+            chosen[run] = off <= min(away) + within
         return chosen
 
     def distance(self, tool: np.ndarray, rows: np.ndarray) -> np.ndarray:

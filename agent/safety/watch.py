@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 
 import numpy as np
@@ -16,6 +17,8 @@ from drivers.protocol import Driver, ReportsTemperatures, SampleBlock, Status
 
 #: The controller's state is looked at so often while the arm moves [s], of its time and of ours.
 WATCH_INTERVAL = 0.2
+#: The samples wait for an answer of the state so long [s]; one that comes later is heeded when it comes.
+PROMPT = 0.05
 #: No sample for so long [s] while the arm may move: nobody watches it then.
 SILENCE = 10.0
 #: A motion may end so long [s] before its plan, where it does not wait for the arm to arrive.
@@ -56,6 +59,7 @@ class MotionWatch:
         self._stop = stop
         #: The end was asked for, so it comes before that of the plan.
         self.stopped = False
+        self._over = False
         #: (controller time [s], (n,) [°C]), where the controller measures temperatures.
         self.temperatures: list[tuple[float, np.ndarray]] = []
 
@@ -71,32 +75,41 @@ class MotionWatch:
         began: float | None = None
         patience = Patience(SILENCE, self._clock, self._stop)
         looked, looked_at = -np.inf, self._clock()
-        now = np.nan
+        now, last = np.nan, -1
+        look: Future[AgentError | None] = Future()
+        look.set_result(None)
+        looks = ThreadPoolExecutor(1, "look")
         try:
             for block in patience.each(self._driver.samples()):
                 began = float(block.time[0]) if began is None else began
+                if fault is None and look.done():
+                    fault = look.result()
                 reason = self._overdue(block, began) or self._adherence.take(block) if fault is None else None
                 if reason is not None:
                     fault = SafetyError(f"{self._address}: the arm was stopped: {reason}")
                     self._stop()
                 yield block
-                now = float(block.time[-1])
+                now, last = float(block.time[-1]), int(block.sequence[-1])
                 recently = now - looked < WATCH_INTERVAL and self._clock() - looked_at < WATCH_INTERVAL
-                if fault is None and not recently:
-                    fault = self._poll_status(now)
+                if fault is None and look.done() and not recently:
+                    look = looks.submit(self._look, now)
+                    wait([look], PROMPT)
                     looked, looked_at = now, self._clock()
-                    if fault is not None:
-                        self._stop()
+            fault = fault or look.result()
         except DriverError as error:
+            fault = fault or look.result()
             silent = patience.lost and fault is None
             if not silent and (not isinstance(fault, SafetyError) or isinstance(error, MotionStopped)):
                 raise
+        finally:  # an answer that is still to come asks for nothing more
+            self._over = True
+            looks.shutdown(wait=False)
         if patience.lost and fault is None:
             fault = SafetyError(
                 f"{self._address}: the arm was stopped: no sample came for {SILENCE:g} s while it may have moved; "
                 "check the link, then run the command again"
             )
-        if fault is None and (reason := self._adherence.judge() or self._early()) is not None:
+        if fault is None and (reason := self._adherence.judge() or self._early(last)) is not None:
             fault = SafetyError(f"{self._address}: {reason}")
         if fault is not None:
             raise fault
@@ -113,10 +126,16 @@ class MotionWatch:
             "at the program that runs there, then run the command again"
         )
 
-    def _early(self) -> str | None:
-        """What is wrong with a motion that has ended by itself before its plan; losses may have been its last part."""
+    def _early(self, last: int) -> str | None:
+        """What is wrong with a motion that has ended by itself before its plan, with sample number `last`.
+
+        What came after that may be lost; then the arm has to stand at the end of the plan.
+        """
         left = 0.0 if self.stopped else self._adherence.left
-        if left <= EARLY + self._period * sum(gap.count for gap in self._driver.gaps):
+        if left <= EARLY:
+            return None
+        lost = self._period * sum(gap.count for gap in self._driver.gaps if gap.first > last)
+        if left <= EARLY + lost and self._adherence.ends_at(self._driver.status().position):
             return None
         return (
             f"the controller says that the motion is over, {left:.1f} s before the end of its plan: look at the "
@@ -131,6 +150,13 @@ class MotionWatch:
             values = self._driver.temperatures()
             if values is not None:
                 self.temperatures.append((now, values))
+
+    def _look(self, now: float) -> AgentError | None:
+        """Why the controller's state asks for a stop, which it has been asked for then; in a thread of its own."""
+        fault = self._poll_status(now)
+        if fault is not None and not self._over:
+            self._stop()
+        return fault
 
     def _poll_status(self, now: float) -> AgentError | None:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
@@ -42,9 +43,9 @@ PROGRAM = """PROGRAM swing HOLD, PROG_ARM=1
 VAR
   k : INTEGER
 BEGIN
-  FOR k := 1 TO 3 DO
-    MOVE JOINT TO {20, -30}
-    MOVE JOINT TO {-20, 30}
+  FOR k := 1 TO {turns} DO
+    MOVE JOINT TO {{20, -30}}
+    MOVE JOINT TO {{-20, 30}}
   ENDFOR
 END swing
 """
@@ -87,6 +88,7 @@ class Bench:
         self._broker = broker
         self._servers: list[Server] = []
         self._confirmed: tuple[str, ...] = ()
+        self._turns = 3
 
     def serve(
         self,
@@ -102,8 +104,11 @@ class Bench:
         controller.faults = Faults(faults) if interrupt is None else Interrupting(faults, interrupt, number)
         controller.state = State(**state)
         watchdog = 2.0 if clock == "fast" else 0.5 if wire == "tcp" else 1.0  # where one asks and waits it takes longer
+        watchdog, nominal = patience(watchdog), watchdog
+        if clock == "real":  # the motion lasts longer than a busy machine's watchdog; a turn takes more than a second
+            self._turns = 3 + math.ceil(watchdog - nominal)
         broker = self._broker() if wire == "cnr_comau" else BROKER
-        server = open_server(wire, controller, watchdog=patience(watchdog), waits=clock == "fast", broker=broker)
+        server = open_server(wire, controller, watchdog=watchdog, waits=clock == "fast", broker=broker)
         self._servers.append(server)
         queued = any(fault.name in ("queue_full", "sequence_error") for fault in faults)
         self.write_for(wire, f"{server.address},mode=points" if queued else server.address)
@@ -115,7 +120,7 @@ class Bench:
         self._confirmed = () if address.startswith("127.0.0.1") else ("--yes",)
         text = RECIPE.format(robot=self._arm, driver=WIRES[wire], address=address)
         self.recipe.write_text(text, encoding="utf-8")
-        self.program.write_text(PROGRAM, encoding="utf-8")
+        self.program.write_text(PROGRAM.format(turns=self._turns), encoding="utf-8")
 
     def record(self, *options: str) -> Ended:
         """`agent record`."""

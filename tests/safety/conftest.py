@@ -48,10 +48,17 @@ class Controller:
     status: dict = field(default_factory=dict)
     later: dict = field(default_factory=dict)  # state from the third block on
     status_fails_later: bool = False
+    status_hangs_later: bool = False  # until a stop is asked for
     pushes: bool = False  # all blocks at once, not one a look
     spacing: int = 2_500_000  # of the samples [ns]
     celsius: tuple[float, ...] = ()  # of the motors
     moves: Callable[[np.ndarray], np.ndarray] = lambda times: _at(_trajectory(), times)  # (K,) [s] to (K, n)
+    measures: Callable[[np.ndarray], np.ndarray] | None = None  # the same of what is measured, where it is another
+    drops: tuple[int, ...] = ()  # blocks that get lost for good
+    repeats: int = 1  # of every block
+    clock_jump: tuple[int, int] = (-1, 0)  # from this block on stamps are so many ns later
+    half_closes_after: int = -1  # blocks; it reads on, and sends nothing more
+    let_go: threading.Event = field(default_factory=threading.Event)  # the other end has closed the link
     starts: int = 0
     stops: int = 0
     asked: list[str] = field(default_factory=list)
@@ -70,6 +77,8 @@ class Controller:
             case tcp.UploadBegin(name, _, checksum):
                 state |= {"program": name, "checksum": self.stores or checksum}
                 return tcp.Done()
+            case tcp.Fetch():
+                return tcp.Refused(Refusal.INTERNAL, 0, 0, "gone")
             case tcp.UploadEnd():
                 return tcp.Stored("swing", self.stores or state["checksum"])
             case _:
@@ -94,6 +103,7 @@ class Peer(threading.Thread):
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         with connection, suppress(OSError):
             self._serve(connection)
+        self.controller.let_go.set()
 
     def _serve(self, connection: socket.socket) -> None:
         told, decoder = self.controller, tcp.Decoder(tcp.MAX_REQUEST_PAYLOAD)
@@ -112,6 +122,7 @@ class Peer(threading.Thread):
             **told.status,
         }
         sent, running = 0, False
+        unanswered: list[int] = []
 
         def send(message: object, request: int = 0) -> None:
             connection.sendall(tcp.encode(message, request))
@@ -122,12 +133,19 @@ class Peer(threading.Thread):
             zeros = np.zeros((100, 6))
             stamps = (first + np.arange(100)) * told.spacing  # at first, a block is a quarter of a second
             given = told.moves(1e-9 * stamps)
-            send(tcp.Samples(first, stamps.astype(np.int64), given, zeros, zeros, given, zeros))
+            measured = given if told.measures is None else told.measures(1e-9 * stamps)
+            since, later = told.clock_jump
+            if 0 <= since <= sent:
+                stamps = stamps + later
+            for _ in range(0 if sent in told.drops else told.repeats):
+                send(tcp.Samples(first, stamps.astype(np.int64), measured, zeros, zeros, given, zeros))
             sent += 1
             if sent == 3:
                 state.update(told.later)
             if sent == told.vanish_after:
                 connection.shutdown(socket.SHUT_RDWR)
+            elif sent == told.half_closes_after:
+                connection.shutdown(socket.SHUT_WR)
             elif sent == told.blocks:
                 running = False
                 send(tcp.End(told.end, 100 * sent, "as told"))
@@ -156,10 +174,14 @@ class Peer(threading.Thread):
                         send(tcp.Refused(Refusal.INTERNAL, 0, 0, "no"), frame.request)
                         continue
                     send(tcp.Done(), frame.request)
+                    for request in unanswered:
+                        send(told.answer(tcp.AskStatus(), state), request)
                     if running:
                         running = False
                         reason = EndReason.STOPPED if told.end is EndReason.DONE else told.end
                         send(tcp.End(reason, 100 * sent, "as told"))
+                elif isinstance(message, tcp.AskStatus) and told.status_hangs_later and sent >= 3:
+                    unanswered.append(frame.request)
                 elif isinstance(message, tcp.AskStatus) and running:
                     if told.status_fails_later and sent >= 3:
                         send(tcp.Refused(Refusal.INTERNAL, 0, 0, "no"), frame.request)

@@ -53,7 +53,7 @@ _HARMLESS_CALLS = {"append", "mkdir"}
 _OPPOSITE = {ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt}
 
 
-#: Comparisons by size of what is always a number there: no test can tell them from their opposites.
+#: Comparisons by size of what is always a number there, or that choose words: none can tell them from their opposites.
 ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     "adherence.py": {
         "len(chains) > 1": "a count",
@@ -89,8 +89,19 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     },
     "planned_path.py": {
         "np.diff(found) > 1": "indices",
+        "off <= min(away) + within": "of times that are numbers",
         "period > 0": "of a plan that was checked",
         "when <= latest + ahead + self.step": "of times that are numbers",
+    },
+    "preconditions.py": {
+        "np.abs(np.radians(position) - program.chains[0].q[0]) <= START_TOLERANCE": "chooses the words",
+    },
+    "watch.py": {
+        "now - looked < WATCH_INTERVAL": "of times that the driver has checked",
+        "self._clock() - looked_at < WATCH_INTERVAL": "of this machine's clock",
+        "left <= EARLY": "of a plan that was checked",
+        "left <= EARLY + lost": "the same, and counts",
+        "gap.first > last": "counts",
     },
 }
 

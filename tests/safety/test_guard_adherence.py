@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from agent.core.errors import ControllerError, InputError, SafetyError
 from agent.robot import load_robot
-from agent.safety.adherence import ALLOWANCE, SHARE, Adherence
+from agent.safety.adherence import ALLOWANCE, MEASURED, SET_POINTS, SHARE, Adherence
 from agent.safety.motion import rest_at
 from agent.safety.preconditions import is_loopback
 from drivers.protocol import SampleBlock, ViaPoint
@@ -270,6 +270,7 @@ def test_degrees_for_radians_are_told_as_such(swing):
         assert "fits the plan in degrees" in reason
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
 @pytest.mark.parametrize("which", ["measured", "given"])
 def test_samples_that_are_no_numbers_are_no_motion_as_planned(swing, value, which):
@@ -293,6 +294,44 @@ def test_samples_lost_on_the_way_or_at_first_are_no_reason(swing):
     check = watcher(chain)
     assert run(check, chain.q[:300], chain.q[:300]) is None
     assert run(check, chain.q, chain.q, first=900) is None
+
+
+@pytest.mark.parametrize("cycles", [1.0, 2.0])
+@pytest.mark.parametrize("scale", [0.95, 1.05])
+def test_a_loss_as_long_as_a_cycle_leaves_the_arm_in_the_cycle_that_it_is_in(trajectory_through, cycles, scale):
+    knots = np.tile(HOME, (5, 1))
+    knots[:, 0] += np.array([0.0, 0.5, 0.8, 0.5, 0.0])
+    cycle = trajectory_through(knots, 2.0)
+    driven = np.concatenate([paced(cycle, scale)[:-1]] * 5)
+    before = round(0.4 * len(driven) / 5)
+    after = before + round(cycles * len(driven) / 5)
+    check = watcher(*[cycle] * 5)
+    assert run(check, driven[:before], driven[:before]) is None
+    assert run(check, driven, driven, first=after) is None
+    assert check.left < 0.1
+    short = watcher(*[cycle] * 5)
+    until = 4 * len(driven) // 5
+    assert run(short, driven[:before], driven[:before]) is None
+    assert run(short, driven[:until], driven[:until], first=after) is None
+    assert short.left == pytest.approx(cycle.t[-1], abs=0.1), "an end that is a cycle early shows"
+
+
+@pytest.mark.parametrize("joint", [3, 4, 5])
+@pytest.mark.parametrize("given", [True, False])
+def test_a_joint_that_turns_unplanned_is_stopped_within_its_reach(swing, joint, given):
+    """A joint may turn as fast as the tool goes; how far, the positions say."""
+    chain = swing(seconds=3.0)
+    check = watcher(chain)
+    allowed = SET_POINTS if given else MEASURED
+    begin = 700
+    row = check._path.rows[begin]
+    speed = 0.9 * check._path.turning[row, joint]
+    turned = np.maximum(PERIOD * speed * np.arange(-begin, len(chain.q) - begin), 0.0)
+    driven = chain.q + np.outer(turned, np.eye(6)[joint])
+    reason, when = follow(check, driven, given=given)
+    assert reason is not None
+    most = check._path.reach[begin : begin + 200, joint].max() + allowed.joint
+    assert turned[round(when / PERIOD)] <= most + speed * 0.05
 
 
 def test_a_path_that_comes_back_on_itself_is_followed_there_and_back(trajectory_through):

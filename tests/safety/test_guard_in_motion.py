@@ -94,6 +94,48 @@ def test_a_motion_that_ends_before_its_plan_is_refused(bench, program):
     assert sum(len(block) for block in received) == 200
 
 
+def test_the_end_of_a_motion_may_be_lost_where_the_arm_stands_there(bench, program):
+    bench.controller = replace(bench.controller, blocks=4, pushes=True, drops=(2, 3))
+    assert bench.run(program()) == 200
+    assert bench.guard.lost == 200
+    for elsewhere in (tuple(HOME + 0.2), tuple(HOME[:5]), (np.nan,) * 6):
+        bench.guard.close()
+        bench.controller = replace(bench.controller, later={"position": elsewhere})
+        with pytest.raises(SafetyError, match=r"over, 0\.\d s before the end of its plan"):
+            bench.run(program())
+
+
+def test_no_loss_on_the_way_makes_good_for_an_early_end(bench, program):
+    """What was lost on the way has gone by; so has a loss at first."""
+    (chain,) = program().chains
+    chosen = replace(program(), chains=(replace(chain, t=2 * chain.t, qd=chain.qd / 2),))
+    for drops in ((1, 2), (0, 1)):
+        bench.controller = replace(bench.controller, blocks=6, pushes=True, drops=drops)
+        bench.controller.moves = lambda times: chain.q[np.minimum((250 * times).astype(int), 499)]
+        with pytest.raises(SafetyError, match=r"over, 0\.\d s before the end of its plan"):
+            bench.run(chosen)
+        bench.guard.close()
+
+
+def test_a_state_that_is_not_answered_delays_no_watch(bench, program):
+    """What leaves the plan is stopped while the question for the state is still open."""
+    (chain,) = program().chains
+    bench.controller = replace(bench.controller, blocks=40, pushes=True, status_hangs_later=True)
+    bench.controller.moves = lambda times: chain.q[0] + 0.4 * np.sin(2 * times)[:, None]
+    with pytest.raises(SafetyError, match="what moves is not what was planned"):
+        bench.run(program())
+    assert bench.controller.stops >= 1
+
+
+def test_a_state_that_comes_late_stops_the_arm_without_another_sample(bench, program, monkeypatch):
+    """The stop is asked for when the answer comes, not with the next block."""
+    monkeypatch.setattr("agent.safety.watch.PROMPT", 0.0)
+    bench.controller.blocks, bench.controller.later = 50, {"override": 0.9}
+    with pytest.raises(SafetyError, match="90 %"):
+        bench.run(program())
+    assert bench.controller.stops >= 1
+
+
 def test_a_link_that_drops_is_told_with_what_to_do(bench, program):
     bench.controller.vanish_after = 4
     with pytest.raises(DriverError, match=r"make sure that the arm rests.*run the command again") as dropped:

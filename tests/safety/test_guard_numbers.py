@@ -35,13 +35,7 @@ FALSE_STOPS = {
     },
     "first_run.py": {"peak <= FIRST_SPEED": "true is slow enough, anything else is planned again or refused"},
     "watch.py": {
-        "now - looked < WATCH_INTERVAL": "true waits, anything else looks",
-        "self._clock() - looked_at < WATCH_INTERVAL": "true waits, anything else looks",
         "lasted <= self._longest": "true goes on",
-        "left <= EARLY + self._period * sum((gap.count for gap in self._driver.gaps))": "true ends",
-    },
-    "preconditions.py": {
-        "np.abs(np.radians(position) - program.chains[0].q[0]) <= START_TOLERANCE": "chooses the words",
     },
 }
 
