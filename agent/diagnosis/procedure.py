@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from agent.diagnosis.band import gain_in_band
 from agent.diagnosis.evidence import Null, null_gains
+from agent.diagnosis.excess import closed_excess, joint_energy, noticed, over_background
 from agent.diagnosis.finding import Finding, Step
 from agent.diagnosis.fit import Candidate, Fit, Score
 from agent.diagnosis.isolability import best_by_place, complexity, imitates, plausible, structurally_equivalent
@@ -44,11 +44,11 @@ class Search:
     def run(self) -> Finding:
         """Search until nothing worth naming is left."""
         base = self.fit
-        before = self.joint_energy(base)
+        before = joint_energy(base)
         first = self.scan(base)
         steps = [first]
-        reported = self._noticed(base, self.limits.unexplained_torque)
-        matters = bool(np.any(reported & self._noticed(base, allow_stiction=True)))
+        reported = noticed(self.limits, self._at_rest, base, self.limits.unexplained_torque)
+        matters = bool(np.any(reported & noticed(self.limits, self._at_rest, base, allow_stiction=True)))
         if not first.eligible and not matters:
             return self._nothing(abstained(False), steps)
         best: tuple[float, tuple[Candidate, ...]] | None = None
@@ -60,13 +60,13 @@ class Search:
                 self.limits.near_floor * self.rows, self.limits.near * (base.error() - best[0])
             ):
                 best = result, chosen
-            if self.closed(before, error) > self.limits.enough and len(chosen) == 1:
+            if closed_excess(self.limits, before, error) > self.limits.enough and len(chosen) == 1:
                 break
         nothing = abstained(matters)
         if best is None:
             return self._nothing(nothing, steps)
         fit = base.with_chosen(self._pruned(best[1]))
-        closed = self.closed(before, fit)
+        closed = closed_excess(self.limits, before, fit)
         if closed < self.limits.explained:
             return self._nothing(nothing, steps, closed)
         finding = self._verdict(fit, closed, steps)
@@ -79,42 +79,6 @@ class Search:
     def _bounds(self) -> tuple[float, float]:
         assert self.null is not None
         return self.least, self.null.threshold
-
-    def joint_energy(self, fit: Fit) -> np.ndarray:
-        """(n,) mean of (e / σ)² held out."""
-        single = any(c.effect.once for c in fit.chosen)
-        return np.nanmean((fit.out_of_fold(single) / fit.sigma) ** 2, axis=0)
-
-    def _noticed(self, fit: Fit, least: float | None = None, allow_stiction: bool = False) -> np.ndarray:
-        """(n,) joints whose gap has a size: `least` over the background in motion, or the reported size in all rows.
-
-        `allow_stiction`: around a reversal only an error beyond what dry friction leaves open, as it may stick there.
-        An effect that explains such an error may be named; an error that nothing explains has to show elsewhere too.
-        """
-        least = self.limits.practical_torque if least is None else least
-        background = fit.sigma.min(axis=0) / fit.reference.scale  # where the joint moves
-        left = fit.out_of_fold() / fit.reference.scale
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # a joint that always rests has no mean
-            square = np.nanmean(np.where(self._at_rest, np.nan, left) ** 2, axis=0)
-            if allow_stiction:
-                near = np.where(fit.near_rest & ~self._at_rest & np.isfinite(left), 1.0, np.nan)
-                share = np.nansum(near, axis=0) / np.sum(np.isfinite(left) & ~self._at_rest, axis=0)
-                around = np.nanmean(near * left**2, axis=0)
-                stuck = np.minimum(around, np.nanmean(near * (fit.sigma / fit.reference.scale) ** 2, axis=0))
-                square = square - np.nan_to_num(share * np.maximum(stuck - background**2, 0))
-            moving = np.sqrt(square)
-        clear = (moving > self.limits.clear_of_background * background) & (moving**2 > background**2 + least**2)
-        energy = self.joint_energy(fit)
-        over = np.sqrt(np.maximum(energy - 1, 0)) * background
-        return clear | ((energy > 1 + self.limits.excess_energy) & (over > self.limits.unexplained_torque))
-
-    def closed(self, before: np.ndarray, fit: Fit) -> float:
-        """How much of the excess over the background is gone; 1 where there was none to speak of."""
-        after = self.joint_energy(fit)
-        excess = np.sum(np.maximum(before - 1, 0))
-        left = np.sum(np.maximum(after - 1, 0) * (after > 1 + 0.5 * self.limits.excess_energy))
-        return float(1 - left / excess) if excess > 0.1 else float(left < 0.1)
 
     def scan(self, fit: Fit) -> Step:
         """Every effect everywhere, added to what is chosen; done once for the same choice."""
@@ -155,8 +119,8 @@ class Search:
     def _refined(self, fit: Fit, best: dict) -> dict:
         """Search the nonlinear parameters of the leading places more finely."""
         least = 0.5 * self.limits.least_gain * self.rows
-        over, noticed = self._over_background(fit), self._noticed(fit)
-        large = [s for s in best.values() if s.gain > least and self._over(s, over, noticed)]
+        over, clear = over_background(fit), noticed(self.limits, self._at_rest, fit)
+        large = [s for s in best.values() if s.gain > least and self._over(s, over, clear)]
         leaders = sorted(large, key=lambda s: -s.gain)[:6]
         for factor in (1.25, 1.1, 1.04, 1.015):
             if factor < 1.1:
@@ -175,7 +139,7 @@ class Search:
     def _eligible(self, fit: Fit, best: dict) -> tuple[Score, ...]:
         """Scores that could be named: plausible, allowed, large enough, and better than their own simpler limits."""
         result = []
-        over, noticed = self._over_background(fit), self._noticed(fit)
+        over, clear = over_background(fit), noticed(self.limits, self._at_rest, fit)
         for place, score in best.items():
             name = place[0]
             effect = score.candidate.effect
@@ -183,7 +147,7 @@ class Search:
                 continue
             if self.size(fit, score) < self.limits.practical_torque:
                 continue
-            if not self._over(score, over, noticed):
+            if not self._over(score, over, clear):
                 continue
             if any(
                 self._as_good(score, limit, best)
@@ -195,21 +159,12 @@ class Search:
             result.append(score)
         return tuple(sorted(result, key=lambda s: -s.gain))
 
-    def _over_background(self, fit: Fit) -> np.ndarray:
-        """(n,) energy of each joint over the background, in the logs where it is over it."""
-        energy = (fit.out_of_fold() / fit.sigma) ** 2
-        log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in fit.signals])
-        total = np.zeros(energy.shape[1])
-        for number in np.unique(log):
-            total += np.maximum(np.nansum(energy[log == number] - 1, axis=0), 0)
-        return total
-
-    def _over(self, score: Score, over: np.ndarray, noticed: np.ndarray) -> bool:
+    def _over(self, score: Score, over: np.ndarray, clear: np.ndarray) -> bool:
         """Whether an error over the background may be its own; a model fitted with it would look the same below."""
         joints = list(score.candidate.blocks)
         if not self.given or score.candidate.effect.once:
             return True
-        return bool(np.any(noticed[joints]) and np.sum(over[joints]) >= self.limits.own_excess * score.gain)
+        return bool(np.any(clear[joints]) and np.sum(over[joints]) >= self.limits.own_excess * score.gain)
 
     def _as_good(self, score: Score, limit: str, best: dict) -> bool:
         """Whether a simpler limit of the form does as well, so that the form has nothing to show for itself."""
@@ -283,7 +238,7 @@ class Search:
 
     def _excess(self, fit: Fit, joints: Sequence[int] | None = None) -> float:
         """Energy over the background that is left, joint by joint, on all joints or some."""
-        over = np.maximum(self.joint_energy(fit) - 1, 0)
+        over = np.maximum(joint_energy(fit) - 1, 0)
         return float(np.sum(over if joints is None else over[list(joints)]) * self.rows / len(fit.rows))
 
     def _total(self, fit: Fit) -> float:

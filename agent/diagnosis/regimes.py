@@ -8,23 +8,11 @@ import numpy as np
 
 from agent.diagnosis.answer import RegimeShare
 from agent.diagnosis.dataset import Dataset
+from agent.model.regimes import regime_masks, standstill_speed
 
-#: Regimes of speed, load and position, as the map of a report shows them.
-SHOWN = (
-    "standstill",
-    "reversal",
-    "low_speed",
-    "high_speed",
-    "high_load",
-    "acceleration",
-    "position_low",
-    "position_middle",
-    "position_high",
-)
 BANDS = ((0.0, 1.0), (1.0, 5.0), (5.0, 15.0), (15.0, np.inf))  # Hz
 
 _LEAST = 0.05
-_NEAR_REVERSAL = 0.15  # s
 _BLOCK = 1.0  # s
 _RESAMPLED = 200
 _PROBABILITY = 0.9
@@ -54,33 +42,15 @@ def regimes(dataset: Dataset, error: np.ndarray, joint: int, floor: float = 0.0)
 
 
 def masks(dataset: Dataset, joint: int) -> dict[str, np.ndarray]:
-    """(S,) bool of each regime of a joint: those of `SHOWN`, then logs or their cycles."""
-    speed = dataset.speed[:, joint]
-    magnitude = np.abs(speed)
-    fastest = max(float(magnitude.max()), 1e-9)
-    q = np.concatenate([s.q[s.kept, joint] for s in dataset.fit.signals])
-    load = np.abs(np.concatenate([s.rigid[s.kept, joint] for s in dataset.fit.signals]))
-    acceleration = np.abs(np.concatenate([s.qdd[s.kept, joint] for s in dataset.fit.signals]))
-    standing = magnitude < 0.005 * fastest
-    turning = np.flatnonzero(np.diff(np.sign(speed)) != 0)
-    near = np.zeros(len(speed), dtype=bool)
-    reach = int(_NEAR_REVERSAL * dataset.rate)
-    for at in turning:
-        near[max(0, at - reach) : at + reach + 1] = True
-    low, high = float(q.min()), float(q.max())
-    third = (high - low) / 3
-    regions = (
-        standing,
-        near & ~standing,
-        (magnitude < 0.1 * fastest) & ~standing,
-        magnitude > 0.6 * fastest,
-        load > np.quantile(load, 0.75),
-        acceleration > np.quantile(acceleration, 0.75),
-        q < low + third,
-        (q >= low + third) & (q <= high - third),
-        q > high - third,
+    """(S,) bool of each regime of a joint: those of `REGIMES`, then logs or their cycles."""
+    signals = dataset.fit.signals
+    q, load, acceleration = (
+        np.concatenate([part[s.kept, joint] for s, part in zip(signals, parts, strict=True)])
+        for parts in ([s.q for s in signals], [s.rigid for s in signals], [s.qdd for s in signals])
     )
-    return dict(zip(SHOWN, regions, strict=True)) | dict(_in_time(dataset))
+    slowest = standstill_speed([dataset.speed], dataset.robot.max_velocity)[joint]
+    found = regime_masks(q, dataset.speed[:, joint], acceleration, load, float(slowest), dataset.rate)
+    return found | dict(_in_time(dataset))
 
 
 def band_shares(dataset: Dataset, error: np.ndarray) -> np.ndarray:

@@ -7,22 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.model.regimes import standstill_speed
 from agent.model.signals import MotionSignals
-
-#: Of a joint's speed: one that is no faster stands.
-STANDING = 0.004
-#: Of the arm's speed, both over what the joints are able to: a joint that never goes faster is judged by this one.
-_OF_ARM = 0.25
 
 
 def standing(signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -> list[np.ndarray]:
     """Per motion (S, n) bool: whether a joint stands. One that travels nowhere always does, whatever its noise."""
-    speeds = [np.abs(motion.qd) for motion in signals]
-    fastest = np.max([speed.max(axis=0) for speed in speeds], axis=0)
-    able = signals[0].reference.robot.max_velocity
-    usual = np.maximum(fastest, _OF_ARM * np.max(fastest / able) * able)
-    slowest = np.where(moves(signals, limits), STANDING * usual, np.inf)
-    return [speed <= slowest for speed in speeds]
+    slowest = standstill_speed([motion.qd for motion in signals], signals[0].reference.robot.max_velocity)
+    slowest = np.where(moves(signals, limits), slowest, np.inf)
+    return [np.abs(motion.qd) <= slowest for motion in signals]
 
 
 def moves(signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -> np.ndarray:

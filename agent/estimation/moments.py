@@ -15,9 +15,7 @@ import numpy as np
 from agent.estimation.blocks import Partition
 from agent.estimation.observation import Observation, Segment
 from agent.model.friction_terms import FrictionTerm
-
-_STANDSTILL = 0.005  # of the highest speed seen on the joint
-_RESTING = 1e-6  # of its highest speed at all: round-off in a channel that is constant
+from agent.model.regimes import standstill_speed
 
 Cells = np.ndarray | slice
 ALL_CELLS = slice(None)
@@ -119,11 +117,10 @@ def collect(
 
 def standstill(observation: Observation) -> list[np.ndarray]:
     """Per segment (S', n) bool: where a joint stands still, so that its friction is anything within stiction."""
-    slowest = standstill_speed(observation)
+    slowest = observed_standstill_speed(observation)
     return [np.abs(segment.speed) <= slowest for segment in observation.segments]
 
 
-def standstill_speed(observation: Observation) -> np.ndarray:
+def observed_standstill_speed(observation: Observation) -> np.ndarray:
     """(n,) [rad/s] up to which a joint counts as standing still."""
-    fastest = np.max([np.abs(segment.speed).max(axis=0) for segment in observation.segments], axis=0)
-    return np.maximum(_STANDSTILL * fastest, _RESTING * observation.robot.max_velocity)
+    return standstill_speed([segment.speed for segment in observation.segments], observation.robot.max_velocity)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.estimation.moments import Moments, standstill_speed
+from agent.estimation.moments import Moments, observed_standstill_speed
 from agent.estimation.observation import Observation
 from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
@@ -55,7 +55,7 @@ def build_model(
         condition_number=condition_number(moments.weighted(found.weights)),
         standard=found.standard,
         group_rmse=_group_rmse(moments, found),
-        standstill_speed=standstill_speed(observation),
+        standstill_speed=observed_standstill_speed(observation),
         provenance={**_provenance(observation, logs), "link_prior": problem.links},
     )
     return replace(model, notes=tuple(_notes(model, problem, found, times, len(logs))))

@@ -8,6 +8,7 @@ import numpy as np
 
 from agent.core.console import Console
 from agent.core.errors import AgentError
+from agent.model.regimes import standstill_speed
 from agent.runs.folder import RunFolder
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ WORSE = 1.25
 FLOOR = 1e-3
 #: Without a nominal torque the model's own error is the only scale there is, and it scatters from run to run.
 WORSE_UNSCALED = 1.5
-_STANDSTILL = 0.005  # of the highest speed of a joint: there its friction may be anything within stiction
 
 
 def worse_joints(model: IdentifiedModel, rmse: np.ndarray) -> list[str]:
@@ -33,8 +33,8 @@ def worse_joints(model: IdentifiedModel, rmse: np.ndarray) -> list[str]:
 
 def joint_moves(prediction: Prediction) -> np.ndarray:
     """(S, n) bool."""
-    speed = np.abs(prediction.velocity)
-    return speed > _STANDSTILL * speed.max(axis=0)
+    slowest = standstill_speed([prediction.velocity], prediction.model.robot.max_velocity)
+    return np.abs(prediction.velocity) > slowest
 
 
 def moving_rmse(prediction: Prediction) -> np.ndarray:

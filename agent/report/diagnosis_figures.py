@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.diagnosis.forward import Simulated
-from agent.diagnosis.regimes import BANDS, SHOWN, band_shares, masks, motor_phase_share
+from agent.diagnosis.regimes import BANDS, band_shares, masks, motor_phase_share
 from agent.diagnosis.result import Diagnosis
+from agent.model.regimes import REGIMES
 from agent.recording import Log
 from agent.report.figures import Figure, new_plot, to_figure
 from agent.report.plots import SERIES, Panel, Plot, Series
@@ -22,11 +23,11 @@ _MOST_LOGS = 6
 def regime_map(diagnosis: Diagnosis) -> Figure:
     """Joint × regime: error of the model in units of its own background."""
     dataset = diagnosis.dataset
-    values = np.full((dataset.robot.dof, len(SHOWN)), np.nan)
+    values = np.full((dataset.robot.dof, len(REGIMES)), np.nan)
     for joint in range(dataset.robot.dof):
         found = masks(dataset, joint)
         relative = (diagnosis.gap.raw[:, joint] / dataset.fit.sigma[:, joint]) ** 2
-        for column, regime in enumerate(SHOWN):
+        for column, regime in enumerate(REGIMES):
             here = found[regime] & np.isfinite(relative)
             if here.any():
                 values[joint, column] = np.sqrt(np.mean(relative[here]))
@@ -34,7 +35,7 @@ def regime_map(diagnosis: Diagnosis) -> Figure:
         "Error of the model by joint (rows) and regime (columns), in units of its own held-out error: about 1 where "
         "nothing is wrong."
     )
-    labels = [regime.replace("_", "\n") for regime in SHOWN]
+    labels = [regime.replace("_", "\n") for regime in REGIMES]
     return _map("regimes", caption, values, labels, dataset.robot.joint_names)
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from agent.model.regimes import REGIMES, regime_masks, standstill_speed
 from agent.report.figures import Figure, new_plot, to_figure
 from agent.report.page import Section
 from agent.report.residual_plots import residual_plots
@@ -16,11 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.patches import Rectangle
 
     from agent.validation import Prediction
-
-#: What a sample of a joint may be in; a sample is in several.
-REGIMES = ("standstill", "low speed", "high speed", "after a reversal", "high acceleration", "high load")
-_STILL = 0.005
-_REVERSAL = 0.1  # s
 
 
 def residual_section(predictions: Sequence[Prediction]) -> Section:
@@ -36,50 +32,26 @@ def residual_section(predictions: Sequence[Prediction]) -> Section:
 
 def residual_map(predictions: Sequence[Prediction]) -> np.ndarray:
     """(n, regimes) RMSE over nominal torque, or [N·m] where a joint has none; NaN where a joint is never in one."""
-    n = predictions[0].error.shape[1]
-    total, count = np.zeros((n, len(REGIMES))), np.zeros((n, len(REGIMES)))
+    robot = predictions[0].model.robot
+    slowest = standstill_speed([prediction.velocity for prediction in predictions], robot.max_velocity)
+    total, count = np.zeros((2, robot.dof, len(REGIMES)))
     for prediction in predictions:
-        inside = _regimes(prediction)
-        total += np.einsum("snr,sn->nr", inside, prediction.error**2)
-        count += inside.sum(axis=0)
+        rate = 1 / float(np.median(np.diff(prediction.time)))
+        for joint, square in enumerate(prediction.error.T**2):
+            found = regime_masks(
+                prediction.position[:, joint],
+                prediction.velocity[:, joint],
+                prediction.acceleration[:, joint],
+                prediction.predicted[:, joint],
+                float(slowest[joint]),
+                rate,
+            )
+            total[joint] += [square[inside].sum() for inside in found.values()]
+            count[joint] += [inside.sum() for inside in found.values()]
     with np.errstate(divide="ignore", invalid="ignore"):
         rmse = np.sqrt(total / count)
-    nominal = predictions[0].model.robot.nominal_torque
+    nominal = robot.nominal_torque
     return rmse / np.where(np.isfinite(nominal), nominal, 1.0)[:, None]
-
-
-def _regimes(prediction: Prediction) -> np.ndarray:
-    """(S, n, regimes) bool."""
-    velocity = prediction.velocity
-    acceleration = np.gradient(velocity, prediction.time, axis=0)
-    size, top = np.abs(velocity), np.maximum(np.abs(velocity).max(axis=0), 1e-12)
-    still = size <= _STILL * top
-    load = np.abs(prediction.predicted)
-    return np.stack(
-        [
-            still,
-            ~still & (size < 0.15 * top),
-            size > 0.5 * top,
-            _after_reversal(velocity, still, prediction.time),
-            np.abs(acceleration) > 0.5 * np.quantile(np.abs(acceleration), 0.99, axis=0),
-            load > 0.7 * load.max(axis=0),
-        ],
-        axis=2,
-    )
-
-
-def _after_reversal(velocity: np.ndarray, still: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """(S, n): moving, and less than a tenth of a second since the direction changed or the joint stood."""
-    result = np.zeros(velocity.shape, dtype=bool)
-    for k in range(velocity.shape[1]):
-        direction = np.where(still[:, k], 0, np.sign(velocity[:, k]))
-        changes = np.flatnonzero(np.diff(direction) != 0) + 1
-        last = np.searchsorted(changes, np.arange(len(time)), side="right") - 1
-        known = last >= 0
-        since = np.full(len(time), np.inf)
-        since[known] = time[known] - time[changes[last[known]]]
-        result[:, k] = (since < _REVERSAL) & ~still[:, k]
-    return result
 
 
 def heat_map(
@@ -109,7 +81,7 @@ def heat_map(
             axis.text(column, row, f"{value:.2g}", ha="center", va="center")
     axis.set_xlim(-0.5, len(REGIMES) - 0.5)
     axis.set_ylim(len(names) - 0.5, -0.5)
-    axis.set_xticks(range(len(REGIMES)), REGIMES)
+    axis.set_xticks(range(len(REGIMES)), [name.replace("_", "\n") for name in REGIMES], fontsize=8)
     axis.set_yticks(range(len(names)), [f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)])
     rows = np.column_stack([np.arange(1, len(names) + 1), shown])
     return to_figure(name, caption, plot, ("axis", *REGIMES), rows)

@@ -186,8 +186,10 @@ class Dynamics:
         base frame; and the far end of every link (S, n, 3) [m], which is the next joint's origin, or the tip's."""
         screws, ends = np.empty((len(q), 6, self.dof)), np.empty((len(q), self.dof, 3))
         for k in range(len(q)):
-            screws[k] = pin.computeJointJacobians(self._model, self._data, q[k])
-            ends[k, :-1] = [self._data.oMi[joint].translation for joint in range(2, self.dof + 1)]
+            jacobian = pin.computeJointJacobians(self._model, self._data, q[k])
+            screws[k] = jacobian.reshape(6, -1)  # a vector for a single joint
+            for link in range(self.dof - 1):
+                ends[k, link] = self._data.oMi[link + 2].translation
             ends[k, -1] = pin.updateFramePlacement(self._model, self._data, self._tip).translation
         return screws, ends
 

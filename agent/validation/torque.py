@@ -46,6 +46,11 @@ class Prediction:
         """(S, n) speed of the joints at the same samples."""
         return np.concatenate([motion.qd[motion.kept] for motion in self._motions])
 
+    @property
+    def acceleration(self) -> np.ndarray:
+        """(S, n) acceleration of the joints at the same samples."""
+        return np.concatenate([motion.qdd[motion.kept] for motion in self._motions])
+
     def rmse(self, moving: bool = False) -> np.ndarray:
         """(n,) [N·m]; `moving`: of samples where the arm moves."""
         error = self.error[self.moving] if moving else self.error

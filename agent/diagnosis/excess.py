@@ -1,0 +1,62 @@
+"""How far the error of each joint is over the background, and whether that has a size."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from agent.diagnosis.fit import Fit
+from agent.diagnosis.limits import DecisionLimits
+
+
+def joint_energy(fit: Fit) -> np.ndarray:
+    """(n,) mean of (e / σ)² held out."""
+    single = any(c.effect.once for c in fit.chosen)
+    return np.nanmean((fit.out_of_fold(single) / fit.sigma) ** 2, axis=0)
+
+
+def over_background(fit: Fit) -> np.ndarray:
+    """(n,) energy of each joint over the background, in the logs where it is over it."""
+    energy = (fit.out_of_fold() / fit.sigma) ** 2
+    log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in fit.signals])
+    total = np.zeros(energy.shape[1])
+    for number in np.unique(log):
+        total += np.maximum(np.nansum(energy[log == number] - 1, axis=0), 0)
+    return total
+
+
+def closed_excess(limits: DecisionLimits, before: np.ndarray, fit: Fit) -> float:
+    """How much of the excess over the background is gone; 1 where there was none to speak of."""
+    after = joint_energy(fit)
+    excess = np.sum(np.maximum(before - 1, 0))
+    left = np.sum(np.maximum(after - 1, 0) * (after > 1 + 0.5 * limits.excess_energy))
+    return float(1 - left / excess) if excess > 0.1 else float(left < 0.1)
+
+
+def noticed(
+    limits: DecisionLimits, at_rest: np.ndarray, fit: Fit, least: float | None = None, allow_stiction: bool = False
+) -> np.ndarray:
+    """(n,) joints whose gap has a size: `least` over the background in motion, or the reported size in all rows.
+
+    `at_rest` (S', n): rows that are no motion. `allow_stiction`: around a reversal only an error beyond what dry
+    friction leaves open, as it may stick there. An effect that explains such an error may be named; an error that
+    nothing explains has to show elsewhere too.
+    """
+    least = limits.practical_torque if least is None else least
+    background = fit.sigma.min(axis=0) / fit.reference.scale  # where the joint moves
+    left = fit.out_of_fold() / fit.reference.scale
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a joint that always rests has no mean
+        square = np.nanmean(np.where(at_rest, np.nan, left) ** 2, axis=0)
+        if allow_stiction:
+            near = np.where(fit.near_rest & ~at_rest & np.isfinite(left), 1.0, np.nan)
+            share = np.nansum(near, axis=0) / np.sum(np.isfinite(left) & ~at_rest, axis=0)
+            around = np.nanmean(near * left**2, axis=0)
+            stuck = np.minimum(around, np.nanmean(near * (fit.sigma / fit.reference.scale) ** 2, axis=0))
+            square = np.maximum(square - np.nan_to_num(share * np.maximum(stuck - background**2, 0)), 0)
+        moving = np.sqrt(square)
+    clear = (moving > limits.clear_of_background * background) & (moving**2 > background**2 + least**2)
+    energy = joint_energy(fit)
+    over = np.sqrt(np.maximum(energy - 1, 0)) * background
+    return clear | ((energy > 1 + limits.excess_energy) & (over > limits.unexplained_torque))
