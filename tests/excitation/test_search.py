@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.excitation import Candidates, Generation, LoopProblem, check_sub_region, search
+from agent.motion import ViaRegions
 from agent.robot import Box
 
 
@@ -69,9 +71,17 @@ def test_a_loop_out_of_reach_is_infeasible_by_how_far(problem_with: Any) -> None
     assert "reach" in scores[1].reason
 
 
-def test_a_loop_that_overloads_a_motor_is_infeasible(problem: LoopProblem, problem_with: Any) -> None:
-    from dataclasses import replace
+def test_a_loop_through_a_point_that_its_blend_passes_by_is_infeasible(problem: LoopProblem) -> None:
+    """The way of the arm keeps within reach, the target that the controller is given does not."""
+    points = [(1.1, 0.3, 0.8, 0.0, 2.0, 0.0), (1.752, 0.0, 0.8, 0.0, 2.0, 0.0), (1.1, -0.3, 0.8, 0.0, 2.0, 0.0)]
+    regions = ViaRegions.from_points(points, np.full((3, 6), 1e-6))
+    wide = problem.settings.changed(fly_distance=0.08)
+    score = Candidates(replace(problem, regions=regions, settings=wide)).score(np.full(18, 0.5))
+    assert not score.feasible
+    assert "out of reach" in score.reason
 
+
+def test_a_loop_that_overloads_a_motor_is_infeasible(problem: LoopProblem, problem_with: Any) -> None:
     joints = list(problem.robot.joints)
     joints[1] = replace(joints[1], max_torque=100.0)
     weak = Candidates(problem_with(robot=replace(problem.robot, joints=tuple(joints))))
