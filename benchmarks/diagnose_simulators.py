@@ -97,45 +97,47 @@ def inverse(model, q, qd, qdd):
     return torque
 
 
-def draw(path, seed):
+def recorded(path, seed, folder, effects=None):
+    """Logs of a robot made of a file, and what was put in; `effects`: these and not drawn ones, as (form, joint)."""
     rng = np.random.default_rng(seed)
     model, coulomb, viscous, _ = robot(path, rng)
     chosen = [EFFECTS[k] for k in rng.choice(len(EFFECTS), rng.integers(1, 3), replace=False)]
     joints = rng.choice(model.nv - 1, len(chosen), replace=False)
-    names = [model.joint(k).name for k in range(model.nv)]
+    put_in = list(zip(chosen, joints, strict=True)) if effects is None else effects
+    names, logs = tuple(model.joint(k).name for k in range(model.nv)), []
+    for number in range(LOGS):
+        t, q, qd, qdd = motion(rng, *model.jnt_range.T, model.nq)
+        torque = inverse(model, q, qd, qdd) + coulomb * np.tanh(qd / 0.01) + viscous * qd
+        for effect, k in put_in:
+            torque[:, k] += effect(coulomb[k], q[:, k], qd[:, k], torque[:, k])
+        torque += 0.005 * torque.std(axis=0) * rng.normal(size=torque.shape)
+        file = LogFile(folder / f"{number}.mcap", names, path.stem, f"motion {number}", RATE)
+        file.write_states(STATES, 100 + t, q, qd, torque)
+        file.finish()
+        file.close()
+        logs.append(folder / f"{number}.mcap")
+    return logs, [[effect.__name__, names[k]] for effect, k in put_in]
+
+
+def draw(path, seed):
     with tempfile.TemporaryDirectory() as name:
-        folder, logs = Path(name), []
-        for number in range(LOGS):
-            t, q, qd, qdd = motion(rng, *model.jnt_range.T, model.nq)
-            plain = inverse(model, q, qd, qdd)
-            torque = plain + coulomb * np.tanh(qd / 0.01) + viscous * qd
-            for effect, k in zip(chosen, joints, strict=True):
-                torque[:, k] += effect(coulomb[k], q[:, k], qd[:, k], torque[:, k])
-            torque += 0.005 * torque.std(axis=0) * rng.normal(size=torque.shape)
-            file = LogFile(folder / f"{number}.mcap", tuple(names), path.stem, f"motion {number}", RATE)
-            file.write_states(STATES, 100 + t, q, qd, torque)
-            file.finish()
-            file.close()
-            logs.append(folder / f"{number}.mcap")
+        folder = Path(name)
+        logs, put_in = recorded(path, seed, folder)
         started = time.process_time()
         result = diagnose_files(None, logs, Question(path, out=folder / f"fixed{path.suffix}"), Console(-1))
         seconds = time.process_time() - started
     forward = result.get("forward", {})
     at = forward.get("horizon_s", []).index(1.0) if forward else 0
-    rms = (
-        {side: float(np.sqrt(np.mean(np.square(forward[side][at])))) for side in ("before", "after")} if forward else {}
-    )
     return {
         "arm": path.stem,
         "seed": seed,
-        "put_in": [[e.__name__, names[k]] for e, k in zip(chosen, joints, strict=True)],
+        "put_in": put_in,
         "verdict": result["verdict"],
         "named": [[c["effect"], *c["joints"], round(c["probability"], 2)] for c in result["causes"]],
         "equal": [[e["effect"], *e["joints"]] for c in result["causes"][:1] for e in c["equivalent_to"]],
         "closure": result["closure"],
-        "forward_1s": rms,
+        "forward_1s": {side: np.round(forward[side][at], 4).tolist() for side in ("before", "after") if forward},
         "cpu_s": round(seconds, 1),
-        "warnings": result["warnings"],
     }
 
 

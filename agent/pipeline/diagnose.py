@@ -82,15 +82,15 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
 
     loaded = load_recipe(recipe)
     _check(question, [])
-    simulator, _ = _simulator(loaded.robot, [], question, console)
+    reference, simulator = _simulator(loaded.robot, [], question, console)
     few = min(loaded.validate.motions, _VALIDATION_MOTIONS)
     loaded = replace(loaded, validate=loaded.validate.model_copy(update={"motions": few}))
     with robot_lock(loaded.controller.driver, loaded.controller.address):
         run = RunFolder.create(runs, loaded.robot.name, loaded.path)
         run.note(kind="diagnose", question={"cutoff": question.cutoff, "without": question.without})
         approve(run, loaded)
-        if simulator is not None:
-            run.write_text(_SIMULATOR, json.dumps(simulator.to_dict(), allow_nan=False))
+        if reference is not None:
+            run.write_text(_SIMULATOR, json.dumps(reference.to_dict(), allow_nan=False))
             question = replace(question, model=run.file(_SIMULATOR), joint_map=None)
         console.say(f"run {run.path}")
         with step(run, "plan", console):
@@ -101,7 +101,7 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
             report = run.file("report.html")
             here = replace(question, report=report)
             recorded = [recording.path for recording in recordings]
-            result = _diagnose(loaded.robot, recorded, here, console, loaded.robot_source)
+            result = _diagnose(loaded.robot, recorded, here, console, loaded.robot_source, simulator)
             run.write_json("result.json", result)
             if question.report is not None:
                 write_atomically(question.report, report.read_text(encoding="utf-8"))
@@ -130,13 +130,20 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
 
 
 def _diagnose(
-    robot: RobotDescription | None, paths: Sequence[Path], question: Question, console: Console, source: str | None
+    robot: RobotDescription | None,
+    paths: Sequence[Path],
+    question: Question,
+    console: Console,
+    source: str | None,
+    simulator: Simulator | None = None,
 ) -> dict[str, Any]:
-    """`source` is what names the robot for whoever asks again."""
+    """`source` is what names the robot for whoever asks again; `simulator` the file that was read, and checked, before."""
     from agent.diagnosis import simulation_part
 
-    _check(question, paths)
-    found, simulated, simulator = _find(robot, paths, question, console)
+    if simulator is None:
+        _check(question, paths)
+    found, simulated, read = _find(robot, paths, question, console)
+    simulator = simulator or read
     for warning in found.warnings:
         console.warn(warning)
     result = {**found.result, "simulation": simulation_part(found, simulated)}
