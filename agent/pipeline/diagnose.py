@@ -137,7 +137,7 @@ def _diagnose(
     source: str | None,
     simulator: Simulator | None = None,
 ) -> dict[str, Any]:
-    """`source` is what names the robot for whoever asks again; `simulator` the file that was read, and checked, before."""
+    """`source` names the robot for whoever asks again; `simulator` is the file that was read, and checked, before."""
     from agent.diagnosis import simulation_part
 
     if simulator is None:
