@@ -14,6 +14,8 @@ from agent.core.console import Console
 from agent.core.errors import InputError
 from agent.runs.folder import sha256_text
 
+#: From here on the page is written by people.
+BY_HAND = "## Draws before this one"
 ROOT = Path(__file__).resolve().parents[2]
 QUIET = Console(verbosity=-1)
 
@@ -152,7 +154,9 @@ def test_blind_check(measured):
     """The whole of it; what is finished is kept in `.verify/`, and the page goes into the documentation."""
     folder = ROOT / ".verify" / "blind_check"
     scores = BlindCheck(400, 1, folder).run(Console())
-    (ROOT / "docs" / "blind-check.md").write_text((folder / "blind_check.md").read_text(encoding="utf-8"))
+    page = ROOT / "docs" / "blind-check.md"
+    _, others, by_hand = page.read_text(encoding="utf-8").partition(BY_HAND)
+    page.write_text((folder / "blind_check.md").read_text(encoding="utf-8").rstrip() + "\n\n" + others + by_hand)
     alarms = scores["false_alarms"]["count"]
     figures = (
         ("false alarms in effect-free runs", alarms, "at most 1 of 150", alarms <= 1),
