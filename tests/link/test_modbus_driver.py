@@ -5,6 +5,7 @@ import hashlib
 import itertools
 import socket
 import struct
+import threading
 import time
 from contextlib import closing
 
@@ -194,6 +195,26 @@ def test_one_lost_answer_to_a_start_leaves_no_motion_unwatched(server, tampered)
     assert len(starts) == 1
     assert server.controller.motions_started == 1
     np.testing.assert_array_equal(sequence(blocks), np.arange(1 + blocks[-1].sequence[-1]))
+
+
+def test_one_lost_answer_to_a_heartbeat_at_rest_ends_no_link(server, tampered):
+    beats, lost, later = [], [], threading.Event()
+
+    def swallow(outward, data):
+        if outward and data[7] == 16 and data[8:10] == struct.pack(">H", wire.HEARTBEAT.address):
+            beats.append(data[:2])
+            if len(lost) == 1 and len(beats) >= 3:
+                later.set()  # it has gone on after that
+        if not outward and beats and not lost and data[:2] == beats[0]:
+            lost.append(True)
+            return b""
+        return data
+
+    address = tampered(server.port, swallow)
+    with closing(ModbusDriver(address, watchdog=patience(0.2), timeout=patience(0.2))) as driver:
+        driver.connect()
+        assert later.wait(patience(5.0))
+        assert driver.status().mode == "auto"
 
 
 def test_one_lost_answer_to_a_read_is_made_good(server, tampered):

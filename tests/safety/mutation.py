@@ -256,8 +256,20 @@ class _Reached:
         return self._line
 
 
-def passes(mutant: Mutant | None, tests: list[str], limit: float, plugins: tuple[object, ...] = ()) -> bool:
-    """Whether these tests pass with this change (None: with none), in a child that imports the layer anew."""
+class _Chosen:
+    """A plugin of pytest that runs these tests alone, in this order."""
+
+    def __init__(self, tests: list[str]):
+        self._rank = {test: rank for rank, test in enumerate(tests)}
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """Of all that was gathered."""
+        chosen = [item for item in items if item.nodeid in self._rank]
+        items[:] = sorted(chosen, key=lambda item: self._rank[item.nodeid])
+
+
+def passes(mutant: Mutant | None, files: list[str], limit: float, plugins: tuple[object, ...] = ()) -> bool:
+    """Whether the tests of these files pass with a change (None: with none), in a child that imports the layer anew."""
     child = os.fork()
     if child == 0:
         nothing = os.open(os.devnull, os.O_WRONLY)
@@ -266,46 +278,71 @@ def passes(mutant: Mutant | None, tests: list[str], limit: float, plugins: tuple
         if mutant is not None:
             sys.meta_path.insert(0, _Loader(mutant))
         options = ["-x", "-q", "-m", "not verify", "-p", "no:cacheprovider", "-c", str(ROOT / "pyproject.toml")]
-        os._exit(int(pytest.main([*options, *tests], plugins=list(plugins))))
+        os._exit(int(pytest.main([*options, *files], plugins=list(plugins))))
     until = time.monotonic() + limit
     while time.monotonic() < until:
         ended, status = os.waitpid(child, os.WNOHANG)
         if ended:
-            return os.waitstatus_to_exitcode(status) == 0
+            return os.waitstatus_to_exitcode(status) in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
         time.sleep(0.02)
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     return False
 
 
-def main(chosen: list[str]) -> int:
-    """0 if every change is noticed."""
+class Reach:
+    """Which tests run which lines, from one run of all of them on the layer as it is.
+
+    Raises:
+        RuntimeError: they fail.
+    """
+
+    def __init__(self) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            written = Path(folder) / "reached.json"
+            if not passes(None, TESTS, 1800.0, (_Reached(written),)):
+                raise RuntimeError("the tests fail on the unchanged layer")
+            reached = json.loads(written.read_text(encoding="utf-8"))
+        self._seconds: dict[str, float] = reached["seconds"]
+        self._tests: dict[tuple[str, int], set[str]] = defaultdict(set)
+        for test, places in reached["lines"].items():
+            for module, line in places:
+                self._tests[module, line].add(test)
+
+    def notices(self, mutant: Mutant) -> bool:
+        """Whether a test that runs its lines fails, the quickest first."""
+        lines = range(mutant.line, mutant.last + 1)
+        tests = set().union(*(self._tests[mutant.module, line] for line in lines))
+        files = sorted({test.partition("::")[0] for test in tests})
+        limit = LIMIT + TIMES * sum(self._seconds[test] for test in tests)
+        chosen = _Chosen(sorted(tests, key=self._seconds.__getitem__))
+        return bool(tests) and not passes(mutant, files, limit, (chosen,))
+
+
+def ready() -> None:
+    """What is heavy is imported, and nothing of the layer.
+
+    Raises:
+        RuntimeError: something of the layer is, so it cannot be changed.
+    """
     os.chdir(ROOT)
     for name in HEAVY:
         importlib.import_module(name)
     early = [name for name in sys.modules if name.startswith("agent.safety.")]
     if early:
-        print(f"imported too early to be changed: {early}")
-        return 2
-    with tempfile.TemporaryDirectory() as folder:
-        written = Path(folder) / "reached.json"
-        if not passes(None, TESTS, 1800.0, (_Reached(written),)):
-            print("the tests fail on the unchanged layer")
-            return 2
-        reached = json.loads(written.read_text(encoding="utf-8"))
-    seconds: dict[str, float] = reached["seconds"]
-    by_line: dict[tuple[str, int], set[str]] = defaultdict(set)
-    for test, places in reached["lines"].items():
-        for module, line in places:
-            by_line[module, line].add(test)
+        raise RuntimeError(f"imported too early to be changed: {early}")
+
+
+def main(chosen: list[str]) -> int:
+    """0 if every change is noticed."""
+    ready()
+    reach = Reach()
     survivors, count = 0, 0
     for mutant in mutants([name for name in MODULES if not chosen or Path(name).stem in chosen]):
         count += 1
-        lines = range(mutant.line, mutant.last + 1)
-        tests = sorted(set().union(*(by_line[mutant.module, line] for line in lines)), key=seconds.__getitem__)
-        alive = not tests or passes(mutant, tests, LIMIT + TIMES * sum(seconds[test] for test in tests))
-        survivors += alive
-        print(f"{'SURVIVED' if alive else 'noticed '} {mutant}", flush=True)
+        noticed = reach.notices(mutant)
+        survivors += not noticed
+        print(f"{'noticed ' if noticed else 'SURVIVED'} {mutant}", flush=True)
     print(f"{count - survivors} of {count} changes noticed")
     return 1 if survivors else 0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.runs.due import too_early, wrong_clock
+from agent.runs.folder import RunFolder
 from agent.runs.history import open_history
 from agent.runs.past_run import PastRun
 from agent.runs.trends import watch
@@ -86,6 +88,36 @@ def test_a_run_of_the_future_is_the_reference_only_where_there_is_no_other(write
     _redate(first, "yesterday")
     with open_history(logs) as history:
         assert [first.name in said for said in history.damaged] == [True]
+
+
+def test_a_clock_that_is_set_back_in_a_run_loses_nothing_of_it(write_runs, tmp_path, monkeypatch):
+    """Steps that end before they began, and files that grow older: the run goes on, and the history takes it in."""
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text("robot: comau_ns16\n", encoding="utf-8")
+    hours = iter(range(100, 0, -1))
+
+    class SetBack(datetime):
+        @classmethod
+        def now(cls, tz=None):
+            return NOW + timedelta(hours=next(hours))
+
+    monkeypatch.setattr("agent.runs.folder.datetime", SetBack)
+    run = RunFolder.create(tmp_path / "logs", "comau_ns16", recipe)
+    first, second = run.finish("plan"), run.finish("record")
+    assert second["finished"] < first["finished"] < run.state["started"]
+    again = RunFolder.open(run.path, run.state["inputs_sha256"]["recipe.yaml"])
+    assert again.finished("record") == second
+
+    logs = write_runs(2)
+    last = _runs(logs)[-1] / "state.json"
+    with open_history(logs) as history:
+        assert history.runs()[-1].accepted
+    written = last.stat().st_mtime
+    state = json.loads(last.read_text(encoding="utf-8"))
+    last.write_text(json.dumps(state | {"status": "stopped"}), encoding="utf-8")
+    os.utime(last, (written - DAY, written - DAY))
+    with open_history(logs) as history:
+        assert history.runs()[-1].status == "stopped"
 
 
 def test_trends_leave_out_what_nobody_can_put_in_time(write_runs):
