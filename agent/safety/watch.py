@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 
 import numpy as np
 
 from agent.core.errors import AgentError, ControllerError, SafetyError
 from agent.safety.adherence import Adherence
+from agent.safety.looks import Looks
 from agent.safety.patience import Patience
 from agent.safety.preconditions import unsafe_in_motion
 from drivers.errors import DriverError, MotionStopped
@@ -17,8 +17,6 @@ from drivers.protocol import Driver, ReportsTemperatures, SampleBlock, Status
 
 #: The controller's state is looked at so often while the arm moves [s], of its time and of ours.
 WATCH_INTERVAL = 0.2
-#: The samples wait for an answer of the state so long [s]; one that comes later is heeded when it comes.
-PROMPT = 0.05
 #: No sample for so long [s] while the arm may move: nobody watches it then.
 SILENCE = 10.0
 #: A motion may end so long [s] before its plan, where it does not wait for the arm to arrive.
@@ -59,7 +57,6 @@ class MotionWatch:
         self._stop = stop
         #: The end was asked for, so it comes before that of the plan.
         self.stopped = False
-        self._over = False
         #: (controller time [s], (n,) [°C]), where the controller measures temperatures.
         self.temperatures: list[tuple[float, np.ndarray]] = []
 
@@ -76,14 +73,11 @@ class MotionWatch:
         patience = Patience(SILENCE, self._clock, self._stop)
         looked, looked_at = -np.inf, self._clock()
         now, last = np.nan, -1
-        look: Future[AgentError | None] = Future()
-        look.set_result(None)
-        looks = ThreadPoolExecutor(1, "look")
+        looks = Looks(self._poll_status, self._stop)
         try:
             for block in patience.each(self._driver.samples()):
                 began = float(block.time[0]) if began is None else began
-                if fault is None and look.done():
-                    fault = look.result()
+                fault = fault or looks.found
                 reason = self._overdue(block, began) or self._adherence.take(block) if fault is None else None
                 if reason is not None:
                     fault = SafetyError(f"{self._address}: the arm was stopped: {reason}")
@@ -91,19 +85,15 @@ class MotionWatch:
                 yield block
                 now, last = float(block.time[-1]), int(block.sequence[-1])
                 recently = now - looked < WATCH_INTERVAL and self._clock() - looked_at < WATCH_INTERVAL
-                if fault is None and look.done() and not recently:
-                    look = looks.submit(self._look, now)
-                    wait([look], PROMPT)
+                if not recently:
+                    looks.look(now)
                     looked, looked_at = now, self._clock()
-            fault = fault or look.result()
+            fault = fault or looks.result()
         except DriverError as error:
-            fault = fault or look.result()
+            fault = fault or looks.result()
             silent = patience.lost and fault is None
             if not silent and (not isinstance(fault, SafetyError) or isinstance(error, MotionStopped)):
                 raise
-        finally:  # an answer that is still to come asks for nothing more
-            self._over = True
-            looks.shutdown(wait=False)
         if patience.lost and fault is None:
             fault = SafetyError(
                 f"{self._address}: the arm was stopped: no sample came for {SILENCE:g} s while it may have moved; "
@@ -150,13 +140,6 @@ class MotionWatch:
             values = self._driver.temperatures()
             if values is not None:
                 self.temperatures.append((now, values))
-
-    def _look(self, now: float) -> AgentError | None:
-        """Why the controller's state asks for a stop, which it has been asked for then; in a thread of its own."""
-        fault = self._poll_status(now)
-        if fault is not None and not self._over:
-            self._stop()
-        return fault
 
     def _poll_status(self, now: float) -> AgentError | None:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +11,13 @@ import pytest
 from agent.core.errors import AgentError, ControllerError, SafetyError
 from agent.motion.program import Delay
 from agent.safety.guard import GuardedLink
+from agent.safety.looks import Looks
 from agent.safety.motion import SETTLING, PlannedProgram, pauses
 from agent.safety.patience import Patience
 from drivers.errors import DriverError, MotionStopped, RefusedError
 from drivers.transports.tcp import TcpDriver
 from drivers.wire.reasons import EndReason, Refusal
+from tests.conftest import patience
 
 HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
 
@@ -124,16 +127,63 @@ def test_a_state_that_is_not_answered_delays_no_watch(bench, program):
     bench.controller.moves = lambda times: chain.q[0] + 0.4 * np.sin(2 * times)[:, None]
     with pytest.raises(SafetyError, match="what moves is not what was planned"):
         bench.run(program())
-    assert bench.controller.stops >= 1
+    assert bench.controller.stops == 2, "by the watch, and on the way out"
 
 
 def test_a_state_that_comes_late_stops_the_arm_without_another_sample(bench, program, monkeypatch):
     """The stop is asked for when the answer comes, not with the next block."""
-    monkeypatch.setattr("agent.safety.watch.PROMPT", 0.0)
+    monkeypatch.setattr("agent.safety.looks.PROMPT", 0.0)
     bench.controller.blocks, bench.controller.later = 50, {"override": 0.9}
     with pytest.raises(SafetyError, match="90 %"):
         bench.run(program())
     assert bench.controller.stops >= 1
+
+
+class AtOnce(TcpDriver):
+    """The real driver; of its samples there is one block."""
+
+    fails = False
+
+    def samples(self):
+        yield next(super().samples())
+        if self.fails:
+            raise DriverError("gone")
+
+
+@pytest.mark.parametrize("fails", [True, False])
+@pytest.mark.parametrize("astray", [True, False])
+def test_why_it_was_stopped_comes_before_how_the_samples_end(bench, program, fails, astray):
+    bench.driver = type("Told", (AtOnce,), {"fails": fails})
+    bench.controller.pushes, bench.controller.later = True, {} if astray else {"override": 0.9}
+    if astray:
+        bench.controller.moves = lambda times: np.tile(HOME - 0.3, (len(times), 1))
+    with pytest.raises(SafetyError, match="was stopped.*off the planned path" if astray else "was stopped.*90 %"):
+        bench.run(program())
+
+
+def test_one_look_at_a_time_and_what_it_raises_is_raised():
+    told, answer, stops = [], threading.Event(), []
+
+    def ask(now):
+        told.append(now)
+        assert answer.wait(patience(5.0))
+        if now == 3.0:
+            raise ValueError("as told")
+        return ControllerError(f"at {now}") if now else None
+
+    looks = Looks(ask, lambda: stops.append(looks.found))
+    for now in (0.0, 1.0, 2.0):
+        looks.look(now)
+    assert told == [0.0], "the others had to wait for its answer"
+    answer.set()
+    assert looks.result() is None
+    looks.look(4.0)
+    assert str(looks.result()) == str(stops[0]) == "at 4.0"
+    looks.look(3.0)
+    with pytest.raises(ValueError, match="as told"):
+        looks.result()
+    with pytest.raises(ValueError, match="as told"):
+        looks.look(5.0)
 
 
 def test_a_link_that_drops_is_told_with_what_to_do(bench, program):

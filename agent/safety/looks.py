@@ -1,0 +1,46 @@
+"""Looks at the controller's state that delay nobody."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+
+from agent.core.errors import AgentError
+
+#: The samples wait for an answer so long [s]; one that comes later is heeded when it comes.
+PROMPT = 0.05
+
+
+class Looks:
+    """Asks in a thread of its own, one question at a time.
+
+    Args:
+        ask: with the controller's time [s]; says why the arm has to stop, if it has to.
+        stop: asks for a stop; called in that thread as soon as there is a reason.
+    """
+
+    def __init__(self, ask: Callable[[float], AgentError | None], stop: Callable[[], object]) -> None:
+        self._ask = ask
+        self._stop = stop
+        self._thread = ThreadPoolExecutor(1, "look")
+        self._last: Future[None] = self._thread.submit(lambda: None)
+        #: Why the arm had to stop.
+        self.found: AgentError | None = None
+
+    def look(self, now: float) -> None:
+        """Ask, unless an answer is still to come; raises what was raised by the last question."""
+        if self._last.done():
+            self._last.result()
+            self._last = self._thread.submit(self._look, now)
+            wait([self._last], PROMPT)
+
+    def result(self) -> AgentError | None:
+        """Why the arm had to stop, once the last answer has come; raises what was raised by that question."""
+        self._last.result()
+        return self.found
+
+    def _look(self, now: float) -> None:
+        reason = self._ask(now)
+        if reason is not None:
+            self.found = reason
+            self._stop()
