@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.core.figures import plus_minus
 from agent.report.gap_section import diagnosis_section
 from agent.report.page import Section, Table
 
@@ -25,10 +26,16 @@ def parameters_section(table: Sequence[Sequence[str]], notes: Sequence[str] = ()
     """Every parameter with its 95 % interval; `table` is that of `IdentifiedModel.rows`, header first."""
     _, *rows = table
     shown = [
-        (name, value, _interval(value, deviation), deviation, relative, unit, meaning)
-        for name, value, deviation, relative, unit, meaning in rows
+        (
+            name,
+            plus_minus(float(value), _NORMAL_95 * float(deviation)),
+            unit,
+            _known(float(value), float(deviation)),
+            meaning,
+        )
+        for name, value, deviation, _, unit, meaning in rows
     ]
-    header = ("parameter", "value", "95 % interval", "std. dev.", "rel. [%]", "unit", "stands for")
+    header = ("parameter", "value ± 95 %", "unit", "how well it is known", "stands for")
     return Section("Parameters", notes, (Table("parameters", header, shown),))
 
 
@@ -82,6 +89,8 @@ def _number(value: float | None, scale: float = 1.0, form: str = ".1f") -> str:
     return "-" if value is None or not np.isfinite(value) else f"{scale * value:{form}}"
 
 
-def _interval(value: str, deviation: str) -> str:
-    half = _NORMAL_95 * float(deviation)
-    return f"{float(value) - half:.4g} to {float(value) + half:.4g}"
+def _known(value: float, deviation: float) -> str:
+    """How far a parameter is known: the standard deviation over the value, where that says something."""
+    if abs(value) <= _NORMAL_95 * deviation:
+        return "not told from zero"
+    return f"to {100 * deviation / abs(value):.2g} %"

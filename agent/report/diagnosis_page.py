@@ -18,6 +18,7 @@ from agent.report.simulator_section import simulator_sections
 from agent.robot.torque_figures import figure_text
 
 _MOST_STEPS = 8
+_MOST_REJECTED = 12
 _MOST_SCORES = 6
 
 
@@ -37,6 +38,7 @@ def diagnosis_report(
         _where_section(diagnosis),
         _closure_section(diagnosis, simulated),
         *simulator_sections(diagnosis, forward),
+        _rejected_section(diagnosis),
         _steps_section(diagnosis),
         _testability_section(diagnosis),
     ]
@@ -59,6 +61,11 @@ def _cause_section(diagnosis: Diagnosis) -> Section:
         for number, cause in enumerate(result["causes"])
         for key in told(cause)
     ]
+    if rows:
+        text.append(
+            "Intervals come from leaving motions out one at a time. What is chosen from a grid (a fading speed, a "
+            "travel, an order) has none and is held, so that what trades with it may be off by more."
+        )
     tables = (Table("parameters", ("cause", "parameter", "value, 95 % interval"), rows),) if rows else ()
     return Section("What it is", text or ["Nothing to look for."], tables)
 
@@ -126,7 +133,8 @@ def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Se
     result, robot = diagnosis.result, diagnosis.dataset.robot
     text = []
     if result["closure"] is not None and torque_gap(result):
-        text.append(f"{100 * result['closure']:.0f} % of the torque gap is closed, counted down to the floor.")
+        part = "All" if result["closure"] > 0.995 else f"{100 * result['closure']:.0f} %"
+        text.append(f"{part} of the torque gap is closed, counted down to the floor.")
     text += [f"Held out: {fold['held_out']}, fitted on {', '.join(fold['fitted_on'])}." for fold in result["folds"]]
     parts: list[Any] = [before_and_after(diagnosis)]
     motion = result["motion_gap"]
@@ -166,6 +174,32 @@ def _simulation_table(diagnosis: Diagnosis, figures: Mapping[str, Any]) -> Table
     ]
     header = ("joint", "torque, model", "with effects", "position, model [mrad, mm]", "with effects")
     return Table("simulation", header, rows)
+
+
+def _rejected_section(diagnosis: Diagnosis) -> Section:
+    """The candidates of the first scan that were not named, with how far they fell short of the best."""
+    finding, names = diagnosis.finding, diagnosis.dataset.robot.joint_names
+    if not finding.steps or not finding.steps[0].scores:
+        return Section("What was rejected", ("Nothing was tried: there is nothing to explain.",))
+    first = finding.steps[0]
+    named = {candidate.place for candidate in finding.causes}
+    rivals = {place for several in finding.rivals for place in several}
+    could = {id(score) for score in first.eligible}
+    best = max(score.gain for score in first.scores)
+    rows: list[tuple[str, ...]] = []
+    for score in first.scores:
+        candidate = score.candidate
+        if candidate.place in named or best <= 0 or len(rows) == _MOST_REJECTED:
+            continue
+        why = "as good: these data cannot tell it" if candidate.place in rivals else "takes less away"
+        if id(score) not in could:
+            why = "its size, or its motion here, does not let it be named"
+        where = ", ".join(names[j] for j in candidate.joints) or "arm"
+        rows.append((name(candidate.effect.name), where, f"{100 * max(score.gain, 0) / best:.0f} %", why))
+    text = [
+        "What each would take away of the error alone, over what the best does. Beside a cause, most of it is gone."
+    ]
+    return Section("What was rejected", text, (Table("rejected", ("effect", "where", "of the best", "why"), rows),))
 
 
 def _steps_section(diagnosis: Diagnosis) -> Section:

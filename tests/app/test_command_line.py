@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -105,3 +106,27 @@ def test_an_existing_output_is_never_overwritten(run_agent, tmp_path: Path):
     run = run_agent("import", "--robot", "comau_ns16", "--map", mapping, table, log)
     assert run.returncode == 2
     assert log.read_bytes() == b"precious"
+
+
+def test_the_shell_completes_commands():
+    program = Path(sys.executable).with_name("agent")
+    words = {"_AGENT_COMPLETE": "complete_bash", "COMP_WORDS": "agent recal", "COMP_CWORD": "1"}
+    run = subprocess.run([program], env={**os.environ, **words}, capture_output=True, text=True, check=False)
+    assert run.stdout.split() == ["recalibrate"], run.stderr
+
+
+def test_progress_tells_the_time_left_and_paths_are_links_on_a_terminal(monkeypatch, capsys, tmp_path: Path):
+    from agent.core.console import Console, print_path
+
+    now = [0.0]
+    console = Console(clock=lambda: now[0])
+    console.step("search")
+    now[0] = 10.0
+    console.progress("generation 1 of 4", 0.25)
+    assert "generation 1 of 4, about 30 s left" in capsys.readouterr().err
+    print_path(tmp_path)
+    assert capsys.readouterr().out == f"{tmp_path}\n"
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    print_path(tmp_path)
+    assert capsys.readouterr().out == f"\033]8;;{tmp_path.as_uri()}\033\\{tmp_path}\033]8;;\033\\\n"

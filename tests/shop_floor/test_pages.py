@@ -6,6 +6,7 @@ import base64
 import gzip
 import json
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -69,7 +70,7 @@ def test_a_calibration(calibrated: Path, browse):
         "Provenance",
     ]
     assert "Not needed: there is no earlier model" in text
-    assert "95 % interval" in text
+    assert "value ± 95 %" in text
     assert "jitter [µs RMS]" in text
     document = _check_shown(browse, page)
     assert document.count("<canvas") > 1, "plots are drawn"
@@ -201,3 +202,41 @@ def test_a_diagnosis_opens_the_report_when_the_last_model_predicts_worse(worn: P
     assert "friction change on joint_2" in page.split("</header>")[0]
     compared = json.loads(run_agent("compare", result["reference"], folder.name, "--json").stdout)
     assert next(entry["name"] for entry in compared["parameters"] if entry["moved"]) == "f0_2"
+
+
+def test_runs_side_by_side(shop: Path, browse):
+    from agent.core.console import Console
+    from agent.pipeline.compare import compare_runs
+
+    (first,) = (path.parent for path in shop.glob("logs/*/model.json"))
+    second = first.with_name("20300101T000000Z_comau_ns16")
+    shutil.copytree(first, second)
+    model = json.loads((second / "model.json").read_text(encoding="utf-8"))
+    worn = next(entry for entry in model["friction"] if entry["name"] == "f0_2")
+    worn["value"] *= 1.5
+    (second / "model.json").write_text(json.dumps(model), encoding="utf-8")
+    page = shop / "compare.html"
+    compare_runs([first, second, first], Console(-1), page)
+    assert "None of" in page.read_text("utf-8").split("</header>")[0]
+    found = compare_runs([first, second], Console(-1), page)
+    assert [change.name for change in found[0].changes if change.moved] == ["f0_2"]
+    text = _check_file(page)
+    assert "1 of" in text.split("</header>")[0]
+    assert "f0_2 by" in text.split("</header>")[0]
+    assert "Friction curves" in _titles(text)
+    _check_shown(browse, page)
+
+
+def test_a_run_refreshes_the_page_over_all_runs(calibrated: Path, monkeypatch):
+    from typer.testing import CliRunner
+
+    from agent.cli.app import app
+
+    index = calibrated / "logs/index.html"
+    (run,) = (path.parent.name for path in calibrated.glob("logs/*/state.json"))
+    assert run in index.read_text(encoding="utf-8")
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    shown = CliRunner().invoke(app, ["report", "--index", "--open", "--logs", str(calibrated / "logs")])
+    assert shown.exit_code == 0, shown.output
+    assert opened == [index.as_uri()]

@@ -77,3 +77,30 @@ def test_a_section_is_one_function_and_one_registration(monkeypatch, tmp_path):
     assert [section.title for section in made] == ["Held out"]
     assert "worst: joint_3" in render(Page("t", "h", "plain", made))
     assert len(RUN_SECTIONS) >= 5
+
+
+def test_a_friction_curve_is_that_of_long_sliding(logs):
+    from agent.report.friction_section import friction_curve
+
+    robot, (fitted, _) = logs
+    model = estimate(robot, [fitted], EstimationSettings.create(method="paper", cutoff=20))
+    speed = np.array([-1.0, -0.2, 0.0, 0.2, 1.0])
+    b, n = len(model.independent), robot.dof
+    for axle in range(n):
+        level = {term.form: model.values[b + k] for k, term in enumerate(model.terms) if term.axle == axle}
+        expected = (
+            level["coulomb"] * np.sign(speed) + level["viscous"] * speed + level["quadratic"] * speed * abs(speed)
+        )
+        curve, half = friction_curve(model, axle, speed)
+        np.testing.assert_allclose(curve, expected)
+        assert np.all(half >= 0)
+
+
+def test_the_parts_of_a_prediction_sum_to_it(logs):
+    robot, (fitted, unseen) = logs
+    model = estimate(robot, [fitted], EstimationSettings.create(method="weighted", cutoff=20))
+    prediction = predict_log(model, unseen)
+    parts = prediction.parts
+    assert list(parts) == ["gravity", "inertia", "Coriolis", "friction"]
+    total = np.sum(list(parts.values()), axis=0)
+    np.testing.assert_allclose(total, prediction.predicted, atol=1e-6 * np.abs(prediction.predicted).max())

@@ -1,0 +1,45 @@
+"""How large a cause is, as people read it: value, interval, unit."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.core.figures import plus_minus
+from agent.diagnosis.sizes import leading, size_text, told, unit_of
+
+NUMBER = re.compile(r"-?[\d.]+(?:e[-+]?\d+)?")
+
+
+@given(st.floats(-1e9, 1e9), st.floats(-6, 2))
+def test_a_value_is_given_to_the_digits_of_its_interval(value: float, power: float):
+    half = max(abs(value), 1e-3) * 10**power
+    text = plus_minus(value, half)
+    scale = 10 ** float(text.rpartition(")e")[2]) if ")e" in text else 1.0
+    shown, spread = (scale * float(number) for number in NUMBER.findall(text)[:2])
+    assert shown == pytest.approx(value, abs=0.06 * half)
+    assert spread == pytest.approx(half, rel=0.06)
+    assert "nan" not in text
+
+
+def test_figures_have_their_units():
+    assert plus_minus(4.0032, 0.0213) == "4.003 ± 0.021"
+    assert plus_minus(133_269.5, 2114.0) == "133300 ± 2100"
+    assert size_text("payload", "mass", 4.0, (3.98, 4.02)) == "4.000 ± 0.020 kg"
+    assert size_text("time_delay", "delay", 0.009, None) == "9 ms"
+    assert size_text("encoder_offset", "offset", 0.01, (0.009, 0.011)) == "10.0 ± 1.0 mrad"
+    assert size_text("torque_offset", "offset", 2.0, None) == "2 N·m"
+    assert size_text("torque_offset", "offset", 2.0, None, slides=True) == "2 N"
+    assert size_text("torque_constant", "scale_error", 0.05, None) == "5 %"
+    assert unit_of("contact", "force_x_2") == "N"
+
+
+def test_the_leading_figure_and_what_is_not_told():
+    payload = {"effect": "payload", "parameters": {"m0": 3.9, "hx0": 0.1, "mass": 4.0, "moment_x": 0.4}}
+    assert leading(payload) == "mass"
+    assert told(payload) == ["mass", "moment_x"]
+    assert leading({"effect": "inertial_mismatch", "parameters": {"link": 3.0, "m3": 1.0}}) == "m3"
+    assert leading({"effect": "other", "parameters": {"odd": 1.0}}) is None
