@@ -45,6 +45,8 @@ def compare_runs(runs: Sequence[Path], console: Console, report: Path | None = N
 def _models(runs: Sequence[Path]) -> list[IdentifiedModel]:
     from agent.estimation import IdentifiedModel
 
+    if len({run.name for run in runs}) < len(runs):
+        raise InputError("compare: a run is named twice; name two runs or more, each once")
     for run in runs:
         if not (run / "model.json").is_file():
             raise InputError(

@@ -215,9 +215,11 @@ def test_runs_side_by_side(shop: Path, browse):
     worn = next(entry for entry in model["friction"] if entry["name"] == "f0_2")
     worn["value"] *= 1.5
     (second / "model.json").write_text(json.dumps(model), encoding="utf-8")
+    third = first.with_name("20300102T000000Z_comau_ns16")
+    shutil.copytree(first, third)
     page = shop / "compare.html"
-    compare_runs([first, second, first], Console(-1), page)
-    assert "None of" in page.read_text("utf-8").split("</header>")[0]
+    compare_runs([first, second, third], Console(-1), page)
+    assert "None of" in page.read_text("utf-8").split("</header>")[0], "the last against the first"
     found = compare_runs([first, second], Console(-1), page)
     assert [change.name for change in found[0].changes if change.moved] == ["f0_2"]
     text = _check_file(page)
