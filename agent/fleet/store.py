@@ -21,7 +21,7 @@ from agent.core.errors import AgentError, InputError
 from agent.core.parallel import needed
 
 #: How often a store is asked before it counts as unavailable, and the first pause between [s]; each is twice the last.
-TRIES = 6
+TRIES = 4
 PAUSE = 0.25
 #: Errors of the system that another try does not mend.
 _FINAL = (FileNotFoundError, PermissionError, NotADirectoryError, IsADirectoryError)

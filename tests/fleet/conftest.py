@@ -114,12 +114,12 @@ def cluster() -> Iterator[DaskProcesses]:
 
 
 class FlakyProxy:
-    """Stands before an S3 server; every request for which `fault(number, method)` says so fails: "500", or "cut" in the
+    """Stands before an S3 server; every request for which `fault(number, method, path)` says so fails: "500", or "cut" in the
     middle of its body."""
 
     def __init__(self, port: int) -> None:
         proxy = self
-        self.fault: Callable[[int, str], str] = lambda number, method: ""
+        self.fault: Callable[[int, str, str], str] = lambda number, method, path: ""
         self.count = 0
         self.faults = 0
 
@@ -128,7 +128,7 @@ class FlakyProxy:
 
             def _pass_on(self) -> None:
                 proxy.count += 1
-                fault = proxy.fault(proxy.count, self.command)
+                fault = proxy.fault(proxy.count, self.command, self.path)
                 body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
                 if fault == "500":
                     proxy.faults += 1
@@ -179,10 +179,16 @@ def s3(monkeypatch: pytest.MonkeyPatch) -> Iterator[FlakyProxy]:
         monkeypatch.setenv(f"AWS_{key}", value)
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
-    proxy = FlakyProxy(server.get_host_and_port()[1])
+    port = server.get_host_and_port()[1]
+    reset = http.client.HTTPConnection("127.0.0.1", port)  # what it holds outlives a server
+    reset.request("POST", "/moto-api/reset")
+    reset.getresponse().read()
+    proxy = FlakyProxy(port)
     monkeypatch.setenv("AWS_ENDPOINT_URL", proxy.url)
     import s3fs
 
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")  # tries of the libraries below have pauses of their own
+    monkeypatch.setattr(s3fs.S3FileSystem, "retries", 1)
     s3fs.S3FileSystem.clear_instance_cache()
     s3fs.S3FileSystem().mkdir("plant")
     yield proxy

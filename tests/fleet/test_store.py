@@ -1,0 +1,92 @@
+"""A real S3 server that answers with errors and half files: the result is that of the folder beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from agent.core.console import Console
+from agent.core.parallel import InProcess
+from agent.fleet import make_question, run_fleet, store
+from agent.fleet.store import Store, StoredFile, StoreError
+from tests.fleet.conftest import FlakyProxy, rows_of
+
+SAME = ("robot", "run", "status", "started", "rmse", "parameters", "friction", "warm_up", "model", "warnings")
+
+
+@pytest.fixture(autouse=True)
+def _short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store, "PAUSE", 0.0)
+
+
+def _upload(folder: Path, url: str) -> None:
+    there = Store(url)
+    for path in sorted(folder.rglob("*")):
+        if path.is_file():
+            there.put(path.relative_to(folder).as_posix(), path)
+
+
+def _fetched(url: str, folder: Path) -> list[dict]:
+    there = Store(url)
+    folder.mkdir()
+    there.fetch(there.find("rows.parquet"), folder)
+    return rows_of(folder)
+
+
+def test_from_s3_to_s3_through_errors_and_half_files(s3: FlakyProxy, plant: Path, estimated: Path, tmp_path: Path):
+    _upload(plant, "s3://plant/hall")
+
+    def estimate():
+        question = make_question("estimate", None, None)
+        return run_fleet("s3://plant/hall", question, "s3://plant/result", lambda _: InProcess(), Console(-1))
+
+    s3.fault = lambda number, method, _: {2: "500", 5: "cut"}.get(number % 7, "") if method == "GET" else ""
+    summary = estimate()
+    assert s3.faults > 5
+    assert (summary.done, len(summary.failed)) == (13, 1)
+    ours = [{key: row[key] for key in SAME} for row in _fetched("s3://plant/result", tmp_path / "s3")]
+    assert ours == [{key: row[key] for key in SAME} for row in rows_of(estimated)]
+    names = {row["model"].split("/")[1] for row in ours if row["model"]}
+    assert set(Store("s3://plant/result").names("_models")) == names
+    assert Store("s3://plant/result").names("_done") == []
+    assert (estimate().done, estimate().kept) == (0, 13)
+
+
+def test_a_store_that_never_gives_a_file_is_a_row_that_is_tried_again(s3, plant, tmp_path, monkeypatch):
+    _upload(plant / "robot_0001", "s3://plant/hall/robot_0001")
+    question = make_question("estimate", None, None)
+
+    def estimate():
+        return run_fleet("s3://plant/hall", question, str(tmp_path / "out"), lambda _: InProcess(), Console(-1))
+
+    monkeypatch.setattr(store, "TRIES", 1)  # s3fs has tries of its own
+    s3.fault = lambda _, method, path: "500" if method == "GET" and path.endswith("excitation.mcap") else ""
+    summary = estimate()
+    assert [one["status"] for one in summary.failed] == ["unavailable"] * 2
+    assert "cannot be fetched, tried" in summary.failed[0]["reason"]
+    s3.fault = lambda *_: ""
+    assert (estimate().done, estimate().failed) == (2, [])
+
+
+def test_half_a_file_is_not_taken_for_a_whole_one(tmp_path: Path, s3: FlakyProxy):
+    there = Store("s3://plant/x")
+    there.put("a/b.bin", b"0123456789")
+    (file,) = there.files()
+    assert there.fetch(file, tmp_path).read_bytes() == b"0123456789"
+    with pytest.raises(StoreError, match="10 of 11 bytes came"):
+        there.fetch(StoredFile(file.path, 11, file.stamp), tmp_path)
+    with pytest.raises(StoreError, match="its MD5 is another"):
+        there.fetch(StoredFile(file.path, 10, "0" * 32), tmp_path)
+
+
+def test_a_local_file_is_written_whole_or_not_at_all(tmp_path: Path):
+    there = Store(str(tmp_path / "folder"))
+    there.put("a/b", b"one")
+    there.put("a/b", b"two")
+    assert [path.name for path in (tmp_path / "folder" / "a").iterdir()] == ["b"]
+    assert there.read("a/b") == b"two"
+    there.remove("a/b")
+    there.remove("a/b")
+    assert there.names("a") == []
+    assert there.names("nothing") == []
