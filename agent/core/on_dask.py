@@ -211,5 +211,7 @@ class DaskEngine:
             )
         except ValueError as error:
             raise InputError(f"local workers cannot be started: {error}") from None
+        except (RuntimeError, OSError) as error:
+            raise AgentError(f"local workers cannot be started: {error}; is there enough memory?") from None
         self._client = self._dask.Client(self._cluster, set_as_default=False)
         self._say(f"{self._workers} local workers; dashboard {self._cluster.dashboard_link}")

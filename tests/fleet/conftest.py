@@ -114,8 +114,8 @@ def cluster() -> Iterator[DaskProcesses]:
 
 
 class FlakyProxy:
-    """Stands before an S3 server; every request for which `fault(number, method, path)` says so fails: "500", or "cut" in the
-    middle of its body."""
+    """Stands before an S3 server; requests for which `fault(number, method, path)` says so fail: "500", or "cut" in the
+    middle of the answer."""
 
     def __init__(self, port: int) -> None:
         proxy = self
