@@ -34,7 +34,7 @@ class Cell:
     deeper than this is missed.
 
     Raises:
-        InputError: a joint range for a joint that the robot has not, or an empty one.
+        InputError: a joint range for a joint that the robot has not, or an empty one; a body or box that is no number.
     """
 
     def __init__(
@@ -195,6 +195,11 @@ def _collision_model(
     if tool is not None:
         x, y, z = (float(value) for value in np.asarray(tool.frame)[:3, 3])
         bodies.append(Body("tool", robot.tip_frame, (Capsule((0.0, 0.0, 0.0), (x, y, z), tool_radius),)))
+    sizes = [(box.name, (*box.minimum, *box.maximum)) for box in keep_out]
+    sizes += [(body.name, (*one.start, *one.end, one.radius)) for body in bodies for one in body.capsules]
+    for name, numbers in sizes:  # of such a shape every distance would be a large one
+        if not np.isfinite(numbers).all():
+            raise InputError(f"cell: the size or place of {name} is no number, so nothing can be kept clear of it")
     model = CollisionModel(robot, bodies, keep_out)
     if not robot.bodies:
         model.leave_out([pair for pair in model.pairs if not pair.second.startswith(KEEP_OUT)])

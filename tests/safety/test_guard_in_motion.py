@@ -268,6 +268,28 @@ def test_a_controller_that_lives_and_sends_no_samples_is_stopped(bench, program)
     assert bench.controller.stops >= 1
 
 
+def test_silence_after_a_stop_does_not_hide_why_it_was_asked_for(bench, program):
+    class Stuck(TcpDriver):
+        stops = 0
+
+        def samples(self):
+            yield next(super().samples())
+            over.wait()
+
+        def stop(self):
+            self.stops += 1
+            if self.stops > 1:  # the first is answered, and nothing ends
+                over.set()
+                super().stop()
+
+    over = threading.Event()
+    bench.driver = Stuck
+    bench.controller.pushes, bench.controller.later = True, {"override": 0.9}
+    ticks = iter(range(10**6))
+    with pytest.raises(SafetyError, match="90 %"):
+        bench.run(program(), bench.open(clock=lambda: 5.0 * next(ticks)))
+
+
 def test_a_taker_who_is_slow_is_no_silence():
     gone = []
     clock = iter(range(0, 10**6, 100))

@@ -73,8 +73,10 @@ def lied_to(bench, wide: PlannedProgram, lie: str, moment: float) -> None:
     bench.guard.close()
 
 
-def test_the_motion_itself_is_fine(bench, wide):
-    bench.controller = replace(bench.controller, pushes=True, blocks=18, moves=planned, measures=planned)
+@pytest.mark.parametrize("later", [{}, {"position": tuple(HOME + 0.2)}])
+def test_the_motion_itself_is_fine(bench, wide, later):
+    """Where the state says that the arm stands is asked for only where its samples do not tell."""
+    bench.controller = replace(bench.controller, pushes=True, blocks=18, moves=planned, measures=planned, later=later)
     assert bench.run(wide) == 1800
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from agent.core.errors import AgentError, InputError
 from agent.motion.trajectory import Trajectory
-from agent.robot import load_robot
+from agent.robot import Box, load_robot
 from agent.safety.authorisation import LONGEST
 from agent.safety.cell import Cell, position_ranges
 from agent.safety.preconditions import check_identity, check_period, check_plan, check_ready, unsafe_in_motion
@@ -148,6 +148,30 @@ def test_a_cell_is_checked_with_a_margin_that_is_a_number(value):
         cell.check(HOME[None], margin=value)
     with pytest.raises(ValueError, match="finite"):
         cell.check(HOME[None] * np.nan)
+
+
+def test_boxes_and_bodies_that_are_no_numbers_are_refused(monkeypatch):
+    table = Box("table", (0.4, -1.0, 0.0), (1.6, 1.0, 0.3))
+    cell = Cell(ROBOT, None, [table])
+    with pytest.raises(InputError, match="no motion can keep clear"):
+        cell.check_boxes(np.nan)
+    cell.check_boxes(0.0)
+    for nothing in (replace(table, maximum=(1.6, np.nan, 0.3)), replace(table, minimum=(-np.inf, -1.0, 0.0))):
+        with pytest.raises(InputError, match="table is no number"):
+            Cell(ROBOT, None, [nothing])
+    capsule = replace(ROBOT.bodies["link_6"][0], radius=np.nan)
+    with pytest.raises(InputError, match="link_6 is no number"):
+        Cell(replace(ROBOT, bodies={**ROBOT.bodies, "link_6": (capsule,)}))
+    distances = cell._model.distances
+    monkeypatch.setattr(cell._model, "distances", lambda *of: distances(*of) * np.nan)
+    with pytest.raises(InputError, match="distance of two bodies is no number"):
+        cell.check(HOME[None])
+
+
+def test_ends_of_a_joint_that_are_no_numbers_are_left_by_any_motion():
+    joints = (replace(ROBOT.joints[0], lower=np.nan), *ROBOT.joints[1:])
+    bare = replace(ROBOT, bodies={}, joints=joints)
+    assert Cell(bare).check(HOME[None]).collision.first == "joint_1"
 
 
 def test_a_way_to_a_stop_that_is_no_number_is_not_clear():
