@@ -195,7 +195,7 @@ def _collision_model(
     if tool is not None:
         x, y, z = (float(value) for value in np.asarray(tool.frame)[:3, 3])
         bodies.append(Body("tool", robot.tip_frame, (Capsule((0.0, 0.0, 0.0), (x, y, z), tool_radius),)))
-    sizes = [(box.name, (*box.minimum, *box.maximum)) for box in keep_out]
+    sizes: list[tuple[str, tuple[float, ...]]] = [(box.name, (*box.minimum, *box.maximum)) for box in keep_out]
     sizes += [(body.name, (*one.start, *one.end, one.radius)) for body in bodies for one in body.capsules]
     for name, numbers in sizes:  # of such a shape every distance would be a large one
         if not np.isfinite(numbers).all():

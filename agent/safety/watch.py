@@ -91,8 +91,7 @@ class MotionWatch:
             fault = fault or looks.result()
         except DriverError as error:
             fault = fault or looks.result()
-            silent = patience.lost and fault is None
-            if not silent and (not isinstance(fault, SafetyError) or isinstance(error, MotionStopped)):
+            if not patience.lost and (not isinstance(fault, SafetyError) or isinstance(error, MotionStopped)):
                 raise
         if patience.lost and fault is None:
             fault = SafetyError(

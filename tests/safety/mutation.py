@@ -102,6 +102,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "left <= EARLY": "of a plan that was checked",
         "left <= EARLY + lost": "the same, and counts",
         "gap.first > last": "counts",
+        "now - self.temperatures[-1][0] <= interval": "of times that the driver has checked",
     },
 }
 

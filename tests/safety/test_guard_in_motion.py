@@ -268,25 +268,31 @@ def test_a_controller_that_lives_and_sends_no_samples_is_stopped(bench, program)
     assert bench.controller.stops >= 1
 
 
-def test_silence_after_a_stop_does_not_hide_why_it_was_asked_for(bench, program):
+@pytest.mark.parametrize("fails", [True, False])
+@pytest.mark.parametrize(("later", "said"), [({}, "no sample came for 10 s"), ({"override": 0.9}, "90 %")])
+def test_silence_is_told_and_hides_no_other_reason(bench, program, fails, later, said):
+    """However the samples end once it is over."""
+
     class Stuck(TcpDriver):
         stops = 0
 
         def samples(self):
             yield next(super().samples())
             over.wait()
+            if fails:
+                raise DriverError("gone")
 
         def stop(self):
             self.stops += 1
-            if self.stops > 1:  # the first is answered, and nothing ends
+            if self.stops > len(later):  # one that the state asked for is answered, and nothing ends
                 over.set()
                 super().stop()
 
     over = threading.Event()
     bench.driver = Stuck
-    bench.controller.pushes, bench.controller.later = True, {"override": 0.9}
+    bench.controller.pushes, bench.controller.later = True, later
     ticks = iter(range(10**6))
-    with pytest.raises(SafetyError, match="90 %"):
+    with pytest.raises(SafetyError, match=said):
         bench.run(program(), bench.open(clock=lambda: 5.0 * next(ticks)))
 
 
