@@ -13,13 +13,16 @@ from agent.cli import fleet, shop_floor
 from agent.cli.options import (
     AllowMixed,
     AsJson,
+    Budget,
     Cutoff,
     Force,
     Logs,
+    NextRecipe,
     Quiet,
     RecipePath,
     RobotOption,
     RunsFolder,
+    UntilSure,
     Verbose,
     Yes,
     console_for,
@@ -232,8 +235,16 @@ def diagnose(
     report: Annotated[Path | None, typer.Option("--report", metavar="OUT.html", help="page to write")] = None,
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="MODEL", help="model file, MJCF or URDF to write, with what was found"),
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="OUT",
+            help="model file, MJCF or URDF to write, with what was found; folder of --next",
+        ),
     ] = None,
+    next_recipe: NextRecipe = None,
+    until_sure: UntilSure = False,
+    budget: Budget = "10 min",
     runs: Annotated[Path, typer.Option("--logs", metavar="DIR", help="where a recorded run is kept")] = Path("logs"),
     yes: Yes = False,
     verbose: Verbose = False,
@@ -241,14 +252,19 @@ def diagnose(
 ) -> None:
     """The gap between model and robot: where it lies, which effect causes it, how far it shrinks."""
     from agent.core.console import print_json
-    from agent.pipeline.diagnose import Question, diagnose_files, diagnose_recording, diagnosis_text
+    from agent.pipeline.diagnose import Question, diagnose_files, diagnose_recording
+    from agent.pipeline.diagnosis_text import diagnosis_text
+    from agent.pipeline.until_sure import budget_of
 
-    question = Question(model, joint_map, cutoff, tuple(without or ()), report, out, allow_mixed, force)
+    question = Question(model, joint_map, cutoff, tuple(without or ()), report, out, allow_mixed, force, next_recipe)
     console = console_for(verbose, quiet)
     if record is not None:
         if logs or robot:
             raise InputError("diagnose: --record records its own logs of the recipe's robot: leave out LOG and --robot")
-        result = diagnose_recording(record, question, console, runs, yes)
+        motion = budget_of(budget) if until_sure else None
+        result = diagnose_recording(record, question, console, runs, yes, motion)
+    elif until_sure:
+        raise InputError("diagnose: --until-sure moves the robot: name the recipe to record with --record RECIPE")
     elif not logs or not (robot or model):
         raise InputError(
             "diagnose: name the robot or the simulator, and the logs (--robot R or --model MODEL, LOG...), or a recipe "

@@ -29,3 +29,11 @@ def console_for(verbose: bool, quiet: bool) -> Any:
     from agent.core.console import Console
 
     return Console(verbosity=1 if verbose else -1 if quiet else 0)
+
+
+NextRecipe = Annotated[
+    Path | None,
+    typer.Option("--next", metavar="RECIPE", help="plan the motion in its sub-region that tells what is open"),
+]
+UntilSure = Annotated[bool, typer.Option("--until-sure", help="with --record: further motions until it is settled")]
+Budget = Annotated[str, typer.Option("--budget", metavar="TIME", help="of motion for --until-sure, as '10 min'")]

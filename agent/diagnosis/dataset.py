@@ -88,7 +88,7 @@ def assemble(
             left = segment.torque[:, joint] - columns @ model.values[places] - extra[:, joint]
             rows[joint].append(np.column_stack([columns, left]))
     speed = np.concatenate([s.qd[s.kept] for s in signals])
-    sigma = _background(reference, background, signals, limits)
+    sigma = background_of(reference, background, signals, limits)
     joined = [np.concatenate(parts) / sigma[:, joint, None] for joint, parts in enumerate(rows)]
     time = np.concatenate([s.time[s.kept] for s in signals])
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
@@ -140,7 +140,7 @@ def _moving_error(model: IdentifiedModel) -> np.ndarray:
     return model.held_out_rmse * np.clip(ratio, 0.15, 1.0)
 
 
-def _background(
+def background_of(
     reference: NominalModel,
     moving: np.ndarray,
     signals: Sequence[MotionSignals],

@@ -14,7 +14,7 @@ from agent.diagnosis import Diagnosis
 from agent.model.identified import IdentifiedModel
 from agent.notebook.card import Shown, bars, lines
 from agent.pipeline.calibrate import Outcome
-from agent.pipeline.diagnose import diagnosis_text
+from agent.pipeline.diagnosis_text import diagnosis_text
 from agent.pipeline.identify import validation_text
 from agent.pipeline.plan import PlanFiles
 from agent.recording import Log

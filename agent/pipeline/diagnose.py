@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,13 +25,6 @@ _SIMULATOR = "simulator.json"
 #: Slow motions beside the excitation loop: enough to hold one out, few enough to wait for.
 _VALIDATION_MOTIONS = 3
 
-_VERDICTS = {
-    "no_gap": "no gap: nothing of practical size beyond what the model's own prediction error allows",
-    "explained": "explained",
-    "ambiguous": "ambiguous: the data cannot tell the first cause from its equivalents",
-    "unknown": "unknown: there is a gap, and no effect of the catalogue closes it",
-}
-
 
 @dataclass(frozen=True)
 class Question:
@@ -40,7 +33,8 @@ class Question:
     `model` is a model file, an MJCF or a URDF; `joint_map` says how joints of the latter two are called in the logs.
     `report` is the page, `out` the file of the model with the effects found, or of the simulator corrected (its own
     format); None: neither. `allow_mixed`: logs and
-    model may be of several machines or tools; `force`: go on although a log is implausible.
+    model may be of several machines or tools; `force`: go on although a log is implausible. `next_recipe`: where the
+    motion that tells more may lie; then `out` is the folder for it.
     """
 
     model: Path | None = None
@@ -51,6 +45,7 @@ class Question:
     out: Path | None = None
     allow_mixed: bool = False
     force: bool = False
+    next_recipe: Path | None = None
 
 
 def diagnose_files(robot: str | None, paths: Sequence[Path], question: Question, console: Console) -> dict[str, Any]:
@@ -64,8 +59,12 @@ def diagnose_files(robot: str | None, paths: Sequence[Path], question: Question,
     return _diagnose(None if robot is None else load_robot(robot), paths, question, console, robot)
 
 
-def diagnose_recording(recipe: Path, question: Question, console: Console, runs: Path, yes: bool) -> dict[str, Any]:
+def diagnose_recording(
+    recipe: Path, question: Question, console: Console, runs: Path, yes: bool, budget: float | None = None
+) -> dict[str, Any]:
     """Record the recipe's motions into a run folder, then diagnose them; result and report are in the folder too.
+
+    With a `budget` [s of motion], what is left open is asked of further motions until it is settled (`until_sure`).
 
     Raises:
         AgentError, DriverError: as in `agent calibrate`, before anything moves or after a controlled stop.
@@ -75,6 +74,7 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
     from agent.pipeline.ending import ending_text
     from agent.pipeline.record_plan import record_plan
     from agent.pipeline.reports import refresh_index
+    from agent.pipeline.until_sure import until_sure
     from agent.recipe import load_recipe
     from agent.runs.approved import approve
     from agent.runs.folder import RunFolder, write_atomically
@@ -97,11 +97,20 @@ def diagnose_recording(recipe: Path, question: Question, console: Console, runs:
             plan = planning.plan_once(loaded, run, console)
         with step(run, "record", console):
             recordings = record_plan(loaded, plan, run, console, runs, yes)
+        paths, rounds = [recording.path for recording in recordings], None
+        if budget is not None:
+            with step(run, "rounds", console):
+                further, rounds = until_sure(
+                    lambda logs: _find(loaded.robot, logs, question, console)[0],
+                    paths, loaded, run, console, runs, yes, budget - sum(one.duration for one in recordings),
+                )  # fmt: skip
+                paths += further
         with step(run, "diagnose", console):
             report = run.file("report.html")
             here = replace(question, report=report)
-            recorded = [recording.path for recording in recordings]
-            result = _diagnose(loaded.robot, recorded, here, console, loaded.robot_source, simulator)
+            result = _diagnose(loaded.robot, paths, here, console, loaded.robot_source, simulator)
+            if rounds is not None:
+                result["rounds"] = rounds
             run.write_json("result.json", result)
             if question.report is not None:
                 write_atomically(question.report, report.read_text(encoding="utf-8"))
@@ -124,7 +133,8 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
     asked = json.loads((run / "state.json").read_text(encoding="utf-8"))["question"]
     model = run / _SIMULATOR
     question = Question(model if model.exists() else None, cutoff=asked["cutoff"], without=tuple(asked["without"]))
-    logs = [run / "excitation.mcap", *sorted(run.glob("validation_[0-9][0-9].mcap"))]
+    parts = ("validation_[0-9][0-9].mcap", "experiment_[0-9][0-9].mcap")
+    logs = [run / "excitation.mcap", *(log for part in parts for log in sorted(run.glob(part)))]
     found, simulated, _ = _find(robot, logs, question, console)
     return diagnosis_report(found, simulated, next_steps=after_diagnosis(found.result, source, logs, question.model))
 
@@ -149,6 +159,8 @@ def _diagnose(
     result = {**found.result, "simulation": simulation_part(found, simulated)}
     if simulator is not None:
         result |= run_forward(found, simulator, console)
+    if question.next_recipe is not None:
+        result["next_experiment"] = _next(found, question, console) or result["next_experiment"]
     if question.report is not None:
         from agent.pipeline.first_screen import after_diagnosis
         from agent.report.diagnosis_page import diagnosis_report
@@ -157,12 +169,23 @@ def _diagnose(
         steps = after_diagnosis(found.result, source, paths, question.model)
         page = diagnosis_report(found, simulated, result.get("forward"), steps)
         write_atomically(question.report, page)
-    if question.out is not None:
+    if question.out is not None and question.next_recipe is None:
         if simulator is not None:
             write_simulator(found, simulator, question.out, console)
         else:
             _write_model(found, question.out, console)
     return result
+
+
+def _next(found: Diagnosis, question: Question, console: Console) -> dict[str, Any] | None:
+    """The motion that tells more, written into its folder."""
+    from agent.pipeline.next_experiment import plan_next, write_next
+    from agent.recipe import load_recipe
+
+    assert question.next_recipe is not None
+    assert question.out is not None
+    motion = plan_next(found, load_recipe(question.next_recipe), console)
+    return None if motion is None else write_next(motion, question.out)
 
 
 def _find(
@@ -221,10 +244,15 @@ def _check(question: Question, logs: Sequence[Path]) -> None:
 
     check_effects(question.without)
     inputs = [*logs, *(path for path in (question.model, question.joint_map) if path)]
-    for out in (question.report, question.out):
+    if question.next_recipe is not None:
+        from agent.pipeline.next_experiment import check_next
+
+        check_next(question.next_recipe, question.out)
+    files = (question.report, None if question.next_recipe is not None else question.out)
+    for out in files:
         if out is not None:
             check_output(out, inputs)
-    if question.out is not None:
+    if question.out is not None and question.next_recipe is None:
         check_simulator_out(question.model, question.out, inputs)
 
 
@@ -242,66 +270,3 @@ def _write_model(found: Diagnosis, out: Path, console: Console) -> None:
         console.warn(f"{out}: no effect was found, so nothing is added to the model")
         model = found.dataset.model
     model.save(out)
-
-
-def diagnosis_text(result: dict[str, Any]) -> str:
-    """A diagnosis for people."""
-    from agent.diagnosis.labels import closes, torque_gap
-    from agent.diagnosis.sizes import size_text, told
-    from agent.robot.torque_figures import SHARE, figure_text
-
-    lines = [_VERDICTS[result["verdict"]]]
-    for cause in result["causes"]:
-        joints = ", ".join(cause["joints"]) or "the whole arm"
-        closed = f", {closes(cause)}" if closes(cause) else ""
-        lines.append(f"  {cause['effect']} on {joints}{closed}, probability {cause['probability']:.2f}")
-        sizes = (f"{key} {size_text(cause['effect'], key, cause['parameters'][key], None)}" for key in told(cause))
-        parameters = "  ".join(sizes)
-        lines.append(f"    {parameters}")
-        for other in cause["equivalent_to"]:
-            lines.append(f"    as good: {other['effect']} on {', '.join(other['joints']) or 'the whole arm'}")
-    gap = result["gap"]
-    lines.append("torque error held out, in % of nominal torque where there is one; floor: what no cycle repeats")
-    lines.append(f"{'joint':12} {'before':>11} {'after':>11} {'floor':>11} {'share':>7}   mostly in")
-    shares = {entry["joint"]: entry for entry in result["where"]}
-    somewhere = torque_gap(result)
-    for k, name in enumerate(gap["joints"]):
-        before, after, floor = (
-            "-" if gap[side] is None else figure_text(gap[side][k], gap["units"][k])
-            for side in ("before", "after", "floor")
-        )
-        regimes = [r["name"] for r in shares[name]["regimes"] if somewhere and r["share"] > 1.5 * r["of_samples"]][:2]
-        share = f"{100 * shares[name]['share']:6.1f}%" if somewhere else f"{'-':>7}"
-        lines.append(f"{name:12} {before:>11} {after:>11} {floor:>11} {share}   {', '.join(regimes)}".rstrip())
-    if result["closure"] is not None and somewhere:
-        lines.append(f"closed: {100 * result['closure']:.1f} % of the gap in torque")
-    lines += list(_waterfall_lines(result.get("waterfall", [])))
-    if result.get("simulation"):
-        torque, units = result["simulation"]["torque"], gap["units"]
-        worst = max(range(len(units)), key=lambda k: (units[k] == SHARE, torque["before"][k]))
-        before, after = (figure_text(torque[side][worst], units[worst]) for side in ("before", "after"))
-        lines.append(f"torque error of {gap['joints'][worst]} in forward simulation: {before}, then {after}")
-    if result.get("forward"):
-        from agent.diagnosis.forward_windows import forward_lines
-
-        lines += list(forward_lines(result["forward"]))
-    if result["next_experiment"] is not None:
-        lines.append(f"run next: {result['next_experiment']['motion']}")
-    if result["not_testable"]:
-        names = sorted({entry["effect"] for entry in result["not_testable"]})
-        lines.append(f"not testable on some joints here: {', '.join(names)}")
-    return "\n".join(lines)
-
-
-def _waterfall_lines(steps: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """A bar for what each step closes of the held-out gap, in the order found."""
-    if not steps:
-        return
-    yield "what closes the gap of the simulator, in the order found, held out (90 % interval), and alone"
-    width = max(len(entry["step"]) for entry in steps)
-    for entry in steps:
-        closes, (low, high) = 100 * entry["closes"], entry["interval"]
-        alone = "" if entry["alone"] is None else f"{100 * entry['alone']:6.1f} %"
-        bar = "#" * round(max(closes, 0) * 0.3)
-        inside = f"({100 * low:5.1f} to {100 * high:5.1f})"
-        yield f"  {entry['step']:{width}} {closes:6.1f} % {inside} {alone:>9}  {bar}".rstrip()

@@ -10,7 +10,7 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.diagnosis import CATALOGUE, diagnose
-from agent.pipeline.diagnose import diagnosis_text
+from agent.pipeline.diagnosis_text import diagnosis_text
 from agent.report.diagnosis_page import diagnosis_report
 
 VOCABULARY = [

@@ -14,7 +14,7 @@ from agent.diagnosis import CATALOGUE, Diagnosis, diagnose, extended_model, simu
 from agent.diagnosis.dataset import Dataset, assemble
 from agent.estimation import IdentifiedModel, estimate
 from agent.model.identified import ModelEffect
-from agent.pipeline.diagnose import diagnosis_text
+from agent.pipeline.diagnosis_text import diagnosis_text
 from agent.recording.log import Log
 from agent.report.diagnosis_page import diagnosis_report, headline
 from agent.report.gap_section import diagnosis_section, diagnosis_summary

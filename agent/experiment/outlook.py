@@ -1,0 +1,162 @@
+"""What a motion would tell: the distance between rivals after it, and the probability of the right answer.
+
+Let a be true with parameters β. After the motion, the best that its rival b can do together with a change δ of the
+model leaves
+
+    D² = min over δ, γ of |Z_a β − X δ − Z_b γ|² / (T σ²) + δᵀ Λ δ + γᵀ R γ,
+
+over the rows of all earlier logs and of the motion, counted as independent ones (T samples of 0.1 s each), against the
+same background σ as the verdict's. This is the criterion of T-optimality (Atkinson and Fedorov, Biometrika 62, 1975)
+with the model's freedom and the rival's own projected out. The held-out advantage of a is then about normal with mean
+D² and standard deviation 2 D, so it passes the margin m of the verdict with probability Φ((D² − m) / (2 D)). Averaged
+over the posterior of β, and over which of the two is true. A motion that is repeated counts once: the model's own error
+comes back with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from agent.diagnosis.dataset import Dataset, background_of
+from agent.diagnosis.fit import Candidate, Fit
+from agent.experiment.questions import Form, Hypothesis, OpenPair
+from agent.model.signals import MotionSignals
+
+#: s, as in the fit: rows this far apart count as independent.
+_INDEPENDENT = 0.1
+#: Parameters of a hypothesis are drawn so often from what the logs say of them.
+_DRAWS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A motion on an even grid: time (S,) [s], q, qd, qdd (S, n)."""
+
+    time: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """One hypothesis taken for true against one form of its rival, and the moments of what is seen of both so far.
+
+    `gram` (m, m) over [model and shared effects, rival, truth], `prior` (m', m') over the first two.
+    """
+
+    pair: int
+    truth: Form
+    rival: Candidate | None
+    shared: tuple[Candidate, ...]
+    gram: np.ndarray
+    prior: np.ndarray
+    values: np.ndarray
+
+
+class Outlook:
+    """What is open after a diagnosis, ready to weigh motions."""
+
+    def __init__(self, dataset: Dataset, pairs: Sequence[OpenPair]):
+        self.dataset, self.pairs = dataset, list(pairs)
+        self.comparisons = [
+            comparison
+            for number, pair in enumerate(pairs)
+            for truth, rival in ((pair.first, pair.second), (pair.second, pair.first))
+            if truth.forms
+            for comparison in _comparisons(number, pair.fit, truth, rival)
+        ]
+
+    def moments(self, motion: Motion) -> list[np.ndarray]:
+        """Per comparison the moments (m, m) that a motion adds."""
+        dataset = self.dataset
+        reference = dataset.fit.reference
+        signals = MotionSignals(reference, motion.time, motion.q, motion.qd, motion.qdd)
+        moving = dataset.fit.sigma.min(axis=0)
+        sigma = background_of(reference, moving, [signals], dataset.limits)
+        rate = 1 / float(np.median(np.diff(motion.time)))
+        weight = np.sqrt(max(1.0, _INDEPENDENT * rate))
+        model = reference.model.columns(motion.q, motion.qd, motion.qdd) / (sigma * weight)[:, :, None]
+        made: dict[Candidate, np.ndarray] = {}
+
+        def columns(candidate: Candidate) -> np.ndarray:
+            if candidate not in made:
+                block = np.zeros((*motion.q.shape, len(candidate.names)))
+                found = candidate.effect.columns(signals, candidate.joints, candidate.settings)
+                for joint, values in found.items():
+                    block[:, joint] = values / (sigma[:, joint] * weight)[:, None]
+                made[candidate] = np.nan_to_num(block)
+            return made[candidate]
+
+        result = []
+        for comparison in self.comparisons:
+            blocks = [model, *(columns(c) for c in comparison.shared)]
+            blocks += [columns(comparison.rival)] if comparison.rival is not None else []
+            together = np.concatenate([*blocks, columns(comparison.truth.candidate)], axis=2)
+            flat = together.reshape(-1, together.shape[2])
+            result.append(flat.T @ flat)
+        return result
+
+    def probabilities(self, added: Sequence[np.ndarray] | None = None) -> np.ndarray:
+        """(pairs,) probability of the right answer; `added` per comparison: moments of motions to come."""
+        of_pair: list[dict[int, float]] = [{} for _ in self.pairs]
+        for number, comparison in enumerate(self.comparisons):
+            gram = comparison.gram if added is None else comparison.gram + added[number]
+            margin = self.pairs[comparison.pair].margin
+            chance = float(np.mean([_passes(distance, margin) for distance in _distances(comparison, gram)]))
+            key = id(comparison.truth)
+            of_pair[comparison.pair][key] = min(of_pair[comparison.pair].get(key, 1.0), chance)
+        return np.array([np.mean(list(found.values())) if found else 0.0 for found in of_pair])
+
+    def smallest(self, added: Sequence[np.ndarray]) -> list[float | None]:
+        """Per pair with nothing as its rival: the size that four of five draws show, over the one asked about."""
+        found: list[float | None] = [None] * len(self.pairs)
+        for comparison, more in zip(self.comparisons, added, strict=True):
+            if comparison.rival is not None:
+                continue
+            distance = float(np.mean(_distances(comparison, comparison.gram + more)))
+            margin = self.pairs[comparison.pair].margin
+            if distance > 0:
+                size = (1.6832 + np.sqrt(1.6832**2 + 4 * margin)) / 2 / np.sqrt(distance)
+                found[comparison.pair] = max(size, found[comparison.pair] or 0.0)
+        return found
+
+
+def _passes(distance: float, margin: float) -> float:
+    return float(ndtr((distance - margin) / (2 * np.sqrt(max(distance, 1e-12)))))
+
+
+def _distances(comparison: Comparison, gram: np.ndarray) -> list[float]:
+    """D² for every drawn truth."""
+    free = len(comparison.prior)
+    matrix = gram[:free, :free] + comparison.prior
+    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scaled = matrix * np.outer(scale, scale) + 1e-9 * np.eye(free)
+    cross = scale[:, None] * gram[:free, free:]
+    schur = gram[free:, free:] - cross.T @ np.linalg.solve(scaled, cross)
+    return [max(float(values @ schur @ values), 0.0) for values in comparison.values]
+
+
+def _comparisons(number: int, fit: Fit, truth: Hypothesis, rival: Hypothesis) -> list[Comparison]:
+    form = truth.forms[0]
+    rng = np.random.default_rng(0)
+    spread = np.linalg.cholesky(form.covariance + 1e-18 * np.eye(len(form.values)) * np.trace(form.covariance + 1))
+    draws = np.vstack([form.values, form.values + rng.standard_normal((_DRAWS, len(form.values))) @ spread.T])
+    rivals: list[Candidate | None] = [other.candidate for other in rival.forms] or [None]
+    return [_comparison(number, fit, form, other, draws) for other in rivals]
+
+
+def _comparison(number: int, fit: Fit, truth: Form, rival: Candidate | None, draws: np.ndarray) -> Comparison:
+    beside = fit if rival is None else fit.with_chosen((*fit.chosen, rival))
+    (_, (cross, own)), *_ = beside.moments([truth.candidate])
+    size = beside.size
+    gram = np.zeros((size + len(truth.values),) * 2)
+    gram[:size, :size] = beside.gram.sum(axis=0)[:-1, :-1]
+    gram[:size, size:] = cross.sum(axis=0)[:-1]
+    gram[size:, :size] = gram[:size, size:].T
+    gram[size:, size:] = own.sum(axis=0)
+    return Comparison(number, truth, rival, fit.chosen, gram / fit.repeat, beside.prior, draws)

@@ -1,0 +1,176 @@
+"""The pieces that an experiment is put together from: loops, stops with rests, and slow reversals of single joints.
+
+Every piece starts and ends at rest in a posture of its own, keeps every limit, stays clear of the cell, and lies in the
+recipe's sub-region. Positions are given as joint positions, so nothing is left to a choice of posture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agent.excitation import Candidates, LoopProblem
+from agent.experiment.outlook import Motion
+from agent.motion import Trajectory, create_interpolator
+from agent.motion.frames import with_frames
+from agent.motion.interpolator import MotionError
+from agent.motion.program import Delay, JointTarget, MotionSettings, Move, MoveType, Statement, Termination
+from agent.robot.kinematics import KinematicsError
+
+#: Kinds of pieces, and how often each is drawn.
+KINDS = {"loop": 0.4, "stops": 0.3, "reversals": 0.3}
+#: Speed of a loop or of stops, over the recipe's; of reversals, over the joint's highest.
+_LOOP_SPEEDS = (1.0, 0.5, 0.2)
+_STOP_SPEEDS = (1.0, 0.3, 0.1)
+_JOINT_SPEEDS = (0.01, 0.05, 0.2, 0.5)
+#: Rests [s].
+_RESTS = (0.3, 1.0, 2.0)
+#: Largest turn of a joint to either side [rad, m], before it is cut to the sub-region.
+_TURNS = (0.05, 0.2, 0.6)
+#: Less than this [rad, m] is no reversal.
+_LEAST_TURN = 0.02
+#: Reversals grow to the largest turn in so many steps.
+_STEPS = 3
+#: [s] of the pieces' set-points, while they are weighed; the program is checked at the controller's own.
+PERIOD = 0.01
+#: A gene moves by so much where a piece is varied.
+_VARY = 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """What a piece is drawn from: its kind, a genome (6 K,), the joint that turns (reversals), speed and rest."""
+
+    kind: str
+    genome: np.ndarray
+    joint: int
+    speed: float
+    rest: float
+    turn: float
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A piece of motion: from `start` (n,) at rest through `statements` back to it."""
+
+    recipe: Draw
+    start: np.ndarray
+    statements: tuple[Statement, ...]
+    motion: Motion
+    duration: float
+
+    def text(self, joint_names: Sequence[str]) -> str:
+        """For people."""
+        recipe = self.recipe
+        if recipe.kind == "reversals":
+            return (
+                f"reversals of {joint_names[recipe.joint]} by up to {np.degrees(recipe.turn):.3g} deg at "
+                f"{100 * recipe.speed:.0f} % of its speed, resting {recipe.rest:g} s"
+            )
+        rests = f", resting {recipe.rest:g} s at every point" if recipe.kind == "stops" else ""
+        return f"a loop at {100 * recipe.speed:.0f} % of the recipe's speed{rests}"
+
+
+class Pieces:
+    """Draws pieces in the sub-region of a problem, and varies them. `joints` are those worth turning by themselves.
+
+    Raises:
+        InputError: as `agent.excitation.Candidates`.
+    """
+
+    def __init__(self, problem: LoopProblem, joints: Sequence[int], longest: float, rng: np.random.Generator):
+        self.problem = replace(problem, period=PERIOD)
+        self._candidates = Candidates(self.problem)
+        self._interpolator = create_interpolator(problem.interpolator, problem.robot, problem.tool, period=PERIOD)
+        self._joints, self._longest, self._rng = list(joints), longest, rng
+        points = np.vstack([problem.regions.poses(rng.uniform(size=problem.genes))[:, :3, 3] for _ in range(50)])
+        slack = problem.settings.fly_distance
+        self._low, self._high = points.min(axis=0) - slack, points.max(axis=0) + slack
+
+    def draw(self) -> Piece | None:
+        """A piece at random; None where it breaks a limit."""
+        rng = self._rng
+        kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
+        speeds = {"loop": _LOOP_SPEEDS, "stops": _STOP_SPEEDS, "reversals": _JOINT_SPEEDS}[kind]
+        joint = int(rng.choice(self._joints))
+        genome = rng.uniform(size=self.problem.genes)
+        return self.make(
+            Draw(kind, genome, joint, float(rng.choice(speeds)), float(rng.choice(_RESTS)), float(rng.choice(_TURNS)))
+        )
+
+    def vary(self, piece: Piece) -> Piece | None:
+        """A neighbour of a piece."""
+        recipe, rng = piece.recipe, self._rng
+        genome = np.clip(recipe.genome + _VARY * rng.standard_normal(len(recipe.genome)), 0.0, 1.0)
+        factor = float(np.exp(0.3 * rng.standard_normal()))
+        turn = recipe.turn * float(np.exp(0.3 * rng.standard_normal()))
+        return self.make(replace(recipe, genome=genome, speed=min(recipe.speed * factor, 1.0), turn=turn))
+
+    def make(self, recipe: Draw) -> Piece | None:
+        """The piece, or None where a limit, the cell or the sub-region is in the way or it takes too long."""
+        recipe = replace(recipe, speed=max(round(100 * recipe.speed), 1) / 100)  # controllers take whole percents
+        try:
+            found = self._reversals(recipe) if recipe.kind == "reversals" else self._loop(recipe)
+            if found is None:
+                return None
+            recipe, start, statements = found
+            trajectory = self._interpolator.plan(statements, start)
+        except (MotionError, KinematicsError):
+            return None
+        if trajectory.duration > self._longest or not self._clear(trajectory):
+            return None
+        motion = Motion(trajectory.t, trajectory.q, trajectory.qd, trajectory.qdd)
+        return Piece(recipe, start, tuple(statements), motion, trajectory.duration)
+
+    def _settings(self, speed: float) -> MotionSettings:
+        settings = self.problem.settings
+        return with_frames(settings.changed(linear_speed=settings.linear_speed * speed), self.problem.tool)
+
+    def _loop(self, recipe: Draw) -> tuple[Draw, np.ndarray, list[Statement]]:
+        """Through the via-points of the genome: flown, or with a rest at each."""
+        poses = self.problem.regions.poses(recipe.genome)
+        kinematics = self._candidates.kinematics
+        joints = [kinematics.solve(poses[0], self._candidates.posture)]
+        for pose in poses[1:]:
+            joints.append(kinematics.solve(pose, joints[-1]))
+        settings = self._settings(recipe.speed)
+        fine = settings.changed(termination=Termination.FINE)
+        statements: list[Statement] = []
+        for target in joints[1:]:
+            if recipe.kind == "stops":
+                statements += [Move(MoveType.LINEAR, JointTarget(target), fine), Delay(recipe.rest)]
+            else:
+                statements.append(Move(MoveType.LINEAR, JointTarget(target), settings, fly=True))
+        statements.append(Move(MoveType.LINEAR, JointTarget(joints[0]), fine))
+        return recipe, joints[0], [*statements, Delay(recipe.rest)]
+
+    def _reversals(self, recipe: Draw) -> tuple[Draw, np.ndarray, list[Statement]] | None:
+        """One joint to and fro about a posture of the sub-region, further every time, with rests."""
+        kinematics = self._candidates.kinematics
+        middle = kinematics.solve(self.problem.regions.poses(recipe.genome)[0], self._candidates.posture)
+        turn = recipe.turn
+        while not self._inside(middle, recipe.joint, turn):
+            turn /= 2
+            if turn < _LEAST_TURN:
+                return None
+        calm = self._settings(1.0).changed(speed_override=recipe.speed, termination=Termination.FINE)
+        statements: list[Statement] = []
+        for step in range(1, _STEPS + 1):
+            for side in (1.0, -1.0):
+                target = middle.copy()
+                target[recipe.joint] += side * turn * step / _STEPS
+                statements += [Move(MoveType.JOINT, JointTarget(target), calm), Delay(recipe.rest)]
+        statements.append(Move(MoveType.JOINT, JointTarget(middle), calm))
+        return replace(recipe, turn=turn), middle, [*statements, Delay(recipe.rest)]
+
+    def _inside(self, middle: np.ndarray, joint: int, turn: float) -> bool:
+        """Whether the tool stays within the box around the sub-region."""
+        postures = np.tile(middle, (9, 1))
+        postures[:, joint] += np.linspace(-turn, turn, 9)
+        tips = self._candidates.kinematics.forward(postures)[:, :3, 3]
+        return bool(np.all(tips >= self._low) and np.all(tips <= self._high))
+
+    def _clear(self, trajectory: Trajectory) -> bool:
+        return self._candidates.clear(trajectory)

@@ -1,0 +1,178 @@
+"""What a diagnosis leaves open: pairs of hypotheses that its logs cannot tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import cast
+
+import numpy as np
+
+from agent.diagnosis import Diagnosis
+from agent.diagnosis.fit import Candidate, Fit
+from agent.diagnosis.isolability import best_by_place, plausible
+from agent.model.effects import CATALOGUE, FitContext
+
+Place = tuple[str, tuple[int, ...]]
+
+#: Of a hypothesis so many forms (nonlinear parameters) are kept: a rival is whichever of its forms comes nearest.
+_FORMS = 3
+#: Of a gap that nothing explains so many leading places are taken.
+_LEADING = 3
+#: Of effects that could not be tested so many are asked about.
+_MOST_UNTESTED = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """An effect with its nonlinear parameters, its linear ones (k,) and their covariance (k, k)."""
+
+    candidate: Candidate
+    values: np.ndarray
+    covariance: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """An effect at a place; `forms` it may have, the likeliest first. No forms: nothing beyond the model."""
+
+    effect: str
+    joints: tuple[str, ...]
+    forms: tuple[Form, ...]
+
+    def text(self) -> str:
+        """For people."""
+        if not self.forms:
+            return "no effect"
+        return f"{self.effect} on {', '.join(self.joints)}" if self.joints else self.effect
+
+
+@dataclass(frozen=True, eq=False)
+class OpenPair:
+    """Two hypotheses that the logs do not separate, beside what both of them share (the chosen effects of `fit`).
+
+    `margin` [Σ e²/σ² of independent rows]: so much better has the true one to be.
+    """
+
+    first: Hypothesis
+    second: Hypothesis
+    fit: Fit
+    margin: float
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """Effects of the two."""
+        return self.first.effect, self.second.effect
+
+
+def open_pairs(found: Diagnosis) -> list[OpenPair]:
+    """What is open after a diagnosis, most urgent first; empty where everything was settled.
+
+    `ambiguous`: every named cause against what equals it. `unknown`: the leading places against each other. Where
+    nothing else is open: effects of practical size that these logs would not have shown, against none.
+    """
+    if pairs := list(_rivals(found)) or list(_leading(found)):
+        return pairs
+    return list(_untested(found))
+
+
+def _rivals(found: Diagnosis) -> Iterator[OpenPair]:
+    finding, base = found.finding, found.dataset.fit
+    for number, (cause, rivals) in enumerate(zip(finding.causes, finding.rivals, strict=True)):
+        if not rivals or (finding.verdict != "ambiguous"):
+            continue
+        fit = base.with_chosen([c for k, c in enumerate(finding.causes) if k != number])
+        mine = _hypothesis(found, fit, cause.place)
+        for place in rivals:
+            other = _hypothesis(found, fit, place)
+            if mine.forms and other.forms:
+                yield OpenPair(mine, other, fit, _margin(found, fit))
+
+
+def _leading(found: Diagnosis) -> Iterator[OpenPair]:
+    """The forms that came nearest to a gap that nothing of the catalogue closes."""
+    finding, fit = found.finding, found.dataset.fit
+    if finding.verdict != "unknown":
+        return
+    scores = [s for s in finding.steps[0].scores if plausible(s) and s.gain > finding.least]
+    leading = [_hypothesis(found, fit, score.candidate.place) for score in scores[:_LEADING]]
+    for first, second in combinations([h for h in leading if h.forms], 2):
+        yield OpenPair(first, second, fit, _margin(found, fit))
+
+
+def _untested(found: Diagnosis) -> Iterator[OpenPair]:
+    finding, fit = found.finding, found.dataset.fit
+    names = found.dataset.robot.joint_names
+    listed = found.result["not_testable"]
+    nothing = Hypothesis("none", (), ())
+    count = 0
+    for entry in listed:
+        effect = CATALOGUE[entry["effect"]]
+        joints = () if entry["joint"] is None else (names.index(entry["joint"]),)
+        places = [place for place in effect.places(found.dataset.robot) if set(joints) <= set(place)]
+        if effect.once or effect.shows_in != "torque" or not places:
+            continue
+        forms = fit.candidates([(effect, places[0], s) for s in effect.settings(_context(fit), places[0])[:_FORMS]])
+        sized = tuple(_practical(fit, form) for form in forms)
+        if sized:
+            least = finding.least / fit.repeat
+            where = tuple(names[k] for k in places[0])
+            yield OpenPair(Hypothesis(effect.name, where, sized), nothing, fit, least)
+            count += 1
+        if count == _MOST_UNTESTED:
+            return
+
+
+def _practical(fit: Fit, form: Candidate) -> Form:
+    """At the size from which on it matters; where these logs show nothing of it, each parameter alone at its prior."""
+    count = len(form.names)
+    energy = sum((np.sum(block**2, axis=0) for block in form.blocks.values()), np.zeros(count))
+    if np.all(energy > 1e-9):
+        return Form(form, fit.practical(form), np.zeros((count, count)))
+    deviation = np.ones(count) if form.prior_std is None else np.asarray(form.prior_std, dtype=float)
+    return Form(form, deviation, np.zeros((count, count)))
+
+
+def _hypothesis(found: Diagnosis, fit: Fit, place: Place) -> Hypothesis:
+    """The forms of an effect at a place that explain these logs best."""
+    effect = CATALOGUE[place[0]]
+    wanted: list[tuple[object, tuple[int, ...], Mapping[str, float]]] = [
+        (effect, place[1], settings) for settings in effect.settings(_context(fit), place[1])
+    ]
+    cause = next((c for c in found.finding.causes if c.place == place), None)
+    candidates = ([cause] if cause is not None else []) + fit.candidates(wanted)  # type: ignore[arg-type]
+    scores = sorted((s for s in fit.score(candidates) if plausible(s)), key=lambda s: -s.gain)
+    best = best_by_place(scores).get(place)
+    forms: list[Form] = []
+    for score in scores:
+        if best is not None and score.gain > 0.5 * best.gain and len(forms) < _FORMS:
+            forms.append(Form(score.candidate, score.values, _covariance(fit, score.candidate)))
+    names = found.dataset.robot.joint_names
+    return Hypothesis(effect.name, tuple(names[k] for k in place[1]), tuple(forms))
+
+
+def _context(fit: Fit) -> FitContext:
+    return cast("FitContext", fit)  # its lists are not written to
+
+
+def _covariance(fit: Fit, candidate: Candidate) -> np.ndarray:
+    """(k, k) of its parameters, the model and the effects beside it being fitted as well."""
+    (_, (cross, own)), *_ = fit.moments([candidate])
+    reach, total = cross.sum(axis=0)[:-1] / fit.repeat, own.sum(axis=0) / fit.repeat
+    inverse = fit.solve(np.ones(fit.cells, dtype=bool))[0]
+    information = total + np.diag(fit.ridge(candidate, np.maximum(np.diag(own.sum(axis=0)), 1e-9)))
+    schur = information - reach.T @ inverse @ reach
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    return np.linalg.inv(schur * np.outer(scale, scale) + 1e-9 * np.eye(len(schur))) * np.outer(scale, scale)
+
+
+def _margin(found: Diagnosis, fit: Fit) -> float:
+    """What the verdict asks of a cause over its rival, in independent rows (point 9 of docs/diagnosis.md)."""
+    rows = float(fit.count.sum())
+    return found.dataset.limits.near_floor * rows / fit.repeat
+
+
+def text_of(pairs: Sequence[OpenPair]) -> str:
+    """What is open, for people."""
+    return "; ".join(f"{pair.first.text()} or {pair.second.text()}" for pair in pairs)

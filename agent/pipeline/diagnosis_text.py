@@ -1,0 +1,76 @@
+"""A diagnosis for people, as lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+_VERDICTS = {
+    "no_gap": "no gap: nothing of practical size beyond what the model's own prediction error allows",
+    "explained": "explained",
+    "ambiguous": "ambiguous: the data cannot tell the first cause from its equivalents",
+    "unknown": "unknown: there is a gap, and no effect of the catalogue closes it",
+}
+
+
+def diagnosis_text(result: dict[str, Any]) -> str:
+    """A diagnosis for people."""
+    from agent.diagnosis.labels import closes, torque_gap
+    from agent.diagnosis.sizes import size_text, told
+    from agent.robot.torque_figures import SHARE, figure_text
+
+    lines = [_VERDICTS[result["verdict"]]]
+    for cause in result["causes"]:
+        joints = ", ".join(cause["joints"]) or "the whole arm"
+        closed = f", {closes(cause)}" if closes(cause) else ""
+        lines.append(f"  {cause['effect']} on {joints}{closed}, probability {cause['probability']:.2f}")
+        sizes = (f"{key} {size_text(cause['effect'], key, cause['parameters'][key], None)}" for key in told(cause))
+        parameters = "  ".join(sizes)
+        lines.append(f"    {parameters}")
+        for other in cause["equivalent_to"]:
+            lines.append(f"    as good: {other['effect']} on {', '.join(other['joints']) or 'the whole arm'}")
+    gap = result["gap"]
+    lines.append("torque error held out, in % of nominal torque where there is one; floor: what no cycle repeats")
+    lines.append(f"{'joint':12} {'before':>11} {'after':>11} {'floor':>11} {'share':>7}   mostly in")
+    shares = {entry["joint"]: entry for entry in result["where"]}
+    somewhere = torque_gap(result)
+    for k, name in enumerate(gap["joints"]):
+        before, after, floor = (
+            "-" if gap[side] is None else figure_text(gap[side][k], gap["units"][k])
+            for side in ("before", "after", "floor")
+        )
+        regimes = [r["name"] for r in shares[name]["regimes"] if somewhere and r["share"] > 1.5 * r["of_samples"]][:2]
+        share = f"{100 * shares[name]['share']:6.1f}%" if somewhere else f"{'-':>7}"
+        lines.append(f"{name:12} {before:>11} {after:>11} {floor:>11} {share}   {', '.join(regimes)}".rstrip())
+    if result["closure"] is not None and somewhere:
+        lines.append(f"closed: {100 * result['closure']:.1f} % of the gap in torque")
+    lines += list(_waterfall_lines(result.get("waterfall", [])))
+    if result.get("simulation"):
+        torque, units = result["simulation"]["torque"], gap["units"]
+        worst = max(range(len(units)), key=lambda k: (units[k] == SHARE, torque["before"][k]))
+        before, after = (figure_text(torque[side][worst], units[worst]) for side in ("before", "after"))
+        lines.append(f"torque error of {gap['joints'][worst]} in forward simulation: {before}, then {after}")
+    if result.get("forward"):
+        from agent.diagnosis.forward_windows import forward_lines
+
+        lines += list(forward_lines(result["forward"]))
+    if result["next_experiment"] is not None:
+        lines.append(f"run next: {result['next_experiment']['motion']}")
+    if result["not_testable"]:
+        names = sorted({entry["effect"] for entry in result["not_testable"]})
+        lines.append(f"not testable on some joints here: {', '.join(names)}")
+    return "\n".join(lines)
+
+
+def _waterfall_lines(steps: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """A bar for what each step closes of the held-out gap, in the order found."""
+    if not steps:
+        return
+    yield "what closes the gap of the simulator, in the order found, held out (90 % interval), and alone"
+    width = max(len(entry["step"]) for entry in steps)
+    for entry in steps:
+        closes, (low, high) = 100 * entry["closes"], entry["interval"]
+        alone = "" if entry["alone"] is None else f"{100 * entry['alone']:6.1f} %"
+        bar = "#" * round(max(closes, 0) * 0.3)
+        inside = f"({100 * low:5.1f} to {100 * high:5.1f})"
+        yield f"  {entry['step']:{width}} {closes:6.1f} % {inside} {alone:>9}  {bar}".rstrip()

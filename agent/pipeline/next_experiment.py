@@ -1,0 +1,193 @@
+"""The next motion of a diagnosis: planned in a recipe's sub-region, checked as every motion is, and its program."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agent.core.console import Console, finite
+from agent.core.errors import AgentError, InputError
+from agent.link.planned import check_cell, plan_statements
+from agent.recipe import Recipe
+from agent.runs.folder import write_atomically
+
+if TYPE_CHECKING:
+    from agent.diagnosis import Diagnosis
+    from agent.experiment import Experiment
+    from agent.experiment.pieces import Piece
+    from agent.motion.trajectory import Trajectory
+
+#: Longest motion that is planned [s].
+LONGEST = 60.0
+#: A motion that makes the right answer of no pair this likely settles nothing.
+_HELPS = 0.5
+#: At so much of its joint speeds the arm goes from piece to piece.
+_WAY_SPEED = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class NextMotion:
+    """A planned experiment as a program: `text`, set-points from stop to stop, and what it is expected to tell."""
+
+    experiment: Experiment
+    text: str
+    chains: tuple[Trajectory, ...]
+    joint_names: tuple[str, ...]
+
+    @property
+    def duration(self) -> float:
+        """[s] from the first piece's start on."""
+        return float(sum(chain.duration for chain in self.chains))
+
+    def to_dict(self, program: str) -> dict[str, Any]:
+        """`next_experiment` of a diagnosis: what is separated, how, and the probability of the right answer."""
+        expected = self.experiment.expected
+        return {
+            "separates": sorted({name for e in expected for name in e.pair.names if name != "none"}),
+            "motion": "; then ".join(piece.text(self.joint_names) for piece in self.experiment.pieces),
+            "program": program,
+            "duration_s": self.duration,
+            "probability": [
+                {
+                    "pair": [e.pair.first.text(), e.pair.second.text()],
+                    "before": e.before,
+                    "after": e.after,
+                    "smallest_over_practical": e.smallest,
+                }
+                for e in expected
+            ],
+        }
+
+    def helps(self) -> bool:
+        """Whether it makes the right answer of any pair likely that was not."""
+        return any(e.after > max(_HELPS, e.before + 0.05) for e in self.experiment.expected)
+
+
+def plan_next(
+    found: Diagnosis, recipe: Recipe, console: Console, seconds: float = LONGEST, name: str = "experiment"
+) -> NextMotion | None:
+    """The motion that settles most of what a diagnosis leaves open; None where nothing is open, or nothing helps.
+
+    Raises:
+        InputError: the recipe is of another robot, or its cell leaves no room.
+    """
+    from agent.experiment import open_pairs, plan_experiment
+    from agent.pipeline.planning import loop_problem
+
+    here, there = recipe.robot.joint_names, found.dataset.robot.joint_names
+    if here != there:
+        raise InputError(
+            f"{recipe.path}: its robot has joints {', '.join(here)}; the logs are of one with {', '.join(there)}"
+        )
+    if not open_pairs(found):
+        console.say("nothing is open: no further motion is needed")
+        return None
+    problem = loop_problem(recipe, recipe.motion.speed)
+    console.step(f"searching for a motion of at most {seconds:.0f} s that tells more")
+    runs = _Runs(recipe, name)
+    experiment = plan_experiment(found, problem, seconds, recipe.search.seed, console.progress, runs)
+    if experiment is not None and runs.motion is not None:
+        motion = NextMotion(experiment, *runs.motion, recipe.robot.joint_names)
+        if motion.helps():
+            return motion
+    refused = f" ({runs.refused})" if runs.refused else ""
+    console.say(f"no motion in the sub-region of {recipe.path} would settle it{refused}: {_other_test(found)}")
+    return None
+
+
+def write_next(motion: NextMotion, folder: Path) -> dict[str, Any]:
+    """Program and expectation in a folder of their own; returns `next_experiment` of the diagnosis.
+
+    Raises:
+        InputError: the folder holds an experiment already.
+        AgentError: it cannot be made or written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise AgentError(f"{folder}: no folder for the experiment can be made there: {error.strerror}") from None
+    _check_folder(folder)
+    program = write_atomically(folder / "program.pdl", motion.text)
+    data = motion.to_dict(str(program))
+    document = json.dumps(finite({"schema": "experiment/1", **data}), indent=2, allow_nan=False)
+    write_atomically(folder / "experiment.json", document + "\n")
+    return data
+
+
+def check_next(recipe: Path, folder: Path | None) -> None:
+    """What would refuse the motion is found before the diagnosis, not after it.
+
+    Raises:
+        InputError: no folder, one that is a file or holds an experiment; a recipe that cannot be used or reached.
+    """
+    from agent.excitation import Candidates
+    from agent.pipeline.planning import loop_problem
+    from agent.recipe import load_recipe
+
+    if folder is None:
+        raise InputError("diagnose: --next plans a motion: name the folder for it with -o DIR")
+    _check_folder(folder)
+    loaded = load_recipe(recipe)
+    Candidates(loop_problem(loaded, loaded.motion.speed))
+
+
+def _check_folder(folder: Path) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; name a folder for the experiment with -o")
+    if (folder / "experiment.json").exists():
+        raise InputError(f"{folder}: holds an experiment already; name another folder with -o, or move it away")
+
+
+def _other_test(found: Diagnosis) -> str:
+    """What could still tell, by the knowledge that the open effects carry."""
+    from agent.experiment import open_pairs
+    from agent.model.effects import CATALOGUE
+
+    names = {name for pair in open_pairs(found) for name in pair.names if name in CATALOGUE}
+    experiment = min(CATALOGUE[name].experiment for name in names)
+    return f"another posture, load or temperature may: {experiment.motion}"
+
+
+class _Runs:
+    """Whether pieces can be run one after the other at the controller's own period, the ways between them included.
+
+    `motion`: text and set-points of the last ones that can; `refused`: why the last ones cannot.
+    """
+
+    def __init__(self, recipe: Recipe, name: str):
+        self._recipe, self._name = recipe, name
+        self.motion: tuple[str, tuple[Trajectory, ...]] | None = None
+        self.refused = ""
+
+    def __call__(self, pieces: Sequence[Piece]) -> bool:
+        from agent.motion.interpolator import MotionError
+
+        text = _text(self._recipe, pieces, self._name)
+        try:
+            _, chains = plan_statements(self._recipe, text, f"{self._name}.pdl", np.asarray(pieces[0].start))
+            for chain in chains:
+                check_cell(self._recipe, chain)
+        except (InputError, MotionError) as error:
+            self.refused = str(error)
+            return False
+        self.motion = text, tuple(chains)
+        return True
+
+
+def _text(recipe: Recipe, pieces: Sequence[Piece], name: str) -> str:
+    from agent.motion.frames import with_frames
+    from agent.motion.pdl2 import write_program
+    from agent.motion.program import JointTarget, Move, MoveType, Statement, Termination
+
+    calm = with_frames(recipe.motion.settings, recipe.tool).changed(
+        speed_override=_WAY_SPEED, termination=Termination.FINE
+    )
+    statements: list[Statement] = []
+    for piece in pieces:
+        statements += [Move(MoveType.JOINT, JointTarget(piece.start), calm), *piece.statements]
+    return write_program(name, statements, recipe.robot)
