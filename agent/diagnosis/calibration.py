@@ -129,8 +129,9 @@ def waterfall(found: Calibration, finding: Finding, gap: Gap) -> tuple[Waterfall
         alone.append(dataset.fit.with_chosen((candidate,)).out_of_fold(once))
         where = ", ".join(names[j] for j in candidate.joints)
         texts.append(f"{candidate.effect.name} of {where}" if where else candidate.effect.name)
-    stages = [gap.raw, *(fit.out_of_fold(any(c.effect.once for c in fit.chosen)) for fit in fits)]
-    energy = np.stack([_energy(stage / gap.unit, dataset.fit.block) for stage in (*stages, *alone)])
+    stages = [fit.out_of_fold(any(c.effect.once for c in fit.chosen)) for fit in fits]
+    errors = [gap.raw, *(gap.beyond(stage) for stage in (*stages, *alone))]
+    energy = np.stack([_energy(error / gap.unit, dataset.fit.block) for error in errors])
     floor = 0.0 if gap.floor is None else float(np.mean(gap.floor**2))
     rows = _energy(np.isfinite(gap.raw).astype(float), dataset.fit.block)
     draws = np.random.default_rng(0).multinomial(energy.shape[1], np.full(energy.shape[1], 1 / energy.shape[1]), _DRAWS)

@@ -16,14 +16,18 @@ from agent.diagnosis.limits import LIMITS, DecisionLimits
 class Gap:
     """Errors held out, `raw` without and `left` with the causes (S', n) [N·m], NaN on guards; their size on each joint.
 
-    `before`, `after`, `floor` (n,) are RMSE over `unit` (n,), nominal torque or 1 N·m; `floor` is what does not repeat
-    from cycle to cycle and what stiction leaves open at rest, None without repeats. `gain` is the part of the plain
+    At rest both are what is beyond stiction, of which `open` (S', n) [N·m] is left: there the torque is anything below
+    the Coulomb level, and no model knows it, though it comes back with every cycle.
+
+    `before`, `after`, `floor` (n,) are their RMSE over `unit` (n,), nominal torque or 1 N·m; `floor` is what does not
+    repeat from cycle to cycle, None without repeats. `gain` is the part of the plain
     squared error that the causes take away on their own joints while these move, and `largest` the greatest error there
     over a scale that every joint has; both are 0 without causes.
     """
 
     raw: np.ndarray
     left: np.ndarray
+    open: np.ndarray
     unit: np.ndarray
     before: np.ndarray
     after: np.ndarray
@@ -39,7 +43,11 @@ class Gap:
 
     def closure_without(self, left: np.ndarray) -> float | None:
         """What is lost of the closure where (S', n) [N·m] is left instead."""
-        return self._part(rms(left) / self.unit, self.after)
+        return self._part(rms(self.beyond(left)) / self.unit, self.after)
+
+    def beyond(self, rows: np.ndarray) -> np.ndarray:
+        """(S', n) [N·m] what of an error is beyond stiction."""
+        return _beyond(rows, self.open)
 
     def part_of(self, other: Gap, closure: float | None) -> float | None:
         """A closure of another gap to the same floor, as a part of this one."""
@@ -74,10 +82,17 @@ def held_out_gap(dataset: Dataset, fit: Fit) -> Gap:
     left = fit.out_of_fold(any(c.effect.once for c in fit.chosen))
     raw = dataset.residual if dataset.given else dataset.fit.out_of_fold()
     raw = np.where(np.isnan(left[:, :1]), np.nan, raw)
-    before, after = rms(raw) / unit, rms(left) / unit
     gain, largest = _on_own_joints(fit, raw, left)
-    floor = _with_rest(_floor(dataset, left, unit, before), fit, left / unit)
-    return Gap(raw, left, unit, before, after, floor, gain, largest, dataset.limits)
+    stuck = np.where(fit.near_rest, np.minimum(np.abs(left), fit.sigma), 0.0)
+    raw, left = _beyond(raw, stuck), _beyond(left, stuck)
+    before, after = rms(raw) / unit, rms(left) / unit
+    floor = _floor(dataset, left, unit, before)
+    return Gap(raw, left, stuck, unit, before, after, floor, gain, largest, dataset.limits)
+
+
+def _beyond(rows: np.ndarray, stuck: np.ndarray) -> np.ndarray:
+    """Energy that stiction leaves open is taken off, row by row."""
+    return np.sign(rows) * np.sqrt(np.maximum(rows**2 - stuck**2, 0.0))
 
 
 def _on_own_joints(fit: Fit, raw: np.ndarray, left: np.ndarray) -> tuple[float, float]:
@@ -93,19 +108,6 @@ def _on_own_joints(fit: Fit, raw: np.ndarray, left: np.ndarray) -> tuple[float, 
 def rms(rows: np.ndarray) -> np.ndarray:
     """(n,) root mean square of (S', n), guards left out."""
     return np.sqrt(np.nanmean(rows**2, axis=0))
-
-
-def _with_rest(floor: np.ndarray | None, fit: Fit, left: np.ndarray) -> np.ndarray | None:
-    """The floor with what stiction leaves open: at rest the torque is anything below the Coulomb level.
-
-    No model knows it, though it comes back with every cycle: what is left (S', n) there is floor up to the background.
-    """
-    if floor is None:
-        return None
-    robot = fit.reference.robot
-    sigma = fit.sigma / np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 1.0)
-    open_to = np.where(fit.near_rest, np.minimum(left**2, sigma**2), 0.0)
-    return np.sqrt(np.nanmean(np.where(np.isnan(left), np.nan, np.maximum(open_to, floor**2)), axis=0))
 
 
 def _floor(dataset: Dataset, left: np.ndarray, unit: np.ndarray, before: np.ndarray) -> np.ndarray | None:

@@ -9,8 +9,8 @@ over the rows of all earlier logs and of the motion, counted as independent ones
 same background σ as the verdict's. This is the criterion of T-optimality (Atkinson and Fedorov, Biometrika 62, 1975)
 with the model's freedom and the rival's own projected out. The held-out advantage of a is then about normal with mean
 D² and standard deviation 2 D, so it passes the margin m of the verdict with probability Φ((D² − m) / (2 D)). Averaged
-over the posterior of β, and over which of the two is true. A motion that is repeated counts once: the model's own error
-comes back with it.
+over the posterior of β, and over which of the two is true. A standstill counts once, however long: stiction leaves one
+torque open for all of it. A motion that is repeated counts once too: the model's own error comes back with it.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Outlook:
         moving = dataset.fit.sigma.min(axis=0)
         sigma = background_of(reference, moving, [signals], dataset.limits)
         rate = 1 / float(np.median(np.diff(motion.time)))
-        weight = np.sqrt(max(1.0, _INDEPENDENT * rate))
+        weight = np.sqrt(_rows_to_one(sigma > 1.01 * moving, max(1.0, _INDEPENDENT * rate)))
         model = reference.model.columns(motion.q, motion.qd, motion.qdd) / (sigma * weight)[:, :, None]
         made: dict[Candidate, np.ndarray] = {}
 
@@ -88,7 +88,7 @@ class Outlook:
                 block = np.zeros((*motion.q.shape, len(candidate.names)))
                 found = candidate.effect.columns(signals, candidate.joints, candidate.settings)
                 for joint, values in found.items():
-                    block[:, joint] = values / (sigma[:, joint] * weight)[:, None]
+                    block[:, joint] = values / (sigma[:, joint] * weight[:, joint])[:, None]
                 made[candidate] = np.nan_to_num(block)
             return made[candidate]
 
@@ -124,6 +124,16 @@ class Outlook:
                 size = (1.6832 + np.sqrt(1.6832**2 + 4 * margin)) / 2 / np.sqrt(distance)
                 found[comparison.pair] = max(size, found[comparison.pair] or 0.0)
         return found
+
+
+def _rows_to_one(resting: np.ndarray, usual: float) -> np.ndarray:
+    """(S, n) rows that make one independent row: `usual`, but a whole standstill of a joint, where stiction holds."""
+    rows = np.full(resting.shape, usual)
+    for joint, here in enumerate(resting.T):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], here.astype(int), [0]])))
+        for first, last in zip(edges[::2], edges[1::2], strict=True):
+            rows[first:last, joint] = max(usual, last - first)
+    return rows
 
 
 def _passes(distance: float, margin: float) -> float:
