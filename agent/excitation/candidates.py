@@ -118,7 +118,7 @@ class Candidates:
         """Whether a motion keeps clear of the arm, of the boxes and of the ends of joint ranges, within max_torque."""
         q, qd, qdd = trajectory.q[::EVERY], trajectory.qd[::EVERY], trajectory.qdd[::EVERY]
         collision = self._cell.check(trajectory, self.problem.settings.fly_distance).collision
-        return collision is None and self._overload(q, qd, qdd) is None
+        return collision is None and self._overload(self._dynamics.regressor(q, qd, qdd), qdd) is None
 
     def _joints(self, poses: np.ndarray) -> np.ndarray | None:
         """(K, n) of a redundant arm at the via-points, nearest to its posture, so that a loop ends where it began."""

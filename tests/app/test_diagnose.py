@@ -49,6 +49,12 @@ def test_nothing_moves_where_the_question_makes_no_sense(controller, write_recip
         (["--record", recipe, "--without", "squeak"], "squeak"),
         (["--record", recipe, "--model", "absent.json"], "no such model file"),
         (["--record", recipe, "--report", "nowhere/page.html"], "there is no folder"),
+        (["--robot", "comau_ns16", "some.mcap", "--until-sure"], "name the recipe to record"),
+        (["--record", recipe, "--until-sure", "--budget", "10"], "10 min"),
+        (["--record", recipe, "--until-sure", "--budget", "2 s"], "of motion are allowed"),
+        (["--robot", "comau_ns16", "some.mcap", "--next", recipe], "with -o DIR"),
+        (["--robot", "comau_ns16", "some.mcap", "--next", "absent.yaml", "-o", "next"], "absent.yaml"),
+        (["--robot", "comau_ns16", "some.mcap", "--next", recipe, "-o", str(recipe)], "is a file"),
     ):
         run = run_agent("diagnose", *arguments)
         assert run.returncode == 2, (arguments, run.stderr)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.diagnosis.fit import Fit
-from agent.diagnosis.gap import held_out_gap
+from agent.diagnosis.gap import held_out_gap, rms
 from agent.model.effects import CATALOGUE
 from agent.model.signals import NominalModel
 
@@ -73,7 +73,8 @@ def test_torque_within_stiction_at_rest_keeps_no_cause_from_closing_the_gap(diag
     )  # fmt: skip
     residual = found.dataset.residual + 0.8 * rest * fit.sigma
     gap = held_out_gap(replace(found.dataset, residual=residual), open_at_rest)
-    assert gap.after.max() > 2 * found.gap.after.max()
+    assert rms(open_at_rest.out_of_fold())[1] > 2 * rms(fit.out_of_fold())[1], "the error is there"
+    assert gap.after.max() < 2 * found.gap.after.max(), "and it is no gap"
     assert gap.closure > 0.9
 
 

@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agent.diagnosis import CATALOGUE, Diagnosis, diagnose, extended_model, simulate, simulation_part
 from agent.diagnosis.dataset import Dataset, assemble
-from agent.estimation import IdentifiedModel, estimate
+from agent.estimation import IdentifiedModel
 from agent.model.identified import ModelEffect
 from agent.pipeline.diagnosis_text import diagnosis_text
 from agent.recording.log import Log
 from agent.report.diagnosis_page import diagnosis_report, headline
 from agent.report.gap_section import diagnosis_section, diagnosis_summary
-from agent.robot import Joint, RobotDescription
+from agent.robot import RobotDescription
 from agent.validation import predict_log
 from fake_controller.plant import Plant
+from tests.small_arms import learn, make_arm, record
 
 #: What says how much of a gap in torque there is, or is closed.
 SIZED_GAP = re.compile(r"has [0-9]+ %.{0,20} of the gap|[0-9] % of the (torque )?gap(?! between)|closed:")
-PERIOD = 0.002
-CYCLE = 5.0
 #: One of each kind runs with every change: friction, body, position, channel.
 QUICK = ("stribeck", "payload", "gravity_spring", "time_delay")
 MODELLED = [
@@ -42,68 +40,6 @@ LAST_RESORT = {
     "time_delay": {"delay": 0.006},
     "payload": {"m0": 1.0, "hx0": 0.1, "hy0": 0.0, "hz0": 0.0},
 }
-
-
-def make_arm(kinds: str) -> RobotDescription:
-    """R and P for every joint, base first; bars that grow lighter towards the tip."""
-    parts, joints, parent = ['<robot name="bars"><link name="base"/>'], [], "base"
-    axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0", "0 1 0")
-    for k, kind in enumerate(kinds, start=1):
-        mass, slides = 30.0 / k, kind == "P"
-        bar = mass * 0.3**2 / 12
-        axis = "0 0 1" if slides else axes[k - 1]
-        parts.append(
-            f'<link name="link_{k}"><inertial><origin xyz="0.15 0 0.03"/><mass value="{mass}"/>'
-            f'<inertia ixx="{0.1 * bar}" iyy="{bar}" izz="{bar}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-            f'<joint name="joint_{k}" type="{"prismatic" if slides else "revolute"}"><parent link="{parent}"/>'
-            f'<child link="link_{k}"/><origin xyz="{0.3 * (k > 1)} 0 0"/><axis xyz="{axis}"/>'
-            '<limit lower="-2" upper="2" velocity="3" effort="9000"/></joint>'
-        )
-        parent = f"link_{k}"
-        joints.append(Joint(f"joint_{k}", slides, 100.0, None, 2.5, 8.0, None, 2e-4, None, None, -2.0, 2.0))
-    identity = tuple(tuple(float(i == j) for j in range(len(kinds))) for i in range(len(kinds)))
-    gravity = (0.0, 0.0, -9.80665)
-    return RobotDescription("bars", "".join([*parts, "</robot>"]), parent, gravity, None, tuple(joints), identity)
-
-
-def set_points(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """(S, n) positions and velocities of two cycles that begin and end at rest."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(round(CYCLE / PERIOD)) * PERIOD
-    a, b = rng.normal(size=(2, 4, n)) * 0.35 / np.arange(1, 5)[:, None]
-    phase = 2 * np.pi * np.arange(1, 5) * time[:, None] / CYCLE
-    fade = np.sin(0.5 * np.pi * np.clip(np.minimum(time, time[-1] - time) / 0.8, 0, 1))[:, None] ** 2
-    q = np.tile(fade * (np.sin(phase) @ a + np.cos(phase) @ b), (2, 1))
-    return q, np.gradient(q, PERIOD, axis=0)
-
-
-def record(plant: Plant, name: str, seed: int, share: Sequence[float] | float = 1.0) -> Log:
-    """A log of one motion of a plant, as a reader would give it; each joint makes a `share` of its motion."""
-    q, qd = (part * share for part in set_points(plant.robot.dof, seed))
-    plant.rest(q[0])
-    chunks = list(plant.run(q, qd))
-    position, velocity, torque = (
-        np.concatenate([getattr(c, part) for c in chunks]) for part in ("position", "velocity", "torque")
-    )
-    return Log(
-        path=Path(f"{name}.mcap"),
-        joint_names=plant.robot.joint_names,
-        t=np.arange(len(q)) * PERIOD,
-        position=position,
-        velocity=velocity,
-        effort=torque,
-        reference_position=q,
-        planned_position=None,
-        sample_rate=1 / PERIOD,
-        stamp=0.0,
-        segments=((0, len(q)),),
-        cycle_starts=(0.0, CYCLE),
-    )
-
-
-def learn(robot: RobotDescription) -> IdentifiedModel:
-    plant = Plant(robot, seed=3)
-    return estimate(robot, [record(plant, "first", 11), record(plant, "second", 12)])
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,134 @@
+"""The motion that separates what a diagnosis leaves open, and what it is expected to tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agent.diagnosis import Diagnosis, diagnose
+from agent.excitation import LoopProblem
+from agent.experiment import open_pairs, plan_experiment
+from agent.experiment.outlook import Motion, Outlook
+from agent.experiment.pieces import Pieces
+from agent.motion import ViaRegions
+from agent.motion.program import FlyTrajectory, FlyType, MotionSettings
+from agent.motion.regions import BoxRegion
+from agent.robot import RobotDescription
+from agent.robot.kinematics import kinematics_for
+from fake_controller.plant import Plant
+from tests.small_arms import learn, make_arm, record
+
+SIDES = {"asymmetric_friction", "torque_offset"}
+
+
+@pytest.fixture(scope="module")
+def arm() -> RobotDescription:
+    return make_arm("RR")
+
+
+def one_sided(arm: RobotDescription) -> Diagnosis:
+    """Friction of joint 2 differs by direction: while the joint moves, an offset would be the same."""
+    effect = {"effect": "asymmetric_friction", "joints": ["joint_2"], "parameters": {"coulomb": 0.4}}
+    plant = Plant(arm, seed=3, effects=[effect])
+    return diagnose(arm, [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))], learn(arm))
+
+
+@pytest.fixture(scope="module")
+def ambiguous(arm) -> Diagnosis:
+    return one_sided(arm)
+
+
+@pytest.fixture(scope="module")
+def problem() -> LoopProblem:
+    arm = make_arm("RRRRRR")
+    pose = kinematics_for(arm, None).forward(np.array([[0.2, 0.2, 1.2, 0.3, 0.8, 0.2]]))[0]
+    region = BoxRegion(pose, np.full(3, 0.1), 0.3)
+    fly = MotionSettings(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02)
+    return LoopProblem(robot=arm, regions=ViaRegions((region,) * 4), settings=fly.changed(linear_speed=0.5))
+
+
+def _wave(arm: RobotDescription, amplitudes: Sequence[float], seconds: float) -> Motion:
+    time = np.arange(0, seconds, 0.02)
+    w = 2 * np.pi / seconds * np.arange(1, arm.dof + 1)
+    a = np.asarray(amplitudes)
+    phase = time[:, None] * w
+    return Motion(time, a * np.sin(phase), a * w * np.cos(phase), -a * w**2 * np.sin(phase))
+
+
+def test_what_is_ambiguous_is_what_is_asked(ambiguous):
+    assert ambiguous.result["verdict"] == "ambiguous"
+    pairs = open_pairs(ambiguous)
+    assert SIDES in [set(pair.names) for pair in pairs]
+    assert all(pair.first.joints == ("joint_2",) for pair in pairs)
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    st.lists(st.floats(0.01, 0.5), min_size=2, max_size=2),
+    st.lists(st.floats(0.01, 0.5), min_size=2, max_size=2),
+    st.floats(2, 8),
+)
+def test_a_further_motion_never_brings_rivals_nearer(arm, ambiguous, first, second, seconds):
+    outlook = Outlook(ambiguous.dataset, open_pairs(ambiguous))
+    one = outlook.moments(_wave(arm, first, seconds))
+    two = outlook.moments(_wave(arm, second, seconds))
+    now = outlook.probabilities()
+    after = outlook.probabilities(one)
+    both = outlook.probabilities([a + b for a, b in zip(one, two, strict=True)])
+    assert np.all(after >= now - 1e-6)
+    assert np.all(both >= after - 1e-6)
+    assert np.all((both >= 0) & (both <= 1))
+
+
+def test_a_standstill_counts_once_however_long(arm, ambiguous):
+    outlook = Outlook(ambiguous.dataset, open_pairs(ambiguous))
+
+    def rest(seconds: float) -> list[np.ndarray]:
+        time = np.arange(0, seconds, 0.02)
+        zero = np.zeros((len(time), arm.dof))
+        return outlook.moments(Motion(time, zero + 0.3, zero, zero))
+
+    for short, long in zip(rest(1.0), rest(8.0), strict=True):
+        assert np.allclose(short, long, rtol=0.05, atol=1e-9)
+
+
+def test_pieces_begin_and_end_at_rest_in_the_sub_region(problem):
+    arm = problem.robot
+    pieces = Pieces(problem, [1, 4], 30.0, np.random.default_rng(5))
+    found = [piece for piece in (pieces.draw() for _ in range(20)) if piece is not None]
+    assert {piece.recipe.kind for piece in found} == {"loop", "stops", "reversals"}
+    tips = kinematics_for(arm, None)
+    middle = problem.regions.poses(np.full(problem.genes, 0.5))[0, :3, 3]
+    for piece in found:
+        motion = piece.motion
+        assert np.allclose(motion.q[[0, -1]], piece.start, atol=1e-6)
+        assert np.allclose(motion.qd[[0, -1]], 0, atol=1e-6)
+        assert np.all(np.abs(motion.qd) <= arm.max_velocity * (1 + 1e-6))
+        away = np.abs(tips.forward(motion.q)[:, :3, 3] - middle)
+        assert away.max() < 0.1 + 2 * problem.settings.fly_distance, piece.text(arm.joint_names)
+
+
+@pytest.mark.verify
+def test_the_motion_that_is_planned_tells_more_and_repeats(problem):
+    found = one_sided(problem.robot)
+    first, again = (plan_experiment(found, problem, 20.0, seed=3) for _ in range(2))
+    assert first is not None
+    assert again is not None
+    assert first.duration <= 20.0
+    assert [e.after for e in first.expected] == [e.after for e in again.expected]
+    for expected in first.expected:
+        assert expected.after >= expected.before
+    if not first.pieces:
+        assert first.expected == ()
+
+
+def test_a_settled_diagnosis_asks_nothing_of_causes(arm, ambiguous):
+    model = ambiguous.dataset.model
+    plant = Plant(arm, seed=3, effects=[{"effect": "payload", "parameters": {"mass": 3.0}}])
+    found = diagnose(arm, [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))], model)
+    assert found.result["verdict"] == "explained"
+    assert all(pair.second.forms == () for pair in open_pairs(found)), "only sizes that these logs would not show"
