@@ -7,6 +7,7 @@ not confirmed the link is closed, and the controller's own watchdog stops the ar
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -98,6 +99,7 @@ class GuardedLink:
         self._identity: Identity | None = None
         self._emulator = False
         self._to_stop = False  # the arm may be in motion, and nobody has asked it to stop yet
+        self._stopping = threading.Lock()  # one stop after the other: a command between would hide its answer
         #: (controller time [s], (n,) [°C]) of the last motion, where the controller measures temperatures.
         self.temperatures: list[tuple[float, np.ndarray]] = []
 
@@ -283,7 +285,7 @@ class GuardedLink:
         Returns whether it was confirmed.
         """
         confirmed = False
-        with undisturbed():
+        with undisturbed(), self._stopping:
             try:
                 self._driver.stop()
                 confirmed = True

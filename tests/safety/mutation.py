@@ -13,6 +13,7 @@ import copy
 import importlib
 import json
 import os
+import resource
 import signal
 import sys
 import tempfile
@@ -48,6 +49,7 @@ HEAVY = (
 )
 #: A change that hangs is noticed: after so long [s], and so many times what its tests take.
 LIMIT, TIMES = 30.0, 5.0
+MEMORY = 4 << 30  # bytes; a change that takes more is noticed
 #: Calls that build a message or move a loop on, and check nothing.
 _HARMLESS_CALLS = {"append", "mkdir"}
 _OPPOSITE = {ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt}
@@ -273,6 +275,7 @@ def passes(mutant: Mutant | None, files: list[str], limit: float, plugins: tuple
     """Whether the tests of these files pass with a change (None: with none), in a child that imports the layer anew."""
     child = os.fork()
     if child == 0:
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, 1)
         os.dup2(nothing, 2)

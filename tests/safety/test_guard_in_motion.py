@@ -161,6 +161,29 @@ def test_why_it_was_stopped_comes_before_how_the_samples_end(bench, program, fai
         bench.run(program())
 
 
+def test_one_stop_after_the_other(bench, program):
+    """The state asks for one and, while that is on its way, somebody ends the program."""
+    inside, most, second = [], [], threading.Event()
+
+    class Slow(TcpDriver):
+        def stop(self):
+            inside.append(1)
+            most.append(len(inside))
+            if len(inside) > 1:
+                second.set()
+            second.wait(0.2)
+            super().stop()
+            inside.pop()
+
+    bench.driver = Slow
+    bench.controller.pushes, bench.controller.later = True, {"override": 0.9}
+    guard = bench.open()
+    guard.send(program())
+    with pytest.raises(KeyboardInterrupt):
+        _take_and_raise(guard, program(), KeyboardInterrupt, 2)
+    assert most == [1, 1]
+
+
 def test_one_look_at_a_time_and_what_it_raises_is_raised():
     told, answer, stops = [], threading.Event(), []
 
@@ -319,7 +342,7 @@ def test_whatever_goes_wrong_with_the_samples_stops_the_arm(bench, error, progra
     guard = bench.open()
     guard.send(program())
     with pytest.raises(error):
-        _take_one_and_raise(guard, program(), error)
+        _take_and_raise(guard, program(), error)
     assert (bench.controller.starts, bench.controller.stops) == (1, 1)
 
 
@@ -328,7 +351,7 @@ def test_a_stop_that_is_not_confirmed_closes_the_link_and_says_so(bench, program
     guard = bench.open()
     guard.send(program())
     with pytest.raises(KeyboardInterrupt):
-        _take_one_and_raise(guard, program(), KeyboardInterrupt)
+        _take_and_raise(guard, program(), KeyboardInterrupt)
     assert len(bench.warned) == 1
     assert "not confirmed" in bench.warned[0]
     with pytest.raises(DriverError, match="connect first"):
@@ -342,9 +365,10 @@ def test_a_closed_link_is_closed(bench):
         guard.position()
 
 
-def _take_one_and_raise(guard: GuardedLink, chosen: PlannedProgram, error: type[BaseException]) -> None:
+def _take_and_raise(guard: GuardedLink, chosen: PlannedProgram, error: type[BaseException], blocks: int = 1) -> None:
     with guard.motion(chosen) as samples:
-        next(samples)
+        for _ in range(blocks):
+            next(samples)
         raise error("disk full, Ctrl-C, anything")
 
 
