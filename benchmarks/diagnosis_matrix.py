@@ -8,6 +8,7 @@ count in what an effect usually is on a machine in need of repair. Each line is 
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import sys
 import time
@@ -21,6 +22,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from agent.blind_check.cases import draw_effect
 from agent.core.errors import AgentError
+from agent.core.on_dask import open_engine
+from agent.core.parallel import InProcess
 from agent.diagnosis import CATALOGUE, diagnose
 from agent.estimation import IdentifiedModel, estimate
 from agent.recording.log import Log
@@ -174,6 +177,8 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", help="these effects")
     parser.add_argument("--withheld", action="store_true", help="diagnose again without the true effect")
     parser.add_argument("--keep", type=Path, help="folder for models that are reused")
+    parser.add_argument("--workers", type=int, default=1, help="local processes")
+    parser.add_argument("--scheduler", help="of a Dask cluster, tcp://…")
     arguments = parser.parse_args()
     robot = load_robot(arguments.robot)
     rng = np.random.default_rng(arguments.seed)
@@ -182,35 +187,59 @@ def main() -> None:
     truths = [("none", 0.0, None)] * arguments.none
     truths += [(name, size, draw(name, robot, size, joint, rng)) for name, size, joint in places]
     truths = [entry for entry in truths if entry[0] == "none" or entry[2] is not None]
-    model, machine = None, 0
+    cases = [
+        (arguments.robot, arguments.seed * 100 + number // 8, number, *truth, arguments.withheld, arguments.keep)
+        for number, truth in enumerate(truths)
+    ]
+    found: dict[int, tuple[str, str]] = {}
+    alone = arguments.workers == 1 and arguments.scheduler is None
+    with InProcess() if alone else open_engine(arguments.scheduler, arguments.workers) as engine:
+        for done in engine.map(try_case, cases):
+            if done.answer is None:
+                print(done.lost)
+                continue
+            text, outcome, without = done.answer
+            print(text, flush=True)
+            found[done.number] = outcome, without
     outcomes: dict[tuple[str, float], list[str]] = {}
-    withheld: Counter = Counter()
-    for number, (name, size, effect) in enumerate(truths):
-        if model is None or number % 8 == 0:
-            machine = arguments.seed * 100 + number // 8
-            model = cached(
-                arguments.keep, f"model_{robot.name}_{machine}",
-                lambda m=machine: estimate(robot, [record(robot, m, [], kind, m) for kind in MOTIONS[:2]]),
-            )  # fmt: skip
-        truth = [] if effect is None else [effect]
-        try:
-            logs = [record(robot, machine, truth, kind, 1000 + number) for kind in MOTIONS]
-        except AgentError as error:
-            print(f"{name}: {error}")
-            continue
-        start = time.process_time()
-        result = diagnose(robot, logs, model).result
-        seconds = time.process_time() - start
-        outcome = judge(result, truth)
-        outcomes.setdefault((name, size), []).append(outcome)
-        print(f"{outcome:11} {seconds:5.1f}s x {size:g} {json.dumps(effect)}\n      {short(result)}", flush=True)
-        if arguments.withheld and truth:
-            found = diagnose(robot, logs, model, without=[name])
-            withheld["confident" if found.result["verdict"] == "explained" else "abstains"] += 1
-            print(f"      without: {short(found.result)} closed {found.finding.closed:.3f}", flush=True)
+    for number in sorted(found):
+        if found[number][0]:
+            outcomes.setdefault(truths[number][:2], []).append(found[number][0])
+    withheld = Counter(without for _, without in found.values() if without)
     print(table(outcomes, [0.0, *arguments.sizes]))
     if withheld:
         print(f"with the true effect withheld: {dict(withheld)}")
+
+
+def try_case(case: tuple) -> tuple[str, str, str]:
+    """One run recorded and diagnosed: what to print, the outcome, and that with the true effect withheld."""
+    arm, machine, number, name, size, effect, withheld, keep = case
+    robot, model = load_robot(arm), model_of(arm, machine, keep)
+    truth = [] if effect is None else [effect]
+    try:
+        logs = [record(robot, machine, truth, kind, 1000 + number) for kind in MOTIONS]
+    except AgentError as error:
+        return f"{name}: {error}", "", ""
+    start = time.process_time()
+    result = diagnose(robot, logs, model).result
+    seconds = time.process_time() - start
+    outcome = judge(result, truth)
+    text = f"{outcome:11} {seconds:5.1f}s x {size:g} {json.dumps(effect)}\n      {short(result)}"
+    if not (withheld and truth):
+        return text, outcome, ""
+    found = diagnose(robot, logs, model, without=[name])
+    text += f"\n      without: {short(found.result)} closed {found.finding.closed:.3f}"
+    return text, outcome, "confident" if found.result["verdict"] == "explained" else "abstains"
+
+
+@functools.lru_cache(maxsize=1)
+def model_of(arm: str, machine: int, keep: Path | None) -> IdentifiedModel:
+    """The model of a machine, from two effect-free motions; the same in every process."""
+    robot = load_robot(arm)
+    return cached(
+        keep, f"model_{robot.name}_{machine}",
+        lambda: estimate(robot, [record(robot, machine, [], kind, machine) for kind in MOTIONS[:2]]),
+    )  # fmt: skip
 
 
 def cached(folder: Path | None, name: str, make: Callable[[], IdentifiedModel]) -> IdentifiedModel:

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from agent.core.errors import InputError
+from agent.core.parallel import available_cores
 from agent.excitation.candidates import Candidates, Loop, LoopProblem
 from agent.excitation.criterion import one_blas_thread
 from agent.excitation.genetic import genetic
 from agent.excitation.random_search import random_search
 from agent.excitation.scoring import Score, ranking
-from agent.excitation.workers import Workers, available_cores
+from agent.excitation.workers import Workers
 
 #: Methods by the names that a recipe uses.
 METHODS = {"genetic": genetic, "random": random_search}

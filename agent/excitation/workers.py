@@ -7,7 +7,6 @@ does not depend on who evaluates it, or when: results are the same for any numbe
 from __future__ import annotations
 
 import multiprocessing
-import os
 import signal
 import traceback
 from collections.abc import Callable
@@ -24,11 +23,6 @@ from agent.excitation.scoring import Score
 
 #: Builds the function that scores one genome (genes,). Both travel to the workers, so both must pickle.
 Build = Callable[[Any], Callable[[np.ndarray], Score]]
-
-
-def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Workers:
