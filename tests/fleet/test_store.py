@@ -35,7 +35,8 @@ def _fetched(url: str, folder: Path) -> list[dict]:
 
 
 def test_from_s3_to_s3_through_errors_and_half_files(s3: FlakyProxy, plant: Path, estimated: Path, tmp_path: Path):
-    _upload(plant, "s3://plant/hall")
+    for robot in ("robot_0004", "robot_0005"):
+        _upload(plant / robot, f"s3://plant/hall/{robot}")
 
     def estimate():
         question = make_question("estimate", None, None)
@@ -43,14 +44,14 @@ def test_from_s3_to_s3_through_errors_and_half_files(s3: FlakyProxy, plant: Path
 
     s3.fault = lambda number, method, _: {2: "500", 5: "cut"}.get(number % 7, "") if method == "GET" else ""
     summary = estimate()
-    assert s3.faults > 5
-    assert (summary.done, len(summary.failed)) == (13, 1)
+    assert s3.faults > 3
+    assert (summary.done, len(summary.failed)) == (5, 1)
     ours = [{key: row[key] for key in SAME} for row in _fetched("s3://plant/result", tmp_path / "s3")]
-    assert ours == [{key: row[key] for key in SAME} for row in rows_of(estimated)]
+    assert ours == [{key: row[key] for key in SAME} for row in rows_of(estimated) if row["robot"] >= "robot_0004"]
     names = {row["model"].split("/")[1] for row in ours if row["model"]}
     assert set(Store("s3://plant/result").names("_models")) == names
     assert Store("s3://plant/result").names("_done") == []
-    assert (estimate().done, estimate().kept) == (0, 13)
+    assert (estimate().done, estimate().kept) == (0, 5)
 
 
 def test_a_store_that_never_gives_a_file_is_a_row_that_is_tried_again(s3, plant, tmp_path, monkeypatch):

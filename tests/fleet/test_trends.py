@@ -66,11 +66,11 @@ def test_a_step_is_dated(year: Path):
 
 def test_estimates_of_logs_show_the_wear_that_was_simulated(command, arm: str, tmp_path: Path):
     """From logs to the alarm, through the estimator."""
-    simulate_fleet(arm, 2, 10, 11, str(tmp_path / "plant"), rows=False)
+    simulate_fleet(arm, 1, 10, 11, str(tmp_path / "plant"), rows=False)
     found = command("fleet", "trends", tmp_path / "plant", "-o", tmp_path / "trends", "--json", "-q")
     with open(tmp_path / "plant" / "truth.csv", encoding="utf-8") as file:
         (worn,) = csv.DictReader(file)
-    assert (found["machines"], found["series"]) == (2, 4)
+    assert (found["machines"], found["series"]) == (1, 2)
     assert [(one["robot"], one["joint"]) for one in found["alarms"]] == [(worn["robot"], worn["joint"])]
     assert (tmp_path / "trends" / "_estimates" / "rows.parquet").is_file()
 
