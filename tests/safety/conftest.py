@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
@@ -121,14 +122,15 @@ class Peer(threading.Thread):
             "emulator": False,
             **told.status,
         }
-        sent, running = 0, False
+        sent, running, latest = 0, False, 0.0
         unanswered: list[int] = []
 
         def send(message: object, request: int = 0) -> None:
             connection.sendall(tcp.encode(message, request))
 
         def block() -> None:
-            nonlocal sent, running
+            nonlocal sent, running, latest
+            latest = time.monotonic()
             first = 100 * sent
             zeros = np.zeros((100, 6))
             stamps = (first + np.arange(100)) * told.spacing  # at first, a block is a quarter of a second
@@ -154,6 +156,9 @@ class Peer(threading.Thread):
             for frame in decoder.feed(data):
                 message = tcp.decode(frame)
                 if isinstance(message, tcp.Heartbeat):
+                    left_out = running and not told.pushes and sent != told.half_closes_after
+                    if left_out and time.monotonic() - latest > 0.3:  # a busy machine's look was left out
+                        block()
                     continue
                 if isinstance(message, tcp.Start):
                     told.starts += 1

@@ -69,7 +69,8 @@ def test_the_controllers_own_word_comes_before_what_the_state_says(bench, progra
     assert bench.controller.stops >= 1
 
 
-def test_a_look_costs_a_request_and_is_taken_five_times_a_second_of_motion(bench, program):
+def test_a_look_costs_a_request_and_is_taken_five_times_a_second_of_motion(bench, program, monkeypatch):
+    monkeypatch.setattr("agent.safety.looks.PROMPT", 5.0)
     bench.controller.blocks, bench.controller.pushes, bench.controller.spacing = 40, True, 250_000
     guard = bench.open(clock=lambda: 0.0)
     before = bench.controller.asked.count("AskStatus") + 2  # the two before the start
@@ -77,7 +78,8 @@ def test_a_look_costs_a_request_and_is_taken_five_times_a_second_of_motion(bench
     assert 4 <= bench.controller.asked.count("AskStatus") - before <= 6
 
 
-def test_a_controller_whose_time_stands_still_is_looked_at_all_the_same(bench, program):
+def test_a_controller_whose_time_stands_still_is_looked_at_all_the_same(bench, program, monkeypatch):
+    monkeypatch.setattr("agent.safety.looks.PROMPT", 5.0)
     bench.controller.blocks, bench.controller.pushes, bench.controller.spacing = 40, True, 1
     ticks = iter(range(10**6))
     guard = bench.open(clock=lambda: 0.1 * next(ticks))
@@ -133,10 +135,21 @@ def test_a_state_that_is_not_answered_delays_no_watch(bench, program):
 def test_a_state_that_comes_late_stops_the_arm_without_another_sample(bench, program, monkeypatch):
     """The stop is asked for when the answer comes, not with the next block."""
     monkeypatch.setattr("agent.safety.looks.PROMPT", 0.0)
-    bench.controller.blocks, bench.controller.later = 50, {"override": 0.9}
+    over = threading.Event()
+
+    class Waiting(TcpDriver):
+        def samples(self):
+            yield next(super().samples())
+            assert over.wait(patience(5.0))
+
+        def stop(self):
+            over.set()
+            super().stop()
+
+    bench.driver = Waiting
+    bench.controller.pushes, bench.controller.later = True, {"override": 0.9}
     with pytest.raises(SafetyError, match="90 %"):
         bench.run(program())
-    assert bench.controller.stops >= 1
 
 
 class AtOnce(TcpDriver):
@@ -185,18 +198,21 @@ def test_one_stop_after_the_other(bench, program):
 
 
 def test_one_look_at_a_time_and_what_it_raises_is_raised():
-    told, answer, stops = [], threading.Event(), []
+    told, asked, answer, stops = [], threading.Event(), threading.Event(), []
 
     def ask(now):
         told.append(now)
+        asked.set()
         assert answer.wait(patience(5.0))
         if now == 3.0:
             raise ValueError("as told")
         return ControllerError(f"at {now}") if now else None
 
     looks = Looks(ask, lambda: stops.append(looks.found))
-    for now in (0.0, 1.0, 2.0):
-        looks.look(now)
+    looks.look(0.0)
+    assert asked.wait(patience(5.0))
+    looks.look(1.0)
+    looks.look(2.0)
     assert told == [0.0], "the others had to wait for its answer"
     answer.set()
     assert looks.result() is None
