@@ -37,8 +37,8 @@ class ClearanceSearch:
         self.model, self.q, self.stop, self.margin, self.tolerance = model, q, stop, margin, tolerance
         self.reach = np.array([pair.reach for pair in model.pairs]).T  # (n, pairs)
         self.travelled = _cumulated(q)
-        self.stop_changed = None if stop is None else _cumulated(stop)
-        self.stop_length = None if stop is None else np.abs(stop)
+        #: Of the way to a stop: how much it has changed up to each sample, and how long it is there.
+        self.stopping = None if stop is None else (_cumulated(stop), np.abs(stop))
         count = len(model.pairs)
         self.smallest = np.full(count, np.inf)
         self.smallest_at = np.zeros(count)
@@ -104,10 +104,11 @@ class ClearanceSearch:
             return np.maximum(there - before, after - there)
 
         along = half(self.travelled)
-        if self.stop_changed is None or self.stop_length is None:
+        if self.stopping is None:
             return along, np.zeros_like(along)
-        along = along + s1[:, None] * half(self.stop_changed)
-        return along, (s1 - s0)[:, None] / 2 * (_at(self.stop_length, middle) @ self.reach)
+        changed, length = self.stopping
+        along = along + s1[:, None] * half(changed)
+        return along, (s1 - s0)[:, None] / 2 * (_at(length, middle) @ self.reach)
 
     def _note(self, middle: np.ndarray, distances: np.ndarray) -> None:
         nearest = distances.argmin(axis=0)
