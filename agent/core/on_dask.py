@@ -74,7 +74,7 @@ class DaskEngine:
             self._start_local()
         else:
             try:
-                self._client = self._connect()
+                self._client = self._connect(3 * _CONNECT)  # it may be starting
             except (OSError, ValueError) as error:
                 raise InputError(f"{self._scheduler}: no Dask scheduler answers there: {error or 'no time'}") from None
         return self
@@ -187,8 +187,8 @@ class DaskEngine:
             "command goes on"
         )
 
-    def _connect(self) -> Any:
-        return self._dask.Client(self._scheduler, timeout=_CONNECT, set_as_default=False)
+    def _connect(self, timeout: float = _CONNECT) -> Any:
+        return self._dask.Client(self._scheduler, timeout=timeout, set_as_default=False)
 
     def _start_local(self) -> None:
         import dask
