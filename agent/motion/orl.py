@@ -1,6 +1,6 @@
-"""The vendor's own interpolator, where a user has its library: stepped through ctypes.
+"""The vendor's own interpolator, where a user has its library: moves announced and stepped through.
 
-`docs/orl_shim.h` is the interface a library has to export, `docs/decisions/orl-adapter.md` says why it is that.
+`agent.motion.orl_calls` holds the library's calls, `docs/decisions/orl-adapter.md` says what of them is known.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Sequence
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,21 +15,24 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.motion.interpolator import MotionError
-from agent.motion.path import rotation
-from agent.motion.program import (
-    CartesianTarget,
-    Delay,
-    FlyTrajectory,
-    FlyType,
-    JointTarget,
-    Move,
-    MoveType,
-    OrientationType,
-    SpeedOption,
-    Statement,
-    Target,
-    Termination,
+from agent.motion.orl_calls import (
+    ARM,
+    CONTROLLER,
+    FINAL,
+    IDLE,
+    LIBRARY,
+    MOST_ANNOUNCED,
+    MOST_JOINTS,
+    MOVING,
+    NEED_DATA,
+    Calls,
+    Refused,
+    Told,
 )
+from agent.motion.orl_shim import ShimCalls
+from agent.motion.orl_vendor import vendor_calls
+from agent.motion.path import rotation
+from agent.motion.program import Delay, JointTarget, Move, Statement, Target
 from agent.motion.trajectory import Trajectory
 from agent.robot.description import RobotDescription
 from agent.robot.kinematics import kinematics_for
@@ -38,61 +40,20 @@ from agent.robot.kinematics import kinematics_for
 if TYPE_CHECKING:
     from agent.robot.dynamics import Tool
 
-#: Environment variable that names the library.
-LIBRARY = "CALIBRATION_ORL_LIBRARY"
-_MOVING, _FINAL, _IDLE = 0, 2, -42
-_MOST_JOINTS = 10
 #: [s] no chain of moves may take longer.
 _LONGEST = 3600.0
-
-
-class _OrlMove(ctypes.Structure):
-    _fields_ = (
-        *[
-            (name, ctypes.c_int)
-            for name in (
-                "size",
-                "joints",
-                "first",
-                "movement",
-                "fly",
-                "fly_type",
-                "fly_trajectory",
-                "speed_option",
-                "orientation",
-                "termination",
-                "target_is_joints",
-                "reserved",
-            )
-        ],
-        *[
-            (name, ctypes.c_double)
-            for name in (
-                "fly_distance",
-                "fly_percent",
-                "stress_percent",
-                "linear_speed",
-                "rotational_speed",
-                "speed_override",
-                "acceleration_override",
-                "deceleration_override",
-                "arm_override",
-            )
-        ],
-        ("start", ctypes.c_double * _MOST_JOINTS),
-        ("target", ctypes.c_double * _MOST_JOINTS),
-        *[(name, ctypes.c_double * 6) for name in ("via", "base", "tool", "uframe")],
-        ("configuration", ctypes.c_char * 64),
-    )
+#: [rad or m] A chain that ends further from its target than this was not the one we announced.
+_ARRIVED = 5e-3
 
 
 class OrlInterpolator:
     """Plans programs by stepping the vendor's interpolator. One at a time in a process: the library keeps the state.
 
-    `library` is its path; without one the environment variable CALIBRATION_ORL_LIBRARY names it.
+    `library` is its path; without one the environment variable CALIBRATION_ORL_LIBRARY names it. The vendor's own
+    starts from the controller's file (CALIBRATION_ORL_CONTROLLER), for its first arm or CALIBRATION_ORL_ARM.
 
     Raises:
-        InputError: no library, one that does not load, or one that lacks a call.
+        InputError: no library or controller file, one that does not load or lacks a call, a period it does not take.
     """
 
     def __init__(
@@ -107,17 +68,20 @@ class OrlInterpolator:
         self._kinematics = kinematics_for(robot, tool)
         self._tool = np.eye(4) if tool is None else np.asarray(tool.frame, dtype=float)
         self._sliding = np.array([joint.prismatic for joint in robot.joints])
+        if robot.dof > MOST_JOINTS:
+            raise InputError(f"the robot has {robot.dof} joints, the ORL library takes {MOST_JOINTS}")
         self._library = _loaded(library)
-        status = self._library.ORL_set_interpolation_time(1e3 * period)
-        if status != 0:
-            raise InputError(f"ORL_set_interpolation_time refuses {1e3 * period:g} ms: status {status}")
+        self._set_period()
 
     def plan(self, statements: Sequence[Statement], start: np.ndarray) -> Trajectory:
         """Set-points of the program from rest at `start` (n,) to rest; velocities by differences of positions.
 
         Raises:
-            MotionError: the library refuses a move, or its arm does not start where ours stands.
+            MotionError: the library refuses a move, its arm does not start where ours stands or end at the target, or
+                it ends a move that flies before it has asked for the next.
         """
+        # Set again: the library is one for the process, and another interpolator may have set its own.
+        self._set_period()
         samples, moves = [np.asarray(start, dtype=float)[None]], [np.zeros(1, dtype=int)]
         chain: list[tuple[int, Move]] = []
         for index, statement in enumerate(statements):
@@ -135,24 +99,49 @@ class OrlInterpolator:
                 chain = []
         return self._trajectory(np.concatenate(samples), np.concatenate(moves))
 
+    def _set_period(self) -> None:
+        try:
+            self._library.set_period(1e3 * self.period)
+        except Refused as refused:
+            raise InputError(f"the library refuses a period of {1e3 * self.period:g} ms: {refused}") from None
+
     def _stepped(self, chain: list[tuple[int, Move]], start: np.ndarray) -> np.ndarray:
-        for k, (index, move) in enumerate(chain):
-            status = self._library.ORL_set_move_parameters(ctypes.byref(self._move(move, start, k == 0)))
-            if status != 0:
-                raise _refusal(index, f"ORL_set_move_parameters refuses the move: status {status}")
+        try:
+            return self._chain(chain, start)
+        except MotionError:
+            self._library.cancel()
+            raise
+
+    def _chain(self, chain: list[tuple[int, Move]], start: np.ndarray) -> np.ndarray:
+        announced = 0
+        for _ in chain[:MOST_ANNOUNCED]:
+            self._announce(*chain[announced], start, first=announced == 0)
+            announced += 1
         steps: list[np.ndarray] = []
-        joints = (ctypes.c_double * _MOST_JOINTS)()
         while len(steps) * self.period <= _LONGEST:
-            status = self._library.ORL_get_next_interpolation_step(joints)
-            if status not in (_MOVING, _FINAL):
+            status, joints = self._library.step(self.robot.dof)
+            if status not in (MOVING, NEED_DATA, FINAL):
                 idle = "the library has nothing to move before the move has ended"
-                raise _refusal(chain[-1][0], idle if status == _IDLE else f"no next step: status {status}")
-            steps.append(self._from_controller(np.array(joints[: self.robot.dof])))
+                raise _refusal(chain[announced - 1][0], idle if status == IDLE else f"no next step: status {status}")
+            steps.append(self._from_controller(np.array(joints)))
             if len(steps) == 1:
                 self._check_first(chain[0][0], start, steps[0])
-            if status == _FINAL:
+            if status == NEED_DATA and announced < len(chain):
+                self._announce(*chain[announced], start, first=False)
+                announced += 1
+            if status == FINAL:
+                self._check_last(chain, announced, steps[-1])
                 return np.array(steps)
         raise _refusal(chain[-1][0], f"the move has not ended after {_LONGEST:g} s")
+
+    def _announce(self, index: int, move: Move, start: np.ndarray, first: bool) -> None:
+        base, tool, uframe = (_coordinates(frame) for frame in self._frames(move))
+        via = () if move.via is None else self._coordinates(move.via)
+        told = Told(move, self._to_controller(start), self._coordinates(move.target), via, base, tool, uframe)
+        try:
+            self._library.announce(told, first)
+        except Refused as refused:
+            raise _refusal(index, f"the library refuses the move: {refused}") from None
 
     def _check_first(self, index: int, start: np.ndarray, step: np.ndarray) -> None:
         jump = np.abs(step - start)
@@ -160,55 +149,34 @@ class OrlInterpolator:
             away = np.degrees(jump.max())
             raise _refusal(index, f"the library's arm is {away:.3g} degrees away from where ours starts")
 
+    def _check_last(self, chain: list[tuple[int, Move]], announced: int, step: np.ndarray) -> None:
+        if announced < len(chain):
+            raise _refusal(chain[announced - 1][0], "the library ended the move before it asked for the next")
+        index, move = chain[-1]
+        away = float(self._away(move, step[None])[0])
+        if away > _ARRIVED:
+            unit = "degrees" if isinstance(move.target, JointTarget) else "mm"
+            far = np.degrees(away) if unit == "degrees" else 1e3 * away
+            raise _refusal(index, f"the library ended {far:.3g} {unit} from the target: another arm or other frames?")
+
+    def _away(self, move: Move, q: np.ndarray) -> np.ndarray:
+        """How far (N,) [rad or m] joint positions (N, n) are from the move's target."""
+        if isinstance(move.target, JointTarget):
+            return np.asarray(np.abs(q - move.target.position).max(axis=1))
+        base, tool, uframe = self._frames(move)
+        flange = self._kinematics.forward(q) @ np.linalg.inv(self._tool)
+        target = np.linalg.solve(base, uframe @ move.target.pose)[:3, 3]
+        return np.asarray(np.linalg.norm((flange @ tool)[:, :3, 3] - target, axis=1))
+
     def _statements(self, chain: list[tuple[int, Move]], q: np.ndarray) -> np.ndarray:
         """Statement of each sample: a move ends where its target is nearest, as the library does not say."""
         owner = np.full(len(q), chain[-1][0])
-        points = self._kinematics.forward(q)[:, :3, 3]
         begin = 0
         for index, move in chain[:-1]:
-            if isinstance(move.target, JointTarget):
-                away = np.abs(q[begin:] - move.target.position).max(axis=1)
-            else:
-                base, _, uframe = self._frames(move)
-                away = np.linalg.norm(points[begin:] - np.linalg.solve(base, uframe @ move.target.pose)[:3, 3], axis=1)
-            end = begin + int(np.argmin(away)) + 1
+            end = begin + int(np.argmin(self._away(move, q[begin:]))) + 1
             owner[begin:end] = index
             begin = min(end, len(q) - 1)
         return owner
-
-    def _move(self, move: Move, start: np.ndarray, first: bool) -> _OrlMove:
-        settings = move.settings
-        base, tool, uframe = self._frames(move)
-        target = move.target
-        return _OrlMove(
-            size=ctypes.sizeof(_OrlMove),
-            joints=self.robot.dof,
-            first=first,
-            movement=_number(move.type, MoveType),
-            fly=move.fly,
-            fly_type=_number(settings.fly_type, FlyType),
-            fly_trajectory=_number(settings.fly_trajectory, FlyTrajectory),
-            speed_option=_number(settings.speed_option, SpeedOption),
-            orientation=_number(settings.orientation, OrientationType),
-            termination=_number(settings.termination, Termination),
-            target_is_joints=isinstance(target, JointTarget),
-            fly_distance=1e3 * settings.fly_distance,
-            fly_percent=settings.fly_percent,
-            stress_percent=settings.stress_percent,
-            linear_speed=settings.linear_speed,
-            rotational_speed=settings.rotational_speed,
-            speed_override=100.0 * settings.speed_override,
-            acceleration_override=100.0 * settings.acceleration_override,
-            deceleration_override=100.0 * settings.deceleration_override,
-            arm_override=100.0 * settings.arm_override,
-            start=tuple(self._to_controller(start)),
-            target=tuple(self._coordinates(target)),
-            via=tuple(np.zeros(6) if move.via is None else self._coordinates(move.via)),
-            base=tuple(_coordinates(base)),
-            tool=tuple(_coordinates(tool)),
-            uframe=tuple(_coordinates(uframe)),
-            configuration=target.configuration.encode() if isinstance(target, CartesianTarget) else b"",
-        )
 
     def _frames(self, move: Move) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         settings = move.settings
@@ -216,11 +184,11 @@ class OrlInterpolator:
         tool = self._tool if settings.tool is None else np.array(settings.tool)
         return base, tool, np.eye(4) if settings.uframe is None else np.array(settings.uframe)
 
-    def _coordinates(self, target: Target) -> np.ndarray:
+    def _coordinates(self, target: Target) -> tuple[float, ...]:
         return self._to_controller(target.position) if isinstance(target, JointTarget) else _coordinates(target.pose)
 
-    def _to_controller(self, q: np.ndarray) -> np.ndarray:
-        return np.where(self._sliding, 1e3 * np.asarray(q), np.degrees(q))
+    def _to_controller(self, q: np.ndarray) -> tuple[float, ...]:
+        return tuple(np.where(self._sliding, 1e3 * np.asarray(q), np.degrees(q)).tolist())
 
     def _from_controller(self, q: np.ndarray) -> np.ndarray:
         return np.where(self._sliding, 1e-3 * q, np.radians(q))
@@ -235,33 +203,27 @@ class OrlInterpolator:
         return Trajectory(np.arange(len(q)) * self.period, q, qd, qdd, tcp, speed, move)
 
 
-def _loaded(library: str | Path | None) -> ctypes.CDLL:
-    path = library or os.environ.get(LIBRARY)
+def _loaded(library: str | Path | None) -> Calls:
+    path = str(library or os.environ.get(LIBRARY) or "")
     if not path:
         raise InputError(
-            f"the orl interpolator needs the vendor's library: set {LIBRARY} to its path (docs/orl_shim.h), "
-            "or use the interpolator fly"
+            f"the orl interpolator needs the vendor's library: set {LIBRARY} to its path, or use the interpolator fly"
         )
     try:
-        loaded = ctypes.CDLL(str(path))
+        loaded = ctypes.CDLL(path)
     except OSError as error:
         raise InputError(f"{path}: the ORL library does not load: {error}") from None
     try:
-        loaded.ORL_set_interpolation_time.argtypes = [ctypes.c_double]
-        loaded.ORL_set_move_parameters.argtypes = [ctypes.POINTER(_OrlMove)]
-        loaded.ORL_get_next_interpolation_step.argtypes = [ctypes.POINTER(ctypes.c_double)]
+        if hasattr(loaded, "calibration_interpolator_period"):
+            return ShimCalls(loaded)
+        return vendor_calls(path, os.environ.get(CONTROLLER, ""), os.environ.get(ARM, "1"))
     except AttributeError as error:
-        raise InputError(f"{path}: not an ORL library for docs/orl_shim.h: {error}") from None
-    return loaded
+        raise InputError(f"{path}: not an ORL library, nor one of docs/orl_shim.h: {error}") from None
 
 
 def _refusal(index: int, message: str) -> MotionError:
     return MotionError(f"statement {index + 1}: {message}", index, "orl", 1.0)
 
 
-def _number(value: Enum, kind: type[Enum]) -> int:
-    return list(kind).index(value)
-
-
-def _coordinates(pose: np.ndarray) -> np.ndarray:
-    return np.concatenate((1e3 * pose[:3, 3], np.degrees(rotation.to_euler(pose[:3, :3]))))
+def _coordinates(pose: np.ndarray) -> tuple[float, ...]:
+    return (*(1e3 * pose[:3, 3]).tolist(), *np.degrees(rotation.to_euler(pose[:3, :3])).tolist())

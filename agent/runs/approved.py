@@ -172,14 +172,15 @@ def _by_name(value: Any) -> dict[str, Any] | None:
 def _interpolator(name: str) -> Any:
     """Its name, with what tells one installed or licensed interpolator from another of that name."""
     from agent.motion.learned import is_file_name
-    from agent.motion.orl import LIBRARY
+    from agent.motion.orl_calls import ARM, CONTROLLER, LIBRARY
     from agent.motion.registry import ENTRY_POINTS
 
     if is_file_name(name):
         return {"name": "learned", "file": _file_digest(Path(name))}
-    library = os.environ.get(LIBRARY) if name == "orl" else None
-    if library and os.path.isfile(library):
-        return {"name": name, "library": _file_digest(Path(library))}
+    if name == "orl":
+        files = {"library": os.environ.get(LIBRARY, ""), "controller": os.environ.get(CONTROLLER, "")}
+        digests = {what: _file_digest(Path(path)) for what, path in files.items() if os.path.isfile(path)}
+        return {"name": name, **digests, "arm": os.environ.get(ARM, "1")}
     for entry in entry_points(group=ENTRY_POINTS, name=name):
         if entry.dist is not None and not entry.value.startswith("agent."):
             return {"name": name, "package": f"{entry.dist.name} {entry.dist.version}"}
