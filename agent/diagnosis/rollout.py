@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from agent.model.effects import CATALOGUE
 from agent.model.identified import IdentifiedModel
 from agent.model.simulators import Simulator
 from agent.model.simulators.mjcf import compiled, mujoco_package
@@ -120,11 +121,10 @@ def engine(simulator: Simulator, path: Path, model: IdentifiedModel, effects: Pa
 
 def at_motors(entries: Any, names: tuple[str, ...], torque: np.ndarray) -> np.ndarray:
     """(S, n) torque of the motors from what was reported, by the effects of measurement that were found."""
-    found = torque.copy()
+    offset, scale = np.zeros(len(names)), np.ones(len(names))
     for entry in entries:
-        if entry.effect == "torque_offset":
-            found[:, names.index(entry.joints[0])] -= entry.parameters["offset"]
-    for entry in entries:
-        if entry.effect == "torque_constant":
-            found[:, names.index(entry.joints[0])] /= 1 + entry.parameters["scale_error"]
-    return found
+        effect = CATALOGUE[entry.effect]
+        for into, parameter in ((offset, effect.adds_to_report), (scale, effect.scales_report)):
+            if parameter is not None:
+                into[names.index(entry.joints[0])] += entry.parameters[parameter]
+    return (torque - offset) / scale

@@ -9,6 +9,7 @@ import numpy as np
 
 from agent.core.figures import plus_minus
 from agent.diagnosis.finding import Finding
+from agent.model.effects import CATALOGUE
 
 #: What a cause is called large by, in the order of preference.
 _LEADING = (
@@ -16,7 +17,7 @@ _LEADING = (
     "level", "stiffness", "gap", "delay", "scale_error", "offset", "ratio", "tilt_1", "tilt_2", "force_x", "force_y",
     "force_z", "shift", "m", "cosine_1", "sine_1", "constant", "hysteresis",
 )  # fmt: skip
-#: Units by name, or by what stands before the first underscore; of one effect alone where it is named.
+#: Units by name, or by what stands before the first underscore, where the effect itself does not say them.
 _UNITS = {
     "mass": "kg", "moment": "kg·m", "inertia": "kg·m²", "rotor": "kg·m²",
     "m": "kg", "mx": "kg·m", "my": "kg·m", "mz": "kg·m",
@@ -26,7 +27,6 @@ _UNITS = {
     "stiffness": "N·m/rad", "damping": "N·m·s/rad", "speed": "rad/s", "force": "N", "tilt": "rad",
     "gap": "rad", "travel": "rad", "low": "rad", "high": "rad", "order": "1/rad",
     "delay": "s", "shift": "s", "blend": "s", "start": "s", "end": "s", "duration": "s", "time": "s",
-    ("torque_offset", "offset"): "N·m", ("encoder_offset", "offset"): "rad", ("torque_constant", "scale"): "%",
 }  # fmt: skip
 _INTERNAL = ("m0", "hx0", "hy0", "hz0")
 _SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad")}  # where the figure is small
@@ -34,12 +34,10 @@ _SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad")}  # where the figure is small
 
 def unit_of(effect: str, parameter: str) -> str:
     """Unit of an effect's parameter on a turning joint; empty where it is a ratio or a count."""
+    if effect in CATALOGUE and parameter in CATALOGUE[effect].units:
+        return CATALOGUE[effect].units[parameter]
     stem = parameter.rstrip("0123456789") if parameter not in _UNITS else parameter
-    first = stem.split("_")[0]
-    for key in ((effect, parameter), (effect, first), stem, first):
-        if key in _UNITS:
-            return _UNITS[key]  # type: ignore[index]
-    return ""
+    return _UNITS.get(stem) or _UNITS.get(stem.split("_")[0], "")
 
 
 def size_text(

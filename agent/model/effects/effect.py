@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
@@ -62,6 +63,9 @@ class Effect(ABC):
     A joint shows an effect only if it travels `needs_travel` [rad, or 0.1 m], reaches `needs_speed` [rad/s, or 0.1 m/s]
     and turns back `needs_reversals` times. One of `fast_torque` is named only where the torque that was measured
     goes with the prediction that has it: fast torque may be noise of the positions.
+
+    `units` are those of parameters whose name alone does not say them. The torque that a drive reports is that of its
+    motor times one plus the parameter `scales_report`, plus the parameter `adds_to_report`; most effects have neither.
     """
 
     name: ClassVar[str]
@@ -90,6 +94,9 @@ class Effect(ABC):
     needs_speed: ClassVar[float] = 0.0
     needs_reversals: ClassVar[int] = 0
     fast_torque: ClassVar[bool] = False
+    units: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    adds_to_report: ClassVar[str | None] = None
+    scales_report: ClassVar[str | None] = None
 
     def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:
         """Joints (from 0) it may sit on."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 from agent.model.effects.effect import Columns, Effect
 from agent.model.effects.experiments import WHOLE_RANGE
@@ -21,6 +22,7 @@ class EncoderOffset(Effect):
     phrase = "the zero position of the joint is off"
     look_at = "calibration mark of this joint; a motor, belt or encoder that was changed"
     needs_travel = 0.1
+    units = MappingProxyType({"offset": "rad"})
     experiment = WHOLE_RANGE
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:

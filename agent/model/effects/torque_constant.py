@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 from agent.model.effects.effect import Columns, Effect, on_axle
 from agent.model.signals import MotionSignals
@@ -21,6 +22,8 @@ class TorqueConstant(Effect):
     look_at = "torque constant and current scaling of this drive; demagnetised or replaced motor"
     shapes = ("speed",)
     moves_arm = False
+    units = MappingProxyType({"scale_error": "%"})
+    scales_report = "scale_error"
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("scale_error",)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 
@@ -26,6 +27,8 @@ class TorqueOffset(Effect):
     shapes = ("position",)
     experiment = RAMPS_AND_STANDSTILLS
     moves_arm = False
+    units = MappingProxyType({"offset": "N·m"})
+    adds_to_report = "offset"
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("offset",)
