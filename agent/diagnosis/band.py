@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.diagnosis.fit import Fit, Score
+from agent.diagnosis.candidate import Score
+from agent.diagnosis.fit import Fit
 
 _WINDOW = 1.0  # s
 _COHERENT = 0.5  # γ² from which on measured and predicted torque go together

@@ -87,7 +87,9 @@ def _groups(dataset: Dataset) -> list[Group]:
     scale = reference.prior_std.copy()
     carried = np.diag(reference.solid.mass_matrix(np.zeros(dataset.robot.dof))) / dataset.robot.gear_ratios**2
     scale[layout.rotors] = np.maximum(scale[layout.rotors], carried)  # a file's rotor may be wrong by any factor
-    friction, rotors, links = [], [], []
+    friction: list[Group] = []
+    rotors: list[Group] = []
+    links: list[Group] = []
     for joint in range(dataset.robot.dof):
         own = [k for k, term in enumerate(model.terms) if term.axle == joint]
         columns = np.zeros((len(model.values), len(own)))

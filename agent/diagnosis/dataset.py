@@ -9,7 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from agent.core.errors import InputError
-from agent.diagnosis.fit import Fit, Fold
+from agent.diagnosis.candidate import Fold
+from agent.diagnosis.fit import Fit
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.standstill import standing
 from agent.estimation.estimate import EstimationSettings, estimate
@@ -80,7 +81,20 @@ def assemble(
     for segment in observation.segments:
         motion = segment.motion
         started = logs[segment.log_index].stamp - min(entry.stamp for entry in logs)
-        signals.append(FilteredSignals(reference, motion, segment.log_index, started))
+        signals.append(
+            MotionSignals(
+                reference,
+                motion.time,
+                motion.q,
+                motion.qd,
+                motion.qdd,
+                segment.log_index,
+                motion.kept,
+                tuple(motion.cycle_starts),
+                started,
+                motion.low_pass,
+            )
+        )
         extra = _known_effects(model, signals[-1])
         per_joint = observation.joint_columns(segment, model.terms, model.base_values)
         index = [places for places, _ in per_joint]
@@ -165,15 +179,6 @@ def background_of(
         near[shift:] |= rest[:-shift]
         near[:-shift] |= rest[shift:]
     return np.where(near, still, moving)
-
-
-class FilteredSignals(MotionSignals):
-    """MotionSignals of a motion that knows its filter."""
-
-    def __init__(self, reference, motion, log_index, started):
-        time, q, qd, qdd = motion.time, motion.q, motion.qd, motion.qdd
-        super().__init__(reference, time, q, qd, qdd, log_index, motion.kept, tuple(motion.cycle_starts), started)
-        object.__setattr__(self, "low_pass", motion.low_pass)
 
 
 def _known_effects(model: IdentifiedModel, signals: MotionSignals) -> np.ndarray:

@@ -17,7 +17,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.diagnosis.fit import Candidate, Fit
+from agent.diagnosis.candidate import Candidate
+from agent.diagnosis.fit import Fit
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from agent.model.identified import IdentifiedModel, ModelEffect
+from agent.model.data import ModelEffect
+from agent.model.identified import IdentifiedModel
 
 if TYPE_CHECKING:
     from agent.diagnosis.result import Diagnosis

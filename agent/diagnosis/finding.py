@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.diagnosis.fit import Candidate, Fit, Score
+from agent.diagnosis.candidate import Candidate, Score
+from agent.diagnosis.fit import Fit
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 
 
@@ -54,11 +55,14 @@ class Finding:
 
     def only(self, kept: Sequence[int], fit: Fit) -> Finding:
         """The same with some of its causes, by number; `fit` is the one without effects."""
-        causes, rivals, p_value, margin_ratio = (
-            tuple(part[k] for k in kept) for part in (self.causes, self.rivals, self.p_value, self.margin_ratio)
-        )
+        causes = tuple(self.causes[k] for k in kept)
         return replace(
-            self, fit=fit.with_chosen(causes), causes=causes, rivals=rivals, p_value=p_value, margin_ratio=margin_ratio
+            self,
+            fit=fit.with_chosen(causes),
+            causes=causes,
+            rivals=tuple(self.rivals[k] for k in kept),
+            p_value=tuple(self.p_value[k] for k in kept),
+            margin_ratio=tuple(self.margin_ratio[k] for k in kept),
         )
 
     def without_causes(self, verdict: str, fit: Fit) -> Finding:

@@ -13,53 +13,17 @@ on small matrices. With H = Λ + XᵀX and the Schur complement S = ZᵀZ − Z�
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from copy import copy
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
+from agent.diagnosis.candidate import Candidate, Fold, Score, Wanted, make_candidates
+from agent.diagnosis.moments import Moments
 from agent.model.effects import Effect
 from agent.model.signals import MotionSignals, NominalModel
 
 _INDEPENDENT = 0.1  # s between independent rows
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """An effect somewhere, with nonlinear parameters chosen. `blocks`: joint → (S', k) over σ, all motions in a row."""
-
-    effect: Effect
-    joints: tuple[int, ...]
-    settings: Mapping[str, float]
-    names: tuple[str, ...]
-    blocks: dict[int, np.ndarray]
-    prior_std: np.ndarray | None
-    reference: NominalModel
-
-    @property
-    def place(self) -> tuple[str, tuple[int, ...]]:
-        """Effect and joints."""
-        return self.effect.name, self.joints
-
-
-@dataclass(frozen=True, eq=False)
-class Score:
-    """error: held-out Σ e² / σ² with the candidate; gain: how much less than without; values (k,) fitted to all."""
-
-    candidate: Candidate
-    error: float
-    gain: float
-    values: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Fold:
-    """Cells held out and cells fitted on, (cells,) bool each."""
-
-    name: str
-    test: np.ndarray
-    train: np.ndarray
 
 
 class Fit:
@@ -83,77 +47,46 @@ class Fit:
         block: np.ndarray,
         folds: Sequence[Fold],
         single: Sequence[Fold],
-        chosen: Sequence[Candidate] = (),
-        shared: dict[str, Any] | None = None,
     ):
         self.reference, self.signals = reference, list(signals)
         self.rows, self.index = list(rows), list(index)
         self.sigma, self.precision, self.shift = sigma, precision, shift
         self.cell, self.block, self.folds, self.single = cell, block, list(folds), list(single)
-        self.chosen = tuple(chosen)
-        self._shared: dict[str, Any] = {} if shared is None else shared
         lengths = [len(range(*s.kept.indices(len(s.time)))) for s in self.signals]
         self.cuts = np.cumsum(lengths)[:-1]
         rate = 1 / float(np.median(np.diff(self.signals[0].time[self.signals[0].kept])))
         self.repeat = max(1.0, _INDEPENDENT * rate)
-        self._extend()
+        self._moments = Moments(self.rows, self.index, cell, len(precision))
+        self.cells, self.count = self._moments.cells, self._moments.count
+        self._made: dict[tuple[Effect, tuple[int, ...], tuple[tuple[str, float], ...]], Candidate] = {}
+        self._extend(())
 
-    def _extend(self) -> None:
+    def _extend(self, chosen: Sequence[Candidate]) -> None:
         """Moments of the model's columns, those of the effects chosen already, and the residual."""
-        if not self._shared:
-            self._shared.update(self._sorted())
-        self.cells, self.count = self._shared["cells"], self._shared["count"]
+        self.chosen = tuple(chosen)
         base = len(self.precision)
         ends = base + np.cumsum([0, *(len(c.names) for c in self.chosen)])
         self.size = size = int(ends[-1])
         keep = np.append(np.arange(base), size)
         self.gram = np.zeros((self.cells, size + 1, size + 1))
-        self.gram[:, keep[:, None], keep] = self._shared["gram"]
+        self.gram[:, keep[:, None], keep] = self._moments.gram
         self.prior = np.zeros((size, size))
         self.prior[:base, :base] = self.precision
         spans = [slice(a, b) for a, b in pairwise(ends)]
-        for number, (candidate, (cross, own)) in enumerate(self._base_moments(self.chosen)):
-            span = spans[number]
+        known = self._moments.of(self.chosen)
+        for number, (candidate, span, (cross, own)) in enumerate(zip(self.chosen, spans, known, strict=True)):
             self.gram[:, keep, span] = cross
             self.gram[:, span, keep] = np.swapaxes(cross, 1, 2)
             self.gram[:, span, span] = own
             for other, other_span in zip(self.chosen[:number], spans[:number], strict=True):
-                both = self._between(other, candidate)
+                both = self._moments.between(other, candidate)
                 self.gram[:, other_span, span] = both
                 self.gram[:, span, other_span] = np.swapaxes(both, 1, 2)
             diagonal = np.arange(span.start, span.stop)
             self.prior[diagonal, diagonal] = self.ridge(candidate, own.sum(axis=0).diagonal())
         self.pull = np.zeros(size)
         self.pull[:base] = self.shift
-        self._solved: dict[int, tuple] = {}
-
-    def _sorted(self) -> dict[str, Any]:
-        """Rows in the order of their cells, and the moments of the model's columns: what all fits to them share."""
-        cells = int(self.cell.max()) + 1
-        order = np.argsort(self.cell, kind="stable")
-        edges = np.searchsorted(self.cell[order], np.arange(cells + 1))
-        order = order[edges[0] :]
-        slices = [slice(a, b) for a, b in pairwise(edges - edges[0])]
-        rows = [block[order] for block in self.rows]
-        base = len(self.precision)
-        gram = np.zeros((cells, base + 1, base + 1))
-        for block, index in zip(rows, self.index, strict=True):
-            place = np.append(index, base)
-            for cell, part in enumerate(slices):
-                gram[cell][np.ix_(place, place)] += block[part].T @ block[part]
-        count = np.array([part.stop - part.start for part in slices]) * len(rows)
-        shared = {"cells": cells, "order": order, "slices": slices, "rows": rows, "gram": gram, "count": count}
-        return {**shared, "known": {}, "made": {}}
-
-    def _between(self, first: Candidate, second: Candidate) -> np.ndarray:
-        """(cells, k, l) moments of two candidates with each other."""
-        total = np.zeros((self.cells, len(first.names), len(second.names)))
-        order, slices = self._shared["order"], self._shared["slices"]
-        for joint in first.blocks.keys() & second.blocks.keys():
-            a, b = first.blocks[joint][order], second.blocks[joint][order]
-            for cell, part in enumerate(slices):
-                total[cell] += a[part].T @ b[part]
-        return total
+        self._solved: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
     def ridge(self, candidate: Candidate, energy: np.ndarray) -> np.ndarray:
         """(k,) prior precision of a candidate's parameters, from the energy (k,) of its columns."""
@@ -162,17 +95,16 @@ class Fit:
 
     def with_chosen(self, chosen: Sequence[Candidate]) -> Fit:
         """The same data with these effects as part of the model."""
-        return Fit(
-            self.reference, self.signals, self.rows, self.index, self.sigma, self.precision, self.shift,
-            self.cell, self.block, self.folds, self.single, chosen, self._shared,
-        )  # fmt: skip
+        other = copy(self)
+        other._extend(chosen)
+        return other
 
     def with_prior(self, precision: np.ndarray) -> Fit:
         """The same data without effects, and with another prior precision (p, p) of the model's parameters."""
-        return Fit(
-            self.reference, self.signals, self.rows, self.index, self.sigma, precision, self.shift,
-            self.cell, self.block, self.folds, self.single, (), self._shared,
-        )  # fmt: skip
+        other = copy(self)
+        other.precision = precision
+        other._extend(())
+        return other
 
     @property
     def sigmas(self) -> list[np.ndarray]:
@@ -266,38 +198,13 @@ class Fit:
         """Columns of an effect, filtered as the torque is."""
         return self.candidates([(effect, joints, settings)])[0]
 
-    def candidates(self, wanted: Sequence[tuple[Effect, tuple[int, ...], Mapping[str, float]]]) -> list[Candidate]:
+    def candidates(self, wanted: Sequence[Wanted]) -> list[Candidate]:
         """Columns of several effects at once; those asked for before are remembered."""
         keys = [(effect, joints, tuple(settings.items())) for effect, joints, settings in wanted]
-        made = self._shared["made"]
-        new = {key: entry for key, entry in zip(keys, wanted, strict=True) if key not in made}
+        new = {key: entry for key, entry in zip(keys, wanted, strict=True) if key not in self._made}
         if new:
-            made.update(zip(new, self._make(list(new.values())), strict=True))
-        return [made[key] for key in keys]
-
-    def _make(self, wanted: Sequence[tuple[Effect, tuple[int, ...], Mapping[str, float]]]) -> list[Candidate]:
-        parts: list[dict[int, list[np.ndarray]]] = [{} for _ in wanted]
-        for kind in {effect for effect, *_ in wanted}:
-            kind.prepare(self.signals, [(joints, settings) for effect, joints, settings in wanted if effect is kind])
-        for signals, sigma in zip(self.signals, self.sigmas, strict=True):
-            pending: list[tuple[int, int, np.ndarray]] = []
-            for number, (effect, joints, settings) in enumerate(wanted):
-                for joint, block in effect.columns(signals, joints, settings).items():
-                    pending.append((number, joint, block))
-            for first in range(0, len(pending), 64):
-                some = pending[first : first + 64]
-                filtered = signals.low_pass(np.hstack([block for *_, block in some]))
-                ends = np.cumsum([block.shape[1] for *_, block in some])[:-1]
-                for (number, joint, _), block in zip(some, np.split(filtered, ends, axis=1), strict=True):
-                    parts[number].setdefault(joint, []).append(block / sigma[:, joint, None])
-        result = []
-        for (effect, joints, settings), found in zip(wanted, parts, strict=True):
-            blocks = {joint: np.concatenate(block) for joint, block in found.items()}
-            prior_std = effect.prior_std(self, joints, settings)
-            result.append(
-                Candidate(effect, joints, dict(settings), effect.names(settings), blocks, prior_std, self.reference)
-            )
-        return result
+            self._made.update(zip(new, make_candidates(self, list(new.values())), strict=True))
+        return [self._made[key] for key in keys]
 
     def fit(self, effect: Effect, joints: tuple[int, ...], settings: Mapping[str, float]) -> np.ndarray:
         """(k,) parameters fitted to all the data together with the model, under its prior."""
@@ -331,37 +238,11 @@ class Fit:
     def moments(self, candidates: Sequence[Candidate]) -> Iterator[tuple[Candidate, tuple[np.ndarray, np.ndarray]]]:
         """Per candidate: moments (cells, size + 1, k) with model, chosen effects and residual, and its own."""
         base = len(self.precision)
-        for candidate, (cross, own) in self._base_moments(candidates):
+        for candidate, (cross, own) in zip(candidates, self._moments.of(candidates), strict=True):
             if self.chosen:
-                with_chosen = [self._between(other, candidate) for other in self.chosen]
+                with_chosen = [self._moments.between(other, candidate) for other in self.chosen]
                 cross = np.concatenate([cross[:, :base], *with_chosen, cross[:, base:]], axis=1)
             yield candidate, (cross, own)
-
-    def _base_moments(self, candidates: Sequence[Candidate]) -> list[tuple[Candidate, tuple[np.ndarray, np.ndarray]]]:
-        """The same with model and residual only: (cells, base + 1, k), remembered for every candidate."""
-        known = self._shared["known"]
-        new = [c for c in candidates if c not in known]
-        for first in range(0, len(new), 100):
-            self._work_out(new[first : first + 100])
-        return [(c, known[c]) for c in candidates]
-
-    def _work_out(self, some: Sequence[Candidate]) -> None:
-        order, slices, base = self._shared["order"], self._shared["slices"], len(self.precision)
-        cross = [np.zeros((self.cells, base + 1, len(c.names))) for c in some]
-        own = [np.zeros((self.cells, len(c.names), len(c.names))) for c in some]
-        for joint, (block, index) in enumerate(zip(self._shared["rows"], self.index, strict=True)):
-            here = [k for k, c in enumerate(some) if joint in c.blocks]
-            if not here:
-                continue
-            place = np.append(index, base)
-            together = np.hstack([some[k].blocks[joint] for k in here])[order]
-            ends = np.cumsum([0, *(some[k].blocks[joint].shape[1] for k in here)])
-            for cell, part in enumerate(slices):
-                product = block[part].T @ together[part]
-                for k, (a, b) in zip(here, pairwise(ends), strict=True):
-                    cross[k][cell][place] += product[:, a:b]
-                    own[k][cell] += together[part, a:b].T @ together[part, a:b]
-        self._shared["known"].update(zip(some, zip(cross, own, strict=True), strict=True))
 
     def _score(self, candidate: Candidate, cross: np.ndarray, own: np.ndarray) -> Score:
         single = candidate.effect.once or any(c.effect.once for c in self.chosen)

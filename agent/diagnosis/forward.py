@@ -61,7 +61,7 @@ def simulate(diagnosis: Diagnosis) -> list[Simulated]:
         settings = FilterSettings(dataset.cutoff, dataset.model.order)
         motion = max(motions(log, settings, reduce=False), key=lambda m: len(m.time))
         motion = _cut(motion)
-        if motion.set_points is None or not np.all(np.isfinite(motion.set_points)):
+        if motion.torque is None or motion.set_points is None or not np.all(np.isfinite(motion.set_points)):
             continue
         held_out = len(dataset.logs) > 1
         extended = extended_model(diagnosis, without=number if held_out else None, once=True)
@@ -119,7 +119,8 @@ def _follow(model: IdentifiedModel, motion: Motion, number: int) -> tuple[np.nda
     """Positions (S, n) and filtered torque (S', n) of a model's arm that is given a motion's set-points."""
     reading = tuple(entry for entry in model.effects if not CATALOGUE[entry.effect].moves_arm)
     arm = _Arm(replace(model, effects=tuple(e for e in model.effects if e not in reading)), motion, number)
-    position, extra = motion.set_points, arm.beyond(motion.set_points)
+    position = arm.set_points
+    extra = arm.beyond(position)
     for _ in range(_ROUNDS):
         position, torque = arm.run(extra)
         extra = arm.beyond(position)
@@ -132,7 +133,9 @@ class _Arm:
     """Bodies, plain friction and servo of a model, and what the model predicts beyond them."""
 
     def __init__(self, model: IdentifiedModel, motion: Motion, number: int):
+        assert motion.set_points is not None
         self._model, self._motion, self._number = model, motion, number
+        self.set_points = motion.set_points
         self._reference = NominalModel(model)
         robot = model.robot
         self._coupling = robot.coupling
@@ -141,9 +144,9 @@ class _Arm:
         for term, value in zip(model.terms, model.values[len(model.independent) :], strict=True):
             if term.form in friction:
                 friction[term.form][term.axle] = max(value, 0.0)
-        speed = np.abs(np.gradient(motion.set_points, 1 / motion.rate, axis=0) @ self._coupling.T)
+        speed = np.abs(np.gradient(self.set_points, 1 / motion.rate, axis=0) @ self._coupling.T)
         self._friction = {**friction, "transition": np.maximum(1e-2 * speed.max(axis=0), 1e-6)}
-        bodies = np.mean([np.diag(self._reference.solid.mass_matrix(q)) for q in motion.set_points[::500]], axis=0)
+        bodies = np.mean([np.diag(self._reference.solid.mass_matrix(q)) for q in self.set_points[::500]], axis=0)
         self._inertia = bodies + robot.gear_ratios**2 * self._rotors
 
     def run(self, extra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -162,8 +165,8 @@ class _Arm:
             inner_rate=max(1000.0, motion.rate),
             external=external,
         )
-        simulation.rest(motion.set_points[0])
-        found = simulation.run(motion.set_points, np.gradient(motion.set_points, period, axis=0))
+        simulation.rest(self.set_points[0])
+        found = simulation.run(self.set_points, np.gradient(self.set_points, period, axis=0))
         return found.motor_position @ np.linalg.inv(self._coupling).T, found.torque
 
     def beyond(self, position: np.ndarray) -> np.ndarray:
@@ -193,9 +196,9 @@ class _Arm:
     def _gains(self) -> ServoGains:
         """Usual ones, with the position loop as late behind the set-points as the measured motion is."""
         motion = self._motion
-        speed = np.gradient(motion.set_points, 1 / motion.rate, axis=0)
+        speed = np.gradient(self.set_points, 1 / motion.rate, axis=0)
         energy = np.maximum(np.sum(speed**2, axis=0), 1e-12)
-        late = np.maximum(np.sum((motion.set_points - motion.q) * speed, axis=0) / energy - 1 / motion.rate, 0.0)
+        late = np.maximum(np.sum((self.set_points - motion.q) * speed, axis=0) / energy - 1 / motion.rate, 0.0)
         gain = np.minimum(_POSITION_GAIN, 1 / np.maximum(late, 1e-9))
         usual = ServoGains.tuned(self._inertia, np.full(len(late), np.inf))
         return replace(usual, position=gain, feedforward=1 - gain * late)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from agent.diagnosis.fit import Candidate, Score
+from agent.diagnosis.candidate import Candidate, Score, Where
 
 
 def plausible(score: Score) -> bool:
@@ -30,9 +30,9 @@ def imitates(chosen: Sequence[Candidate], score: Score) -> bool:
     return any(c.joints == other.joints and set(c.effect.shapes) & set(other.effect.shapes) for c in chosen)
 
 
-def best_by_place(scores: Sequence[Score]) -> dict[tuple[str, tuple[int, ...]], Score]:
+def best_by_place(scores: Sequence[Score]) -> dict[Where, Score]:
     """Of every place the settings that gain most, possible ones first."""
-    best: dict = {}
+    best: dict[Where, Score] = {}
     for score in scores:
         place = score.candidate.place
         rank = (plausible(score), score.gain)

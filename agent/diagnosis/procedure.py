@@ -7,10 +7,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from agent.diagnosis.band import gain_in_band
+from agent.diagnosis.candidate import Candidate, Score, Where
 from agent.diagnosis.evidence import Null, null_gains
 from agent.diagnosis.excess import closed_excess, joint_energy, noticed, over_background
 from agent.diagnosis.finding import Finding, Step
-from agent.diagnosis.fit import Candidate, Fit, Score
+from agent.diagnosis.fit import Fit
 from agent.diagnosis.isolability import best_by_place, complexity, imitates, plausible, structurally_equivalent
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.needs import Excursions
@@ -116,7 +117,7 @@ class Search:
         eligible = self._eligible(fit, best)
         return Step(fit.chosen, fit.error(), tuple(sorted(best.values(), key=lambda s: -s.gain)), eligible)
 
-    def _refined(self, fit: Fit, best: dict) -> dict:
+    def _refined(self, fit: Fit, best: dict[Where, Score]) -> dict[Where, Score]:
         """Search the nonlinear parameters of the leading places more finely."""
         least = 0.5 * self.limits.least_gain * self.rows
         over, clear = over_background(fit), noticed(self.limits, self._at_rest, fit)
@@ -136,7 +137,7 @@ class Search:
                     best[score.candidate.place] = score
         return best
 
-    def _eligible(self, fit: Fit, best: dict) -> tuple[Score, ...]:
+    def _eligible(self, fit: Fit, best: dict[Where, Score]) -> tuple[Score, ...]:
         """Scores that could be named: plausible, allowed, large enough, and better than their own simpler limits."""
         result = []
         over, clear = over_background(fit), noticed(self.limits, self._at_rest, fit)
@@ -166,7 +167,7 @@ class Search:
             return True
         return bool(np.any(clear[joints]) and np.sum(over[joints]) >= self.limits.own_excess * score.gain)
 
-    def _as_good(self, score: Score, limit: str, best: dict) -> bool:
+    def _as_good(self, score: Score, limit: str, best: dict[Where, Score]) -> bool:
         """Whether a simpler limit of the form does as well, so that the form has nothing to show for itself."""
         joints = score.candidate.joints
         places = [(limit, ())] if CATALOGUE[limit].scope != "joint" else [(limit, (j,)) for j in joints]
@@ -273,7 +274,9 @@ class Search:
             margin = max(
                 self.limits.near_floor * self.rows, self.limits.alike * lost, self._excess(fit, tuple(candidate.blocks))
             )
-            rivals, runners, behind = [], [], np.inf
+            level: list[Where] = []
+            runners: list[Where] = []
+            behind = np.inf
             equals = [
                 s.candidate.place
                 for s in step.scores
@@ -286,14 +289,14 @@ class Search:
                 better = short < -self.limits.near_floor * self.rows
                 equal = better or complexity(score.candidate) <= complexity(candidate) + 1
                 if short <= margin and equal:
-                    rivals.append(score.candidate.place)
+                    level.append(score.candidate.place)
                 elif short > margin:
                     behind = min(behind, short / margin)
                     if score.gain > self.limits.runner_up * lost:
                         runners.append(score.candidate.place)
             known = [place for place in equals if place[0] in self.allowed]
-            rivals = list(dict.fromkeys([*known, *rivals]))[:2]
-            ranked.append((lost, candidate, tuple(rivals), behind, bool(equals), tuple(runners[:2])))
+            beside = tuple(dict.fromkeys([*known, *level]))[:2]
+            ranked.append((lost, candidate, beside, behind, bool(equals), tuple(runners[:2])))
         ranked.sort(key=lambda entry: -entry[0])
         causes = tuple(entry[1] for entry in ranked)
         rivals = [entry[2] for entry in ranked]

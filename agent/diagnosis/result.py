@@ -21,6 +21,7 @@ from agent.diagnosis.answer import (
     WaterfallStep,
 )
 from agent.diagnosis.calibration import Calibration, causes_of_steps, waterfall
+from agent.diagnosis.candidate import Candidate, Where
 from agent.diagnosis.dataset import Dataset
 from agent.diagnosis.evidence import share_intervals
 from agent.diagnosis.finding import Finding
@@ -159,7 +160,7 @@ def not_testable(dataset: Dataset, search: Search) -> list[NotTestable]:
     robot = dataset.robot
     names = robot.joint_names
     assert search.null is not None
-    tried: dict = {}
+    tried: dict[Where, list[Candidate]] = {}
     for candidate in search.tried:
         tried.setdefault(candidate.place, []).append(candidate)
     result = []

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.diagnosis.fit import Candidate
+from agent.diagnosis.candidate import Candidate
 from agent.diagnosis.result import Diagnosis
 from agent.model.effects import CATALOGUE, Effect
 

@@ -6,7 +6,7 @@ figures on motion held out do not bear out, the path adds its own (`with_path`),
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from agent.diagnosis.answer import Cause, Place
@@ -67,7 +67,7 @@ def causes_of(dataset: Dataset, finding: Finding, gap: Gap) -> tuple[Cause, ...]
     )
 
 
-def _floats(pairs) -> dict[str, float]:
+def _floats(pairs: Iterable[tuple[str, float]]) -> dict[str, float]:
     return {name: float(value) for name, value in pairs}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -110,8 +111,8 @@ class MotionSignals:
     """One motion without gaps. S samples, n joints: time (S,) [s] of the log, q, qd, qdd (S, n) smoothed.
 
     `log_index` counts logs (-1 where unknown), `cycle_starts` [s] are those of its log and `started` [s] is when that
-    began, counted from the first log: all for effects that happen at some time. `kept` are the samples that the filter
-    returns.
+    began, counted from the first log: all for effects that happen at some time. `low_pass` is the torque's filter, of
+    whose samples it returns `kept`.
     """
 
     reference: NominalModel
@@ -123,6 +124,7 @@ class MotionSignals:
     kept: slice = field(default_factory=lambda: slice(None))
     cycle_starts: tuple[float, ...] = ()
     started: float = 0.0
+    low_pass: Callable[[np.ndarray], np.ndarray] = np.asarray
 
     @cached_property
     def axles(self) -> AxleMotion:

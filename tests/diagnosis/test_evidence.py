@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from agent.diagnosis.candidate import Candidate
 from agent.diagnosis.evidence import null_gains, share_intervals
-from agent.diagnosis.fit import Candidate, Fit
+from agent.diagnosis.fit import Fit
 from agent.diagnosis.limits import LIMITS
 from agent.model.effects import CATALOGUE
 

@@ -22,10 +22,21 @@ Columns = dict[int, np.ndarray]
 class FitContext(Protocol):
     """What an effect may look at to choose where its nonlinear parameters are tried."""
 
-    reference: NominalModel
-    signals: Sequence[MotionSignals]
-    residuals: Sequence[np.ndarray]
-    sigmas: Sequence[np.ndarray]
+    @property
+    def reference(self) -> NominalModel:
+        """The model that is diagnosed against."""
+
+    @property
+    def signals(self) -> Sequence[MotionSignals]:
+        """The motions."""
+
+    @property
+    def residuals(self) -> Sequence[np.ndarray]:
+        """Per motion (S', n) [N·m]: what is left of the torque."""
+
+    @property
+    def sigmas(self) -> Sequence[np.ndarray]:
+        """Per motion (S', n) [N·m]: the background."""
 
     @property
     def given(self) -> bool:

@@ -1,0 +1,80 @@
+"""What is tried and what comes of it: an effect somewhere with its columns, its score, and the folds of the rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.model.effects import Effect, FitContext
+from agent.model.signals import NominalModel
+
+#: An effect's name, and joints from 0; none for one of the whole arm or base.
+Where = tuple[str, tuple[int, ...]]
+#: Effect, joints and nonlinear parameters of a candidate that is asked for.
+Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
+
+_AT_ONCE = 64  # blocks of columns filtered together
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An effect somewhere, with nonlinear parameters chosen. `blocks`: joint → (S', k) over σ, all motions in a row."""
+
+    effect: Effect
+    joints: tuple[int, ...]
+    settings: Mapping[str, float]
+    names: tuple[str, ...]
+    blocks: dict[int, np.ndarray]
+    prior_std: np.ndarray | None
+    reference: NominalModel
+
+    @property
+    def place(self) -> Where:
+        """Effect and joints."""
+        return self.effect.name, self.joints
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """error: held-out Σ e² / σ² with the candidate; gain: how much less than without; values (k,) fitted to all."""
+
+    candidate: Candidate
+    error: float
+    gain: float
+    values: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """Cells held out and cells fitted on, (cells,) bool each."""
+
+    name: str
+    test: np.ndarray
+    train: np.ndarray
+
+
+def make_candidates(survey: FitContext, wanted: Sequence[Wanted]) -> list[Candidate]:
+    """Candidates with their columns, filtered as the torque is and over the background of `survey`."""
+    parts: list[dict[int, list[np.ndarray]]] = [{} for _ in wanted]
+    for kind in {effect for effect, *_ in wanted}:
+        kind.prepare(survey.signals, [(joints, settings) for effect, joints, settings in wanted if effect is kind])
+    for signals, sigma in zip(survey.signals, survey.sigmas, strict=True):
+        pending: list[tuple[int, int, np.ndarray]] = []
+        for number, (effect, joints, settings) in enumerate(wanted):
+            for joint, block in effect.columns(signals, joints, settings).items():
+                pending.append((number, joint, block))
+        for first in range(0, len(pending), _AT_ONCE):
+            some = pending[first : first + _AT_ONCE]
+            filtered = signals.low_pass(np.hstack([block for *_, block in some]))
+            ends = np.cumsum([block.shape[1] for *_, block in some])[:-1]
+            for (number, joint, _), block in zip(some, np.split(filtered, ends, axis=1), strict=True):
+                parts[number].setdefault(joint, []).append(block / sigma[:, joint, None])
+    result = []
+    for (effect, joints, settings), found in zip(wanted, parts, strict=True):
+        blocks = {joint: np.concatenate(block) for joint, block in found.items()}
+        prior_std = effect.prior_std(survey, joints, settings)
+        names = effect.names(settings)
+        result.append(Candidate(effect, joints, dict(settings), names, blocks, prior_std, survey.reference))
+    return result

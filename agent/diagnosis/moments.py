@@ -1,0 +1,70 @@
+"""Second moments of rows, cell by cell: of a model's columns and residual, and of candidates with these."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from agent.diagnosis.candidate import Candidate
+
+_AT_ONCE = 100  # candidates worked out together
+
+
+class Moments:
+    """Moments of the rows of a fit, which all fits to these rows share.
+
+    rows[j] (S', p_j + 1): columns of the model's parameters index[j] of `parameters`, and the residual, of joint j;
+    `cell` (S',) of every row (-1: guard). `gram` (cells, p + 1, p + 1) are those of columns and residual, summed over
+    joints, and `count` (cells,) the rows in them.
+    """
+
+    def __init__(self, rows: Sequence[np.ndarray], index: Sequence[np.ndarray], cell: np.ndarray, parameters: int):
+        self.cells = cells = int(cell.max()) + 1
+        self._index, self._base = list(index), parameters
+        order = np.argsort(cell, kind="stable")
+        edges = np.searchsorted(cell[order], np.arange(cells + 1))
+        self._order = order[edges[0] :]
+        self._slices = [slice(a, b) for a, b in pairwise(edges - edges[0])]
+        self._rows = [block[self._order] for block in rows]
+        self.gram = np.zeros((cells, parameters + 1, parameters + 1))
+        for block, columns in zip(self._rows, self._index, strict=True):
+            place = np.append(columns, parameters)
+            for number, part in enumerate(self._slices):
+                self.gram[number][np.ix_(place, place)] += block[part].T @ block[part]
+        self.count = np.array([part.stop - part.start for part in self._slices]) * len(rows)
+        self._known: dict[Candidate, tuple[np.ndarray, np.ndarray]] = {}
+
+    def of(self, candidates: Sequence[Candidate]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Per candidate its moments (cells, p + 1, k) with columns and residual, and its own (cells, k, k); kept."""
+        new = [c for c in candidates if c not in self._known]
+        for first in range(0, len(new), _AT_ONCE):
+            self._work_out(new[first : first + _AT_ONCE])
+        return [self._known[c] for c in candidates]
+
+    def between(self, first: Candidate, second: Candidate) -> np.ndarray:
+        """(cells, k, l) moments of two candidates with each other."""
+        total = np.zeros((self.cells, len(first.names), len(second.names)))
+        for joint in first.blocks.keys() & second.blocks.keys():
+            a, b = first.blocks[joint][self._order], second.blocks[joint][self._order]
+            for cell, part in enumerate(self._slices):
+                total[cell] += a[part].T @ b[part]
+        return total
+
+    def _work_out(self, some: Sequence[Candidate]) -> None:
+        cross = [np.zeros((self.cells, self._base + 1, len(c.names))) for c in some]
+        own = [np.zeros((self.cells, len(c.names), len(c.names))) for c in some]
+        for joint, (block, index) in enumerate(zip(self._rows, self._index, strict=True)):
+            here = [k for k, c in enumerate(some) if joint in c.blocks]
+            if not here:
+                continue
+            place = np.append(index, self._base)
+            together = np.hstack([some[k].blocks[joint] for k in here])[self._order]
+            ends = np.cumsum([0, *(some[k].blocks[joint].shape[1] for k in here)])
+            for cell, part in enumerate(self._slices):
+                product = block[part].T @ together[part]
+                for k, (a, b) in zip(here, pairwise(ends), strict=True):
+                    cross[k][cell][place] += product[:, a:b]
+                    own[k][cell] += together[part, a:b].T @ together[part, a:b]
+        self._known.update(zip(some, zip(cross, own, strict=True), strict=True))
