@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from agent.core.errors import InputError
+from agent.core.memory import keep_freed_memory
 from agent.diagnosis.dataset import assemble
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.motion_gap import MotionGap, motion_gap
@@ -35,6 +36,7 @@ def diagnose(
     Raises:
         InputError: no logs, an unknown effect in `without`, or logs that cannot be used (see `assemble`).
     """
+    keep_freed_memory()
     if not logs:
         raise InputError("no logs were given, so there is nothing to diagnose")
     check_effects(without)

@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.diagnosis.candidate import Candidate
 
-_AT_ONCE = 100  # candidates worked out together
+_AT_ONCE = 25  # candidates worked out together: what fits into memory that the C library keeps
 
 
 class Moments:

@@ -28,11 +28,19 @@ def moves(signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -> 
 
 def at_rest(signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -> np.ndarray:
     """(S', n) bool, all motions in a row: whether a joint stands there for a while, or close by."""
-    from scipy.ndimage import binary_dilation, binary_opening
-
     parts = []
     for motion, still in zip(signals, standing(signals, limits), strict=True):
         rate = 1 / float(np.median(np.diff(motion.time)))
-        long = binary_opening(still, np.ones((max(int(limits.long_rest * rate), 1), 1)))
-        parts.append(binary_dilation(long, np.ones((2 * int(limits.near_rest * rate) + 1, 1)))[motion.kept])
+        shortest, reach = max(int(limits.long_rest * rate), 1), int(limits.near_rest * rate)
+        begins = _count(still, 0, shortest - 1) == shortest
+        long = _count(begins, shortest - 1, 0) > 0
+        parts.append((_count(long, reach, reach) > 0)[motion.kept])
     return np.concatenate(parts)
+
+
+def _count(rows: np.ndarray, before: int, after: int) -> np.ndarray:
+    """(S, n) how many of the rows (S, n) bool from so many `before` each to so many `after` it are set."""
+    total = np.concatenate([np.zeros((1, rows.shape[1]), dtype=int), np.cumsum(rows, axis=0)])
+    place = np.arange(len(rows))
+    ends = np.minimum(place + after + 1, len(rows))
+    return np.asarray(total[ends] - total[np.maximum(place - before, 0)])

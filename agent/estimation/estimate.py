@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core.errors import InputError
+from agent.core.memory import keep_freed_memory
 from agent.estimation.blocks import Partition, partition
 from agent.estimation.consistent import consistent
 from agent.estimation.cutoff import LOWEST, predictive_cutoff
@@ -107,6 +108,7 @@ def estimate(
     Raises:
         InputError: no logs, one given twice, nothing that moves or no torque in them, or what `observe` refuses.
     """
+    keep_freed_memory()
     if not logs:
         raise InputError("no logs were given, so there is nothing to estimate from")
     _check_motion(logs)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from agent.core.splines import cubic_spline
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.friction_terms import dahl
@@ -70,10 +71,4 @@ class DressPack(Effect):
 
 def _curve(q: np.ndarray, low: float, high: float) -> list[np.ndarray]:
     """(S,) of each node: the natural spline that is one there and nought at the others."""
-    from scipy.interpolate import CubicSpline
-
-    nodes = np.linspace(low, high, N_NODES)
-    spline = CubicSpline(nodes, np.eye(N_NODES), bc_type="natural")
-    inside = np.clip(q, low, high)
-    values = spline(inside) + (q - inside)[:, None] * spline(inside, 1)
-    return list(values.T)
+    return list(cubic_spline(np.linspace(low, high, N_NODES), np.eye(N_NODES), q, natural=True).T)

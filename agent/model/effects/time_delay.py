@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from agent.core.splines import cubic_spline
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import SHARP_REVERSALS
 from agent.model.friction_terms import axle_columns
@@ -61,11 +62,9 @@ class TimeDelay(Effect):
         return ("share",)
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
-        from scipy.interpolate import CubicSpline
-
         late = np.clip(signals.time - settings["delay"], signals.time[0], signals.time[-1])
         shifted = signals.predicted if "reversal" not in settings else _turning_faster(signals, settings["reversal"])
-        change = CubicSpline(signals.time, shifted)(late) - signals.predicted
+        change = cubic_spline(signals.time, shifted, late) - signals.predicted
         return {joint: change[:, joint, None] for joint in range(signals.q.shape[1])}
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
