@@ -21,8 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
+from agent.diagnosis.candidate import Candidate
 from agent.diagnosis.dataset import Dataset, background_of
-from agent.diagnosis.fit import Candidate, Fit
+from agent.diagnosis.fit import Fit
 from agent.experiment.questions import Form, Hypothesis, OpenPair
 from agent.model.signals import MotionSignals
 

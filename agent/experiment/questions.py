@@ -10,7 +10,8 @@ from typing import cast
 import numpy as np
 
 from agent.diagnosis import Diagnosis
-from agent.diagnosis.fit import Candidate, Fit
+from agent.diagnosis.candidate import Candidate
+from agent.diagnosis.fit import Fit
 from agent.diagnosis.isolability import best_by_place, plausible
 from agent.model.effects import CATALOGUE, FitContext
 
