@@ -70,6 +70,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "ways <= end[:, None]": "indices",
         "speed > allowed.resting * self._robot.max_velocity": "of positions that are numbers",
         "np.abs(np.radians(position) - q) <= allowed.joint": "of positions that are numbers",
+        "abs(took - planned) <= ALLOWANCE + SHARE * min(took, planned)": "of times that are numbers",
         "planned > WAY": "of times that are numbers",
     },
     "authorisation.py": {

@@ -244,6 +244,13 @@ def test_a_servo_that_is_left_behind_is_stopped(swing):
     assert follow(watcher(chain), paced(chain, 1.0), lag=300) is not None
 
 
+def test_what_slides_is_told_in_metres(swing):
+    sliding = replace(ROBOT, joints=(replace(ROBOT.joints[0], prismatic=True), *ROBOT.joints[1:]))
+    check = Adherence([swing(seconds=3.0)], sliding, None, 0.02, PERIOD)
+    reason, _ = follow(check, np.tile(HOME + 0.5 * np.eye(6)[0], (20, 1)))
+    assert "joint_1 is 0.500 m, +0.500 m off" in reason
+
+
 @pytest.mark.parametrize("margin", [0.01, 0.05])
 def test_the_tool_may_be_as_far_off_as_the_cell_was_checked(margin):
     lever = watcher(rest_at(HOME))._path.levers[0]  # from the first axis to the tool

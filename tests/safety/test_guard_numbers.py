@@ -31,7 +31,6 @@ FALSE_STOPS = {
         "self._path.distance(tool, rows) <= self._margin + allowed.tool": "true is near",
         "off <= self._path.reach[rows, joint] + allowed.joint": "true is near",
         "speed[:, None] <= self._fastest(allowed, ways)": "true is slow",
-        "abs(took - planned) <= ALLOWANCE + SHARE * min(took, planned)": "true goes on",
     },
     "first_run.py": {"peak <= FIRST_SPEED": "true is slow enough, anything else is planned again or refused"},
     "watch.py": {
