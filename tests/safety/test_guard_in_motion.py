@@ -346,6 +346,25 @@ def test_a_taker_who_is_slow_is_no_silence():
     assert not patience.lost
 
 
+def test_a_stop_that_is_on_its_way_is_waited_for():
+    """Or it would meet the next motion."""
+    asked, answered, done = threading.Event(), threading.Event(), []
+
+    def stop():
+        asked.set()
+        assert answered.wait(5.0)
+        done.append(1)
+
+    def items():
+        yield 1
+        assert asked.wait(5.0)
+        threading.Timer(0.05, answered.set).start()
+
+    clock = iter(range(0, 10**6, 100))
+    assert list(Patience(10.0, lambda: next(clock), stop).each(items())) == [1]
+    assert done == [1]
+
+
 def test_a_refused_start_is_not_repeated_and_not_stopped(bench, program):
     bench.controller.refuses = Refusal.ALARM
     with pytest.raises(RefusedError, match="alarm"):
