@@ -214,13 +214,15 @@ def _task_poses(recipe: Recipe) -> np.ndarray:
 
 def _job(recipe: Recipe, path: Path) -> tuple[str, dict[str, int]]:
     """What moves in the program of a job, and how often each word was passed over."""
-    from agent.motion.pdl2 import job_text
+    from agent.motion.pdl2 import job_text, listing_beside
 
     try:
         text = path.read_text(encoding="utf-8")
+        beside = listing_beside(path)
+        listing = "" if beside is None else beside.read_text(encoding="utf-8", errors="replace")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
-    return job_text(text, str(path), recipe.robot)
+    return job_text(text, str(path), recipe.robot, listing)
 
 
 def _tell_passed_over(recipe: Recipe, console: Console) -> None:

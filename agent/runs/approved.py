@@ -50,7 +50,12 @@ def problem(recipe: Recipe) -> dict[str, Any]:
     sub_region = {kind: _plain(via_points)}
     like = getattr(via_points, "path", None)
     if isinstance(like, Path):
+        from agent.motion.pdl2 import listing_beside
+
         sub_region[kind]["path"] = _file_digest(like)
+        listing = listing_beside(like) if like.suffix.lower() == ".pdl" else None
+        if listing is not None:
+            sub_region[kind]["variables"] = _file_digest(listing)
     parts = {
         "robot": recipe.robot.to_dict(),
         "tool": _plain(recipe.tool),

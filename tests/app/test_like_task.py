@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from agent.core.console import Console
 from agent.core.errors import InputError
-from agent.pipeline.planning import search_loop
+from agent.pipeline.planning import search_loop, via_regions
 from agent.recipe import load_recipe
+from agent.runs.approved import problem
 
 JOB = """PROGRAM pick &PA
 IMPORT 'gripper'
@@ -49,3 +51,17 @@ def test_the_search_says_what_it_passes_over_and_refuses_a_job_that_does_not_mov
     with pytest.raises(InputError, match=r"job\.pdl: nothing in this program moves the arm"):
         search_loop(recipe_for(tmp_path, still), Console())
     assert "job.pdl: 3 lines that do not move are passed over (IMPORT 1, WAIT 1, GRIP 1)" in capsys.readouterr().err
+
+
+def test_taught_positions_come_from_the_variable_file_beside_the_job(tmp_path):
+    taught = JOB.replace("VAR vi_arm", "VAR left, right : JOINTPOS\n vi_arm").replace("{20, 10, -95, 0, 70, 0}", "left")
+    recipe = recipe_for(tmp_path, taught.replace("{-20, 10, -95, 0, 70, 0}", "right"))
+    with pytest.raises(InputError, match=r"job\.pdl.*left"):
+        via_regions(recipe)
+    before = problem(recipe)
+    listing = "left JNTP Arm: 1 Ax: 6 Priv\n 1:20 2:10 3:-95 4:0 5:70 6:0\n"
+    (tmp_path / "job.lsv").write_text(listing + listing.replace("left", "right").replace("1:20", "1:-20"))
+    read = via_regions(recipe)
+    assert problem(recipe) != before  # what was approved without it is another job
+    middle = np.full(read.genes, 0.5)
+    assert np.allclose(read.poses(middle), via_regions(recipe_for(tmp_path, JOB)).poses(middle))

@@ -39,21 +39,29 @@ def parse_program(text: str, path: str = "", robot: RobotDescription | None = No
     return program
 
 
-def job_text(text: str, path: str = "", robot: RobotDescription | None = None) -> tuple[str, dict[str, int]]:
+def job_text(
+    text: str, path: str = "", robot: RobotDescription | None = None, listing: str = ""
+) -> tuple[str, dict[str, int]]:
     """A program for the places it goes to: as it is where it is of the motion subset, else what moves in it.
 
+    `listing` is the text of the variable file beside it (`agent.motion.pdl2.listing`): what variables hold at first.
     Also returns how often each word that does not move was passed over (`agent.motion.pdl2.sieve`).
 
     Raises:
         Pdl2Error: something moves that is not understood.
     """
+    from agent.motion.pdl2.listing import read_listing
     from agent.motion.pdl2.sieve import sieve
 
+    listed = read_listing(listing)
     try:
-        parse_program(text, path, robot)
+        # With a listing the text alone does not say what the variables hold at first.
+        if not listed:
+            parse_program(text, path, robot)
+            return text, {}
     except Pdl2Error:
-        try:
-            return sieve(text)
-        except Pdl2Error as error:
-            raise error.within(path) from None
-    return text, {}
+        pass
+    try:
+        return sieve(text, listed)
+    except Pdl2Error as error:
+        raise error.within(path) from None

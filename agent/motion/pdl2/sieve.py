@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Mapping
 
 from agent.motion.pdl2.errors import Pdl2Error, Place
+from agent.motion.pdl2.listing import Listed
 from agent.motion.pdl2.parser import OUTSIDE_SUBSET
 from agent.motion.pdl2.variables import PREDEFINED, SYSTEM_VARIABLES
 
@@ -22,7 +24,7 @@ _STRING = re.compile(r"'(?:[^']|'')*'")
 _HEADER = re.compile(r"PROGRAM\s+(\w+)", re.IGNORECASE)
 _SECTION = re.compile(r"(VAR|CONST|TYPE)\b\s*", re.IGNORECASE)
 _VARIABLE = re.compile(
-    r"([\w\s,]+):\s*((?:ARRAY\s*\[\s*\d+\s*\]\s*OF\s+)?(INTEGER|REAL|BOOLEAN|POSITION|POS|JOINTPOS)"
+    r"([\w\s,]+):\s*((?:ARRAY\s*\[\s*\d+\s*\]\s*OF\s+)?(INTEGER|REAL|BOOLEAN|POSITION|POS|JOINTPOS|XTNDPOS)"
     r"(?:\s+FOR\s+ARM\s*\[\s*1\s*\])?)(\s*\([^()]*(?:\([^()]*\)[^()]*)*\))?",
     re.IGNORECASE,
 )
@@ -38,19 +40,23 @@ _CALL = re.compile(r"[$\w.]+(?:\[[^\]]*\][.$\w]*)*\s*(?:\(.*|:=.*|:|)$")
 _KNOWN_WORDS = {"div", "mod", "and", "or", "not", "pos", "to", "downto", "step", "do", *PREDEFINED}
 
 
-def sieve(text: str) -> tuple[str, dict[str, int]]:
+def sieve(text: str, listed: Mapping[str, Listed] | None = None) -> tuple[str, dict[str, int]]:
     """The text with everything blank that does not move, and how often each word that was passed over began a line.
+
+    Variables start with what their variable file says of them (`listed`). An XTNDPOS is its pose: the auxiliary axes
+    are passed over and counted.
 
     Raises:
         Pdl2Error: something moves that the motion subset has no statement for, with its line.
     """
-    sieved = _Sieve(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
+    sieved = _Sieve(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), listed or {})
     return "\n".join(sieved.lines()), dict(sieved.passed)
 
 
 class _Sieve:
-    def __init__(self, lines: list[str]) -> None:
+    def __init__(self, lines: list[str], listed: Mapping[str, Listed]) -> None:
         self._lines = lines
+        self._listed = listed
         self._bare = [_without_comment(line) for line in lines]
         self.passed: Counter[str] = Counter()
         self._known: set[str] = set()
@@ -91,12 +97,23 @@ class _Sieve:
     def _declared(self, section: str, bare: str) -> str:
         variable, constant = _VARIABLE.match(bare), _CONSTANT.match(bare)
         if section == "VAR" and variable:
-            self._known.update(name.strip().lower() for name in variable[1].split(","))
-            return f"VAR {variable[1]}: {variable[2]}{variable[4] or ''}"
+            return "VAR " + "; ".join(self._variable(name.strip(), variable) for name in variable[1].split(","))
         if section == "CONST" and constant:
             self._known.add(constant[1].lower())
             return f"CONST {bare}"
         return self._pass(section or bare)
+
+    def _variable(self, name: str, declared: re.Match[str]) -> str:
+        """One variable of a declaration with its data type and its value at first."""
+        self._known.add(name.lower())
+        data_type, named = declared[2], declared[3].upper()
+        named = "POSITION" if named == "POS" else named
+        if named == "XTNDPOS":
+            self.passed["auxiliary axes"] += 1
+            data_type = re.sub("XTNDPOS", "POSITION", data_type, flags=re.IGNORECASE)
+        known = self._listed.get(name.lower())
+        value = f" ({known.value})" if known is not None and known.type == named else declared[4] or ""
+        return f"{name}: {data_type}{value}"
 
     def _routine(self, at: int, name: str) -> int:
         """Its last line; a routine of another program has no lines here."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
 
 from agent.motion.pdl2 import Pdl2Error, job_text, parse_program
@@ -118,3 +119,60 @@ def test_a_routine_that_moves_is_not_passed_over():
     with pytest.raises(Pdl2Error, match="is a routine that moves, in line 20") as error:
         moves(text)
     assert error.value.line == 25
+
+
+LISTED = """PROGRAM weld HOLD, PROG_ARM=1
+VAR
+  pnt0001P, pnt0002P : POSITION FOR ARM[1] NOSAVE
+  xtn0001X : XTNDPOS FOR ARM[1]
+  jnt0001J : JOINTPOS FOR ARM[1] ({0, 0, -90, 0, 60, 0})
+  count : INTEGER
+BEGIN
+  MOVE JOINT TO jnt0001J
+  FOR count := 1 TO count DO
+    MOVEFLY LINEAR TO pnt0001P ADVANCE
+    MOVE LINEAR TO pnt0002P
+  ENDFOR
+  MOVE LINEAR TO xtn0001X
+END weld
+"""
+VARIABLES = """pnt0001P POS Priv X:1000.000 Y:-50.5 Z:900.000 A:0.000 E:180.000 R:0.000 CNFG: 'S T1:1'
+
+pnt0002P POS  Priv
+ X: 1100.0 Y: 0.0 Z: 9.0E2 A: 10.0 E: 170.0 R: 0.0
+ CNFG: ''
+xtn0001X XTND Arm: 1 Ax: 1 Priv
+ X:1200.0 Y:0.0 Z:900.0 A:0.0 E:180.0 R:0.0 7:33.0
+ CNFG: 'S'
+jnt0001J JNTP Arm: 1 AX: 6 Priv
+ 1:10.0 2:0.0 3:-90.0 4:0.0 5:60.0 6:-5.0
+count INT Priv 2
+name STR Priv 'POS Priv X:1'
+"""
+
+
+def test_positions_come_from_the_variable_file_beside_the_program():
+    kept, passed = job_text(LISTED, "weld.pdl", ROBOT, VARIABLES)
+    read = [move for move in parse_program(kept, "weld.pdl", ROBOT).run() if isinstance(move, Move)]
+    assert [move.line for move in read] == [8, 10, 11, 10, 11, 13]
+    assert np.allclose(read[0].target.position, np.radians([10, 0, -90, 0, 60, -5]))  # not its value in the program
+    points = [move.target.pose[:3, 3] for move in read[1:]]
+    assert np.allclose([points[0], points[1], points[4]], [[1.0, -0.0505, 0.9], [1.1, 0, 0.9], [1.2, 0, 0.9]])
+    assert (read[1].target.configuration, read[5].target.configuration) == ("S T1:1", "S")
+    assert passed == {"auxiliary axes": 1}
+
+
+@pytest.mark.parametrize(
+    ("listed", "instead"),
+    [
+        ("Z:900.000 A", "Z:****** A"),
+        ("pnt0001P POS", "pnt0001P JNTP"),
+        ("pnt0001P POS Priv", "pnt0001P POS Arm: 2 Priv"),
+    ],
+)
+def test_a_position_that_the_variable_file_does_not_give_is_told_where_it_is_moved_to(listed, instead):
+    assert listed in VARIABLES
+    kept, _ = job_text(LISTED, "weld.pdl", ROBOT, VARIABLES.replace(listed, instead, 1))
+    with pytest.raises(Pdl2Error, match="pnt0001P") as error:
+        parse_program(kept, "weld.pdl", ROBOT)
+    assert error.value.line == 10
