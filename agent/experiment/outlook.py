@@ -8,9 +8,11 @@ model leaves
 over the rows of all earlier logs and of the motion, counted as independent ones (T samples of 0.1 s each), against the
 same background σ as the verdict's. This is the criterion of T-optimality (Atkinson and Fedorov, Biometrika 62, 1975)
 with the model's freedom and the rival's own projected out. The held-out advantage of a is then about normal with mean
-D² and standard deviation 2 D, so it passes the margin m of the verdict with probability Φ((D² − m) / (2 D)). Averaged
-over the posterior of β, and over which of the two is true. A standstill counts once, however long: stiction leaves one
-torque open for all of it. A motion that is repeated counts once too: the model's own error comes back with it.
+D² and standard deviation 2 D, so it passes the margin m of the verdict with probability Φ((D² − m) / (2 D)), averaged
+over the posterior of β, and over which of the two is true. m is at least a share of what a explains by itself: forms of
+effects are not trusted further. Rows at a standstill of their joint count nothing: there the
+torque is what stiction makes of it, and no form of an effect is to be trusted. A motion that is repeated counts once:
+the model's own error comes back with it.
 """
 
 from __future__ import annotations
@@ -47,7 +49,8 @@ class Motion:
 class Comparison:
     """One hypothesis taken for true against one form of its rival, and the moments of what is seen of both so far.
 
-    `gram` (m, m) over [model and shared effects, rival, truth], `prior` (m', m') over the first two.
+    `gram` (m, m) over [model and shared effects, rival, truth], `prior` (m', m') over the first two, of which the first
+    `own` are the model's and the shared effects'.
     """
 
     pair: int
@@ -57,6 +60,7 @@ class Comparison:
     gram: np.ndarray
     prior: np.ndarray
     values: np.ndarray
+    own: int
 
 
 class Outlook:
@@ -80,7 +84,7 @@ class Outlook:
         moving = dataset.fit.sigma.min(axis=0)
         sigma = background_of(reference, moving, [signals], dataset.limits)
         rate = 1 / float(np.median(np.diff(motion.time)))
-        weight = np.sqrt(_rows_to_one(sigma > 1.01 * moving, max(1.0, _INDEPENDENT * rate)))
+        weight = np.where(sigma > 1.01 * moving, np.inf, np.sqrt(max(1.0, _INDEPENDENT * rate)))
         model = reference.model.columns(motion.q, motion.qd, motion.qdd) / (sigma * weight)[:, :, None]
         made: dict[Candidate, np.ndarray] = {}
 
@@ -102,13 +106,20 @@ class Outlook:
             result.append(flat.T @ flat)
         return result
 
+    def distances(self, added: Sequence[np.ndarray]) -> np.ndarray:
+        """(comparisons,) D² on average over the draws; `added` as in `probabilities`."""
+        pairs = zip(self.comparisons, added, strict=True)
+        return np.array([np.mean(_distances(c, c.gram + more, len(c.prior))) for c, more in pairs])
+
     def probabilities(self, added: Sequence[np.ndarray] | None = None) -> np.ndarray:
         """(pairs,) probability of the right answer; `added` per comparison: moments of motions to come."""
         of_pair: list[dict[int, float]] = [{} for _ in self.pairs]
         for number, comparison in enumerate(self.comparisons):
             gram = comparison.gram if added is None else comparison.gram + added[number]
-            margin = self.pairs[comparison.pair].margin
-            chance = float(np.mean([_passes(distance, margin) for distance in _distances(comparison, gram)]))
+            alone = _distances(comparison, gram, comparison.own)
+            least, alike = self.pairs[comparison.pair].margin, self.dataset.limits.alike
+            rivals = zip(_distances(comparison, gram, len(comparison.prior)), alone, strict=True)
+            chance = float(np.mean([_passes(distance, max(least, alike * whole)) for distance, whole in rivals]))
             key = id(comparison.truth)
             of_pair[comparison.pair][key] = min(of_pair[comparison.pair].get(key, 1.0), chance)
         return np.array([np.mean(list(found.values())) if found else 0.0 for found in of_pair])
@@ -119,7 +130,7 @@ class Outlook:
         for comparison, more in zip(self.comparisons, added, strict=True):
             if comparison.rival is not None:
                 continue
-            distance = float(np.mean(_distances(comparison, comparison.gram + more)))
+            distance = float(np.mean(_distances(comparison, comparison.gram + more, comparison.own)))
             margin = self.pairs[comparison.pair].margin
             if distance > 0:
                 size = (1.6832 + np.sqrt(1.6832**2 + 4 * margin)) / 2 / np.sqrt(distance)
@@ -127,28 +138,18 @@ class Outlook:
         return found
 
 
-def _rows_to_one(resting: np.ndarray, usual: float) -> np.ndarray:
-    """(S, n) rows that make one independent row: `usual`, but a whole standstill of a joint, where stiction holds."""
-    rows = np.full(resting.shape, usual)
-    for joint, here in enumerate(resting.T):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], here.astype(int), [0]])))
-        for first, last in zip(edges[::2], edges[1::2], strict=True):
-            rows[first:last, joint] = max(usual, last - first)
-    return rows
-
-
 def _passes(distance: float, margin: float) -> float:
     return float(ndtr((distance - margin) / (2 * np.sqrt(max(distance, 1e-12)))))
 
 
-def _distances(comparison: Comparison, gram: np.ndarray) -> list[float]:
-    """D² for every drawn truth."""
-    free = len(comparison.prior)
-    matrix = gram[:free, :free] + comparison.prior
+def _distances(comparison: Comparison, gram: np.ndarray, free: int) -> list[float]:
+    """D² for every drawn truth, where the first `free` parameters of model and rival can follow."""
+    truth = len(comparison.prior)
+    matrix = gram[:free, :free] + comparison.prior[:free, :free]
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     scaled = matrix * np.outer(scale, scale) + 1e-9 * np.eye(free)
-    cross = scale[:, None] * gram[:free, free:]
-    schur = gram[free:, free:] - cross.T @ np.linalg.solve(scaled, cross)
+    cross = scale[:, None] * gram[:free, truth:]
+    schur = gram[truth:, truth:] - cross.T @ np.linalg.solve(scaled, cross)
     return [max(float(values @ schur @ values), 0.0) for values in comparison.values]
 
 
@@ -170,4 +171,4 @@ def _comparison(number: int, fit: Fit, truth: Form, rival: Candidate | None, dra
     gram[:size, size:] = cross.sum(axis=0)[:-1]
     gram[size:, :size] = gram[:size, size:].T
     gram[size:, size:] = own.sum(axis=0)
-    return Comparison(number, truth, rival, fit.chosen, gram / fit.repeat, beside.prior, draws)
+    return Comparison(number, truth, rival, fit.chosen, gram / fit.repeat, beside.prior, draws, fit.size)

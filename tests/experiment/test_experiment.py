@@ -76,24 +76,19 @@ def test_a_further_motion_never_brings_rivals_nearer(arm, ambiguous, first, seco
     outlook = Outlook(ambiguous.dataset, open_pairs(ambiguous))
     one = outlook.moments(_wave(arm, first, seconds))
     two = outlook.moments(_wave(arm, second, seconds))
-    now = outlook.probabilities()
-    after = outlook.probabilities(one)
-    both = outlook.probabilities([a + b for a, b in zip(one, two, strict=True)])
-    assert np.all(after >= now - 1e-6)
-    assert np.all(both >= after - 1e-6)
-    assert np.all((both >= 0) & (both <= 1))
+    together = [a + b for a, b in zip(one, two, strict=True)]
+    now, after, both = (outlook.distances(added) for added in ([0 * part for part in one], one, together))
+    assert np.all(after >= now * (1 - 1e-6))
+    assert np.all(both >= after * (1 - 1e-6))
+    chances = outlook.probabilities(together)
+    assert np.all((chances >= 0) & (chances <= 1))
 
 
-def test_a_standstill_counts_once_however_long(arm, ambiguous):
+def test_a_standstill_tells_nothing(arm, ambiguous):
     outlook = Outlook(ambiguous.dataset, open_pairs(ambiguous))
-
-    def rest(seconds: float) -> list[np.ndarray]:
-        time = np.arange(0, seconds, 0.02)
-        zero = np.zeros((len(time), arm.dof))
-        return outlook.moments(Motion(time, zero + 0.3, zero, zero))
-
-    for short, long in zip(rest(1.0), rest(8.0), strict=True):
-        assert np.allclose(short, long, rtol=0.05, atol=1e-9)
+    time = np.arange(0, 8, 0.02)
+    zero = np.zeros((len(time), arm.dof))
+    assert not any(moments.any() for moments in outlook.moments(Motion(time, zero + 0.3, zero, zero)))
 
 
 def test_pieces_begin_and_end_at_rest_in_the_sub_region(problem):
