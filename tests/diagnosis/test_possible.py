@@ -69,8 +69,8 @@ def test_torque_within_stiction_at_rest_keeps_no_cause_from_closing_the_gap(diag
     rows = [np.column_stack([part[:, :-1], part[:, -1] + 0.8 * rest[:, j]]) for j, part in enumerate(fit.rows)]
     open_at_rest = Fit(
         fit.reference, fit.signals, rows, fit.index, fit.sigma, fit.precision, fit.shift,
-        fit.cell, fit.block, fit.folds, fit.single, fit.chosen,
-    )  # fmt: skip
+        fit.cell, fit.block, fit.folds, fit.single,
+    ).with_chosen(fit.chosen)  # fmt: skip
     residual = found.dataset.residual + 0.8 * rest * fit.sigma
     gap = held_out_gap(replace(found.dataset, residual=residual), open_at_rest)
     assert rms(open_at_rest.out_of_fold())[1] > 2 * rms(fit.out_of_fold())[1], "the error is there"
