@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from math import isfinite
 
 from agent.diagnosis.answer import Cause, Place
 from agent.diagnosis.dataset import Dataset
@@ -84,9 +85,10 @@ def with_path(
 
 
 def has_size(cause: Cause, limits: DecisionLimits = LIMITS) -> bool:
-    """Whether a cause has parameters that are not all zero, and closes a part of its gap by itself."""
+    """Whether a cause has parameters, finite and not all zero, and closes a part of its gap by itself."""
+    values = cause.parameters.values()
     closes = cause.closure is not None and cause.closure >= limits.part
-    return closes and any(value != 0 for value in cause.parameters.values())
+    return closes and all(map(isfinite, values)) and any(values)
 
 
 def settle(
@@ -104,7 +106,7 @@ def settle(
     if closure is None:
         return "no_gap", ()
     left = tuple(cause for cause in causes if has_size(cause, limits))
-    if not left or closure < limits.hardly:
+    if not left or not closure >= limits.hardly:  # not a number is not enough either
         return "unknown", ()
     if left[0].equivalent_to:
         return "ambiguous", left
