@@ -95,3 +95,11 @@ def test_friction_that_drifts_is_no_string_of_pushes(arm, model, free):
     drifting = replace(free[0], effort=free[0].effort + since * np.sign(free[0].velocity))
     found = best(arm, model, [drifting, free[1]])
     assert found is None or len(forces(found)) == 1, "the strongest stroke at most"
+
+
+def test_a_force_from_the_first_sample_to_the_last_is_no_event(arm, model, free):
+    """Nothing beside it says what is usual."""
+    always = [(free[0].t[0] - 1, free[0].t[-1] + 1)]
+    found = best(arm, model, [pushed(arm, free[0], "link_3", always)])
+    within = 0.0 if found is None else sum(end - start for start, end, *_ in forces(found))
+    assert within < 0.8 * free[0].t[-1]

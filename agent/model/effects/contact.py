@@ -189,12 +189,25 @@ def _strongest(windows: Sequence[_Windows]) -> list[_Push]:
 
 
 def _stands_out(push: _Push, taken: Sequence[_Push], windows: Sequence[_Windows]) -> bool:
-    alike = [w for w in windows if (w.link, w.duration) == (push.link, push.duration)]
-    others = np.concatenate([w.beside(taken) for w in alike])
-    usual = float(np.quantile(others, _USUAL)) if len(others) else 0.0
+    of_link = [w for w in windows if w.link == push.link]
+    alike = [w for w in of_link if w.duration == push.duration]
+    usual = _usual(push, taken, of_link)
     again = max((w.again(push) for w in alike if w.log == push.log), default=0.0)
     near = max((w.near(push) for w in alike if w.log == push.log), default=0.0)
     return push.gain > max(_STANDS_OUT * usual, _STANDS_OUT * near, _ALONE * again)
+
+
+def _usual(push: _Push, taken: Sequence[_Push], windows: Sequence[_Windows]) -> float:
+    """Gain of a segment as long as a push where none is, from shorter ones where the pushes leave no room for it.
+
+    Infinite where they leave room for none: what is there from the first sample to the last is no event.
+    """
+    for duration in (length for length in reversed(_DURATIONS) if length <= push.duration):
+        parts = [w.beside(taken) for w in windows if w.duration == duration]
+        others = np.concatenate([np.zeros(0), *parts])
+        if len(others):
+            return float(np.quantile(others, _USUAL)) * push.duration / duration
+    return np.inf
 
 
 def _settings(pushes: Sequence[_Push]) -> dict[str, float]:

@@ -1,0 +1,70 @@
+"""A model of one part of what a real arm logged, on the other: whatever it misses, no cause has come between."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from agent.diagnosis import diagnose
+from agent.estimation import estimate
+from agent.recording import import_log, read_log
+from agent.robot import load_robot
+from tests.diagnosis.test_real_arms import EXAMPLES
+
+SLOW = pytest.mark.verify
+XL330 = [f"kp{gain}_{motion}" for gain in (200, 400) for motion in ("sin_sin", "up_and_down")]
+
+
+def _control(robot, fitted, held_out) -> None:
+    result = diagnose(robot, held_out, estimate(robot, fitted)).result
+    assert result["verdict"] in ("no_gap", "unknown")
+    assert result["causes"] == []
+
+
+@pytest.mark.parametrize(
+    ("folder", "description", "fitted", "held_out"),
+    [
+        ("bam_xl330", "robot.yaml", XL330[::2], XL330[1::2]),
+        ("kr300", "robot_real.yaml", "BC", "A"),
+        *(
+            pytest.param("kr300", f"robot_{inertials}.yaml", sorted({*"ABC"} - {held_out}), held_out, marks=SLOW)
+            for inertials in ("real", "none", "dummy")
+            for held_out in "ABC"
+            if (inertials, held_out) != ("real", "A")
+        ),
+        pytest.param("bam_xl330", "robot.yaml", XL330[1::2], XL330[::2], marks=SLOW),
+        pytest.param("tiago", "robot.yaml", ["fit"], ["held"], marks=SLOW),
+        pytest.param("tiago", "robot.yaml", ["held"], ["fit"], marks=SLOW),
+    ],
+)
+def test_a_model_of_some_logs_finds_no_cause_in_the_others(shared_data, folder, description, fitted, held_out):
+    source = shared_data / "real-dev" / folder
+    robot = load_robot(source / description)
+    logs = {name: read_log(source / f"{name}.mcap", robot) for name in (*fitted, *held_out)}
+    _control(robot, [logs[name] for name in fitted], [logs[name] for name in held_out])
+
+
+def _imported(shared_data, tmp_path, map_file, *tables):
+    file = EXAMPLES / map_file
+    robot, out = load_robot(file.parent / "robot.yaml"), tmp_path / f"{file.stem}.mcap"
+    import_log(robot, file, [shared_data / table for table in tables], out)
+    return robot, read_log(out, robot)
+
+
+@SLOW
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_model_of_half_of_a_linear_drives_log_finds_no_cause_in_the_other(shared_data, tmp_path, order):
+    robot, log = _imported(shared_data, tmp_path, "emps/map.yaml", "emps/DATA_EMPS.mat")
+    edges = np.linspace(log.t[0], log.t[-1] + 1, 3)
+    halves = [log.between(start, stop) for start, stop in pairwise(edges)][::order]
+    _control(robot, halves[:1], halves[1:])
+
+
+@SLOW
+def test_a_model_of_the_end_of_a_log_of_a_tx40_finds_no_cause_in_its_beginning(shared_data, tmp_path):
+    tables = ("tx40/pos_read_data.csv", "tx40/curr_data.csv")
+    robot, end = _imported(shared_data, tmp_path, "tx40/map_held_out.yaml", *tables)
+    _, beginning = _imported(shared_data, tmp_path, "tx40/map_fit.yaml", *tables)
+    _control(robot, [end], [beginning])
