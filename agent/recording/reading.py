@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 _NANO = 1_000_000_000
 #: Set-points belong to a sample if their stamps differ by at most this part of the period.
 _SAME_STAMP = 0.1
+#: [rad or m] A joint that travels further than this in a log moves.
+_MOVED = 0.01
 #: As `scan` names the type of a log's measured states.
 _STATES_TYPE = "sensor_msgs/msg/JointState (cdr)"
 
@@ -78,6 +80,11 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
     stamp, arrays, cuts, mended = _mended(stamp, arrays, robot, found.scratch)
     position, velocity, effort = arrays
     assert position is not None
+    if velocity is not None and _never_filled(velocity, position):
+        velocity = None
+        kind = "samples with a velocity of zero though the arm moves, so all velocity left out"
+        mended.append(_repair(kind, stamp, int(stamp[0])))
+    found.scratch.release()
     spacing = spacing_of(stamp, _nominal_rate(run))
     duration = (int(stamp[-1]) - int(stamp[0])) / _NANO
     repairs = [*_file_repairs(found, topic, duration), *_run_repairs(run, spacing.repairs)]
@@ -124,6 +131,15 @@ def _mended(
         keep = np.delete(np.arange(len(stamp)), dropped)
         stamp, arrays = stamp[keep], [_take(scratch, values, keep) for values in arrays]
     return stamp, arrays, cuts, repairs
+
+
+def _never_filled(velocity: np.ndarray, position: np.ndarray) -> bool:
+    """Whether a recorder has left the velocity (S, n) at zero from end to end while a joint moved."""
+    if any(velocity[part].any() for part in parts(len(velocity))):
+        return False
+    lowest = np.min([position[part].min(axis=0) for part in parts(len(position))], axis=0)
+    highest = np.max([position[part].max(axis=0) for part in parts(len(position))], axis=0)
+    return bool(np.any(highest - lowest > _MOVED))
 
 
 def _take(scratch: Scratch, values: np.ndarray | None, rows: np.ndarray) -> np.ndarray | None:

@@ -135,6 +135,18 @@ def test_missing_velocity_and_effort(tools, tmp_path):
         assert kinds(log) == {f"samples without a finite {missing}": 50}
 
 
+def test_a_velocity_that_is_never_filled_is_none(tools, tmp_path):
+    block = tools.motion(50)
+    messages = tools.as_messages(block, velocity=(0.0,) * 3)
+    log = read_log(tools.write_foreign(tmp_path / "silent.mcap", messages))
+    assert log.velocity is None
+    assert kinds(log) == {"samples with a velocity of zero though the arm moves": 50}
+    still = tools.as_messages(block, velocity=(0.0,) * 3, position=tuple(block.position[0]))
+    log = read_log(tools.write_foreign(tmp_path / "still.mcap", still))
+    assert not log.velocity.any()
+    assert log.repairs == ()
+
+
 def test_broken_rows_are_dropped_and_counted(tools, tmp_path):
     block = tools.motion(100)
     messages = tools.as_messages(block)
