@@ -24,18 +24,18 @@ def still(plot: Plot) -> str:
         axis.set_axis_off()
     shown: tuple[str, ...] = ()
     for number, (panel, axis) in enumerate(zip(plot.panels, axes.flat, strict=False)):
-        _draw(plot, panel, axis)
         labels = tuple(one.label for one in panel.series)
+        _draw(plot, panel, axis, 13 if len(labels) > 2 else 3)  # a long legend takes the line above the axis
         if labels != shown and (len(labels) > 1 or panel.marks):
             axis.legend(ncols=max(1, len(labels)), fontsize=7, loc="lower right", bbox_to_anchor=(1.0, 0.98))
         shown = labels
         if number >= len(plot.panels) - columns:
             axis.set_xlabel(f"{plot.x_label} [{plot.x_unit}]" if plot.x_unit else plot.x_label)
-    figure.subplots_adjust(left=0.08, right=0.99, bottom=0.42 / height, top=1 - 0.3 / height, hspace=0.45, wspace=0.2)
+    figure.subplots_adjust(left=0.08, right=0.99, bottom=0.42 / height, top=1 - 0.42 / height, hspace=0.6, wspace=0.2)
     return svg_text(plot.name, figure, fitted=False)
 
 
-def _draw(plot: Plot, panel: Panel, axis: Any) -> None:
+def _draw(plot: Plot, panel: Panel, axis: Any, pad: float) -> None:
     x = plot.abscissa(panel)
     chosen = thinned(np.column_stack([one.values for one in panel.series]), _MOST_POINTS)
     shown: Any = x[chosen]
@@ -57,7 +57,7 @@ def _draw(plot: Plot, panel: Panel, axis: Any) -> None:
     for name, level in panel.marks.items():
         axis.axhline(level, linestyle=":", linewidth=1, color="#8a949e", label=name)
     axis.set_ylabel(f"[{panel.unit}]" if panel.unit else "", fontsize=8)
-    axis.set_title(panel.title, fontsize=8, loc="left", pad=3)
+    axis.set_title(panel.title, fontsize=8, loc="left", pad=pad)
     if panel.from_zero:
         axis.set_ylim(bottom=0)
 

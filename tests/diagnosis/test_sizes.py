@@ -41,5 +41,7 @@ def test_the_leading_figure_and_what_is_not_told():
     payload = {"effect": "payload", "parameters": {"m0": 3.9, "hx0": 0.1, "mass": 4.0, "moment_x": 0.4}}
     assert leading(payload) == "mass"
     assert told(payload) == ["mass", "moment_x"]
+    one_sided = {"effect": "asymmetric_friction", "parameters": {"coulomb": 1.0, "coulomb_asymmetry": 28.3}}
+    assert told(one_sided) == ["coulomb_asymmetry"]
     assert leading({"effect": "inertial_mismatch", "parameters": {"link": 3.0, "m3": 1.0}}) == "m3"
     assert leading({"effect": "other", "parameters": {"odd": 1.0}}) is None
