@@ -67,7 +67,7 @@ def make_candidates(survey: FitContext, wanted: Sequence[Wanted]) -> list[Candid
                 pending.append((number, joint, block))
         for first in range(0, len(pending), _AT_ONCE):
             some = pending[first : first + _AT_ONCE]
-            filtered = signals.low_pass(np.hstack([block for *_, block in some]))
+            filtered = signals.low_pass(np.concatenate([block.T for *_, block in some]).T)
             ends = np.cumsum([block.shape[1] for *_, block in some])[:-1]
             for (number, joint, _), block in zip(some, np.split(filtered, ends, axis=1), strict=True):
                 parts[number].setdefault(joint, []).append(block / sigma[:, joint, None])

@@ -136,7 +136,7 @@ class TwoMass(Effect):
     def _on_joint(self, survey: FitContext, k: int, tried: Sequence[Mapping[str, float]]) -> np.ndarray:
         parts = []
         for signals in survey.signals:
-            parts.append(signals.low_pass(-np.stack([self._lead(signals, k, entry)[0] for entry in tried], axis=1)))
+            parts.append(signals.low_pass(-np.stack([self._lead(signals, k, entry)[0] for entry in tried]).T))
         return np.concatenate(parts)
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
