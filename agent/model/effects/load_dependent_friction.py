@@ -31,4 +31,5 @@ class LoadDependentFriction(Effect):
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         (axle,) = joints
+        assert signals.axles.load is not None
         return on_axle(signals.reference, axle, signals.direction(axle) * np.abs(signals.axles.load[:, axle]))

@@ -78,6 +78,7 @@ class WristCoupling(Effect):
         if "axle_side" in settings:
             carriers = coupling[i]
             carried[:, 0] = acceleration
+            assert signals.axles.load is not None
             carried[:, -1] = signals.axles.load[:, j] * (1.0 if "free" in settings else -1.0)
         else:
             carriers = np.eye(len(coupling))[i]
