@@ -74,6 +74,8 @@ class DaskEngine:
             self._start_local()
         else:
             try:
+                # a client of an address that is none would keep a thread, and the process would not end
+                self._dask.comm.get_address_host_port(self._scheduler)
                 self._client = self._connect(3 * _CONNECT)  # it may be starting
             except (OSError, ValueError) as error:
                 raise InputError(f"{self._scheduler}: no Dask scheduler answers there: {error or 'no time'}") from None

@@ -91,8 +91,10 @@ class EstimationSettings:
         """Settings from what a user named; None is the default.
 
         Raises:
-            InputError: unknown method or friction.
+            InputError: unknown method or friction, or a cut-off that is none.
         """
+        if cutoff is not None and not (np.isfinite(cutoff) and cutoff > 0):
+            raise InputError(f"--cutoff {cutoff:g}: a frequency above 0 Hz is needed")
         if method is not None and method not in methods():
             raise InputError(f"method {method!r} is not known; choose one of {', '.join(methods())}")
         if friction not in ("selected", "paper"):

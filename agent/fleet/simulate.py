@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from agent.core.errors import InputError
+from agent.core.parallel import needed
 from agent.fleet.result import ROWS, schema
 from agent.fleet.store import Store
 from agent.robot import RobotDescription, load_robot
@@ -244,6 +245,7 @@ def _write_rows(store: Store, fleet: Fleet, robot: RobotDescription, seed: int) 
     """The rows that `fleet estimate` would have made, as far as trends and the page look at them."""
     import tempfile
 
+    needed("pyarrow", "a fleet")
     import pyarrow.parquet as pq
 
     with tempfile.TemporaryDirectory() as folder:

@@ -24,7 +24,7 @@ from agent.core.parallel import needed
 TRIES = 4
 PAUSE = 0.25
 #: Errors of the system that another try does not mend.
-_FINAL = (FileNotFoundError, PermissionError, NotADirectoryError, IsADirectoryError)
+_FINAL = (FileNotFoundError, PermissionError, IsADirectoryError)
 
 Answer = TypeVar("Answer")
 
@@ -65,6 +65,8 @@ class Store:
             self._fs, root = url_to_fs(self.url)
         except (ValueError, ImportError) as error:
             raise InputError(f"{self.url}: no store can be opened by this URL: {error}") from None
+        except OSError as error:  # some connect at once
+            raise InputError(f"{self.url}: no store answers there: {error.strerror or error}") from None
         self._root = root.rstrip("/") or "/"
 
     @cached_property
@@ -175,6 +177,8 @@ class Store:
                 return call()
             except FileNotFoundError:
                 raise
+            except NotADirectoryError:
+                raise InputError(f"{where}: cannot be {what}: a file is where a folder should be") from None
             except _FINAL as error:
                 raise StoreError(f"{where}: cannot be {what}: {error.strerror or error}") from None
             except Exception as error:  # of whatever library speaks to the store
@@ -188,6 +192,8 @@ class Store:
 def _put_local(path: Path, content: bytes | Path) -> None:
     """Write beside, flush to the disk and rename."""
     beside = path.with_name(f".{path.name}.{os.getpid()}")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file to write")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with open(beside, "wb") as file:
@@ -199,6 +205,8 @@ def _put_local(path: Path, content: bytes | Path) -> None:
             file.flush()
             os.fsync(file.fileno())
         os.replace(beside, path)
+    except (NotADirectoryError, FileExistsError):
+        raise InputError(f"{path}: a file is where its folder should be; name another place") from None
     except OSError as error:
         beside.unlink(missing_ok=True)
         raise AgentError(f"{path}: cannot be written: {error.strerror}; free space or rights?") from None

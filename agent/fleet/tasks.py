@@ -104,12 +104,17 @@ def make_question(kind: str, robot: str | None, model: str | None, **options: An
     A `model` that is no file here is a name to look for in or above every run.
 
     Raises:
-        InputError: a robot or a file that cannot be used, or an unknown effect.
+        InputError: a robot or a file that cannot be used, or an unknown effect, method, structure or cut-off.
     """
     from agent.diagnosis import check_effects
+    from agent.estimation import EstimationSettings
+    from agent.pipeline.identify import check_structure
     from agent.robot.description import builtin_robots, load_robot
 
+    # what no run can answer is told once, before any is asked
     check_effects(options.get("without", ()))
+    EstimationSettings.create(cutoff=options.get("cutoff"), method=options.get("method"))
+    check_structure(options.get("structure", "rigid"))
     name = ""
     given: list[Given] = []
     if robot is not None:

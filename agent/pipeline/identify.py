@@ -42,6 +42,15 @@ def read_logs(paths: list[Path], robot: Any, console: Console) -> list[Any]:
     return logs
 
 
+def check_structure(structure: str) -> None:
+    """
+    Raises:
+        InputError: there is no such structure of a model.
+    """
+    if structure not in ("rigid", "auto"):
+        raise InputError(f"--structure {structure!r} is not known; choose rigid or auto")
+
+
 def check_one_machine(logs: Sequence[Any], model: Any, allow_mixed: bool) -> None:
     """Refuse logs of several machines or tools, or of another than the model's (None: no model).
 
@@ -152,8 +161,7 @@ def fit_files(
     """The model that `estimate_files` writes, and the logs it was fitted to, without their velocities."""
     from agent.estimation import EstimationSettings, estimate
 
-    if structure not in ("rigid", "auto"):
-        raise InputError(f"--structure {structure!r} is not known; choose rigid or auto")
+    check_structure(structure)
     description = load_robot(robot)
     logs = read_logs(paths, description, console)
     check_one_machine(logs, None, allow_mixed)

@@ -94,6 +94,13 @@ def test_nobody_at_the_address_is_usage(monkeypatch):
         pass
 
 
+def test_an_address_that_is_none_is_usage_and_leaves_no_thread():
+    before = set(threading.enumerate())
+    with pytest.raises(InputError, match="missing port"), open_engine("nonsense"):
+        pass
+    assert set(threading.enumerate()) == before, "the process would not end"
+
+
 @pytest.mark.verify
 def test_a_task_that_kills_its_workers_is_told_and_the_others_are_done():
     def hog(number: int) -> int:

@@ -159,3 +159,38 @@ def test_the_same_fleet_is_drawn_twice(tmp_path: Path):
     kinds = [planted.kind for planted in one.planted]
     assert kinds.count("wear") == 1
     assert kinds.count("cause") == 2
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (["--method", "wrong"], "choose one of"),
+        (["--structure", "wrong"], "rigid or auto"),
+        (["--cutoff", -3], "above 0"),
+    ],
+)
+def test_what_no_run_can_answer_is_usage(command, plant: Path, tmp_path: Path, asked: list[str], said: str):
+    with pytest.raises(InputError, match=said):
+        command("fleet", "estimate", plant, "-o", tmp_path / "out", *asked)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_where_a_folder_should_be_is_usage(command, estimated: Path, tmp_path: Path):
+    file = tmp_path / "file"
+    file.touch()
+    for arguments in (("simulate", "-n", 1), ("trends", estimated)):
+        for out in (file, file / "below"):
+            with pytest.raises(InputError, match="where a folder should be"):
+                command("fleet", *arguments, "-o", out)
+    with pytest.raises(InputError, match="is a folder; name a file"):
+        command("fleet", "report", estimated, "-o", tmp_path)
+    with pytest.raises(InputError, match="where its folder should be"):
+        command("fleet", "report", estimated, "-o", file / "page.html")
+
+
+def test_rows_without_pyarrow_say_what_to_install(arm: str, tmp_path: Path, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(InputError, match=r"pip install 'calibration-agent\[fleet\]'"):
+        simulate.simulate_fleet(arm, 1, 1, 1, str(tmp_path), rows=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from agent.core.console import Console
+from agent.core.errors import InputError
 from agent.core.parallel import InProcess
 from agent.fleet import make_question, run_fleet, store
 from agent.fleet.store import Store, StoredFile, StoreError
@@ -91,3 +92,14 @@ def test_a_local_file_is_written_whole_or_not_at_all(tmp_path: Path):
     there.remove("a/b")
     assert there.names("a") == []
     assert there.names("nothing") == []
+
+
+def test_a_store_that_cannot_be_reached_is_usage(monkeypatch):
+    import fsspec.core
+
+    def refused(url: str) -> None:
+        raise ConnectionRefusedError(111, "Connection refused")
+
+    monkeypatch.setattr(fsspec.core, "url_to_fs", refused)
+    with pytest.raises(InputError, match="no store answers there: Connection refused"):
+        Store("ftp://nobody/logs")
