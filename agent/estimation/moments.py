@@ -17,6 +17,8 @@ from agent.estimation.observation import Observation, Segment
 from agent.model.friction_terms import FrictionTerm
 from agent.model.regimes import standstill_speed
 
+_SURELY_SLIDES = 0.005  # of the highest speed: more than where a diagnosis leaves the torque open
+
 Cells = np.ndarray | slice
 ALL_CELLS = slice(None)
 
@@ -122,5 +124,6 @@ def standstill(observation: Observation) -> list[np.ndarray]:
 
 
 def observed_standstill_speed(observation: Observation) -> np.ndarray:
-    """(n,) [rad/s] up to which a joint counts as standing still."""
-    return standstill_speed([segment.speed for segment in observation.segments], observation.robot.max_velocity)
+    """(n,) [rad/s] up to which a joint counts as standing still: what friction is fitted to surely slides."""
+    speeds = [segment.speed for segment in observation.segments]
+    return standstill_speed(speeds, observation.robot.max_velocity, _SURELY_SLIDES)

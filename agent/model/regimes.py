@@ -28,14 +28,14 @@ _LOW, _HIGH = 0.1, 0.6  # of the highest speed seen
 _MOST = 0.75  # quantile of load and acceleration, from which on they are high
 
 
-def standstill_speed(speeds: Sequence[np.ndarray], max_velocity: np.ndarray) -> np.ndarray:
+def standstill_speed(speeds: Sequence[np.ndarray], max_velocity: np.ndarray, share: float = _STANDSTILL) -> np.ndarray:
     """(n,) [rad/s] up to which a joint counts as standing still, so that its friction is anything within stiction.
 
-    speeds: (S, n) of each motion; max_velocity (n,) of the joints.
+    speeds: (S, n) of each motion; max_velocity (n,) of the joints; share: of the highest speed.
     """
     fastest = np.max([np.abs(speed).max(axis=0) for speed in speeds], axis=0)
     usual = np.maximum(fastest, _OF_ARM * np.max(fastest / max_velocity) * max_velocity)
-    return np.maximum(_STANDSTILL * usual, _RESTING * max_velocity)
+    return np.maximum(share * usual, _RESTING * max_velocity)
 
 
 def regime_masks(
