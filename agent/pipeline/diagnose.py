@@ -199,6 +199,11 @@ def _find(
         robot = reference.robot  # of the file, with the drives of the description
     if robot is None:
         raise InputError("diagnose: name the robot (--robot R), or a model that says what the arm is (--model MODEL)")
+    if question.next_recipe is not None:
+        from agent.pipeline.next_experiment import check_joints
+        from agent.recipe import load_recipe
+
+        check_joints(load_recipe(question.next_recipe), robot.joint_names)
     console.step(f"reading {len(paths)} logs")
     logs = read_logs(list(paths), robot, console)
     check_one_machine(logs, reference, question.allow_mixed)

@@ -79,11 +79,7 @@ def plan_next(
     from agent.experiment import open_pairs, plan_experiment
     from agent.pipeline.planning import loop_problem
 
-    here, there = recipe.robot.joint_names, found.dataset.robot.joint_names
-    if here != there:
-        raise InputError(
-            f"{recipe.path}: its robot has joints {', '.join(here)}; the logs are of one with {', '.join(there)}"
-        )
+    check_joints(recipe, found.dataset.robot.joint_names)
     if not open_pairs(found):
         console.say("nothing is open: no further motion is needed")
         return None
@@ -134,6 +130,19 @@ def check_next(recipe: Path, folder: Path | None) -> None:
     _check_folder(folder)
     loaded = load_recipe(recipe)
     Candidates(loop_problem(loaded, loaded.motion.speed))
+
+
+def check_joints(recipe: Recipe, there: tuple[str, ...]) -> None:
+    """
+    Raises:
+        InputError: the joints of the recipe's robot are not those of the robot of the logs, `there`.
+    """
+    here = recipe.robot.joint_names
+    if here != there:
+        raise InputError(
+            f"{recipe.path}: its robot has joints {', '.join(here)}; the logs are of one with {', '.join(there)}. "
+            "Name a recipe of that robot with --next"
+        )
 
 
 def _check_folder(folder: Path) -> None:

@@ -39,7 +39,7 @@ def test_a_recipe_is_recorded_then_diagnosed(start_controller, write_recipe, run
     assert [entry.effect for entry in IdentifiedModel.load(tmp_path / "model.json").effects] == ["time_delay"]
 
 
-def test_nothing_moves_where_the_question_makes_no_sense(controller, write_recipe, run_agent, tmp_path: Path):
+def test_nothing_moves_where_the_question_makes_no_sense(controller, write_recipe, run_agent, arm, tmp_path: Path):
     recipe = write_recipe(controller.address)
     for arguments, reason in (
         (["--record", recipe, "--robot", "comau_ns16"], "leave out LOG and --robot"),
@@ -55,6 +55,7 @@ def test_nothing_moves_where_the_question_makes_no_sense(controller, write_recip
         (["--robot", "comau_ns16", "some.mcap", "--next", recipe], "with -o DIR"),
         (["--robot", "comau_ns16", "some.mcap", "--next", "absent.yaml", "-o", "next"], "absent.yaml"),
         (["--robot", "comau_ns16", "some.mcap", "--next", recipe, "-o", str(recipe)], "is a file"),
+        (["--robot", arm, "some.mcap", "--next", recipe, "-o", "next"], "Name a recipe of that robot"),
     ):
         run = run_agent("diagnose", *arguments)
         assert run.returncode == 2, (arguments, run.stderr)
