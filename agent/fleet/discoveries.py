@@ -76,12 +76,17 @@ def read_columns(paths: Sequence[Path]) -> dict[str, dict[str, str]]:
         read: Any = pyarrow.parquet.read_table if path.suffix == ".parquet" else pyarrow.csv.read_csv
         try:
             table = read(path)
+            names = table.column_names
+        except UnicodeDecodeError:
+            names = None
         except (OSError, ValueError) as error:
             raise InputError(f"{path}: cannot be read as a table: {str(error).splitlines()[0]}") from None
-        if "robot" not in table.column_names:
+        if names is None or any(pyarrow.types.is_binary(kind) for kind in table.schema.types):
+            raise InputError(f"{path}: is not UTF-8 text; save it as CSV in UTF-8")
+        if "robot" not in names:
             raise InputError(f"{path}: has no column `robot`, by which its rows belong to machines")
         robots = [str(robot) for robot in table["robot"].to_pylist()]
-        for name in table.column_names:
+        for name in names:
             if name != "robot":
                 values = zip(robots, table[name].to_pylist(), strict=True)
                 found[name] = {robot: str(value) for robot, value in values if value is not None}

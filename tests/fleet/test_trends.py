@@ -135,3 +135,10 @@ def test_a_thousand_machines_over_a_year(tmp_path: Path, measured):
     measured("1 000 machines x 52 weeks: report", seconds, f"s ({cpu:.1f} CPU s)", "10 s", seconds <= 10)
     measured("1 000 machines x 52 weeks: report, memory", memory, "MiB", "300 MiB", memory <= 300)
     assert memory <= 300
+
+
+@pytest.mark.parametrize("text", ["robot,halle\nrobot_0000,S\xfcd\n", "robot,K\xfchlung\nrobot_0000,1\n"])
+def test_a_table_that_is_not_utf_8_is_usage(tmp_path: Path, text: str):
+    (tmp_path / "t.csv").write_bytes(text.encode("latin-1"))
+    with pytest.raises(InputError, match="save it as CSV in UTF-8"):
+        read_columns([tmp_path / "t.csv"])
