@@ -87,7 +87,7 @@ def diagnose_recording(
     loaded = replace(loaded, validate=loaded.validate.model_copy(update={"motions": few}))
     with robot_lock(loaded.controller.driver, loaded.controller.address):
         run = RunFolder.create(runs, loaded.robot.name, loaded.path)
-        run.note(kind="diagnose", question={"cutoff": question.cutoff, "without": question.without})
+        run.note(kind="diagnose", question={"cutoff": question.cutoff, "without": question.without, "budget": budget})
         approve(run, loaded)
         if reference is not None:
             run.write_text(_SIMULATOR, json.dumps(reference.to_dict(), allow_nan=False))

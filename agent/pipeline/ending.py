@@ -83,9 +83,11 @@ def going_on(run: RunFolder, step: str) -> str:
     recipe = shlex.quote(os.path.relpath(run.state["recipe"]))
     logs = run.path.parent
     where = "" if logs == _LOGS else f" --logs {shlex.quote(str(logs))}"
+    budget = run.state.get("question", {}).get("budget")
+    rounds = "" if budget is None else f" --until-sure --budget '{budget:g} s'"
     again = {
         "calibrate": f"go on with: agent calibrate {recipe}{where} --resume {run.path.name}",
         "recalibrate": f"start again with: agent recalibrate {recipe}{where}",
-        "diagnose": f"start again with: agent diagnose --record {recipe}{where}",
+        "diagnose": f"start again with: agent diagnose --record {recipe}{where}{rounds}",
     }[run.state["kind"]]
     return f"stopped in the step {step!r}; what was finished is kept in {run.path}{kept}; {again}"
