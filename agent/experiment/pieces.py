@@ -17,6 +17,7 @@ from agent.motion import Trajectory, create_interpolator
 from agent.motion.frames import with_frames
 from agent.motion.interpolator import MotionError
 from agent.motion.program import Delay, JointTarget, MotionSettings, Move, MoveType, Statement, Termination
+from agent.robot import RobotDescription
 from agent.robot.kinematics import KinematicsError
 
 #: Kinds of pieces, and how often each is drawn.
@@ -55,22 +56,24 @@ class Draw:
 class Piece:
     """A piece of motion: from `start` (n,) at rest through `statements` back to it."""
 
-    recipe: Draw
+    draw: Draw
     start: np.ndarray
     statements: tuple[Statement, ...]
     motion: Motion
     duration: float
 
-    def text(self, joint_names: Sequence[str]) -> str:
+    def text(self, robot: RobotDescription) -> str:
         """For people."""
-        recipe = self.recipe
-        if recipe.kind == "reversals":
+        draw = self.draw
+        if draw.kind == "reversals":
+            joint = robot.joints[draw.joint]
+            turn = f"{1e3 * draw.turn:.3g} mm" if joint.prismatic else f"{np.degrees(draw.turn):.3g} deg"
             return (
-                f"reversals of {joint_names[recipe.joint]} by up to {np.degrees(recipe.turn):.3g} deg at "
-                f"{100 * recipe.speed:.0f} % of its speed, resting {recipe.rest:g} s"
+                f"reversals of {joint.name} by up to {turn} at "
+                f"{100 * draw.speed:.0f} % of its speed, resting {draw.rest:g} s"
             )
-        rests = f", resting {recipe.rest:g} s at every point" if recipe.kind == "stops" else ""
-        return f"a loop at {100 * recipe.speed:.0f} % of the recipe's speed{rests}"
+        rests = f", resting {draw.rest:g} s at every point" if draw.kind == "stops" else ""
+        return f"a loop at {100 * draw.speed:.0f} % of the recipe's speed{rests}"
 
 
 class Pieces:
@@ -102,68 +105,68 @@ class Pieces:
 
     def vary(self, piece: Piece) -> Piece | None:
         """A neighbour of a piece."""
-        recipe, rng = piece.recipe, self._rng
-        genome = np.clip(recipe.genome + _VARY * rng.standard_normal(len(recipe.genome)), 0.0, 1.0)
+        draw, rng = piece.draw, self._rng
+        genome = np.clip(draw.genome + _VARY * rng.standard_normal(len(draw.genome)), 0.0, 1.0)
         factor = float(np.exp(0.3 * rng.standard_normal()))
-        turn = recipe.turn * float(np.exp(0.3 * rng.standard_normal()))
-        return self.make(replace(recipe, genome=genome, speed=min(recipe.speed * factor, 1.0), turn=turn))
+        turn = draw.turn * float(np.exp(0.3 * rng.standard_normal()))
+        return self.make(replace(draw, genome=genome, speed=min(draw.speed * factor, 1.0), turn=turn))
 
-    def make(self, recipe: Draw) -> Piece | None:
+    def make(self, draw: Draw) -> Piece | None:
         """The piece, or None where a limit, the cell or the sub-region is in the way or it takes too long."""
-        recipe = replace(recipe, speed=max(round(100 * recipe.speed), 1) / 100)  # controllers take whole percents
+        draw = replace(draw, speed=max(round(100 * draw.speed), 1) / 100)  # controllers take whole percents
         try:
-            found = self._reversals(recipe) if recipe.kind == "reversals" else self._loop(recipe)
+            found = self._reversals(draw) if draw.kind == "reversals" else self._loop(draw)
             if found is None:
                 return None
-            recipe, start, statements = found
+            draw, start, statements = found
             trajectory = self._interpolator.plan(statements, start)
         except (MotionError, KinematicsError):
             return None
         if trajectory.duration > self._longest or not self._clear(trajectory):
             return None
         motion = Motion(trajectory.t, trajectory.q, trajectory.qd, trajectory.qdd)
-        return Piece(recipe, start, tuple(statements), motion, trajectory.duration)
+        return Piece(draw, start, tuple(statements), motion, trajectory.duration)
 
     def _settings(self, speed: float) -> MotionSettings:
         settings = self.problem.settings
         return with_frames(settings.changed(linear_speed=settings.linear_speed * speed), self.problem.tool)
 
-    def _loop(self, recipe: Draw) -> tuple[Draw, np.ndarray, list[Statement]]:
+    def _loop(self, draw: Draw) -> tuple[Draw, np.ndarray, list[Statement]]:
         """Through the via-points of the genome: flown, or with a rest at each."""
-        poses = self.problem.regions.poses(recipe.genome)
+        poses = self.problem.regions.poses(draw.genome)
         kinematics = self._candidates.kinematics
         joints = [kinematics.solve(poses[0], self._candidates.posture)]
         for pose in poses[1:]:
             joints.append(kinematics.solve(pose, joints[-1]))
-        settings = self._settings(recipe.speed)
+        settings = self._settings(draw.speed)
         fine = settings.changed(termination=Termination.FINE)
         statements: list[Statement] = []
         for target in joints[1:]:
-            if recipe.kind == "stops":
-                statements += [Move(MoveType.LINEAR, JointTarget(target), fine), Delay(recipe.rest)]
+            if draw.kind == "stops":
+                statements += [Move(MoveType.LINEAR, JointTarget(target), fine), Delay(draw.rest)]
             else:
                 statements.append(Move(MoveType.LINEAR, JointTarget(target), settings, fly=True))
         statements.append(Move(MoveType.LINEAR, JointTarget(joints[0]), fine))
-        return recipe, joints[0], [*statements, Delay(recipe.rest)]
+        return draw, joints[0], [*statements, Delay(draw.rest)]
 
-    def _reversals(self, recipe: Draw) -> tuple[Draw, np.ndarray, list[Statement]] | None:
+    def _reversals(self, draw: Draw) -> tuple[Draw, np.ndarray, list[Statement]] | None:
         """One joint to and fro about a posture of the sub-region, further every time, with rests."""
         kinematics = self._candidates.kinematics
-        middle = kinematics.solve(self.problem.regions.poses(recipe.genome)[0], self._candidates.posture)
-        turn = recipe.turn
-        while not self._inside(middle, recipe.joint, turn):
+        middle = kinematics.solve(self.problem.regions.poses(draw.genome)[0], self._candidates.posture)
+        turn = draw.turn
+        while not self._inside(middle, draw.joint, turn):
             turn /= 2
             if turn < _LEAST_TURN:
                 return None
-        calm = self._settings(1.0).changed(speed_override=recipe.speed, termination=Termination.FINE)
+        calm = self._settings(1.0).changed(speed_override=draw.speed, termination=Termination.FINE)
         statements: list[Statement] = []
         for step in range(1, _STEPS + 1):
             for side in (1.0, -1.0):
                 target = middle.copy()
-                target[recipe.joint] += side * turn * step / _STEPS
-                statements += [Move(MoveType.JOINT, JointTarget(target), calm), Delay(recipe.rest)]
+                target[draw.joint] += side * turn * step / _STEPS
+                statements += [Move(MoveType.JOINT, JointTarget(target), calm), Delay(draw.rest)]
         statements.append(Move(MoveType.JOINT, JointTarget(middle), calm))
-        return replace(recipe, turn=turn), middle, [*statements, Delay(recipe.rest)]
+        return replace(draw, turn=turn), middle, [*statements, Delay(draw.rest)]
 
     def _inside(self, middle: np.ndarray, joint: int, turn: float) -> bool:
         """Whether the tool stays within the box around the sub-region."""

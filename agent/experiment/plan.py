@@ -11,7 +11,7 @@ from agent.diagnosis import Diagnosis
 from agent.excitation import LoopProblem
 from agent.experiment.outlook import Outlook
 from agent.experiment.pieces import Piece, Pieces
-from agent.experiment.questions import OpenPair, open_pairs
+from agent.experiment.questions import OpenPair
 
 #: Pieces that are drawn, of which the best are put together; then so many neighbours of each are tried.
 _POOL, _NEIGHBOURS = 240, 12
@@ -52,13 +52,14 @@ class Experiment:
 
 def plan_experiment(
     found: Diagnosis,
+    pairs: Sequence[OpenPair],
     problem: LoopProblem,
     seconds: float = 60.0,
     seed: int = 1,
     progress: Callable[[str], None] = lambda text: None,
     runnable: Callable[[Sequence[Piece]], bool] = lambda pieces: True,
-) -> Experiment | None:
-    """The motion of at most `seconds` in the problem's sub-region that settles most of what is open; None: nothing is.
+) -> Experiment:
+    """The motion of at most `seconds` in the problem's sub-region that settles most of what is open (`pairs`).
 
     The worst pair counts first. The same seed gives the same motion. `runnable` says whether pieces can be run one
     after the other: while they cannot, the last one is left out.
@@ -66,9 +67,6 @@ def plan_experiment(
     Raises:
         InputError: as `agent.excitation.Candidates`.
     """
-    pairs = open_pairs(found)
-    if not pairs:
-        return None
     outlook = Outlook(found.dataset, pairs)
     before = outlook.probabilities()
     pieces = Pieces(problem, _joints(found, pairs), (1 - _WAYS) * seconds, np.random.default_rng(seed))

@@ -16,9 +16,10 @@ from agent.robot import RobotDescription, load_robot
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
-    from agent.diagnosis.forward import Simulated
     from agent.model.identified import IdentifiedModel
     from agent.model.simulators import Simulator
+    from agent.pipeline.until_sure import Found
+
 
 #: The model that was the simulator, as a run folder keeps it: the file that was named may be another one later.
 _SIMULATOR = "simulator.json"
@@ -97,18 +98,18 @@ def diagnose_recording(
             plan = planning.plan_once(loaded, run, console)
         with step(run, "record", console):
             recordings = record_plan(loaded, plan, run, console, runs, yes)
-        paths, rounds = [recording.path for recording in recordings], None
+        paths, rounds, last = [recording.path for recording in recordings], None, None
         if budget is not None:
             with step(run, "rounds", console):
-                further, rounds = until_sure(
-                    lambda logs: _find(loaded.robot, logs, question, console)[0],
+                further, rounds, last = until_sure(
+                    lambda logs: _find(loaded.robot, logs, question, console),
                     paths, loaded, run, console, runs, yes, budget - sum(one.duration for one in recordings),
                 )  # fmt: skip
                 paths += further
         with step(run, "diagnose", console):
             report = run.file("report.html")
             here = replace(question, report=report)
-            result = _diagnose(loaded.robot, paths, here, console, loaded.robot_source, simulator)
+            result = _diagnose(loaded.robot, paths, here, console, loaded.robot_source, simulator, last)
             if rounds is not None:
                 result["rounds"] = rounds
             run.write_json("result.json", result)
@@ -146,13 +147,15 @@ def _diagnose(
     console: Console,
     source: str | None,
     simulator: Simulator | None = None,
+    known: Found | None = None,
 ) -> dict[str, Any]:
-    """`source` names the robot for whoever asks again; `simulator` is the file that was read, and checked, before."""
+    """`source` names the robot for whoever asks again; `simulator` is the file that was read, and checked, before;
+    `known` is what these very logs were found to say already."""
     from agent.diagnosis import simulation_part
 
     if simulator is None:
         _check(question, paths)
-    found, simulated, read = _find(robot, paths, question, console)
+    found, simulated, read = known or _find(robot, paths, question, console)
     simulator = simulator or read
     for warning in found.warnings:
         console.warn(warning)
@@ -188,9 +191,7 @@ def _next(found: Diagnosis, question: Question, console: Console) -> dict[str, A
     return None if motion is None else write_next(motion, question.out)
 
 
-def _find(
-    robot: RobotDescription | None, paths: Sequence[Path], question: Question, console: Console
-) -> tuple[Diagnosis, list[Simulated], Simulator | None]:
+def _find(robot: RobotDescription | None, paths: Sequence[Path], question: Question, console: Console) -> Found:
     from agent.diagnosis import diagnose, simulate
     from agent.model.simulators import SIMULATOR
 

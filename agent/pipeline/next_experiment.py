@@ -18,9 +18,10 @@ from agent.runs.folder import write_atomically
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
-    from agent.experiment import Experiment
+    from agent.experiment import Experiment, OpenPair
     from agent.experiment.pieces import Piece
     from agent.motion.trajectory import Trajectory
+    from agent.robot import RobotDescription
 
 #: Longest motion that is planned [s].
 LONGEST = 60.0
@@ -37,7 +38,7 @@ class NextMotion:
     experiment: Experiment
     text: str
     chains: tuple[Trajectory, ...]
-    joint_names: tuple[str, ...]
+    robot: RobotDescription
 
     @property
     def duration(self) -> float:
@@ -49,7 +50,7 @@ class NextMotion:
         expected = self.experiment.expected
         return {
             "separates": sorted({name for e in expected for name in e.pair.names if name != "none"}),
-            "motion": "; then ".join(piece.text(self.joint_names) for piece in self.experiment.pieces),
+            "motion": "; then ".join(piece.text(self.robot) for piece in self.experiment.pieces),
             "program": program,
             "duration_s": self.duration,
             "probability": [
@@ -80,19 +81,20 @@ def plan_next(
     from agent.pipeline.planning import loop_problem
 
     check_joints(recipe, found.dataset.robot.joint_names)
-    if not open_pairs(found):
+    pairs = open_pairs(found)
+    if not pairs:
         console.say("nothing is open: no further motion is needed")
         return None
     problem = loop_problem(recipe, recipe.motion.speed)
     console.step(f"searching for a motion of at most {seconds:.0f} s that tells more")
     runs = _Runs(recipe, name)
-    experiment = plan_experiment(found, problem, seconds, recipe.search.seed, console.progress, runs)
-    if experiment is not None and runs.motion is not None:
-        motion = NextMotion(experiment, *runs.motion, recipe.robot.joint_names)
+    experiment = plan_experiment(found, pairs, problem, seconds, recipe.search.seed, console.progress, runs)
+    if runs.motion is not None:
+        motion = NextMotion(experiment, *runs.motion, recipe.robot)
         if motion.helps():
             return motion
     refused = f" ({runs.refused})" if runs.refused else ""
-    console.say(f"no motion in the sub-region of {recipe.path} would settle it{refused}: {_other_test(found)}")
+    console.say(f"no motion in the sub-region of {recipe.path} would settle it{refused}: {_other_test(pairs)}")
     return None
 
 
@@ -152,12 +154,11 @@ def _check_folder(folder: Path) -> None:
         raise InputError(f"{folder}: holds an experiment already; name another folder with -o, or move it away")
 
 
-def _other_test(found: Diagnosis) -> str:
+def _other_test(pairs: Sequence[OpenPair]) -> str:
     """What could still tell, by the knowledge that the open effects carry."""
-    from agent.experiment import open_pairs
     from agent.model.effects import CATALOGUE
 
-    names = {name for pair in open_pairs(found) for name in pair.names if name in CATALOGUE}
+    names = {name for pair in pairs for name in pair.names if name in CATALOGUE}
     experiment = min(CATALOGUE[name].experiment for name in names)
     return f"another posture, load or temperature may: {experiment.motion}"
 

@@ -17,6 +17,11 @@ from agent.runs.folder import RunFolder, sha256_file
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
+    from agent.diagnosis.forward import Simulated
+    from agent.model.simulators import Simulator
+
+    #: A diagnosis, what it says in simulation, and the simulator's file that was read.
+    Found = tuple[Diagnosis, list[Simulated], Simulator | None]
 
 #: With less motion left than this [s] no further one is planned.
 _SHORTEST = 10.0
@@ -39,7 +44,7 @@ def budget_of(text: str) -> float:
 
 
 def until_sure(
-    find: Callable[[Sequence[Path]], Diagnosis],
+    find: Callable[[Sequence[Path]], Found],
     logs: Sequence[Path],
     recipe: Recipe,
     run: RunFolder,
@@ -47,8 +52,9 @@ def until_sure(
     runs: Path,
     yes: bool,
     budget: float,
-) -> tuple[list[Path], list[dict[str, Any]]]:
-    """Further logs, recorded into the run folder as `experiment_01.mcap`, …, and what each round asked and found.
+) -> tuple[list[Path], list[dict[str, Any]], Found]:
+    """Further logs, recorded into the run folder as `experiment_01.mcap`, …, what each round asked and found, and what
+    all logs together were found to say.
 
     Args:
         find: the diagnosis of logs; all earlier ones count in every round.
@@ -60,19 +66,20 @@ def until_sure(
     further: list[Path] = []
     rounds: list[dict[str, Any]] = []
     while True:
-        found = find([*logs, *further])
+        last = find([*logs, *further])
+        found = last[0]
         if rounds:
             rounds[-1]["verdict"] = found.result["verdict"]
             console.say(f"round {len(rounds)}: {found.result['verdict']}")
         if found.result["verdict"] in ("explained", "no_gap"):
-            return further, rounds
+            return further, rounds, last
         if budget < _SHORTEST:
             console.say("the budget of motion is used up")
-            return further, rounds
+            return further, rounds, last
         name = f"experiment_{len(rounds) + 1:02d}"
         motion = plan_next(found, recipe, console, min(LONGEST, budget), name)
         if motion is None:
-            return further, rounds
+            return further, rounds, last
         log, duration = _record(motion, name, recipe, run, console, runs, yes)
         budget -= duration
         further.append(log)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from agent.estimation import IdentifiedModel
 
 DELAY = 0.008  # s
@@ -61,3 +63,25 @@ def test_nothing_moves_where_the_question_makes_no_sense(controller, write_recip
         assert run.returncode == 2, (arguments, run.stderr)
         assert reason in run.stderr
     assert not (tmp_path / "logs").exists()
+
+
+@pytest.mark.verify
+def test_rounds_ask_record_and_answer(start_controller, write_recipe, run_agent, only_run, tmp_path: Path):
+    healthy = start_controller("--clock", "fast")
+    assert run_agent("calibrate", write_recipe(healthy.address, speed="0.3 m/s"), "--yes").returncode == 0
+    model = only_run(tmp_path / "logs") / "model.json"
+    effects = tmp_path / "effects.json"
+    one_sided = {"effect": "asymmetric_friction", "joints": ["joint_2"], "parameters": {"coulomb": 0.3}}
+    effects.write_text(json.dumps([one_sided]))
+    changed = start_controller("--clock", "fast", "--effects", str(effects))
+    recipe = write_recipe(changed.address, speed="0.3 m/s")
+    runs = ("--logs", tmp_path / "rounds", "--yes", "--json")
+    run = run_agent("diagnose", "--record", recipe, "--model", model, "--until-sure", "--budget", "2 min", *runs)
+    assert run.returncode == 0, run.stderr
+    result, folder = json.loads(run.stdout), only_run(tmp_path / "rounds")
+    assert result["verdict"] == "ambiguous", "while it moves, the two are one"
+    for number, one in enumerate(result["rounds"], start=1):
+        assert {"asymmetric_friction", "torque_offset"} <= set(one["separates"])
+        assert (folder / f"experiment_{number:02d}.mcap").exists()
+        assert (folder / one["program"]).exists()
+    assert len(result["folds"]) == 3 + len(result["rounds"]), "all logs count"

@@ -11,7 +11,7 @@ from agent.diagnosis.dataset import assemble
 from agent.model.effects import CATALOGUE
 from agent.robot.dynamics import Dynamics
 from fake_controller.plant import Plant
-from tests.diagnosis.test_small_arms import learn, make_arm, record
+from tests.small_arms import learn, make_arm, record
 
 FORCE = np.array([25.0, -40.0, 60.0])  # N
 CONTACT = CATALOGUE["contact"]

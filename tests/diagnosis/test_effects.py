@@ -18,7 +18,7 @@ from agent.model.effects import GROUP
 from agent.report.diagnosis_page import diagnosis_report
 from agent.validation import validate
 from fake_controller.plant import Plant
-from tests.diagnosis.test_small_arms import make_arm, record
+from tests.small_arms import make_arm, record
 
 ROOT = Path(__file__).resolve().parents[2]
 FAMILIES = {"friction", "transmission", "load", "measurement", "path"}

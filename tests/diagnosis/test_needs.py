@@ -10,7 +10,7 @@ import pytest
 from agent.diagnosis import CATALOGUE, diagnose
 from agent.diagnosis.dataset import assemble
 from fake_controller.plant import Plant
-from tests.diagnosis.test_small_arms import learn, make_arm, record
+from tests.small_arms import learn, make_arm, record
 
 PARKED = (1.0, 1.0, 0.001)
 
