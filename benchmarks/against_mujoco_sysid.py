@@ -21,7 +21,7 @@ from mujoco.sysid._src import optimize, parameter
 
 from agent.core.console import Console
 from agent.diagnosis.rollout import MujocoEngine
-from agent.pipeline.diagnose import Question, diagnose_files
+from agent.pipeline.diagnose import GapQuestion, diagnose_files
 from agent.recording import read_log
 
 WINDOW, HORIZONS, STARTS, ITERATIONS = 0.2, np.array([0.2, 0.5, 1.0]), 12, 12
@@ -85,7 +85,7 @@ def compare(path, effects):
         logs, put_in = recorded(path, 5, folder, effects)
         fixed = folder / "fixed.xml"
         started = time.process_time()
-        result = diagnose_files(None, logs[:2], Question(path, out=fixed), Console(-1))
+        result = diagnose_files(None, logs[:2], GapQuestion(path, out=fixed), Console(-1))
         ours_s = time.process_time() - started
         read = [read_log(log) for log in logs]
         names = read[0].joint_names

@@ -10,16 +10,16 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from agent.excitation import Score, ranking
+from agent.excitation import LoopScore, ranking
 
 
 def cma_es(
-    evaluate: Callable[[np.ndarray], Sequence[Score]],
+    evaluate: Callable[[np.ndarray], Sequence[LoopScore]],
     genes: int,
     population: int,
     generations: int,
     rng: np.random.Generator,
-    note: Callable[[np.ndarray, Sequence[Score]], None],
+    note: Callable[[np.ndarray, Sequence[LoopScore]], None],
 ) -> None:
     """Run the search from the middle of the unit cube; arguments as `agent.excitation.genetic.genetic` has them."""
     parents = population // 2

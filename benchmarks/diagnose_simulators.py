@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from agent.core.console import Console
-from agent.pipeline.diagnose import Question, diagnose_files
+from agent.pipeline.diagnose import GapQuestion, diagnose_files
 from agent.recording.mcap.log_file import STATES, LogFile
 
 RATE, SECONDS, LOGS = 250.0, 20.0, 3
@@ -124,7 +124,7 @@ def draw(path, seed):
         folder = Path(name)
         logs, put_in = recorded(path, seed, folder)
         started = time.process_time()
-        result = diagnose_files(None, logs, Question(path, out=folder / f"fixed{path.suffix}"), Console(-1))
+        result = diagnose_files(None, logs, GapQuestion(path, out=folder / f"fixed{path.suffix}"), Console(-1))
         seconds = time.process_time() - started
     forward = result.get("forward", {})
     at = forward.get("horizon_s", []).index(1.0) if forward else 0

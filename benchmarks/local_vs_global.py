@@ -26,7 +26,7 @@ from agent.excitation import Candidates, Criterion, Loop, LoopProblem  # noqa: E
 from agent.excitation.criterion import log_determinant, one_blas_thread  # noqa: E402
 from agent.excitation.genetic import genetic  # noqa: E402
 from agent.excitation.random_search import random_search  # noqa: E402
-from agent.excitation.scoring import Score, ranking  # noqa: E402
+from agent.excitation.scoring import LoopScore, ranking  # noqa: E402
 from agent.motion import create_interpolator  # noqa: E402
 from agent.motion.program import JointTarget, Move, MoveType, Termination  # noqa: E402
 from agent.pipeline.planning import loop_problem  # noqa: E402
@@ -135,12 +135,12 @@ def calibrate_all(recipe: Recipe, seed: int) -> dict:
 
 def find(candidates: Candidates, method: Callable, seed: int) -> tuple[Loop, float]:
     """The best loop a search finds that also keeps all limits on all samples, and its fitness."""
-    seen: list[tuple[np.ndarray, Score]] = []
+    seen: list[tuple[np.ndarray, LoopScore]] = []
 
-    def evaluate(genomes: np.ndarray) -> list[Score]:
+    def evaluate(genomes: np.ndarray) -> list[LoopScore]:
         return [candidates.score(genome) for genome in genomes]
 
-    def remember(genomes: np.ndarray, scores: list[Score]) -> None:
+    def remember(genomes: np.ndarray, scores: list[LoopScore]) -> None:
         seen.extend(zip(genomes.copy(), scores, strict=True))
 
     rng = np.random.default_rng(seed)

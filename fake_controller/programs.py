@@ -28,7 +28,7 @@ class RefusedRequest(Exception):
 
 
 @dataclass(frozen=True, eq=False)
-class Stored:
+class StoredProgram:
     """A translated program under the name it was stored by, its text and the SHA-256 (hex) of that."""
 
     name: str
@@ -45,17 +45,17 @@ class ProgramMemory:
 
     def __init__(self, robot: RobotDescription) -> None:
         self._robot = robot
-        self._programs: dict[str, Stored] = {}
+        self._programs: dict[str, StoredProgram] = {}
         self._last = ""
         self.full = False
         self.alter_next = False
 
     @property
-    def last(self) -> Stored | None:
+    def last(self) -> StoredProgram | None:
         """What was stored last, if it is still there."""
         return self.find(self._last)
 
-    def find(self, name: str) -> Stored | None:
+    def find(self, name: str) -> StoredProgram | None:
         """The program of this name."""
         return self._programs.get(name.lower())
 
@@ -81,11 +81,11 @@ class ProgramMemory:
             message = f"{error.word}: {error.reason}" if error.word else error.reason
             raise RefusedRequest(Refusal.SYNTAX, message, error.line, error.column) from None
 
-    def keep(self, name: str, program: Program, data: bytes) -> Stored:
+    def keep(self, name: str, program: Program, data: bytes) -> StoredProgram:
         """Store a translated program in place of the one of its name."""
         if self.alter_next:
             data, self.alter_next = data + b" ", False
-        stored = Stored(name, program, data, hashlib.sha256(data).hexdigest())
+        stored = StoredProgram(name, program, data, hashlib.sha256(data).hexdigest())
         self._programs[name.lower()] = stored
         self._last = name
         return stored

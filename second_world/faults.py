@@ -27,7 +27,7 @@ class Push:
 
 
 @dataclass
-class Faults:
+class RecorderFaults:
     """Neutral until told otherwise; arrays are (n,), one entry a joint."""
 
     bristles: np.ndarray
@@ -59,7 +59,7 @@ class Faults:
     delay: float = 0.0
 
 
-def build_in(arm: Arm, effects: Sequence[Mapping[str, Any]]) -> Faults:
+def build_in(arm: Arm, effects: Sequence[Mapping[str, Any]]) -> RecorderFaults:
     """Put effects into an arm, which is changed, and say what else is wrong with the machine.
 
     Raises:
@@ -67,7 +67,7 @@ def build_in(arm: Arm, effects: Sequence[Mapping[str, Any]]) -> Faults:
     """
     n = arm.n
     zero, one, never = np.zeros(n), np.ones(n), np.full(n, np.inf)
-    faults = Faults(
+    faults = RecorderFaults(
         np.full(n, not arm.by_engine),
         *(one.copy(), one.copy(), zero.copy(), zero.copy(), zero.copy(), one.copy(), zero.copy()),
         *(never.copy(), zero.copy(), zero.copy(), zero.copy(), one.copy(), zero.copy(), one.copy()),
@@ -86,48 +86,48 @@ def build_in(arm: Arm, effects: Sequence[Mapping[str, Any]]) -> Faults:
 
 
 def _set(**fields: str) -> Any:
-    """A law that only sets entries of `Faults`: field=name of the parameter."""
+    """A law that only sets entries of `RecorderFaults`: field=name of the parameter."""
 
-    def law(arm: Arm, faults: Faults, joints: list[int], values: Mapping[str, Any]) -> None:
+    def law(arm: Arm, faults: RecorderFaults, joints: list[int], values: Mapping[str, Any]) -> None:
         for name, parameter in fields.items():
             getattr(faults, name)[joints[0]] = values[parameter]
 
     return law
 
 
-def _friction_change(arm: Arm, faults: Faults, joints: list[int], values: Mapping[str, Any]) -> None:
+def _friction_change(arm: Arm, faults: RecorderFaults, joints: list[int], values: Mapping[str, Any]) -> None:
     arm.coulomb[joints[0]] *= values["coulomb"]
     arm.viscous[joints[0]] *= values["viscous"]
 
 
-def _viscous_nonlinearity(arm: Arm, faults: Faults, joints: list[int], values: Mapping[str, Any]) -> None:
+def _viscous_nonlinearity(arm: Arm, faults: RecorderFaults, joints: list[int], values: Mapping[str, Any]) -> None:
     faults.bristles[joints[0]] = True
     arm.viscous[joints[0]] += values["added"]
     faults.thin_speed[joints[0]], faults.thin_power[joints[0]] = values["speed"], values["power"]
 
 
-def _payload(arm: Arm, faults: Faults, joints: list[int], values: Mapping[str, Any]) -> None:
+def _payload(arm: Arm, faults: RecorderFaults, joints: list[int], values: Mapping[str, Any]) -> None:
     arm.inside.append((arm.n - 1, values["mass"], np.array(values["centre"])))
 
 
-def _inertial_mismatch(arm: Arm, faults: Faults, joints: list[int], values: Mapping[str, Any]) -> None:
+def _inertial_mismatch(arm: Arm, faults: RecorderFaults, joints: list[int], values: Mapping[str, Any]) -> None:
     link = int(values["link"])
     arm.mass[link] *= values["scale"]
     arm.inertia[link] *= values["scale"]
     arm.inside.append((link, values["mass"], np.array(values["place"])))
 
 
-def _base_tilt(arm: Arm, faults: Faults, joints: list[int], values: Mapping[str, Any]) -> None:
+def _base_tilt(arm: Arm, faults: RecorderFaults, joints: list[int], values: Mapping[str, Any]) -> None:
     roll, pitch = values["roll"], values["pitch"]
     down = np.array([-np.sin(pitch), np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)])
     arm.gravity = 9.80665 * down
 
 
-def _gear(arm: Arm, faults: Faults, joints: list[int], values: Mapping[str, Any]) -> None:
+def _gear(arm: Arm, faults: RecorderFaults, joints: list[int], values: Mapping[str, Any]) -> None:
     arm.gear[joints[0]] = (values.get("stiffness", 0.0), values["damping"], values.get("gap", 0.0))
 
 
-def _wrist(arm: Arm, faults: Faults, joints: list[int], values: Mapping[str, Any]) -> None:
+def _wrist(arm: Arm, faults: RecorderFaults, joints: list[int], values: Mapping[str, Any]) -> None:
     """The second joint's own drive sits on the coupled shaft, or a seal rubs there besides."""
     first, second = joints
     inertia, coulomb, viscous = 0.0, values["coulomb"], values["viscous"]
@@ -140,24 +140,24 @@ def _wrist(arm: Arm, faults: Faults, joints: list[int], values: Mapping[str, Any
 
 
 def _append(name: str, *parameters: str) -> Any:
-    """A law that lists (joint, parameters…) in a field of `Faults`."""
+    """A law that lists (joint, parameters…) in a field of `RecorderFaults`."""
 
-    def law(arm: Arm, faults: Faults, joints: list[int], values: Mapping[str, Any]) -> None:
+    def law(arm: Arm, faults: RecorderFaults, joints: list[int], values: Mapping[str, Any]) -> None:
         getattr(faults, name).append((joints[0], *(values[p] for p in parameters)))
 
     return law
 
 
-def _contact(arm: Arm, faults: Faults, joints: list[int], values: Mapping[str, Any]) -> None:
+def _contact(arm: Arm, faults: RecorderFaults, joints: list[int], values: Mapping[str, Any]) -> None:
     for start in values["starts"]:
         faults.pushes.append(Push(int(values["link"]), np.array(values["force"]), start, values["duration"]))
 
 
-def _delay(arm: Arm, faults: Faults, joints: list[int], values: Mapping[str, Any]) -> None:
+def _delay(arm: Arm, faults: RecorderFaults, joints: list[int], values: Mapping[str, Any]) -> None:
     faults.delay = values["delay"]
 
 
-def _crosstalk(arm: Arm, faults: Faults, joints: list[int], values: Mapping[str, Any]) -> None:
+def _crosstalk(arm: Arm, faults: RecorderFaults, joints: list[int], values: Mapping[str, Any]) -> None:
     faults.leaks.append((int(values["from"]), joints[0], values["share"]))
 
 

@@ -14,16 +14,16 @@ import mujoco
 import numpy as np
 
 from second_world.arms import Arm, mujoco_text
-from second_world.faults import Faults
+from second_world.faults import RecorderFaults
 from second_world.motions import RATE, Motions
 
 _STEP = 1.0 / RATE
 
 
-class Plant:
+class MujocoPlant:
     """One machine; `run` moves it. What has warmed up stays warm from one motion to the next."""
 
-    def __init__(self, arm: Arm, faults: Faults, machine: int):
+    def __init__(self, arm: Arm, faults: RecorderFaults, machine: int):
         self._arm, self._faults = arm, faults
         shaft = faults.bristles.copy()
         if arm.wrist:
@@ -124,7 +124,7 @@ def _between_pivots(q: float, lever: float) -> float:
     return float((length - free) / (lever + 0.25) * np.sin(q) / length)
 
 
-def measured(plant_out: Mapping[str, np.ndarray], faults: Faults) -> np.ndarray:
+def measured(plant_out: Mapping[str, np.ndarray], faults: RecorderFaults) -> np.ndarray:
     """(S, n) the torque channel of one motion: servo's torque, as scaled, shifted, late or broken as it is."""
     torque = plant_out["torque"]
     late = faults.delay * RATE
@@ -157,7 +157,9 @@ def largest_change(
     return largest
 
 
-def simulate(machine: Arm, faults: Faults, seed: int, motions: Motions) -> tuple[dict[str, Any], list[np.ndarray]]:
+def simulate(
+    machine: Arm, faults: RecorderFaults, seed: int, motions: Motions
+) -> tuple[dict[str, Any], list[np.ndarray]]:
     """All motions of one machine, and the torque channel of each."""
-    out = Plant(machine, faults, seed).run(motions)
+    out = MujocoPlant(machine, faults, seed).run(motions)
     return out, [measured(motion, faults) for motion in out.values()]

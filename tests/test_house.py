@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from pathlib import Path
 
 import grimp
@@ -27,3 +28,14 @@ def test_modules_are_short_enough_to_read():
     lengths = {path.relative_to(ROOT).as_posix(): len(path.read_text("utf-8").splitlines()) for path in modules}
     long = {name: length for name, length in lengths.items() if length > MOST_LINES}
     assert not long, f"more than {MOST_LINES} lines; look for the second subject in each: {long}"
+
+
+def test_no_class_name_stands_for_two_things():
+    """Classes at the top of a module; private ones too, as they are met in the same tracebacks."""
+    places: dict[str, list[str]] = {}
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            for node in ast.parse(path.read_text("utf-8")).body:
+                if isinstance(node, ast.ClassDef):
+                    places.setdefault(node.name, []).append(path.relative_to(ROOT).as_posix())
+    assert {name: where for name, where in places.items() if len(where) > 1} == {}

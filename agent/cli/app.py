@@ -252,11 +252,11 @@ def diagnose(
 ) -> None:
     """The gap between model and robot: where it lies, which effect causes it, how far it shrinks."""
     from agent.core.console import print_json
-    from agent.pipeline.diagnose import Question, diagnose_files, diagnose_recording
+    from agent.pipeline.diagnose import GapQuestion, diagnose_files, diagnose_recording
     from agent.pipeline.diagnosis_text import diagnosis_text
     from agent.pipeline.until_sure import budget_of
 
-    question = Question(model, joint_map, cutoff, tuple(without or ()), report, out, allow_mixed, force, next_recipe)
+    question = GapQuestion(model, joint_map, cutoff, tuple(without or ()), report, out, allow_mixed, force, next_recipe)
     console = console_for(verbose, quiet)
     if record is not None:
         if logs or robot:

@@ -18,7 +18,7 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from agent.core.errors import AgentError, InputError
-from agent.core.parallel import Answer, Done, Engine, Task, available_cores, needed
+from agent.core.parallel import Answer, Task, TaskDone, TaskEngine, available_cores, needed
 
 #: So long a scheduler may be gone before the run gives up [s]; what is done stays done.
 PATIENCE = 300.0
@@ -37,7 +37,7 @@ def open_engine(
     workers: int | None = None,
     memory: str | None = None,
     say: Callable[[str], None] = lambda text: None,
-) -> AbstractContextManager[Engine]:
+) -> AbstractContextManager[TaskEngine]:
     """Processes of this machine, one a core, or the workers of a Dask scheduler.
 
     Args:
@@ -87,7 +87,7 @@ class DaskEngine:
                 with contextlib.suppress(Exception):  # whatever is left of it
                     one.close()
 
-    def map(self, function: Callable[[Task], Answer], tasks: Iterable[Task]) -> Iterator[Done[Answer]]:
+    def map(self, function: Callable[[Task], Answer], tasks: Iterable[Task]) -> Iterator[TaskDone[Answer]]:
         """Answers in the order in which they come.
 
         Raises:
@@ -100,7 +100,9 @@ class DaskEngine:
             yield from self._map(function, iter([(number, task)]), again, 1)
             if again:
                 limit = f" (limit: {self._memory or 'its share of the memory'})" if self._scheduler is None else ""
-                yield Done(number, None, f"every worker that tried it was killed; memory is the likely reason{limit}")
+                yield TaskDone(
+                    number, None, f"every worker that tried it was killed; memory is the likely reason{limit}"
+                )
 
     def _map(
         self,
@@ -108,7 +110,7 @@ class DaskEngine:
         tasks: Iterator[tuple[int, Task]],
         doubtful: list[tuple[int, Task]],
         width: int | None,
-    ) -> Iterator[Done[Answer]]:
+    ) -> Iterator[TaskDone[Answer]]:
         back: deque[tuple[int, Task]] = deque()  # to be sent again
         flying: dict[Any, tuple[int, Task]] = {}
         while True:
@@ -139,7 +141,7 @@ class DaskEngine:
                 except (OSError, *self._lost):  # it was lost with its scheduler, or on its way here
                     back.append(one)
                     continue
-                yield Done(one[0], answer)
+                yield TaskDone(one[0], answer)
 
     def _arrived(self, futures: list[Any]) -> list[Any]:
         """Those that are no longer pending, as soon as there is one; none where the connection has to be looked at.

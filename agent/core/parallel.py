@@ -17,7 +17,7 @@ Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
-class Done(Generic[Answer]):
+class TaskDone(Generic[Answer]):
     """What came of task `number`: its `answer`, or why it has none (`lost`: it killed every worker that tried it)."""
 
     number: int
@@ -25,10 +25,10 @@ class Done(Generic[Answer]):
     lost: str = ""
 
 
-class Engine(Protocol):
+class TaskEngine(Protocol):
     """Where tasks are done."""
 
-    def map(self, function: Callable[[Task], Answer], tasks: Iterable[Task]) -> Iterator[Done[Answer]]:
+    def map(self, function: Callable[[Task], Answer], tasks: Iterable[Task]) -> Iterator[TaskDone[Answer]]:
         """Answers in the order in which they come; an error of `function` is raised here."""
         ...
 
@@ -42,10 +42,10 @@ class InProcess:
     def __exit__(self, *_: object) -> None:
         return None
 
-    def map(self, function: Callable[[Task], Answer], tasks: Iterable[Task]) -> Iterator[Done[Answer]]:
+    def map(self, function: Callable[[Task], Answer], tasks: Iterable[Task]) -> Iterator[TaskDone[Answer]]:
         """Answers in order."""
         for number, task in enumerate(tasks):
-            yield Done(number, function(task))
+            yield TaskDone(number, function(task))
 
 
 def available_cores() -> int:

@@ -10,7 +10,7 @@ SCHEMA = "diagnosis/1"
 
 
 @dataclass(frozen=True)
-class Place:
+class EffectPlace:
     """An effect somewhere; `joints` is empty for one of the whole arm or base."""
 
     effect: str
@@ -27,7 +27,7 @@ class Cause:
     closure: float | None
     probability: float
     parameters: Mapping[str, float]
-    equivalent_to: tuple[Place, ...] = ()
+    equivalent_to: tuple[EffectPlace, ...] = ()
 
 
 @dataclass(frozen=True)

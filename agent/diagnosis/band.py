@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.diagnosis.candidate import Score
+from agent.diagnosis.candidate import HeldOutScore
 from agent.diagnosis.fit import Fit
 
 _WINDOW = 1.0  # s
@@ -18,7 +18,7 @@ _COHERENT = 0.5  # γ² from which on measured and predicted torque go together
 _SMOOTHED = 3  # lines of the spectrum
 
 
-def gain_in_band(fit: Fit, score: Score) -> float:
+def gain_in_band(fit: Fit, score: HeldOutScore) -> float:
     """Share of an effect's gain, on the joint where it gains most, at frequencies where torque is then predicted."""
     joints = list(score.candidate.blocks)
     before = np.concatenate(fit.residuals)

@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.diagnosis.answer import Cause, Place, WaterfallStep
+from agent.diagnosis.answer import Cause, EffectPlace, WaterfallStep
 from agent.diagnosis.dataset import Dataset, precision_of
 from agent.diagnosis.finding import Finding, class_probability
 from agent.diagnosis.fit import Fit
-from agent.diagnosis.gap import Gap
+from agent.diagnosis.gap import HeldOutGap
 from agent.model.effects.friction_change import FrictionChange
 from agent.model.effects.inertial_mismatch import InertialMismatch
 from agent.model.effects.payload import Payload
@@ -50,7 +50,7 @@ class Group:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class ReleasedSimulator:
     """A simulator's data before and after its parameters are released, and the groups in the order found."""
 
     given: Dataset
@@ -58,7 +58,7 @@ class Calibration:
     groups: tuple[Group, ...]
 
 
-def calibration(dataset: Dataset, links: bool = True) -> Calibration:
+def calibration(dataset: Dataset, links: bool = True) -> ReleasedSimulator:
     """Release group after group while that gains; without `links`, friction and rotors only."""
     pool = [group for group in _groups(dataset) if links or group.kind != "link inertia"]
     chosen: list[Group] = []
@@ -74,7 +74,7 @@ def calibration(dataset: Dataset, links: bool = True) -> Calibration:
         fit = tried[best]
     left = fit.out_of_fold()
     residual = np.where(np.isnan(left), dataset.residual, left)
-    return Calibration(dataset, replace(dataset, fit=fit, residual=residual), tuple(chosen))
+    return ReleasedSimulator(dataset, replace(dataset, fit=fit, residual=residual), tuple(chosen))
 
 
 def _groups(dataset: Dataset) -> list[Group]:
@@ -113,7 +113,7 @@ def _released(dataset: Dataset, groups: Sequence[Group]) -> Fit:
     return dataset.fit.with_prior(precision_of(covariance))
 
 
-def waterfall(found: Calibration, finding: Finding, gap: Gap) -> tuple[WaterfallStep, ...]:
+def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tuple[WaterfallStep, ...]:
     """What each released group, then each effect, closes of the held-out gap: alone, and in the order found.
 
     `gap` is that of the simulator as given, with everything found; empty where there is nothing to close.
@@ -165,7 +165,7 @@ def _energy(rows: np.ndarray, block: np.ndarray) -> np.ndarray:
     return np.bincount(block, np.nansum(rows**2, axis=1))
 
 
-def _load(found: Calibration) -> dict[str, float]:
+def _load(found: ReleasedSimulator) -> dict[str, float]:
     """Mass [kg] and first moments [kg·m] that the last link gained, where it gained more than its own is in doubt."""
     last = found.given.robot.dof - 1
     own = [group for group in found.groups if group.kind == "link inertia" and group.joint == last]
@@ -179,7 +179,7 @@ def _load(found: Calibration) -> dict[str, float]:
     return dict(zip(names, map(float, gained), strict=False)) if gained[0] > doubt[0] else {}
 
 
-def causes_of_steps(found: Calibration, steps: Sequence[WaterfallStep], closure: float) -> tuple[Cause, ...]:
+def causes_of_steps(found: ReleasedSimulator, steps: Sequence[WaterfallStep], closure: float) -> tuple[Cause, ...]:
     """The released groups in the vocabulary of effects, what closes most first: where no effect is needed."""
     model, names = found.given.model, found.given.robot.joint_names
     base, change = len(model.independent), found.moved.fit.change
@@ -189,7 +189,7 @@ def causes_of_steps(found: Calibration, steps: Sequence[WaterfallStep], closure:
     bodies = 0.0
     for group, step in zip(found.groups, steps, strict=False):
         if load and group.kind == "link inertia" and group.joint == len(names) - 1:
-            equal = (Place(InertialMismatch.name, ()),)
+            equal = (EffectPlace(InertialMismatch.name, ()),)
             causes.append(Cause(Payload.name, (), step.closes, probability, load, equal))
             continue
         if group.kind != "friction":

@@ -37,7 +37,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Score:
+class HeldOutScore:
     """error: held-out Σ e² / σ² with the candidate; gain: how much less than without; values (k,) fitted to all."""
 
     candidate: Candidate

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.diagnosis.candidate import Candidate, Score
+from agent.diagnosis.candidate import Candidate, HeldOutScore
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 
@@ -18,8 +18,8 @@ class Step:
 
     chosen: tuple[Candidate, ...]
     error: float
-    scores: tuple[Score, ...]
-    eligible: tuple[Score, ...]
+    scores: tuple[HeldOutScore, ...]
+    eligible: tuple[HeldOutScore, ...]
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.diagnosis.candidate import Candidate, Fold, Score, Wanted, make_candidates
-from agent.diagnosis.moments import Moments
+from agent.diagnosis.candidate import Candidate, Fold, HeldOutScore, Wanted, make_candidates
+from agent.diagnosis.moments import FitMoments
 from agent.model.effects import Effect
 from agent.model.signals import MotionSignals, NominalModel
 
@@ -56,7 +56,7 @@ class Fit:
         self.cuts = np.cumsum(lengths)[:-1]
         rate = 1 / float(np.median(np.diff(self.signals[0].time[self.signals[0].kept])))
         self.repeat = max(1.0, _INDEPENDENT * rate)
-        self._moments = Moments(self.rows, self.index, cell, len(precision))
+        self._moments = FitMoments(self.rows, self.index, cell, len(precision))
         self.cells, self.count = self._moments.cells, self._moments.count
         self._made: dict[tuple[Effect, tuple[int, ...], tuple[tuple[str, float], ...]], Candidate] = {}
         self._extend(())
@@ -231,7 +231,7 @@ class Fit:
         schur = np.maximum(schur, 1e-6 * energy + 1e-12)
         return side**2 / schur * self.repeat, side / schur
 
-    def score(self, candidates: Sequence[Candidate]) -> list[Score]:
+    def score(self, candidates: Sequence[Candidate]) -> list[HeldOutScore]:
         """Held-out score of each candidate added to the model and the chosen effects."""
         return [self._score(candidate, *moments) for candidate, moments in self.moments(candidates)]
 
@@ -244,11 +244,11 @@ class Fit:
                 cross = np.concatenate([cross[:, :base], *with_chosen, cross[:, base:]], axis=1)
             yield candidate, (cross, own)
 
-    def _score(self, candidate: Candidate, cross: np.ndarray, own: np.ndarray) -> Score:
+    def _score(self, candidate: Candidate, cross: np.ndarray, own: np.ndarray) -> HeldOutScore:
         single = candidate.effect.once or any(c.effect.once for c in self.chosen)
         energy = own.sum(axis=0).diagonal()
         if not np.all(np.isfinite(energy)) or np.all(energy <= 1e-9):
-            return Score(candidate, self.error(single), 0.0, np.zeros(len(candidate.names)))
+            return HeldOutScore(candidate, self.error(single), 0.0, np.zeros(len(candidate.names)))
         ridge = np.diag(self.ridge(candidate, np.maximum(energy, 1e-9)))
         total = 0.0
         for fold in self.single if single else self.folds:
@@ -258,7 +258,7 @@ class Fit:
             total += float(extended @ self.gram[fold.test].sum(axis=0) @ extended)
             total += float(2 * extended @ b @ values + values @ a @ values)
         _, values = self._both(np.ones(self.cells, dtype=bool), cross, own, ridge)
-        return Score(candidate, total, self.error(single) - total, values)
+        return HeldOutScore(candidate, total, self.error(single) - total, values)
 
     def _both(
         self, train: np.ndarray, cross: np.ndarray, own: np.ndarray, ridge: np.ndarray

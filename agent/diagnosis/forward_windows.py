@@ -35,7 +35,7 @@ _DRAWS, _INTERVAL = 200, (5, 95)
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class ForwardWindow:
     """`motion` from sample `first`, seen by the fit of `fold` not at all."""
 
     motion: Motion
@@ -74,15 +74,15 @@ def forward(diagnosis: Diagnosis, simulator: Simulator) -> dict[str, Any]:
     return _figures(errors, horizons, "torque" if servo is None else "set_points", len(windows), simulator)
 
 
-def _lasts(window: Window, seconds: float) -> bool:
+def _lasts(window: ForwardWindow, seconds: float) -> bool:
     return window.first + round(seconds * window.motion.rate) < len(window.motion.time)
 
 
-def _windows(diagnosis: Diagnosis) -> list[Window]:
+def _windows(diagnosis: Diagnosis) -> list[ForwardWindow]:
     """Starts that are spread evenly over what each fold leaves out, none of them over the end of it."""
     dataset, fit = diagnosis.dataset, diagnosis.finding.fit
     settings = FilterSettings(dataset.cutoff, dataset.model.order)
-    found: list[list[Window]] = []
+    found: list[list[ForwardWindow]] = []
     for number, log in enumerate(dataset.logs):
         parts = [m for m in motions(log, settings, reduce=False) if m.torque is not None]
         for fold, held_out in enumerate(fit.folds):
@@ -91,7 +91,7 @@ def _windows(diagnosis: Diagnosis) -> list[Window]:
                 continue
             first, last = dataset.time[rows].min(), dataset.time[rows].max()
             starts = [
-                Window(motion, int(k), fold)
+                ForwardWindow(motion, int(k), fold)
                 for motion in (_cut(part, last) for part in parts)
                 for k in range(motion.edge, len(motion.time), max(1, int(0.5 * motion.rate)))
                 if first <= motion.time[k] <= last - _HORIZONS[0]
@@ -151,7 +151,12 @@ def _servo(parts: Sequence[Motion]) -> np.ndarray | None:
 
 
 def _drift(
-    which: Any, window: Window, times: np.ndarray, servo: np.ndarray | None, entries: Sequence[ModelEffect], names: Any
+    which: Any,
+    window: ForwardWindow,
+    times: np.ndarray,
+    servo: np.ndarray | None,
+    entries: Sequence[ModelEffect],
+    names: Any,
 ) -> np.ndarray:
     """(2, T, n) error of position [rad] and velocity [rad/s] at the times of a window."""
     motion, first = window.motion, window.first

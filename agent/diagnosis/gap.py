@@ -13,7 +13,7 @@ from agent.diagnosis.limits import LIMITS, DecisionLimits
 
 
 @dataclass(frozen=True, eq=False)
-class Gap:
+class HeldOutGap:
     """Errors held out, `raw` without and `left` with the causes (S', n) [N·m], NaN on guards; their size on each joint.
 
     At rest both are what is beyond stiction, of which `open` (S', n) [N·m] is left: there the torque is anything below
@@ -49,7 +49,7 @@ class Gap:
         """(S', n) [N·m] what of an error is beyond stiction."""
         return _beyond(rows, self.open)
 
-    def part_of(self, other: Gap, closure: float | None) -> float | None:
+    def part_of(self, other: HeldOutGap, closure: float | None) -> float | None:
         """A closure of another gap to the same floor, as a part of this one."""
         f = 0.0 if self.floor is None else float(np.mean(self.floor**2))
         whole = float(np.mean(self.before**2)) - f
@@ -75,7 +75,7 @@ class Gap:
         )
 
 
-def held_out_gap(dataset: Dataset, fit: Fit) -> Gap:
+def held_out_gap(dataset: Dataset, fit: Fit) -> HeldOutGap:
     """The gap with the effects of a fit: every row under the parameters that did not see it."""
     robot = dataset.robot
     unit = np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 1.0)
@@ -87,7 +87,7 @@ def held_out_gap(dataset: Dataset, fit: Fit) -> Gap:
     raw, left = _beyond(raw, stuck), _beyond(left, stuck)
     before, after = rms(raw) / unit, rms(left) / unit
     floor = _floor(dataset, left, unit, before)
-    return Gap(raw, left, stuck, unit, before, after, floor, gain, largest, dataset.limits)
+    return HeldOutGap(raw, left, stuck, unit, before, after, floor, gain, largest, dataset.limits)
 
 
 def _beyond(rows: np.ndarray, stuck: np.ndarray) -> np.ndarray:
@@ -96,7 +96,7 @@ def _beyond(rows: np.ndarray, stuck: np.ndarray) -> np.ndarray:
 
 
 def _on_own_joints(fit: Fit, raw: np.ndarray, left: np.ndarray) -> tuple[float, float]:
-    """Gain and largest of a `Gap`. At standstill the torque is anything within stiction, which no model predicts."""
+    """Gain and largest of a `HeldOutGap`. At standstill any torque within stiction is right: no model predicts it."""
     own = sorted({joint for candidate in fit.chosen for joint in candidate.blocks})
     if not own:
         return 0.0, 0.0

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from agent.diagnosis.candidate import Candidate, Score, Where
+from agent.diagnosis.candidate import Candidate, HeldOutScore, Where
 
 
-def plausible(score: Score) -> bool:
+def plausible(score: HeldOutScore) -> bool:
     """Whether the fitted parameters can be true."""
     candidate = score.candidate
     effect, settings = candidate.effect, candidate.settings
@@ -17,22 +17,22 @@ def plausible(score: Score) -> bool:
     )
 
 
-def structurally_equivalent(candidate: Candidate, score: Score) -> bool:
+def structurally_equivalent(candidate: Candidate, score: HeldOutScore) -> bool:
     """Whether a score is of a form that equals a cause's unless the data tell them apart, and possible."""
     other = score.candidate
     there = other.joints == candidate.joints or () in (other.joints, candidate.joints)
     return there and other.effect.name in candidate.effect.structurally_equivalent and plausible(score)
 
 
-def imitates(chosen: Sequence[Candidate], score: Score) -> bool:
+def imitates(chosen: Sequence[Candidate], score: HeldOutScore) -> bool:
     """Whether one of the chosen effects has a shape of the same kind on the same joint."""
     other = score.candidate
     return any(c.joints == other.joints and set(c.effect.shapes) & set(other.effect.shapes) for c in chosen)
 
 
-def best_by_place(scores: Sequence[Score]) -> dict[Where, Score]:
+def best_by_place(scores: Sequence[HeldOutScore]) -> dict[Where, HeldOutScore]:
     """Of every place the settings that gain most, possible ones first."""
-    best: dict[Where, Score] = {}
+    best: dict[Where, HeldOutScore] = {}
     for score in scores:
         place = score.candidate.place
         rank = (plausible(score), score.gain)

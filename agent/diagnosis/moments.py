@@ -12,7 +12,7 @@ from agent.diagnosis.candidate import Candidate
 _AT_ONCE = 25  # candidates worked out together: what fits into memory that the C library keeps
 
 
-class Moments:
+class FitMoments:
     """Moments of the rows of a fit, which all fits to these rows share.
 
     rows[j] (S', p_j + 1): columns of the model's parameters index[j] of `parameters`, and the residual, of joint j;

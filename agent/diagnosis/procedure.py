@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from agent.diagnosis.band import gain_in_band
-from agent.diagnosis.candidate import Candidate, Score, Where
+from agent.diagnosis.candidate import Candidate, HeldOutScore, Where
 from agent.diagnosis.evidence import Null, null_gains
 from agent.diagnosis.excess import closed_excess, joint_energy, noticed, over_background
 from agent.diagnosis.finding import Finding, Step
@@ -117,7 +117,7 @@ class Search:
         eligible = self._eligible(fit, best)
         return Step(fit.chosen, fit.error(), tuple(sorted(best.values(), key=lambda s: -s.gain)), eligible)
 
-    def _refined(self, fit: Fit, best: dict[Where, Score]) -> dict[Where, Score]:
+    def _refined(self, fit: Fit, best: dict[Where, HeldOutScore]) -> dict[Where, HeldOutScore]:
         """Search the nonlinear parameters of the leading places more finely."""
         least = 0.5 * self.limits.least_gain * self.rows
         over, clear = over_background(fit), noticed(self.limits, self._at_rest, fit)
@@ -137,7 +137,7 @@ class Search:
                     best[score.candidate.place] = score
         return best
 
-    def _eligible(self, fit: Fit, best: dict[Where, Score]) -> tuple[Score, ...]:
+    def _eligible(self, fit: Fit, best: dict[Where, HeldOutScore]) -> tuple[HeldOutScore, ...]:
         """Scores that could be named: plausible, allowed, large enough, and better than their own simpler limits."""
         result = []
         over, clear = over_background(fit), noticed(self.limits, self._at_rest, fit)
@@ -160,14 +160,14 @@ class Search:
             result.append(score)
         return tuple(sorted(result, key=lambda s: -s.gain))
 
-    def _over(self, score: Score, over: np.ndarray, clear: np.ndarray) -> bool:
+    def _over(self, score: HeldOutScore, over: np.ndarray, clear: np.ndarray) -> bool:
         """Whether an error over the background may be its own; a model fitted with it would look the same below."""
         joints = list(score.candidate.blocks)
         if not self.given or score.candidate.effect.once:
             return True
         return bool(np.any(clear[joints]) and np.sum(over[joints]) >= self.limits.own_excess * score.gain)
 
-    def _as_good(self, score: Score, limit: str, best: dict[Where, Score]) -> bool:
+    def _as_good(self, score: HeldOutScore, limit: str, best: dict[Where, HeldOutScore]) -> bool:
         """Whether a simpler limit of the form does as well, so that the form has nothing to show for itself."""
         joints = score.candidate.joints
         places = [(limit, ())] if CATALOGUE[limit].scope != "joint" else [(limit, (j,)) for j in joints]
@@ -177,7 +177,7 @@ class Search:
             return False
         return any(score.gain - other.gain < margin for other in simpler)
 
-    def size(self, fit: Fit, score: Score) -> float:
+    def size(self, fit: Fit, score: HeldOutScore) -> float:
         """Root mean square torque of an effect over nominal, on the joint and log where it is largest."""
         largest = 0.0
         for joint, block in score.candidate.blocks.items():
@@ -196,7 +196,7 @@ class Search:
         rest = [s for s in step.eligible if s is not leader and s.gain > 0.1 * step.eligible[0].gain]
         return [leader.candidate, *(s.candidate for s in rest[: self.limits.starts - 1])]
 
-    def _near(self, step: Step) -> list[Score]:
+    def _near(self, step: Step) -> list[HeldOutScore]:
         """Forms that do as well as the best, as far as that one fits: what it leaves is its own doubt."""
         best = step.eligible[0]
         left = self._excess(self.fit.with_chosen((*step.chosen, best.candidate)), tuple(best.candidate.blocks))
@@ -212,7 +212,7 @@ class Search:
             or (complexity(s.candidate) <= far_simpler and best.gain - s.gain <= self.limits.near * best.gain)
         ]
 
-    def _simplest(self, step: Step) -> Score:
+    def _simplest(self, step: Step) -> HeldOutScore:
         return min(self._near(step), key=lambda s: (complexity(s.candidate), -s.gain))
 
     def _forward(self, chosen: tuple[Candidate, ...], steps: list[Step]) -> tuple[Candidate, ...]:
@@ -229,7 +229,7 @@ class Search:
             step = Step(step.chosen, step.error, step.scores, tuple(worth))
             chosen = (*chosen, self._simplest(step).candidate)
 
-    def _further(self, fit: Fit, score: Score) -> float:
+    def _further(self, fit: Fit, score: HeldOutScore) -> float:
         """Gain from which on an effect counts beside those chosen: a misfit on another joint does not hide it."""
         joints = list(score.candidate.blocks)
         least = max(2 * self.least, self.limits.further_effect * self._excess(fit, joints))
@@ -256,7 +256,7 @@ class Search:
                 return self._pruned(others)
         return chosen
 
-    def _unfit(self, fit: Fit) -> Score | None:
+    def _unfit(self, fit: Fit) -> HeldOutScore | None:
         """A shape of the same kind on the same joint that explains half of what a cause leaves."""
         least = max(2 * self.least, self.limits.unfit * self._excess(fit))
         left = self.scan(fit).eligible

@@ -20,12 +20,12 @@ from agent.diagnosis.answer import (
     TorqueGap,
     WaterfallStep,
 )
-from agent.diagnosis.calibration import Calibration, causes_of_steps, waterfall
+from agent.diagnosis.calibration import ReleasedSimulator, causes_of_steps, waterfall
 from agent.diagnosis.candidate import Candidate, Where
 from agent.diagnosis.dataset import Dataset
 from agent.diagnosis.evidence import share_intervals
 from agent.diagnosis.finding import Finding
-from agent.diagnosis.gap import Gap, held_out_gap
+from agent.diagnosis.gap import HeldOutGap, held_out_gap
 from agent.diagnosis.motion_gap import MotionGap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.regimes import regimes
@@ -47,8 +47,8 @@ class Diagnosis:
     finding: Finding
     dataset: Dataset
     motion: MotionGap | None
-    gap: Gap
-    calibrated: Calibration | None = None
+    gap: HeldOutGap
+    calibrated: ReleasedSimulator | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -64,11 +64,11 @@ class Diagnosis:
 def build(
     dataset: Dataset,
     finding: Finding,
-    gap: Gap,
+    gap: HeldOutGap,
     search: Search,
     motion: MotionGap | None,
     warnings: Sequence[str],
-    calibrated: Calibration | None = None,
+    calibrated: ReleasedSimulator | None = None,
 ) -> Diagnosis:
     """Figures held out, shares, regimes and what is not testable.
 
@@ -129,7 +129,7 @@ def _floats(values: np.ndarray) -> tuple[float, ...]:
     return tuple(float(value) for value in values)
 
 
-def _where(dataset: Dataset, gap: Gap) -> tuple[JointShare, ...]:
+def _where(dataset: Dataset, gap: HeldOutGap) -> tuple[JointShare, ...]:
     raw = gap.raw / gap.unit
     floor = np.zeros(raw.shape[1]) if gap.floor is None else gap.floor
     excess = np.maximum(gap.before**2 - floor**2, 0)

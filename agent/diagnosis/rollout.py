@@ -26,7 +26,7 @@ _STEP = 1e-3  # s, of the URDF's roll-out
 _HOLD = 1e6  # armature that holds a joint, over the arm's mass
 
 
-class Engine(Protocol):
+class RolloutEngine(Protocol):
     """A simulator that can be put into a state."""
 
     def run(self, q: np.ndarray, qd: np.ndarray, drive: Drive, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -112,7 +112,7 @@ class ChainEngine:
         return found[0], found[1]
 
 
-def engine(simulator: Simulator, path: Path, model: IdentifiedModel, effects: Path | None) -> Engine:
+def engine(simulator: Simulator, path: Path, model: IdentifiedModel, effects: Path | None) -> RolloutEngine:
     """That of a simulator's format, for a file of it and its model."""
     if simulator.arm.path.suffix.lower() == ".urdf":
         return ChainEngine(model, effects)

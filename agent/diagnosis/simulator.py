@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.diagnosis.calibration import Calibration, calibration
+from agent.diagnosis.calibration import ReleasedSimulator, calibration
 from agent.diagnosis.dataset import Dataset, assemble
 from agent.diagnosis.finding import Finding
-from agent.diagnosis.gap import Gap
+from agent.diagnosis.gap import HeldOutGap
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.verdict import judge
@@ -34,13 +34,13 @@ _OF_THE_MIDDLE = 1.5  # times the relative error of the joint in the middle is e
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class Explanation:
     """One explanation: the data with what was moved, the search in them, what it found, and the gap that is left."""
 
-    calibrated: Calibration
+    calibrated: ReleasedSimulator
     search: Search
     finding: Finding
-    gap: Gap
+    gap: HeldOutGap
 
     @property
     def like_links(self) -> bool:
@@ -85,7 +85,7 @@ def search_simulator(
     without: Sequence[str],
     progress: Callable[[str], None],
     limits: DecisionLimits,
-) -> Answer:
+) -> Explanation:
     """The plainest of the three answers that closes as much as any.
 
     Raises:
@@ -97,11 +97,11 @@ def search_simulator(
     if share < limits.unknown_error:
         dataset = assemble(robot, with_expected_error(model, logs, limits, share), logs, cutoff, limits)
 
-    def answer(calibrated: Calibration) -> Answer:
+    def answer(calibrated: ReleasedSimulator) -> Explanation:
         search = Search(calibrated.moved.fit, without, True, progress, limits)
-        return Answer(calibrated, search, *judge(calibrated.moved, search.run(), calibrated.moved.fit))
+        return Explanation(calibrated, search, *judge(calibrated.moved, search.run(), calibrated.moved.fit))
 
-    plain = answer(Calibration(dataset, dataset, ()))
+    plain = answer(ReleasedSimulator(dataset, dataset, ()))
     found, total = [plain], float(np.mean(plain.gap.before**2))
     enough = limits.part * total
     if len(plain.finding.causes) == 1 and plain.left <= enough:
@@ -122,7 +122,7 @@ def search_simulator(
     return found[-1]
 
 
-def _expected(dataset: Dataset, found: Calibration) -> float:
+def _expected(dataset: Dataset, found: ReleasedSimulator) -> float:
     """Share of torque that the simulator's numbers, moved, would leave on a usual joint."""
     left = np.sqrt(np.nanmean(found.moved.residual**2, axis=0))
     torque = np.concatenate([log.effort for log in dataset.logs if log.effort is not None])

@@ -10,11 +10,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import isfinite
 
-from agent.diagnosis.answer import Cause, Place
+from agent.diagnosis.answer import Cause, EffectPlace
 from agent.diagnosis.dataset import Dataset
 from agent.diagnosis.finding import Finding
 from agent.diagnosis.fit import Fit
-from agent.diagnosis.gap import Gap, held_out_gap
+from agent.diagnosis.gap import HeldOutGap, held_out_gap
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 
 
@@ -28,7 +28,7 @@ def named(equalled: bool) -> str:
     return "ambiguous" if equalled else "explained"
 
 
-def judge(dataset: Dataset, finding: Finding, plain: Fit) -> tuple[Finding, Gap]:
+def judge(dataset: Dataset, finding: Finding, plain: Fit) -> tuple[Finding, HeldOutGap]:
     """A finding as far as its figures on motion held out bear it out, and these figures; `plain`: without effects."""
     while True:
         gap = held_out_gap(dataset, finding.fit)
@@ -46,7 +46,7 @@ def judge(dataset: Dataset, finding: Finding, plain: Fit) -> tuple[Finding, Gap]
             return replace(finding, verdict=verdict), gap
 
 
-def causes_of(dataset: Dataset, finding: Finding, gap: Gap) -> tuple[Cause, ...]:
+def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Cause, ...]:
     """The causes of a finding with their figures."""
     fit, joints = finding.fit, dataset.robot.joint_names
     single = any(c.effect.once for c in fit.chosen)
@@ -62,7 +62,7 @@ def causes_of(dataset: Dataset, finding: Finding, gap: Gap) -> tuple[Cause, ...]
                 _floats(candidate.settings.items()),
                 _floats(zip(candidate.names, values, strict=True)),
             ),
-            tuple(Place(name, tuple(joints[j] for j in there)) for name, there in rivals),
+            tuple(EffectPlace(name, tuple(joints[j] for j in there)) for name, there in rivals),
         )
         for number, (candidate, values, rivals, probability) in enumerate(parts)
     )

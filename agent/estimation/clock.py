@@ -19,7 +19,7 @@ _HALO = 100  # samples at either side of a part, beyond which a spline does not 
 
 
 @dataclass(frozen=True, eq=False)
-class Clock:
+class SampleClock:
     """Of the samples from `start` on: their `number` (S,) on the grid and their `knots` (S,) [s], to interpolate from.
 
     `knots` is None where every sample lies on the grid and none is missing.
@@ -33,7 +33,7 @@ class Clock:
     knots: np.ndarray | None
 
     @classmethod
-    def of(cls, log: Log, start: int, stop: int) -> Clock:
+    def of(cls, log: Log, start: int, stop: int) -> SampleClock:
         """The clock of one segment without gaps."""
         stamps = log.t[start:stop]
         number = sample_numbers(stamps, log.sample_rate)

@@ -24,7 +24,7 @@ from functools import partial
 import numpy as np
 
 from agent.core.errors import InputError
-from agent.estimation.clock import Clock
+from agent.estimation.clock import SampleClock
 from agent.estimation.quiet_velocity import quiet_velocity
 from agent.recording.log import Log
 
@@ -127,7 +127,7 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
             f"needs {needed:.2f} s. Record longer, or raise the cut-off"
         )
     for first, last in long_enough:
-        clock = Clock.of(log, first, last)
+        clock = SampleClock.of(log, first, last)
         every = max(1, int(clock.rate / (16 * cutoff))) if reduce else 1
         working = clock.rate / every
         margin = int(np.ceil(edge * working))

@@ -16,7 +16,7 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.estimation.filtering import FilterSettings, motions, resolve_cutoff
-from agent.estimation.rigid_fit import Bodies, Samples, solved
+from agent.estimation.rigid_fit import Bodies, FitSamples, solved
 from agent.estimation.velocity_check import velocity_doubts
 from agent.recording.log import Log
 from agent.robot import RobotDescription
@@ -38,7 +38,7 @@ _MOVING = 1e-2  # rad or m that a joint travels to count as moving
 
 
 _Regressor = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-_Mistake = tuple[str, RobotDescription, Samples]
+_Mistake = tuple[str, RobotDescription, FitSamples]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +159,7 @@ def _too_strong(robot: RobotDescription, turning: np.ndarray, moving: np.ndarray
     return None
 
 
-def _samples(logs: Sequence[Log]) -> Samples | None:
+def _samples(logs: Sequence[Log]) -> FitSamples | None:
     """Samples of all logs that are long enough to be filtered; None where that leaves too few."""
     parts, independent = [], 0.0
     for log in logs:
@@ -180,10 +180,10 @@ def _samples(logs: Sequence[Log]) -> Samples | None:
     if len(rows) * rows.shape[1] // 5 < 100:
         return None
     q, qd, qdd, torque, direction = np.split(rows, 5, axis=1)
-    return Samples(q, qd, qdd, torque, direction, independent)
+    return FitSamples(q, qd, qdd, torque, direction, independent)
 
 
-def _mechanics(robot: RobotDescription, samples: Samples) -> Iterator[str]:
+def _mechanics(robot: RobotDescription, samples: FitSamples) -> Iterator[str]:
     plain = _fit(robot, samples)
     names = robot.joint_names
     if not plain.enough:
@@ -210,7 +210,7 @@ def _mechanics(robot: RobotDescription, samples: Samples) -> Iterator[str]:
         yield f"{likeliest}: much more of the torque would be explained"
 
 
-def _likeliest(robot: RobotDescription, samples: Samples) -> str | None:
+def _likeliest(robot: RobotDescription, samples: FitSamples) -> str | None:
     """The mistake that explains clearly more than the log as it is; None where none does."""
     bodies, some = Bodies(robot), samples.thinned(max(1, len(samples.q) // _TRIED))
     as_it_is = solved(bodies, some).joints
@@ -221,7 +221,7 @@ def _likeliest(robot: RobotDescription, samples: Samples) -> str | None:
     return what if left.mean() < _BETTER * as_it_is.mean() else None
 
 
-def _other_gravity(robot: RobotDescription, samples: Samples) -> Iterator[_Mistake]:
+def _other_gravity(robot: RobotDescription, samples: FitSamples) -> Iterator[_Mistake]:
     size = float(np.linalg.norm(robot.gravity)) or 9.80665
     for direction in (*np.eye(3), *-np.eye(3)):
         x, y, z = (float(size * value) for value in direction)
@@ -229,7 +229,7 @@ def _other_gravity(robot: RobotDescription, samples: Samples) -> Iterator[_Mista
         yield f"gravity in the base frame looks like ({text})", replace(robot, gravity=(x, y, z)), samples
 
 
-def _mistakes(robot: RobotDescription, s: Samples) -> Iterator[_Mistake]:
+def _mistakes(robot: RobotDescription, s: FitSamples) -> Iterator[_Mistake]:
     names, n = robot.joint_names, robot.dof
     yield from _other_gravity(robot, s)
     turning = ~np.array([joint.prismatic for joint in robot.joints])
@@ -251,7 +251,7 @@ def _mistakes(robot: RobotDescription, s: Samples) -> Iterator[_Mistake]:
         yield f"{who} look swapped", robot, replace(swapped, torque=s.torque[:, order])
 
 
-def _fit(robot: RobotDescription, s: Samples) -> _Fit:
+def _fit(robot: RobotDescription, s: FitSamples) -> _Fit:
     """What the log leaves unexplained as it is, and whether what explains it would drive the joints on."""
     bodies = Bodies(robot)
     fit = solved(bodies, s)
@@ -271,7 +271,7 @@ def _fit(robot: RobotDescription, s: Samples) -> _Fit:
     )
 
 
-def _push(robot: RobotDescription, s: Samples, columns: np.ndarray, rigid: _Regressor) -> np.ndarray:
+def _push(robot: RobotDescription, s: FitSamples, columns: np.ndarray, rigid: _Regressor) -> np.ndarray:
     """(n, p): torque by which each joint drives itself on, by friction and by its own inertia, a unit of parameter."""
     n = robot.dof
     bodies = columns.shape[2] - 3 * n

@@ -10,7 +10,7 @@ from agent.robot import RobotDescription
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class FitSamples:
     """S low-passed samples: q, qd, qdd, torque and the direction of motion, all (S, n); so many are independent."""
 
     q: np.ndarray
@@ -20,11 +20,11 @@ class Samples:
     direction: np.ndarray
     independent: float
 
-    def thinned(self, every: int) -> Samples:
+    def thinned(self, every: int) -> FitSamples:
         """Every k-th."""
         signals = (self.q, self.qd, self.qdd, self.torque, self.direction)
         q, qd, qdd, torque, direction = (values[::every] for values in signals)
-        return Samples(q, qd, qdd, torque, direction, self.independent)
+        return FitSamples(q, qd, qdd, torque, direction, self.independent)
 
 
 class Bodies:
@@ -37,7 +37,7 @@ class Bodies:
         self._dynamics = Dynamics(robot)
         self._last: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
-    def of(self, samples: Samples) -> np.ndarray:
+    def of(self, samples: FitSamples) -> np.ndarray:
         """(S, n, 11 n) along the samples; many a mistake is one of torque alone, and has the motion of another."""
         key = id(samples.q)
         if key not in self._last:
@@ -67,7 +67,7 @@ class Solved:
     joints: np.ndarray
 
 
-def solved(bodies: Bodies, s: Samples) -> Solved:
+def solved(bodies: Bodies, s: FitSamples) -> Solved:
     """Rigid links, rotors, Coulomb, viscous and offset, by least squares with every joint weighted alike."""
     count, n = s.q.shape
     own = np.eye(n)[None]

@@ -10,7 +10,7 @@ import numpy as np
 
 from agent.core.memory import keep_freed_memory
 from agent.excitation.criterion import Criterion
-from agent.excitation.scoring import Score, infeasible
+from agent.excitation.scoring import LoopScore, infeasible
 from agent.motion import Trajectory, ViaRegions, create_interpolator, loop_moves
 from agent.motion.interpolator import MotionError
 from agent.motion.program import MotionSettings, Move
@@ -129,15 +129,17 @@ class Candidates:
             joints[k] = self.kinematics.solve(poses[k], self.posture)
         return joints
 
-    def score(self, genome: np.ndarray) -> Score:
+    def score(self, genome: np.ndarray) -> LoopScore:
         """What the search takes: limits and cell at every sample, the regressor at every tenth."""
         return self._score(genome, EVERY, self._cell.check)
 
-    def score_on_all(self, genome: np.ndarray) -> Score:
+    def score_on_all(self, genome: np.ndarray) -> LoopScore:
         """What the result is judged by: the regressor at every sample too, and from each one the way to a stop."""
         return self._score(genome, 1, self._cell.check_with_stopping)
 
-    def _score(self, genome: np.ndarray, every: int, check_cell: Callable[[Trajectory, float], CellReport]) -> Score:
+    def _score(
+        self, genome: np.ndarray, every: int, check_cell: Callable[[Trajectory, float], CellReport]
+    ) -> LoopScore:
         try:
             trajectory = self.loop(genome).trajectory
         except (MotionError, KinematicsError) as error:
@@ -157,10 +159,10 @@ class Candidates:
         if overload is not None:
             return overload
         if every == EVERY:
-            return Score(self._criterion(*tenth, regressor))
-        return Score(self._criterion(trajectory.q[::every], trajectory.qd[::every], trajectory.qdd[::every]))
+            return LoopScore(self._criterion(*tenth, regressor))
+        return LoopScore(self._criterion(trajectory.q[::every], trajectory.qd[::every], trajectory.qdd[::every]))
 
-    def _overload(self, regressor: np.ndarray, qdd: np.ndarray) -> Score | None:
+    def _overload(self, regressor: np.ndarray, qdd: np.ndarray) -> LoopScore | None:
         """The joint that the description's inertias ask most beyond its max_torque, at every tenth sample."""
         if np.isinf(self._max_torque).all():
             return None

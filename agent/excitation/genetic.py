@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from agent.excitation.scoring import Score, ranking
+from agent.excitation.scoring import LoopScore, ranking
 
 #: Candidates that pass into the next generation as they are.
 ELITE = 1
@@ -21,7 +21,7 @@ MUTATIONS = 2.0
 #: Standard deviation of a mutation in the first generation and in the last.
 MUTATION_STEP = (0.25, 0.05)
 
-Evaluate = Callable[[np.ndarray], Sequence[Score]]
+Evaluate = Callable[[np.ndarray], Sequence[LoopScore]]
 
 
 def genetic(
@@ -30,7 +30,7 @@ def genetic(
     population: int,
     generations: int,
     rng: np.random.Generator,
-    note: Callable[[np.ndarray, Sequence[Score]], None],
+    note: Callable[[np.ndarray, Sequence[LoopScore]], None],
 ) -> None:
     """Run the search; `note` is told of each generation: its genomes (N, genes) in [0, 1] and their scores."""
     genomes = rng.random((population, genes))

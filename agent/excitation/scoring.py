@@ -9,7 +9,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Score:
+class LoopScore:
     """`fitness` of a candidate; `excess` > 0 says how far it breaks a limit (0: it breaks none), `reason` which."""
 
     fitness: float
@@ -22,12 +22,12 @@ class Score:
         return self.excess == 0.0
 
 
-def infeasible(excess: float, reason: str) -> Score:
+def infeasible(excess: float, reason: str) -> LoopScore:
     """Score of a candidate that breaks a limit; an excess that is no number ranks last."""
-    return Score(-np.inf, excess if excess > 0 else np.inf, reason)
+    return LoopScore(-np.inf, excess if excess > 0 else np.inf, reason)
 
 
-def ranking(scores: Sequence[Score]) -> np.ndarray:
+def ranking(scores: Sequence[LoopScore]) -> np.ndarray:
     """(N,) indices, best first: all that break no limit by fitness, then the others by how far they break one.
 
     Equal candidates stay in the order in which they came.

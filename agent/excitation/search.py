@@ -14,7 +14,7 @@ from agent.excitation.candidates import Candidates, Loop, LoopProblem
 from agent.excitation.criterion import one_blas_thread
 from agent.excitation.genetic import genetic
 from agent.excitation.random_search import random_search
-from agent.excitation.scoring import Score, ranking
+from agent.excitation.scoring import LoopScore, ranking
 from agent.excitation.workers import Workers
 
 #: Methods by the names that a recipe uses.
@@ -118,14 +118,14 @@ class _History:
 
     def __init__(self, progress: Callable[[Generation], None] | None):
         self.generations: list[Generation] = []
-        self.archive: dict[bytes, tuple[np.ndarray, Score]] = {}
+        self.archive: dict[bytes, tuple[np.ndarray, LoopScore]] = {}
         self._progress = progress
 
     @property
     def evaluated(self) -> int:
         return len(self.archive)
 
-    def note(self, genomes: np.ndarray, scores: Sequence[Score]) -> None:
+    def note(self, genomes: np.ndarray, scores: Sequence[LoopScore]) -> None:
         for genome, score in zip(genomes, scores, strict=True):
             self.archive.setdefault(genome.tobytes(), (genome.copy(), score))
         fitness = np.array([score.fitness for score in scores if score.feasible and np.isfinite(score.fitness)])
@@ -156,7 +156,7 @@ def _final(candidates: Candidates, history: _History) -> tuple[np.ndarray, float
     raise InputError(_hopeless(last, len(scores)))
 
 
-def _hopeless(best: Score, count: int) -> str:
+def _hopeless(best: LoopScore, count: int) -> str:
     if best.feasible:
         return (
             f"none of {count} loops excites every parameter: the sub-region is too small, or the arm too slow in it; "
@@ -168,5 +168,5 @@ def _hopeless(best: Score, count: int) -> str:
     )
 
 
-def _scorer(problem: LoopProblem) -> Callable[[np.ndarray], Score]:
+def _scorer(problem: LoopProblem) -> Callable[[np.ndarray], LoopScore]:
     return Candidates(problem).score

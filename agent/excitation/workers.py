@@ -19,10 +19,10 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.excitation.criterion import one_blas_thread
-from agent.excitation.scoring import Score
+from agent.excitation.scoring import LoopScore
 
 #: Builds the function that scores one genome (genes,). Both travel to the workers, so both must pickle.
-Build = Callable[[Any], Callable[[np.ndarray], Score]]
+Build = Callable[[Any], Callable[[np.ndarray], LoopScore]]
 
 
 class Workers:
@@ -37,7 +37,7 @@ class Workers:
         self._count = count
         self._processes: list[Any] = []
         self._connections: list[Connection] = []
-        self._score: Callable[[np.ndarray], Score] | None = None
+        self._score: Callable[[np.ndarray], LoopScore] | None = None
 
     def __enter__(self) -> Workers:
         if self._count == 1:
@@ -67,7 +67,7 @@ class Workers:
         for process in self._processes:
             process.join()
 
-    def evaluate(self, genomes: np.ndarray) -> list[Score]:
+    def evaluate(self, genomes: np.ndarray) -> list[LoopScore]:
         """Scores of genomes (N, genes), in their order.
 
         Raises:
@@ -77,7 +77,7 @@ class Workers:
         if self._score is not None:
             with one_blas_thread():
                 return [self._score(genome) for genome in genomes]
-        scores: dict[int, Score] = {}
+        scores: dict[int, LoopScore] = {}
         waiting = iter(range(len(genomes)))
         working: dict[Connection, int] = {}
         for connection in self._connections:
@@ -98,12 +98,12 @@ def _hand_out(connection: Connection, waiting: Any, genomes: np.ndarray, working
         working[connection] = candidate
 
 
-def _answer(connection: Connection) -> Score:
+def _answer(connection: Connection) -> LoopScore:
     try:
         answer = connection.recv()
     except (EOFError, ConnectionError):
         raise RuntimeError("a worker of the search was killed; is memory short?") from None
-    if isinstance(answer, Score):
+    if isinstance(answer, LoopScore):
         return answer
     if isinstance(answer, InputError):
         raise answer

@@ -36,7 +36,7 @@ _DRAWS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class GridMotion:
     """A motion on an even grid: time (S,) [s], q, qd, qdd (S, n)."""
 
     time: np.ndarray
@@ -46,7 +46,7 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class HypothesisPair:
     """One hypothesis taken for true against one form of its rival, and the moments of what is seen of both so far.
 
     `gram` (m, m) over [model and shared effects, rival, truth], `prior` (m', m') over the first two, of which the first
@@ -76,7 +76,7 @@ class Outlook:
             for comparison in _comparisons(number, pair.fit, truth, rival)
         ]
 
-    def moments(self, motion: Motion) -> list[np.ndarray]:
+    def moments(self, motion: GridMotion) -> list[np.ndarray]:
         """Per comparison the moments (m, m) that a motion adds."""
         dataset = self.dataset
         reference = dataset.fit.reference
@@ -142,7 +142,7 @@ def _passes(distance: float, margin: float) -> float:
     return float(ndtr((distance - margin) / (2 * np.sqrt(max(distance, 1e-12)))))
 
 
-def _distances(comparison: Comparison, gram: np.ndarray, free: int) -> list[float]:
+def _distances(comparison: HypothesisPair, gram: np.ndarray, free: int) -> list[float]:
     """D² for every drawn truth, where the first `free` parameters of model and rival can follow."""
     truth = len(comparison.prior)
     matrix = gram[:free, :free] + comparison.prior[:free, :free]
@@ -153,7 +153,7 @@ def _distances(comparison: Comparison, gram: np.ndarray, free: int) -> list[floa
     return [max(float(values @ schur @ values), 0.0) for values in comparison.values]
 
 
-def _comparisons(number: int, fit: Fit, truth: Hypothesis, rival: Hypothesis) -> list[Comparison]:
+def _comparisons(number: int, fit: Fit, truth: Hypothesis, rival: Hypothesis) -> list[HypothesisPair]:
     form = truth.forms[0]
     rng = np.random.default_rng(0)
     spread = np.linalg.cholesky(form.covariance + 1e-18 * np.eye(len(form.values)) * np.trace(form.covariance + 1))
@@ -162,7 +162,7 @@ def _comparisons(number: int, fit: Fit, truth: Hypothesis, rival: Hypothesis) ->
     return [_comparison(number, fit, form, other, draws) for other in rivals]
 
 
-def _comparison(number: int, fit: Fit, truth: Form, rival: Candidate | None, draws: np.ndarray) -> Comparison:
+def _comparison(number: int, fit: Fit, truth: Form, rival: Candidate | None, draws: np.ndarray) -> HypothesisPair:
     beside = fit if rival is None else fit.with_chosen((*fit.chosen, rival))
     (_, (cross, own)), *_ = beside.moments([truth.candidate])
     size = beside.size
@@ -171,4 +171,4 @@ def _comparison(number: int, fit: Fit, truth: Form, rival: Candidate | None, dra
     gram[:size, size:] = cross.sum(axis=0)[:-1]
     gram[size:, :size] = gram[:size, size:].T
     gram[size:, size:] = own.sum(axis=0)
-    return Comparison(number, truth, rival, fit.chosen, gram / fit.repeat, beside.prior, draws, fit.size)
+    return HypothesisPair(number, truth, rival, fit.chosen, gram / fit.repeat, beside.prior, draws, fit.size)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.excitation import Candidates, LoopProblem
-from agent.experiment.outlook import Motion
+from agent.experiment.outlook import GridMotion
 from agent.motion import Trajectory, create_interpolator
 from agent.motion.frames import with_frames
 from agent.motion.interpolator import MotionError
@@ -59,7 +59,7 @@ class Piece:
     draw: Draw
     start: np.ndarray
     statements: tuple[Statement, ...]
-    motion: Motion
+    motion: GridMotion
     duration: float
 
     def text(self, robot: RobotDescription) -> str:
@@ -124,7 +124,7 @@ class Pieces:
             return None
         if trajectory.duration > self._longest or not self._clear(trajectory):
             return None
-        motion = Motion(trajectory.t, trajectory.q, trajectory.qd, trajectory.qdd)
+        motion = GridMotion(trajectory.t, trajectory.q, trajectory.qd, trajectory.qdd)
         return Piece(draw, start, tuple(statements), motion, trajectory.duration)
 
     def _settings(self, speed: float) -> MotionSettings:

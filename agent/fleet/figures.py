@@ -13,7 +13,7 @@ import numpy as np
 
 from agent.core.console import Console, finite
 from agent.core.errors import InputError
-from agent.fleet.tasks import Question
+from agent.fleet.tasks import RunQuestion
 
 if TYPE_CHECKING:
     from agent.model.identified import IdentifiedModel
@@ -33,7 +33,7 @@ class Notes(Console):
 
 
 def estimate(
-    question: Question, robot: str | None, model: Path | None, logs: list[Path], notes: Notes
+    question: RunQuestion, robot: str | None, model: Path | None, logs: list[Path], notes: Notes
 ) -> tuple[dict[str, Any], bytes]:
     """`agent estimate`: the columns, and the model file but for when it was made."""
     from agent.pipeline.identify import fit_files
@@ -86,7 +86,7 @@ def _conditions(model: IdentifiedModel, logs: list[Log]) -> dict[str, Any]:
 
 
 def validate(
-    question: Question, robot: str | None, model: Path | None, logs: list[Path], notes: Notes
+    question: RunQuestion, robot: str | None, model: Path | None, logs: list[Path], notes: Notes
 ) -> tuple[dict[str, Any], bytes]:
     """`agent validate`: the columns, with the whole result."""
     from agent.pipeline.identify import validate_files
@@ -108,16 +108,15 @@ def validate(
 
 
 def diagnose(
-    question: Question, robot: str | None, model: Path | None, logs: list[Path], notes: Notes
+    question: RunQuestion, robot: str | None, model: Path | None, logs: list[Path], notes: Notes
 ) -> tuple[dict[str, Any], bytes]:
     """`agent diagnose`: the columns, with the whole result."""
-    from agent.pipeline.diagnose import Question as Asked
-    from agent.pipeline.diagnose import diagnose_files
+    from agent.pipeline.diagnose import GapQuestion, diagnose_files
     from agent.robot.torque_figures import SHARE
 
     if question.model and model is None:
         raise InputError(f"there is no {question.model} in or above this run; leave --model out, or name another")
-    asked = Asked(
+    asked = GapQuestion(
         model,
         cutoff=question.cutoff,
         without=question.without,

@@ -12,11 +12,11 @@ from typing import Any
 
 from agent.core.console import Console
 from agent.core.errors import BusyError
-from agent.core.parallel import Engine
+from agent.core.parallel import TaskEngine
 from agent.fleet.result import SCHEMA_NAME, Result
 from agent.fleet.store import Store
-from agent.fleet.tasks import Plant, Question, Task, find_tasks
-from agent.fleet.work import PASSING, Answer, run_task
+from agent.fleet.tasks import RunQuestion, SourceTasks, Task, find_tasks
+from agent.fleet.work import PASSING, TaskRow, run_task
 from agent.runs.lock import robot_lock
 from drivers.texts import hide_all, printable
 
@@ -68,9 +68,9 @@ class Summary:
 
 def run_fleet(
     source: str,
-    question: Question,
+    question: RunQuestion,
     out: str,
-    engine: Callable[[int], AbstractContextManager[Engine]],
+    engine: Callable[[int], AbstractContextManager[TaskEngine]],
     console: Console,
 ) -> Summary:
     """Bring a result up to date with a source; `engine` is asked for one for so many tasks, where there are any.
@@ -107,7 +107,7 @@ def run_fleet(
 
 def _work(
     todo: list[Task],
-    engine: Engine,
+    engine: TaskEngine,
     result: Result,
     summary: Summary,
     failed: dict[str, dict[str, str]],
@@ -116,7 +116,7 @@ def _work(
     kept = time.monotonic()
     for number, done in enumerate(engine.map(run_task, todo), 1):
         task = todo[done.number]
-        answer = done.answer or Answer({"status": "killed", "exit_code": 1, "reason": done.lost}, [])
+        answer = done.answer or TaskRow({"status": "killed", "exit_code": 1, "reason": done.lost}, [])
         failed.pop(task.run, None)
         summary.cpu_s += answer.cpu_s
         summary.read_bytes += answer.read_bytes
@@ -137,7 +137,7 @@ def _work(
             kept = time.monotonic()
 
 
-def _row(task: Task, answer: Answer) -> dict[str, Any]:
+def _row(task: Task, answer: TaskRow) -> dict[str, Any]:
     assert answer.row is not None
     row = {
         **answer.row,
@@ -157,7 +157,7 @@ def _shown(text: str) -> str:
     return printable(hide_all(text), _LONGEST)
 
 
-def _marked(plant: Plant, asked: str, known: dict[str, dict[str, Any]]) -> Iterator[Task | None]:
+def _marked(plant: SourceTasks, asked: str, known: dict[str, dict[str, Any]]) -> Iterator[Task | None]:
     """Every task that has to be looked at, with what is known of its inputs; None for those that stand.
 
     A row stands where it answers the same question and every file it was made of has the size and stamp it had. Where

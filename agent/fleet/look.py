@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.fleet.machines import Machine
+from agent.fleet.machines import MachineRuns
 from agent.fleet.trends import Course
 from agent.recipe.schema import GateSection
 
@@ -44,7 +44,7 @@ class Sight:
     causes: str
 
 
-def see(machine: Machine) -> Sight:
+def see(machine: MachineRuns) -> Sight:
     """What is kept of a machine."""
     known = [entry for entry in machine.figures if entry is not None]
     errors = known[-1]["errors"] if known else np.empty(0)

@@ -14,7 +14,7 @@ _NEVER = -(2**62)
 
 
 @dataclass(eq=False)
-class Machine:
+class MachineRuns:
     """The runs of one machine, oldest first, R of them, of which the trends look at those with figures.
 
     runs, status, reason, page, verdict, causes of every run; started (R,) [µs since 1970], `_NEVER` where unknown.
@@ -77,12 +77,12 @@ class Machine:
         return "" if self.started[number] == _NEVER else str(np.datetime64(self.started[number], "us"))[:10]
 
 
-def read_machines(kind: str, rows: Any) -> Iterator[Machine]:
+def read_machines(kind: str, rows: Any) -> Iterator[MachineRuns]:
     """Machines of a result's Parquet file, in the order of its rows."""
     errors = "gap_before" if kind == "diagnose" else "normalised_rmse"
     columns = ["robot", "run", "started", "status", "reason", "page", "joints", errors]
     columns += {"estimate": ["friction", "warm_up", "nominal_torque"], "diagnose": ["verdict", "causes"]}.get(kind, [])
-    machine: Machine | None = None
+    machine: MachineRuns | None = None
     for group in range(rows.num_row_groups):
         batch = _Batch(rows.read_row_group(group, columns=columns).combine_chunks(), errors)
         for row, robot in enumerate(batch.robots):
@@ -90,7 +90,7 @@ def read_machines(kind: str, rows: Any) -> Iterator[Machine]:
                 if machine is not None:
                     machine.put_in_order()
                     yield machine
-                machine = Machine(robot)
+                machine = MachineRuns(robot)
             batch.add(row, machine)
     if machine is not None:
         machine.put_in_order()
@@ -117,7 +117,7 @@ class _Batch:
             self._rates = self._flat("warm_up", "rate_per_s")
             self._doubts = self._flat("warm_up", "standard_deviation")
 
-    def add(self, row: int, machine: Machine) -> None:
+    def add(self, row: int, machine: MachineRuns) -> None:
         """Take a row over into its machine."""
         for name in ("run", "status", "reason", "page"):
             getattr(machine, {"run": "runs"}.get(name, name)).append(self._plain[name][row])

@@ -39,7 +39,7 @@ class Given:
 
 
 @dataclass(frozen=True)
-class Question:
+class RunQuestion:
     """What is asked of every run: the options of the single command, with the same meaning.
 
     `robot` is a built-in robot's name, or "" where the description is in the store or among `given`; `model` is the
@@ -72,7 +72,7 @@ class Task:
     description, model and state where the store has them; `known` the SHA-256 of the inputs of the row that is there
     already, by path."""
 
-    question: Question
+    question: RunQuestion
     source: str
     robot: str
     run: str
@@ -90,7 +90,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Plant:
+class SourceTasks:
     """What a source holds: tasks in the order of robot and run, and the listing (size and stamp by path) that tells
     whether a file is the one that was read."""
 
@@ -98,7 +98,7 @@ class Plant:
     listing: dict[str, tuple[int, str]]
 
 
-def make_question(kind: str, robot: str | None, model: str | None, **options: Any) -> Question:
+def make_question(kind: str, robot: str | None, model: str | None, **options: Any) -> RunQuestion:
     """A question, with the files that `robot` and `model` name on this machine read.
 
     A `model` that is no file here is a name to look for in or above every run.
@@ -128,10 +128,10 @@ def make_question(kind: str, robot: str | None, model: str | None, **options: An
         model = Path(model).name
     elif model and ("/" in model or "\\" in model):
         raise InputError(f"{model}: no such model file; name one, or the name that it has in or above every run")
-    return Question(kind, name, model or "", given=tuple(given), **options)
+    return RunQuestion(kind, name, model or "", given=tuple(given), **options)
 
 
-def find_tasks(store: Store, question: Question) -> Plant:
+def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
     """All tasks of a source.
 
     Raises:
@@ -149,10 +149,12 @@ def find_tasks(store: Store, question: Question) -> Plant:
     if not tasks:
         raise InputError(f"{store.url}: no folder in it has logs (*.mcap) for {question.kind}")
     tasks.sort(key=lambda task: (task.robot, task.run))
-    return Plant(tuple(tasks), listing)
+    return SourceTasks(tuple(tasks), listing)
 
 
-def _task(store: Store, question: Question, folders: dict[str, dict[str, StoredFile]], folder: str) -> Iterator[Task]:
+def _task(
+    store: Store, question: RunQuestion, folders: dict[str, dict[str, StoredFile]], folder: str
+) -> Iterator[Task]:
     here = folders[folder]
     state = here.get(_STATE)
     patterns = _OF_A_RUN[question.kind] if state is not None else ("*.mcap",)

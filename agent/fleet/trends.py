@@ -17,12 +17,12 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.fleet.discoveries import RATE, Family, false_discovery_levels, find_families, read_columns
-from agent.fleet.machines import Machine, read_machines
+from agent.fleet.machines import MachineRuns, read_machines
 from agent.fleet.result import META, ROWS, SOURCE, open_rows
 from agent.fleet.store import Store
 from agent.fleet.tasks import KINDS
 from agent.runs.changes import Background
-from agent.runs.series import Change, FrictionSeries, find_change
+from agent.runs.series import FrictionSeries, SeriesChange, find_change
 from agent.runs.trends import PRACTICAL
 from agent.runs.warm_up import FEWEST
 
@@ -177,7 +177,7 @@ def source_of(url: str) -> str:
         return (open_rows(url, Path(folder))[1].schema_arrow.metadata or {}).get(SOURCE, b"").decode()
 
 
-def machine_courses(kind: str, machine: Machine) -> Iterator[Course]:
+def machine_courses(kind: str, machine: MachineRuns) -> Iterator[Course]:
     """The course of every axle of a machine that has enough runs; nothing is decided yet."""
     if kind == "estimate":
         yield from _friction_courses(machine)
@@ -197,7 +197,7 @@ def _decide(kind: str, courses: list[Course]) -> None:
         one.alarm = bool(level <= RATE and abs(np.log1p(one.change)) >= practical)
 
 
-def _friction_courses(machine: Machine) -> Iterator[Course]:
+def _friction_courses(machine: MachineRuns) -> Iterator[Course]:
     numbers = machine.with_figures("friction", "deviation")
     if len(numbers) < FEWEST or not machine.levels:
         return
@@ -210,7 +210,7 @@ def _friction_courses(machine: Machine) -> Iterator[Course]:
     axles = tuple(machine.joints.index(joint) for joint, _ in machine.levels)
     days, values = machine.days(numbers), machine.column("friction", numbers)
     series = FrictionSeries(days, axles, values, machine.column("deviation", numbers), rates, doubts)
-    best: dict[int, tuple[Change, int]] = {}
+    best: dict[int, tuple[SeriesChange, int]] = {}
     counts: dict[int, int] = {}
     for k, background in series.backgrounds():
         found = find_change(np.log(values[:, k]), days, background)
@@ -222,7 +222,7 @@ def _friction_courses(machine: Machine) -> Iterator[Course]:
         yield _course(machine, numbers, machine.joints[axle], quantity, values[:, k], days, found, counts[axle])
 
 
-def _error_courses(machine: Machine) -> Iterator[Course]:
+def _error_courses(machine: MachineRuns) -> Iterator[Course]:
     numbers = machine.with_figures("errors")
     if len(numbers) < FEWEST:
         return
@@ -235,13 +235,13 @@ def _error_courses(machine: Machine) -> Iterator[Course]:
 
 
 def _course(
-    machine: Machine,
+    machine: MachineRuns,
     numbers: list[int],
     joint: str,
     quantity: str,
     values: np.ndarray,
     days: np.ndarray,
-    found: Change,
+    found: SeriesChange,
     paid: int,
 ) -> Course:
     from scipy.special import stdtrit

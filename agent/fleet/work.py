@@ -31,7 +31,7 @@ _DATE = re.compile(r"(?<!\d)((?:19|20)\d\d)-?([01]\d)-?([0-3]\d)(?:[T_ ]([0-2]\d
 
 
 @dataclass(frozen=True)
-class Answer:
+class TaskRow:
     """The row of a task, without what the task itself says, and its model file; `row` is None where the inputs are
     still what they were. `inputs`: everything that was read, with its SHA-256. `cpu_s`, `read_bytes`: what it took."""
 
@@ -62,7 +62,7 @@ class _Inputs:
         return sum(entry["size"] for entry in self.read)
 
 
-def run_task(task: Task) -> Answer:
+def run_task(task: Task) -> TaskRow:
     """The answer to one task; no input makes it raise."""
     from agent.excitation.criterion import one_blas_thread
 
@@ -88,7 +88,7 @@ def run_task(task: Task) -> Answer:
         if row is not None:
             row = {"started": _named_date(task.run), **row}
             row = _readable(row, [f"{folder}/source/", f"{folder}/given/", f"{inputs.store.local}/"])
-        return Answer(row, inputs.read, model, time.process_time() - began, inputs.size)
+        return TaskRow(row, inputs.read, model, time.process_time() - began, inputs.size)
 
 
 def _work(task: Task, inputs: _Inputs, folder: Path) -> tuple[dict[str, Any] | None, bytes]:

@@ -52,14 +52,14 @@ class Recording:
 
 
 @dataclass(frozen=True)
-class Place:
+class MotionOfMany:
     """Of a motion among others: `text` to put before its progress, and how much motion comes after it [s]."""
 
     text: str = ""
     after: float = 0.0
 
 
-class Link:
+class RobotLink:
     """An open controller link behind its guard, and the logs of what runs through it."""
 
     def __init__(self, guard: GuardedLink, recipe: Recipe, console: Console, torque: dict[str, str]):
@@ -98,7 +98,7 @@ class Link:
         motion: str,
         chains: Sequence[Trajectory],
         total: float,
-        place: Place = Place(),
+        place: MotionOfMany = MotionOfMany(),
     ) -> Recording:
         """Upload, check, start once, and record until the program ends.
 
@@ -161,7 +161,7 @@ class Link:
         return replace(program, points=via_points(program, robot, tool), frames={"$TOOL": tool_frame(tool)})
 
     def _record(
-        self, program: PlannedProgram, log: Path, motion: str, total: float, place: Place = Place()
+        self, program: PlannedProgram, log: Path, motion: str, total: float, place: MotionOfMany = MotionOfMany()
     ) -> Recording:
         from agent.recording import LogWriter
 
@@ -215,7 +215,7 @@ def open_link(
     runs: Path,
     authorisation: Authorisation | None = None,
     watching: bool = False,
-) -> Iterator[Link]:
+) -> Iterator[RobotLink]:
     """Lock the robot, connect, and check who is there.
 
     Args:
@@ -250,7 +250,7 @@ def open_link(
             guard.open()
             who = guard.identity
             console.detail(f"{who.robot}, serial {who.serial}, {who.controller} {who.version}")
-            yield Link(guard, recipe, console, torque_facts(recipe, driver))
+            yield RobotLink(guard, recipe, console, torque_facts(recipe, driver))
         finally:
             guard.close()
 

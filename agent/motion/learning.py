@@ -31,7 +31,7 @@ _ENOUGH, _PLANS, _TRIAL = 1e-3, 120, 40
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class RecordedMove:
     """What was moved from a standstill to the next: its moves, and times (S,) [s] and set-points (S, n) recorded."""
 
     moves: tuple[Move, ...]
@@ -51,7 +51,7 @@ class Errors:
 class Learner:
     """Compares laws with stretches of one robot; `period` [s] of its set-points."""
 
-    def __init__(self, robot: RobotDescription, stretches: Sequence[Stretch], period: float, tool: Any = None):
+    def __init__(self, robot: RobotDescription, stretches: Sequence[RecordedMove], period: float, tool: Any = None):
         self._interpolator = FlyInterpolator(robot, tool, period)
         self._forward = kinematics_for(robot, tool).forward
         self._all = [(stretch, _Way.of(stretch.t, stretch.q)) for stretch in stretches]
@@ -83,7 +83,7 @@ class Learner:
         return float(np.sqrt(np.mean(np.square(late))))
 
     def _pairs(
-        self, parameters: FlyParameters, stretches: Sequence[tuple[Stretch, _Way]]
+        self, parameters: FlyParameters, stretches: Sequence[tuple[RecordedMove, _Way]]
     ) -> Iterator[tuple[_Way, _Way]]:
         interpolator = self._interpolator.with_parameters(parameters)
         for stretch, recorded in stretches:

@@ -25,8 +25,8 @@ from agent.motion.orl_calls import (
     MOST_JOINTS,
     MOVING,
     NEED_DATA,
+    CallRefused,
     Calls,
-    Refused,
     Told,
 )
 from agent.motion.orl_shim import ShimCalls
@@ -102,7 +102,7 @@ class OrlInterpolator:
     def _set_period(self) -> None:
         try:
             self._library.set_period(1e3 * self.period)
-        except Refused as refused:
+        except CallRefused as refused:
             raise InputError(f"the library refuses a period of {1e3 * self.period:g} ms: {refused}") from None
 
     def _stepped(self, chain: list[tuple[int, Move]], start: np.ndarray) -> np.ndarray:
@@ -140,7 +140,7 @@ class OrlInterpolator:
         told = Told(move, self._to_controller(start), self._coordinates(move.target), via, base, tool, uframe)
         try:
             self._library.announce(told, first)
-        except Refused as refused:
+        except CallRefused as refused:
             raise _refusal(index, f"the library refuses the move: {refused}") from None
 
     def _check_first(self, index: int, start: np.ndarray, step: np.ndarray) -> None:

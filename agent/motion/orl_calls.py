@@ -33,12 +33,12 @@ class Told(NamedTuple):
     uframe: tuple[float, ...]
 
 
-class Refused(Exception):
+class CallRefused(Exception):
     """A call with an error status; its text names the call."""
 
 
 class Calls(Protocol):
-    """What the interpolator needs of a library. All but `step` raise `Refused` where the library does."""
+    """What the interpolator needs of a library. All but `step` raise `CallRefused` where the library does."""
 
     def set_period(self, milliseconds: float) -> None: ...
     def announce(self, told: Told, first: bool) -> None: ...
@@ -50,5 +50,5 @@ def configuration_flags(target: CartesianTarget) -> bytes:
     """The target's configuration string, which has 79 characters at most in either library."""
     flags = target.configuration.encode()
     if len(flags) > 79:
-        raise Refused(f"a configuration of {len(flags)} characters: the library takes 79")
+        raise CallRefused(f"a configuration of {len(flags)} characters: the library takes 79")
     return flags

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 
-from agent.motion.orl_calls import MOST_JOINTS, Refused, Told, configuration_flags
+from agent.motion.orl_calls import MOST_JOINTS, CallRefused, Told, configuration_flags
 from agent.motion.program import (
     CartesianTarget,
     FlyTrajectory,
@@ -105,4 +105,4 @@ class ShimCalls:
     @staticmethod
     def _check(name: str, status: int) -> None:
         if status != 0:
-            raise Refused(f"{name}: status {status}")
+            raise CallRefused(f"{name}: status {status}")

@@ -13,7 +13,7 @@ from functools import cache
 from typing import Any
 
 from agent.core.errors import InputError
-from agent.motion.orl_calls import ARM, CONTROLLER, MOST_JOINTS, Refused, Told, configuration_flags
+from agent.motion.orl_calls import ARM, CONTROLLER, MOST_JOINTS, CallRefused, Told, configuration_flags
 from agent.motion.program import (
     CartesianTarget,
     FlyTrajectory,
@@ -69,7 +69,7 @@ class JointValue(ctypes.Structure):
     _fields_ = (("unit_type", ctypes.c_int), ("value", ctypes.c_double * MOST_JOINTS))
 
 
-class SystemVariable(ctypes.Structure):
+class OrlSystemVariable(ctypes.Structure):
     """A system variable by name, with its type and the value of that type."""
 
     _fields_ = (
@@ -94,7 +94,7 @@ _CALLS: dict[str, list[Any]] = {
     "ORL_get_next_interpolation_step": [ctypes.POINTER(JointValue), *_PLACE],
     "ORL_set_position": [*_TARGETS, *_PLACE],
     "ORL_set_move_parameters": [*[ctypes.c_int] * 4, *_TARGETS, *_PLACE],
-    "ORL_set_data": [SystemVariable, ctypes.c_int, ctypes.c_int],
+    "ORL_set_data": [OrlSystemVariable, ctypes.c_int, ctypes.c_int],
     "ORL_dominant_interpolation": [ctypes.c_int, ctypes.c_int, *_PLACE],
     "ORL_orientation_interpolation": [ctypes.c_int, *_PLACE],
     "ORL_cancel_motion": _PLACE,
@@ -183,7 +183,7 @@ class VendorCalls:
     def _call(self, name: str, *arguments: object) -> None:
         status = getattr(self._library, name)(*arguments, *self._place)
         if status != _OK:
-            raise Refused(f"{name}: status {status}")
+            raise CallRefused(f"{name}: status {status}")
 
     def _percent(self, name: str, fraction: float) -> None:
         self._set(name, ctype=_INTEGER, iv=round(100.0 * fraction))
@@ -193,10 +193,10 @@ class VendorCalls:
 
     def _set(self, name: str, **value: float) -> None:
         full = f"$ARM_DATA[{self._arm}].{name}"
-        variable = SystemVariable(sysvar_name=full.encode(), **value)
+        variable = OrlSystemVariable(sysvar_name=full.encode(), **value)
         status = self._library.ORL_set_data(variable, _SILENT, _FIRST_CONTROLLER)
         if status != _OK:
-            raise Refused(f"ORL_set_data of {full}: status {status}")
+            raise CallRefused(f"ORL_set_data of {full}: status {status}")
 
 
 def _pose(values: tuple[float, ...], flags: bytes = b"") -> CartesianPosition:

@@ -13,7 +13,7 @@ from agent.core.figures import error_text
 from agent.diagnosis import Diagnosis
 from agent.model.identified import IdentifiedModel
 from agent.notebook.card import Shown, bars, lines
-from agent.pipeline.calibrate import Outcome
+from agent.pipeline.calibrate import CalibrationOutcome
 from agent.pipeline.diagnosis_text import diagnosis_text
 from agent.pipeline.identify import validation_text
 from agent.pipeline.plan import PlanFiles
@@ -142,7 +142,7 @@ class PlannedLoop(Shown):
 class Calibration(Shown):
     """A finished calibration: `outcome.run` is its folder, with model, logs and report."""
 
-    outcome: Outcome
+    outcome: CalibrationOutcome
 
     @property
     def model(self) -> Model:

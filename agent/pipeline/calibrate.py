@@ -27,7 +27,7 @@ from agent.safety.preconditions import check_period
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CalibrationOutcome:
     """Run folder, the content of its `result.json`, and what comes next."""
 
     run: Path
@@ -73,7 +73,7 @@ class Outcome:
         )
 
 
-def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None, yes: bool) -> Outcome:
+def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None, yes: bool) -> CalibrationOutcome:
     """Run the job; with `resume`, go on after the last finished step of a stopped run.
 
     Raises:
@@ -156,7 +156,7 @@ def _report(
     model: Any,
     predictions: list[Any],
     console: Console,
-) -> Outcome:
+) -> CalibrationOutcome:
     from agent.pipeline.analysis_log import write_analysis
     from agent.pipeline.conditions import conditions
     from agent.pipeline.reports import against_last
@@ -186,7 +186,7 @@ def _report(
     shown = run_data(recipe, plan, result.to_dict(), model, predictions, further, run.path)
     run.write_text("report.html", run_report(shown))
     run.complete(not result.rejected)
-    return Outcome(run.path, result)
+    return CalibrationOutcome(run.path, result)
 
 
 @contextmanager

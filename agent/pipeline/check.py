@@ -21,7 +21,7 @@ FEW = 0.2
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckedItem:
     """One thing that was looked at: `subject`, what was found, and the exit code it asks for (0: fine)."""
 
     subject: str
@@ -38,7 +38,7 @@ class Finding:
 class Findings:
     """All that was looked at."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[CheckedItem, ...]
 
     @property
     def exit_code(self) -> int:
@@ -65,7 +65,7 @@ def check_recipe(path: Path, console: Console) -> Findings:
     """
     console.step(f"checking {path}")
     recipe, faults = examine_recipe(path)
-    findings = [Finding("recipe", fault, 2) for fault in faults]
+    findings = [CheckedItem("recipe", fault, 2) for fault in faults]
     if recipe is None:
         return Findings(tuple(findings))
     looks: tuple[tuple[str, Callable[[Recipe, Console], str]], ...] = (
@@ -76,18 +76,18 @@ def check_recipe(path: Path, console: Console) -> Findings:
     )
     if not faults:
         complete = f"{path} is complete; robot {recipe.robot.name}, {recipe.robot.dof} joints"
-        findings.append(Finding("recipe", complete))
+        findings.append(CheckedItem("recipe", complete))
     if not_judged := not_judged_text(recipe.robot, recipe.gate.normalised_rmse):
-        findings.append(Finding("gate", not_judged))
+        findings.append(CheckedItem("gate", not_judged))
     for subject, look in looks:
         console.step(f"looking at {subject}")
         try:
-            findings.append(Finding(subject, look(recipe, console)))
+            findings.append(CheckedItem(subject, look(recipe, console)))
         except Exception as error:
             code = getattr(error, "exit_code", None)
             if code is None and not isinstance(error, AgentError):
                 raise
-            findings.append(Finding(subject, str(error), code or 2))
+            findings.append(CheckedItem(subject, str(error), code or 2))
     return Findings(tuple(findings))
 
 

@@ -28,7 +28,7 @@ _VALIDATION_MOTIONS = 3
 
 
 @dataclass(frozen=True)
-class Question:
+class GapQuestion:
     """What is asked of logs: against which model (None: one fitted to them), what is left out, what is written.
 
     `model` is a model file, an MJCF or a URDF; `joint_map` says how joints of the latter two are called in the logs.
@@ -49,7 +49,7 @@ class Question:
     next_recipe: Path | None = None
 
 
-def diagnose_files(robot: str | None, paths: Sequence[Path], question: Question, console: Console) -> dict[str, Any]:
+def diagnose_files(robot: str | None, paths: Sequence[Path], question: GapQuestion, console: Console) -> dict[str, Any]:
     """Diagnose logs; returns the result of docs/diagnosis.md, and writes what is asked for.
 
     Without a `robot` the model says what the arm is.
@@ -61,7 +61,7 @@ def diagnose_files(robot: str | None, paths: Sequence[Path], question: Question,
 
 
 def diagnose_recording(
-    recipe: Path, question: Question, console: Console, runs: Path, yes: bool, budget: float | None = None
+    recipe: Path, question: GapQuestion, console: Console, runs: Path, yes: bool, budget: float | None = None
 ) -> dict[str, Any]:
     """Record the recipe's motions into a run folder, then diagnose them; result and report are in the folder too.
 
@@ -133,7 +133,7 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
 
     asked = json.loads((run / "state.json").read_text(encoding="utf-8"))["question"]
     model = run / _SIMULATOR
-    question = Question(model if model.exists() else None, cutoff=asked["cutoff"], without=tuple(asked["without"]))
+    question = GapQuestion(model if model.exists() else None, cutoff=asked["cutoff"], without=tuple(asked["without"]))
     parts = ("validation_[0-9][0-9].mcap", "experiment_[0-9][0-9].mcap")
     logs = [run / "excitation.mcap", *(log for part in parts for log in sorted(run.glob(part)))]
     found, simulated, _ = _find(robot, logs, question, console)
@@ -143,7 +143,7 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
 def _diagnose(
     robot: RobotDescription | None,
     paths: Sequence[Path],
-    question: Question,
+    question: GapQuestion,
     console: Console,
     source: str | None,
     simulator: Simulator | None = None,
@@ -180,7 +180,7 @@ def _diagnose(
     return result
 
 
-def _next(found: Diagnosis, question: Question, console: Console) -> dict[str, Any] | None:
+def _next(found: Diagnosis, question: GapQuestion, console: Console) -> dict[str, Any] | None:
     """The motion that tells more, written into its folder."""
     from agent.pipeline.next_experiment import plan_next, write_next
     from agent.recipe import load_recipe
@@ -191,7 +191,7 @@ def _next(found: Diagnosis, question: Question, console: Console) -> dict[str, A
     return None if motion is None else write_next(motion, question.out)
 
 
-def _find(robot: RobotDescription | None, paths: Sequence[Path], question: Question, console: Console) -> Found:
+def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQuestion, console: Console) -> Found:
     from agent.diagnosis import diagnose, simulate
     from agent.model.simulators import SIMULATOR
 
@@ -217,7 +217,7 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: Quest
 
 
 def _simulator(
-    robot: RobotDescription | None, paths: Sequence[Path], question: Question, console: Console
+    robot: RobotDescription | None, paths: Sequence[Path], question: GapQuestion, console: Console
 ) -> tuple[IdentifiedModel | None, Simulator | None]:
     """The model that is the simulator, and the file that it was read from; None where none is named.
 
@@ -240,7 +240,7 @@ def _simulator(
     return found.model, found
 
 
-def _check(question: Question, logs: Sequence[Path]) -> None:
+def _check(question: GapQuestion, logs: Sequence[Path]) -> None:
     """What makes no sense is refused before the work, and before anything moves.
 
     Raises:

@@ -21,7 +21,7 @@ SCHEMA = "recipe.schema.json"
 
 
 @dataclass(frozen=True)
-class Question:
+class InitQuestion:
     """What is asked: the flag's name, the words, the answer without one, and what an answer must be."""
 
     name: str
@@ -74,7 +74,7 @@ def schema_text() -> str:
     return json.dumps(recipe_schema(), indent=2) + "\n"
 
 
-def questions() -> list[Question]:
+def questions() -> list[InitQuestion]:
     """In the order in which they are asked."""
     from drivers.registry import available
 
@@ -96,17 +96,17 @@ def questions() -> list[Question]:
         _quantity(text, Dimension.ANGLE, BARE_LEAN)
 
     return [
-        Question("robot", "robot: built-in name, or path of a robot.yaml", "comau_ns16", robot),
-        Question("driver", "driver of the controller link", "tcp", driver),
-        Question("controller", "address of the controller", "127.0.0.1:9100", address),
-        Question("centre", "centre of the sub-region, base frame: x, y, z", "1.0 m, 0 m, 0.8 m", places),
-        Question("size", "size of the sub-region: x, y, z", "500 mm, 600 mm, 400 mm", sizes),
-        Question("orientation", "tool orientation: Euler ZYZ a, e, r", "0 deg, 180 deg, 0 deg", angles),
-        Question("cone", "how far the tool may lean from it", "30 deg", lean),
+        InitQuestion("robot", "robot: built-in name, or path of a robot.yaml", "comau_ns16", robot),
+        InitQuestion("driver", "driver of the controller link", "tcp", driver),
+        InitQuestion("controller", "address of the controller", "127.0.0.1:9100", address),
+        InitQuestion("centre", "centre of the sub-region, base frame: x, y, z", "1.0 m, 0 m, 0.8 m", places),
+        InitQuestion("size", "size of the sub-region: x, y, z", "500 mm, 600 mm, 400 mm", sizes),
+        InitQuestion("orientation", "tool orientation: Euler ZYZ a, e, r", "0 deg, 180 deg, 0 deg", angles),
+        InitQuestion("cone", "how far the tool may lean from it", "30 deg", lean),
     ]
 
 
-def _ask(question: Question) -> str:
+def _ask(question: InitQuestion) -> str:
     while True:
         print(f"{question.words} [{question.default}] ", end="", file=sys.stderr, flush=True)
         line = sys.stdin.readline()
@@ -121,7 +121,7 @@ def _ask(question: Question) -> str:
         return answer
 
 
-def _valid(question: Question, value: str) -> None:
+def _valid(question: InitQuestion, value: str) -> None:
     try:
         question.check(value)
     except InputError as error:

@@ -15,7 +15,7 @@ from agent.pipeline.identify import check_one_machine, check_output, read_logs
 
 if TYPE_CHECKING:
     from agent.motion.learned import LearnedLaw
-    from agent.motion.learning import Stretch
+    from agent.motion.learning import RecordedMove
     from agent.motion.program import Move, Statement
     from agent.recording.log import Log
     from agent.robot import RobotDescription
@@ -89,7 +89,7 @@ def learn_files(robot: str, paths: Sequence[Path], out: Path, console: Console) 
     description = load_robot(robot)
     logs = read_logs(list(paths), description, console)
     check_one_machine(logs, None, False)
-    stretches: dict[Any, Stretch] = {}
+    stretches: dict[Any, RecordedMove] = {}
     rests: dict[str, list[float]] = {}
     for log in logs:
         _check_log(log, description)
@@ -170,12 +170,12 @@ def _of_the_plan(log: Log) -> str:
 
 def _stretches(
     log: Log, statements: Sequence[Statement], robot: RobotDescription, rests: dict[str, list[float]]
-) -> list[tuple[Any, Stretch]]:
+) -> list[tuple[Any, RecordedMove]]:
     """What was moved between stops, by what tells one motion from another; `rests` [s] grows by what stops took."""
     from agent.link.alignment import Aligner, moving_stretches
     from agent.link.planned import chain_key
     from agent.motion import FlyInterpolator
-    from agent.motion.learning import Stretch
+    from agent.motion.learning import RecordedMove
     from agent.motion.program import Move
 
     tool = log.metadata.get("tool", "none")
@@ -190,7 +190,7 @@ def _stretches(
     t, q = log.t[good], reference[good]
     moving = moving_stretches(q, max(2, round(Aligner.REST * log.sample_rate)))
     interpolator = FlyInterpolator(robot, period=1.0 / log.sample_rate)
-    found: list[tuple[Any, Stretch]] = []
+    found: list[tuple[Any, RecordedMove]] = []
     at, stand, left = 0, q[0], None
     for moves, waited in _chains(statements):
         planned = interpolator.plan(moves, stand).q
@@ -212,7 +212,7 @@ def _stretches(
             rests.setdefault(left[0], []).append(float(t[a] - left[1]))
         even = np.diff(t[a:b]).max() <= 2.5 / log.sample_rate
         if even:
-            found.append((chain_key(moves), Stretch(tuple(moves), t[a:b], q[a:b])))
+            found.append((chain_key(moves), RecordedMove(tuple(moves), t[a:b], q[a:b])))
         left = moves[-1].settings.termination.value, float(t[b - 1])
         at, stand = last + 1, q[b - 1]
         if at == len(moving):

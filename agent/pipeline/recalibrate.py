@@ -13,7 +13,7 @@ from agent.core.console import Console
 from agent.core.errors import ControllerError
 from agent.core.figures import error_text
 from agent.link.planned import check_cell, plan_statements
-from agent.link.record import Link, Recording, open_link, report_losses
+from agent.link.record import Recording, RobotLink, open_link, report_losses
 from agent.pipeline.calibrate import step
 from agent.pipeline.drift_check import diagnose_if_worse, worse_joints
 from agent.pipeline.ending import current_run, ending_text
@@ -42,7 +42,7 @@ _SURE = 3.0
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RecalibrationOutcome:
     """What came of it: `skipped` says why nothing was done; else run folder, `result.json` and what comes next."""
 
     skipped: str = ""
@@ -87,7 +87,7 @@ def recalibrate(
     yes: bool = False,
     authorisation: Authorisation | None = None,
     now: datetime | None = None,
-) -> Outcome:
+) -> RecalibrationOutcome:
     """Run the stored loop again, estimate, judge, record, and make the model current if it is accepted.
 
     Raises:
@@ -97,7 +97,7 @@ def recalibrate(
     now = now or datetime.now(UTC)
     past = last_accepted(recipe, logs, now)
     if early := too_early(past, recipe.recalibrate.every, now):
-        return Outcome(skipped=early)
+        return RecalibrationOutcome(skipped=early)
     if doubt := wrong_clock(past, now):
         console.warn(doubt)
     with robot_lock(recipe.controller.driver, recipe.controller.address):
@@ -136,7 +136,7 @@ def recalibrate(
         refresh_index(logs, console)
     for line in watched:
         console.warn(line)
-    return Outcome(run=run.path, result=result, ending=ending_text(run, recipe))
+    return RecalibrationOutcome(run=run.path, result=result, ending=ending_text(run, recipe))
 
 
 def _record(
@@ -166,7 +166,7 @@ def _record(
     return recording
 
 
-def _check_machine(reference: Reference, link: Link) -> None:
+def _check_machine(reference: Reference, link: RobotLink) -> None:
     known, here = reference.past.serial, link.identity.serial
     if known and known != here:
         raise ControllerError(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from agent.core.console import Console
 from agent.core.errors import ControllerError, InputError
-from agent.link.record import Link, Place, Recording, open_link, report_losses
+from agent.link.record import MotionOfMany, Recording, RobotLink, open_link, report_losses
 from agent.pipeline.planning import Plan, programs
 from agent.recipe import Recipe
 from agent.runs.folder import RunFolder, sha256_file
@@ -35,7 +35,7 @@ def record_plan(recipe: Recipe, plan: Plan, run: RunFolder, console: Console, lo
             for (name, motion), (text, chains, total) in zip(missing.items(), ready, strict=True):
                 _set_aside(run.file(name))
                 left -= total
-                place = Place(f"motion {list(motions).index(name) + 1} of {len(motions)}, ", left)
+                place = MotionOfMany(f"motion {list(motions).index(name) + 1} of {len(motions)}, ", left)
                 recording = link.run(motion.name, text, run.file(name), motion.kind, chains, total, place)
                 report_losses(recording, console)
                 run.finish(name, **recording.to_dict(), sha256=sha256_file(recording.path))
@@ -48,7 +48,7 @@ def validation_logs(run: RunFolder) -> list[Path]:
     return sorted(run.path.glob("validation_[0-9][0-9].mcap"))
 
 
-def _check_machine(run: RunFolder, link: Link) -> None:
+def _check_machine(run: RunFolder, link: RobotLink) -> None:
     known, here = run.state.get("serial"), link.identity.serial
     if known and here and known != here:
         raise ControllerError(

@@ -1,7 +1,7 @@
 """Recipes: one validated object per file, SI inside. Millimetres and degrees end here."""
 
 from agent.recipe.recipe import (
-    Cell,
+    CellDescription,
     MotionPlan,
     Recipe,
     examine_recipe,
@@ -9,16 +9,16 @@ from agent.recipe.recipe import (
     recipe_schema,
 )
 from agent.recipe.template import template
-from agent.recipe.via_points import ViaBox, ViaLike, ViaPoint, ViaPointList, ViaTube
+from agent.recipe.via_points import ViaBox, ViaLike, ViaPointList, ViaPointRegion, ViaTube
 
 __all__ = [
-    "Cell",
+    "CellDescription",
     "MotionPlan",
     "Recipe",
     "ViaBox",
     "ViaLike",
-    "ViaPoint",
     "ViaPointList",
+    "ViaPointRegion",
     "ViaTube",
     "examine_recipe",
     "load_recipe",

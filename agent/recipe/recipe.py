@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Cell:
+class CellDescription:
     """What stands around the robot, and how far each joint may go there.
 
     `joint_ranges`: by joint name, (lower, upper) [rad, m], where a cable or the cell allows less than the joint itself.
@@ -74,7 +74,7 @@ class Recipe:
     robot_source: str
     tool: Tool | None
     controller: ControllerSection
-    cell: Cell
+    cell: CellDescription
     motion: MotionPlan
     search: SearchSection
     record: RecordSection
@@ -215,7 +215,7 @@ def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Re
         robot_source=document.robot if document.robot in builtin_robots() else str(path.parent / document.robot),
         tool=tool_of(document.tool),
         controller=document.controller,
-        cell=Cell(
+        cell=CellDescription(
             tuple(Box(entry.name, entry.box.min, entry.box.max) for entry in document.cell.keep_out),
             {name: _joint_range(name, document, robot) for name in document.cell.joint_ranges},
         ),

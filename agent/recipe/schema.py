@@ -56,13 +56,13 @@ ESTIMATION_METHODS = (
 SEARCH_METHODS = ("genetic", "random")
 
 
-class Section(BaseModel):
+class RecipeSection(BaseModel):
     """A part of the recipe: an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
 
 
-class ToolSection(Section):
+class ToolSection(RecipeSection):
     """What is mounted on the flange; all in the flange's frame."""
 
     frame: ToolPose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -70,14 +70,14 @@ class ToolSection(Section):
     centre_of_mass: ToolPosition | None = None
 
 
-class ControllerSection(Section):
+class ControllerSection(RecipeSection):
     """Where the controller is, and by which link."""
 
     driver: Name = "tcp"
     address: Name
 
 
-class BoxBounds(Section):
+class BoxBounds(RecipeSection):
     """Opposite corners, in the base frame."""
 
     min: Position
@@ -91,14 +91,14 @@ class BoxBounds(Section):
         return self
 
 
-class KeepOutEntry(Section):
+class KeepOutEntry(RecipeSection):
     """A box that no part of the arm may enter."""
 
     name: Name
     box: BoxBounds
 
 
-class CellSection(Section):
+class CellSection(RecipeSection):
     """What stands around the robot."""
 
     keep_out: Annotated[list[KeepOutEntry], Field(max_length=200)] = []
@@ -114,7 +114,7 @@ class CellSection(Section):
         return boxes
 
 
-class FlySection(Section):
+class FlySection(RecipeSection):
     """The system variables of the FLY statement."""
 
     type: FlyType = FlyType.FLY_CART
@@ -131,7 +131,7 @@ class FlySection(Section):
         return ratio
 
 
-class BoxSection(Section):
+class BoxSection(RecipeSection):
     """A box in the base frame; the tool stays within `cone` of `orientation` (Euler ZYZ)."""
 
     centre: Position
@@ -147,14 +147,14 @@ class BoxSection(Section):
         return size
 
 
-class PointEntry(Section):
+class PointEntry(RecipeSection):
     """One via-point's own region: pose plus or minus range."""
 
     pose: Pose
     range: Range
 
 
-class TubeSection(Section):
+class TubeSection(RecipeSection):
     """All within `radius` of a taught path (poses joined by straight lines) and `cone` of its orientation."""
 
     path: Annotated[list[Pose], Field(min_length=2, max_length=1000)]
@@ -162,7 +162,7 @@ class TubeSection(Section):
     cone: Annotated[Lean, Field(ge=0, le=FULL_TURN / 2)] = 0.0
 
 
-class ViaPointsSection(Section):
+class ViaPointsSection(RecipeSection):
     """The sub-region: exactly one of `box`, `points`, `like` and `tube`."""
 
     count: Annotated[Count, Field(ge=2, le=50)] | None = None
@@ -195,7 +195,7 @@ class ViaPointsSection(Section):
         return section
 
 
-class MotionSection(Section):
+class MotionSection(RecipeSection):
     """How the arm moves, and where."""
 
     speed: Annotated[Speed, Field(ge=0.001, le=100)] = 1.0
@@ -203,7 +203,7 @@ class MotionSection(Section):
     via_points: ViaPointsSection
 
 
-class SearchSection(Section):
+class SearchSection(RecipeSection):
     """The search for the via-points."""
 
     population: Annotated[Count, Field(ge=4, le=100_000)] = 50
@@ -213,28 +213,28 @@ class SearchSection(Section):
     interpolator: Name = "fly"
 
 
-class RecordSection(Section):
+class RecordSection(RecipeSection):
     """What is recorded."""
 
     rate: Annotated[Frequency, Field(ge=1, le=100_000)] = 500.0
     cycles: Annotated[Count, Field(ge=1, le=100_000)] = 100
 
 
-class FilterSection(Section):
+class FilterSection(RecipeSection):
     """The Butterworth filter, run forwards and backwards."""
 
     order: Annotated[Count, Field(ge=1, le=16)] = 8
     cutoff: Annotated[Frequency, Field(gt=0)] = 30.0
 
 
-class EstimateSection(Section):
+class EstimateSection(RecipeSection):
     """How parameters are estimated."""
 
     filter: FilterSection = FilterSection()
     method: Literal[ESTIMATION_METHODS] = "auto"  # type: ignore[valid-type]
 
 
-class ValidateSection(Section):
+class ValidateSection(RecipeSection):
     """The random motions that judge the model."""
 
     motions: Annotated[Count, Field(ge=1, le=10_000)] = 30
@@ -242,20 +242,20 @@ class ValidateSection(Section):
     seed: Seed = 2
 
 
-class GateSection(Section):
+class GateSection(RecipeSection):
     """What is accepted."""
 
     normalised_rmse: Annotated[GateRatio, Field(gt=0, le=1)] = 0.03
 
 
-class RecalibrateSection(Section):
+class RecalibrateSection(RecipeSection):
     """How often, and what, is estimated again."""
 
     every: Annotated[Interval, Field(gt=0, le=3652 * 86_400.0)] = 604_800.0
     parameters: Literal["friction", "all"] = "friction"
 
 
-class RecipeDocument(Section):
+class RecipeDocument(RecipeSection):
     """A whole recipe file."""
 
     robot: Name

@@ -22,7 +22,7 @@ class ViaBox:
 
 
 @dataclass(frozen=True)
-class ViaPoint:
+class ViaPointRegion:
     """One via-point's region: pose (6,) plus or minus range (6,); x, y, z [m], Euler ZYZ a, e, r [rad]."""
 
     pose: Vector
@@ -33,7 +33,7 @@ class ViaPoint:
 class ViaPointList:
     """A region for each via-point."""
 
-    points: tuple[ViaPoint, ...]
+    points: tuple[ViaPointRegion, ...]
 
     @property
     def count(self) -> int:
@@ -66,7 +66,7 @@ ViaPoints = ViaBox | ViaPointList | ViaLike | ViaTube
 def via_points_of(path: Path, section: ViaPointsSection) -> ViaPoints:
     """The sub-region of a recipe at `path`."""
     if section.points is not None:
-        return ViaPointList(tuple(ViaPoint(point.pose, point.range) for point in section.points))
+        return ViaPointList(tuple(ViaPointRegion(point.pose, point.range) for point in section.points))
     count = section.count or 0  # the section requires it beside each of the others
     if section.box is not None:
         return ViaBox(count, **section.box.__dict__)

@@ -18,7 +18,7 @@ from agent.recording.mcap.log_file import nanoseconds, write_log
 from agent.recording.repair.limits import LIMITS, impossible
 from agent.recording.repair.stamps import put_in_order, spacing_of
 from agent.recording.resampling import resampled
-from agent.recording.tables import Table, read_table
+from agent.recording.tables import ColumnTable, read_table
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -179,7 +179,7 @@ def _decimated(log: Log, factor: int, notes: list[str]) -> Log:
 class _Source:
     """The columns that a mapping names, on the joint side, SI."""
 
-    def __init__(self, robot: RobotDescription, mapping: Mapping, tables: Sequence[Table]):
+    def __init__(self, robot: RobotDescription, mapping: Mapping, tables: Sequence[ColumnTable]):
         self._robot = robot
         self._mapping = mapping
         self._tables = tables
@@ -265,7 +265,7 @@ class _Source:
             self._mapping.fault(f"{key}.columns", f"{len(names)} columns for {n} joints ({joints})")
         return list(names)
 
-    def _table(self, key: str, pattern: str | None, names: Sequence[str | int]) -> Table:
+    def _table(self, key: str, pattern: str | None, names: Sequence[str | int]) -> ColumnTable:
         """The one table that `file` names, or that has the columns."""
         tables = [table for table in self._tables if pattern is None or fnmatch(table.path.name, pattern)]
         if not tables:
@@ -284,7 +284,7 @@ class _Source:
             columns_key, f"{table.path.name} has no column {', '.join(missing)}; it has {', '.join(table.columns)}"
         )
 
-    def _scale(self, key: str, scale: float | str, table: Table) -> float:
+    def _scale(self, key: str, scale: float | str, table: ColumnTable) -> float:
         if not isinstance(scale, str):
             return scale
         if scale not in table.constants:

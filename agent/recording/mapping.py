@@ -49,11 +49,11 @@ _Offset = Annotated[Any, _one_or_list('an offset such as "90 deg"', int, float, 
 _Number = Annotated[Any, _one_or_list("a number", int, float)]
 
 
-class _Strict(BaseModel):
+class _MappingPart(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, populate_by_name=True, strict=True)
 
 
-class TimeColumn(_Strict):
+class TimeColumn(_MappingPart):
     """`time:` the column with the time of each row."""
 
     column: Annotated[Any, BeforeValidator(_column)]
@@ -61,7 +61,7 @@ class TimeColumn(_Strict):
     file: str | None = None
 
 
-class Columns(_Strict):
+class Columns(_MappingPart):
     """One quantity of all joints. SI = column · scale · unit."""
 
     columns: _Names
@@ -83,20 +83,20 @@ class EffortColumns(Columns):
     torque_constant: _Number = None
 
 
-class Window(_Strict):
+class TimeWindow(_MappingPart):
     """`window:` rows whose time is in [from, to)."""
 
     start: Time = Field(alias="from")
     stop: Time = Field(alias="to")
 
     @model_validator(mode="after")
-    def _in_order(self) -> Window:
+    def _in_order(self) -> TimeWindow:
         if self.start >= self.stop:
             raise ValueError(f"from {self.start:g} s to {self.stop:g} s is no stretch of time")
         return self
 
 
-class ImportMap(_Strict):
+class ImportMap(_MappingPart):
     """A mapping file."""
 
     motion: str = "imported"
@@ -111,7 +111,7 @@ class ImportMap(_Strict):
     effort: EffortColumns | None = None
     reference_position: PositionColumns | None = None
     planned_position: PositionColumns | None = None
-    window: Window | None = None
+    window: TimeWindow | None = None
     decimate: Annotated[int, Field(ge=2)] | None = None
     cycle_period: Annotated[Time, Field(gt=0)] | None = None
 

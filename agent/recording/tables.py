@@ -16,7 +16,7 @@ _MAX_COLUMNS = 256
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class ColumnTable:
     """Columns (S,) by name, in the order of the file, NaN where a field is no number; constants by name.
 
     A matrix (S, k) named q is columns q[1] to q[k]. Columns of a MAT file may differ in length.
@@ -38,7 +38,7 @@ class Table:
         return [column for column in self.columns if column.startswith(f"{name}[")]
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> ColumnTable:
     """Read a file by its ending: .csv, .tsv, .txt, .dat, .mat, .parquet.
 
     Raises:
@@ -58,7 +58,7 @@ def read_table(path: Path) -> Table:
     return table
 
 
-def _read_text(path: Path) -> Table:
+def _read_text(path: Path) -> ColumnTable:
     """Comma, semicolon, tab or blanks between the numbers; decimal commas where the comma separates nothing.
 
     Names come from the first line above the numbers that has as many fields, a comment (#, %) among them.
@@ -84,7 +84,7 @@ def _read_text(path: Path) -> Table:
         values = _read_broken(data, separator, width)
     if len(set(names)) < width:
         raise InputError(f"{path}: column names stand twice: {', '.join(names)}; make them differ, or use numbers")
-    return Table(path, dict(zip(names, values.T, strict=True)), {})
+    return ColumnTable(path, dict(zip(names, values.T, strict=True)), {})
 
 
 def _read_broken(lines: list[str], separator: str | None, width: int) -> np.ndarray:
@@ -124,7 +124,7 @@ def _number(text: str) -> float:
         return np.nan
 
 
-def _read_mat(path: Path) -> Table:
+def _read_mat(path: Path) -> ColumnTable:
     from scipy.io import loadmat
 
     try:
@@ -138,7 +138,7 @@ def _read_mat(path: Path) -> Table:
     for name, value in content.items():
         if not name.startswith("__"):
             _flatten(name, value, columns, constants)
-    return Table(path, columns, constants)
+    return ColumnTable(path, columns, constants)
 
 
 def _flatten(name: str, value: Any, columns: dict[str, np.ndarray], constants: dict[str, float]) -> None:
@@ -157,7 +157,7 @@ def _flatten(name: str, value: Any, columns: dict[str, np.ndarray], constants: d
         columns |= {f"{name}[{k + 1}]": column for k, column in enumerate(samples.T)}
 
 
-def _read_parquet(path: Path) -> Table:
+def _read_parquet(path: Path) -> ColumnTable:
     try:
         from pyarrow import ArrowException, parquet
     except ImportError:
@@ -179,10 +179,10 @@ def _read_parquet(path: Path) -> Table:
             stacked = np.stack(values)
             if stacked.dtype.kind in "biuf":
                 columns |= {f"{name}[{k + 1}]": column.astype(float) for k, column in enumerate(stacked.T)}
-    return Table(path, columns, {})
+    return ColumnTable(path, columns, {})
 
 
-_READERS: dict[str, Callable[[Path], Table]] = {
+_READERS: dict[str, Callable[[Path], ColumnTable]] = {
     ".csv": _read_text,
     ".tsv": _read_text,
     ".txt": _read_text,

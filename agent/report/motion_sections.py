@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.report.figures import limit_margins, search_history, speed_profile
 from agent.report.page import Page, Section, render
-from agent.report.scene import Arm, Scene
+from agent.report.scene import ArmPoses, Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class MotionData:
     speed: np.ndarray
     programmed_speed: float
     limit_use: dict[str, np.ndarray]
-    arm: Arm
+    arm: ArmPoses
     left: np.ndarray | None = None
     left_unit: str = ""
 

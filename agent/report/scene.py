@@ -15,7 +15,7 @@ _EDGES = ((0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4)
 
 
 @dataclass(frozen=True, eq=False)
-class Arm:
+class ArmPoses:
     """The arm at T times (T,) [s]: B capsules each, `ends` (T, B, 2, 3) and `radius` (B,) [m]."""
 
     time: np.ndarray
@@ -35,7 +35,7 @@ class Scene:
     lines: dict[str, np.ndarray] = field(default_factory=dict)
     points: dict[str, np.ndarray] = field(default_factory=dict)
     boxes: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
-    arm: Arm | None = None
+    arm: ArmPoses | None = None
     colouring: dict[str, np.ndarray] = field(default_factory=dict)
     coloured_by: str = ""
 

@@ -55,7 +55,7 @@ class FrictionSeries:
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
+class SeriesChange:
     """The likeliest change of a series: `kind` drift or step, after run `place`, of `size` over the whole window with
     its `deviation`; `shape` (R,) is 1 from end to end; `probability` that chance does as much. `drift` is the size of
     what is linear in time, with its deviation, whatever the likeliest is."""
@@ -70,7 +70,7 @@ class Change:
     drift_deviation: float
 
 
-def find_change(y: np.ndarray, times: np.ndarray, background: Background) -> Change:
+def find_change(y: np.ndarray, times: np.ndarray, background: Background) -> SeriesChange:
     """The likeliest change of y (R,) beside its background."""
     number = np.arange(len(y))
     places = np.arange(_SEGMENT, len(y) - _SEGMENT + 1)
@@ -82,4 +82,4 @@ def find_change(y: np.ndarray, times: np.ndarray, background: Background) -> Cha
     kind, place = ("drift", 1) if best < 2 else ("step", int(places[best - 2]))
     chance = min(1.0, float(paid[best]))
     size, deviation = float(sizes[best]), float(deviations[best])
-    return Change(kind, place, size, deviation, chance, shapes[best], float(sizes[0]), float(deviations[0]))
+    return SeriesChange(kind, place, size, deviation, chance, shapes[best], float(sizes[0]), float(deviations[0]))

@@ -32,18 +32,18 @@ LONGEST = timedelta(days=366)
 _SOON = timedelta(days=14)
 
 
-class _Section(BaseModel):
+class _AuthorisedPart(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
 
 
-class Limits(_Section):
+class Limits(_AuthorisedPart):
     """Highest speed of the tool centre point [m/s] and longest motion [s] that may run."""
 
     speed: Annotated[Speed, Field(gt=0)]
     duration: Annotated[Time, Field(gt=0)]
 
 
-class AuthorisationDocument(_Section):
+class AuthorisationDocument(_AuthorisedPart):
     """The file as it is written."""
 
     robot: Name

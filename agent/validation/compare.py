@@ -18,7 +18,7 @@ BEYOND = 3.3
 
 
 @dataclass(frozen=True)
-class Change:
+class ParameterChange:
     """A parameter before and after: values, deviation of their difference, and that difference in deviations."""
 
     name: str
@@ -54,7 +54,7 @@ class Comparison:
     before: str
     after: str
     joints: tuple[str, ...]
-    changes: tuple[Change, ...]
+    changes: tuple[ParameterChange, ...]
     only_before: tuple[str, ...]
     only_after: tuple[str, ...]
     motion: str
@@ -105,7 +105,7 @@ class Comparison:
             after=data["after"],
             joints=tuple(torque["joints"]),
             changes=tuple(
-                Change(p["name"], p["unit"], p["before"], p["after"], p["standard_deviation"])
+                ParameterChange(p["name"], p["unit"], p["before"], p["after"], p["standard_deviation"])
                 for p in data["parameters"]
             ),
             only_before=tuple(data["only_before"]),
@@ -152,7 +152,7 @@ def compare_models(
     kept = set(after.names[: len(after.independent)]) if share_base(before, after) else set()
     units = [row[4] for row in after.rows()[1:]]
     changes = tuple(
-        Change(name, units[k], float(before.values[places[0][name]]), float(after.values[k]), deviation[name])
+        ParameterChange(name, units[k], float(before.values[places[0][name]]), float(after.values[k]), deviation[name])
         for name, k in places[1].items()
         if name in places[0] and name not in kept
     )

@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeVar
 
 from drivers.errors import DriverError, ProtocolError
 from drivers.wire.reasons import refusal_error
-from drivers.wire.tcp import Decoder, Frame, Heartbeat, Refused, encode
+from drivers.wire.tcp import Frame, FrameDecoder, Heartbeat, Refused, encode
 
 Reply = TypeVar("Reply")
 #: An answer that comes so long [s] after what it answers for has begun is taken for lost.
@@ -44,7 +44,7 @@ class Channel(Protocol):
         """Give the handle back."""
 
 
-class Link:
+class FrameLink:
     """A channel and its reader thread.
 
     `decoder` and `decode` turn bytes into frames and frames into messages. `on_message(message, request)` gets, in the
@@ -57,7 +57,7 @@ class Link:
         self,
         channel: Channel,
         peer: str,
-        decoder: Decoder,
+        decoder: FrameDecoder,
         decode: Callable[[Frame], Any],
         on_message: Callable[[Any, int], None],
         on_failure: Callable[[DriverError], None],

@@ -12,8 +12,8 @@ import numpy as np
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
 from drivers.protocol import Gap, Identity, SampleBlock, Status
-from drivers.transports.frame_link import Link
-from drivers.transports.motion import Motion
+from drivers.transports.frame_link import FrameLink
+from drivers.transports.motion import MotionStream
 from drivers.wire.tcp import (
     MAX_BATCH,
     UPLOAD_BLOCK,
@@ -70,8 +70,8 @@ class FrameDriver:
         self._timeout = timeout
         self._start_timeout = start_timeout
         self._buffer_limit = buffer_limit
-        self._link: Link | None = None
-        self._motion: Motion | None = None
+        self._link: FrameLink | None = None
+        self._motion: MotionStream | None = None
         self._measures_temperatures = True
 
     @property
@@ -158,7 +158,7 @@ class FrameDriver:
         link = self._connected()
         if self._motion is not None and not self._motion.over:
             raise DriverError("the last motion is not over yet; read its samples to the end, or stop it")
-        motion = Motion(self._buffer_limit)
+        motion = MotionStream(self._buffer_limit)
         motion_id = uuid.uuid4().bytes
         self._motion = motion
         link.guarded = True
@@ -203,16 +203,16 @@ class FrameDriver:
         if link is not None:
             link.close()
 
-    def _open(self) -> Link:
+    def _open(self) -> FrameLink:
         """A link whose messages, failure and turns come to the methods below."""
         raise NotImplementedError
 
-    def _connected(self) -> Link:
+    def _connected(self) -> FrameLink:
         if self._link is None:
             raise DriverError(f"the link to {self.address} is not open; connect first")
         return self._link
 
-    def _rests(self, motion: Motion) -> bool:
+    def _rests(self, motion: MotionStream) -> bool:
         """Wait until the arm rests; False if it takes too long."""
         return motion.wait(self._start_timeout)
 

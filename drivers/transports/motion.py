@@ -21,7 +21,7 @@ class _End(NamedTuple):
     message: str
 
 
-class Motion:
+class MotionStream:
     """What arrived of one motion and was not read yet. One thread gives, another takes.
 
     Args:

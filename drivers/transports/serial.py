@@ -14,11 +14,11 @@ from typing import Any
 from pymodbus.client import ModbusSerialClient
 
 from drivers.errors import DriverError
-from drivers.transports.frame_link import Link
+from drivers.transports.frame_link import FrameLink
 from drivers.transports.frames import FrameDriver
 from drivers.transports.modbus.driver import MakeClient, ModbusDriver
 from drivers.transports.modbus.link import Client
-from drivers.transports.motion import Motion
+from drivers.transports.motion import MotionStream
 from drivers.transports.serial_port import SerialChannel, open_port, parse_port
 from drivers.wire import modbus as registers
 from drivers.wire.rtu import without_strays
@@ -77,8 +77,8 @@ class SerialDriver(FrameDriver):
         finally:
             self._starting = False
 
-    def _open(self) -> Link:
-        return Link(
+    def _open(self) -> FrameLink:
+        return FrameLink(
             SerialChannel(open_port(self._line, self._timeout)),
             self._line.port,
             HuntingDecoder(),
@@ -89,7 +89,7 @@ class SerialDriver(FrameDriver):
             self._watchdog,
         )
 
-    def _rests(self, motion: Motion) -> bool:
+    def _rests(self, motion: MotionStream) -> bool:
         """Not until all samples have come, which may take much longer."""
         until = time.monotonic() + self._start_timeout
         while not motion.wait(_REST_POLL):

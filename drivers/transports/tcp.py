@@ -6,9 +6,9 @@ import socket
 from typing import Any
 
 from drivers.errors import ConfigurationError, DriverError
-from drivers.transports.frame_link import Link
+from drivers.transports.frame_link import FrameLink
 from drivers.transports.frames import FrameDriver
-from drivers.wire.tcp import MAX_REPLY_PAYLOAD, Decoder, decode
+from drivers.wire.tcp import MAX_REPLY_PAYLOAD, FrameDecoder, decode
 
 
 class TcpDriver(FrameDriver):
@@ -22,13 +22,13 @@ class TcpDriver(FrameDriver):
         parse_address(address)
         super().__init__(address, **options)
 
-    def _open(self) -> Link:
+    def _open(self) -> FrameLink:
         connection = open_socket(self.address, self._timeout)
         connection.settimeout(self._timeout)
-        return Link(
+        return FrameLink(
             connection,
             self.address,
-            Decoder(MAX_REPLY_PAYLOAD),
+            FrameDecoder(MAX_REPLY_PAYLOAD),
             decode,
             self._on_message,
             self._on_failure,

@@ -111,7 +111,7 @@ class Feedback:
 
 
 @dataclass(frozen=True)
-class Status:
+class StatusMessage:
     """State of the controller: 1 is yes, 0 no, -1 not known; `mode` is a `Mode`."""
 
     FIELDS: ClassVar[str] = "7i"
@@ -125,7 +125,7 @@ class Status:
     motion_possible: int
 
 
-Record = Point | Feedback | Status
+Record = Point | Feedback | StatusMessage
 
 
 @dataclass(frozen=True)
@@ -140,11 +140,11 @@ class Message:
 
 _HEADER = "iiii"
 _LARGEST = 4096  # bytes; a length beyond is no length
-_RECORDS: dict[int, type[Record]] = {MessageType.STATUS: Status, MessageType.FEEDBACK: Feedback}
+_RECORDS: dict[int, type[Record]] = {MessageType.STATUS: StatusMessage, MessageType.FEEDBACK: Feedback}
 _SHAPES: dict[type[Record], tuple[int, ...]] = {
     Point: (1, 1, 1, 1, 1, AXES, 1),
     Feedback: (1, 6, 6, 6, AXES, AXES, 6, 1, 1, 1),
-    Status: (1,) * 7,
+    StatusMessage: (1,) * 7,
 }
 _STRUCTS = {(record, order): struct.Struct(order + record.FIELDS) for record in _SHAPES for order in (LITTLE, BIG)}
 _HEADERS = {order: struct.Struct(order + _HEADER) for order in (LITTLE, BIG)}
@@ -171,7 +171,7 @@ def encode(message: Message, order: str = LITTLE) -> bytes:
     return _HEADERS[order].pack(length, message.type, message.comm, message.reply) + body
 
 
-class Decoder:
+class MessageDecoder:
     """Turns a byte stream, cut anywhere, into messages; `order` is None until the first length told it.
 
     A damaged stream cannot be trusted any further: after its first `ProtocolError` a decoder only repeats it.

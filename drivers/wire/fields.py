@@ -41,7 +41,7 @@ class Cursor:
             raise ProtocolError(f"a message has {left} bytes more than its fields")
 
 
-class Kind(Protocol):
+class FieldKind(Protocol):
     """How one field is packed."""
 
     def pack(self, value: Any) -> bytes: ...
@@ -122,7 +122,7 @@ class Fixed:
 class Many:
     """Count (1 byte), then so many of another kind; a tuple in Python."""
 
-    def __init__(self, kind: Kind) -> None:
+    def __init__(self, kind: FieldKind) -> None:
         self._kind = kind
 
     def pack(self, value: tuple[Any, ...]) -> bytes:
@@ -168,7 +168,7 @@ class MessageFields:
     """Packs a message field by field."""
 
     TYPE: int
-    LAYOUT: tuple[tuple[str, Kind], ...]
+    LAYOUT: tuple[tuple[str, FieldKind], ...]
 
     def pack(self) -> bytes:
         return b"".join(kind.pack(getattr(self, name)) for name, kind in self.LAYOUT)

@@ -14,7 +14,7 @@ from enum import IntEnum, IntFlag
 
 import numpy as np
 
-from drivers.wire.registers import F32, F64, U16, U32, Block, Many, Raw, Text
+from drivers.wire.registers import F32, F64, U16, U32, Block, ManyFields, Raw, Text
 
 MAGIC = 0x43414C4B  # "CALK"
 VERSION = 1
@@ -50,7 +50,7 @@ class Command(IntEnum):
     STOP = 6  # bring the arm to rest on its path
 
 
-class Outcome(IntEnum):
+class OutcomeCode(IntEnum):
     """What `answer.outcome` may be."""
 
     WORKING = 0
@@ -84,7 +84,7 @@ NAMES = tuple(
     Block(
         f"joint names {first + 1} to {first + NAMES_PER_BLOCK}", 120 * (1 + first // NAMES_PER_BLOCK) + 8, "read",
         "In order; empty beyond n.",
-        ("names", Many(Text(38), NAMES_PER_BLOCK), "one a joint"),
+        ("names", ManyFields(Text(38), NAMES_PER_BLOCK), "one a joint"),
     )
     for first in range(0, MAX_JOINTS, NAMES_PER_BLOCK)
 )  # fmt: skip
@@ -94,7 +94,7 @@ STATUS = Block(
     ("mode", U16, "1 auto, 2 teach"),
     ("alarms", U16, "how many are active"),
     ("override", F32, "1 is 100 %"),
-    ("position", Many(F64, MAX_JOINTS), "measured, joint side, rad (m)"),
+    ("position", ManyFields(F64, MAX_JOINTS), "measured, joint side, rad (m)"),
     ("program", Text(32), "stored last; empty: none"),
     ("checksum", Raw(32), "SHA-256 of its text as stored"),
 )  # fmt: skip

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from drivers.errors import ProtocolError
 
 
-class Kind(Protocol):
+class RegisterKind(Protocol):
     """How one field is packed; `size` in bytes, a multiple of two."""
 
     name: str
@@ -22,7 +22,7 @@ class Kind(Protocol):
     def unpack(self, data: bytes) -> Any: ...
 
 
-class Number:
+class NumberField:
     """A number in `struct` notation."""
 
     def __init__(self, name: str, code: str) -> None:
@@ -71,10 +71,10 @@ class Raw:
         return data
 
 
-class Many:
+class ManyFields:
     """So many of one kind; a tuple in Python, filled up with its zero."""
 
-    def __init__(self, kind: Kind, count: int) -> None:
+    def __init__(self, kind: RegisterKind, count: int) -> None:
         self.name = f"{count} × {kind.name}"
         self.size = count * kind.size
         self._kind = kind
@@ -90,7 +90,7 @@ class Many:
         return tuple(self._kind.unpack(data[at : at + step]) for at in range(0, self.size, step))
 
 
-U16, U32, F32, F64 = Number("u16", "H"), Number("u32", "I"), Number("f32", "f"), Number("f64", "d")
+U16, U32, F32, F64 = NumberField("u16", "H"), NumberField("u32", "I"), NumberField("f32", "f"), NumberField("f64", "d")
 
 
 @dataclass(frozen=True)
@@ -98,14 +98,16 @@ class Field:
     """One value of a block."""
 
     name: str
-    kind: Kind
+    kind: RegisterKind
     meaning: str
 
 
 class Block:
     """Fields at consecutive registers from `address` on, and their CRC-32."""
 
-    def __init__(self, name: str, address: int, access: str, meaning: str, *rows: tuple[str, Kind, str]) -> None:
+    def __init__(
+        self, name: str, address: int, access: str, meaning: str, *rows: tuple[str, RegisterKind, str]
+    ) -> None:
         self.name = name
         self.address = address
         self.access = access

@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.errors import ProtocolError
 from drivers.wire import tcp
-from drivers.wire.tcp import MAX_JOINTS, MAX_SEQUENCE, Decoder, Frame
+from drivers.wire.tcp import MAX_JOINTS, MAX_SEQUENCE, Frame, FrameDecoder
 
 UPLOAD_BLOCK = 512
 LONGEST_FRAME = 1024  # bytes: of samples and upload blocks; the watchdog is reckoned with it
@@ -108,7 +108,7 @@ def decode(frame: Frame) -> Any:
     return LeanSamples.unpack(frame.payload) if frame.type == LeanSamples.TYPE else tcp.decode(frame)
 
 
-class HuntingDecoder(Decoder):
+class HuntingDecoder(FrameDecoder):
     """Goes on after damage at the next frame that is whole: a line has no other way to begin again."""
 
     def __init__(self, max_payload: int = MAX_PAYLOAD) -> None:
@@ -135,7 +135,7 @@ class HuntingDecoder(Decoder):
         at = self._buffer.find(tcp.MAGIC, 1)
         while at > 0:
             with contextlib.suppress(ProtocolError, StopIteration):
-                next(Decoder(self._max_payload).feed(bytes(self._buffer[at:])))
+                next(FrameDecoder(self._max_payload).feed(bytes(self._buffer[at:])))
                 self.rejected += at
                 del self._buffer[:at]
                 return True

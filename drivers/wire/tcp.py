@@ -277,7 +277,7 @@ def decode(frame: Frame) -> Any:
     return codec.unpack(frame.payload)
 
 
-class Decoder:
+class FrameDecoder:
     """Turns a byte stream, cut anywhere, into frames. It never holds more than one frame and what was fed last.
 
     A damaged stream cannot be trusted any further: after its first `ProtocolError` a decoder only repeats it.

@@ -6,60 +6,70 @@ from collections.abc import Mapping
 from typing import Any
 
 from agent.core.errors import InputError
-from fake_controller.actuation.bodies import BaseTilt, InertialMismatch, Payload, WristCoupling
-from fake_controller.actuation.effect import Effect
-from fake_controller.actuation.friction_effects import (
-    AsymmetricFriction,
-    FrictionChange,
-    LoadDependentFriction,
-    Stribeck,
-    ViscousNonlinearity,
+from fake_controller.actuation.bodies import (
+    SimulatedBaseTilt,
+    SimulatedInertialMismatch,
+    SimulatedPayload,
+    SimulatedWristCoupling,
 )
-from fake_controller.actuation.friction_states import Presliding, ThermalFriction
-from fake_controller.actuation.gears import Backlash, JointElasticity
-from fake_controller.actuation.loads import ContactForce, DressPack, GravitySpring, TorqueRipple
+from fake_controller.actuation.effect import SimulatedEffect
+from fake_controller.actuation.friction_effects import (
+    SimulatedAsymmetricFriction,
+    SimulatedFrictionChange,
+    SimulatedLoadDependentFriction,
+    SimulatedStribeck,
+    SimulatedViscousNonlinearity,
+)
+from fake_controller.actuation.friction_states import SimulatedPresliding, SimulatedThermalFriction
+from fake_controller.actuation.gears import SimulatedBacklash, SimulatedJointElasticity
+from fake_controller.actuation.loads import (
+    ContactForce,
+    SimulatedDressPack,
+    SimulatedGravitySpring,
+    SimulatedTorqueRipple,
+)
 from fake_controller.actuation.measurement import (
-    EncoderOffset,
-    InterpolatorMismatch,
-    TimeDelay,
-    TorqueConstant,
-    TorqueOffset,
+    SimulatedEncoderOffset,
+    SimulatedInterpolatorMismatch,
+    SimulatedTimeDelay,
+    SimulatedTorqueConstant,
+    SimulatedTorqueOffset,
 )
 from fake_controller.actuation.outside import RoughBearing, RubbingBrake, WanderingTorque
 
-_FORMS: tuple[type[Effect], ...] = (
-    Stribeck,
-    AsymmetricFriction,
-    LoadDependentFriction,
-    ViscousNonlinearity,
-    ThermalFriction,
-    Presliding,
-    FrictionChange,
-    JointElasticity,
-    Backlash,
-    TorqueRipple,
-    WristCoupling,
-    Payload,
-    GravitySpring,
-    DressPack,
-    BaseTilt,
-    InertialMismatch,
+_FORMS: tuple[type[SimulatedEffect], ...] = (
+    SimulatedStribeck,
+    SimulatedAsymmetricFriction,
+    SimulatedLoadDependentFriction,
+    SimulatedViscousNonlinearity,
+    SimulatedThermalFriction,
+    SimulatedPresliding,
+    SimulatedFrictionChange,
+    SimulatedJointElasticity,
+    SimulatedBacklash,
+    SimulatedTorqueRipple,
+    SimulatedWristCoupling,
+    SimulatedPayload,
+    SimulatedGravitySpring,
+    SimulatedDressPack,
+    SimulatedBaseTilt,
+    SimulatedInertialMismatch,
     ContactForce,
-    TorqueConstant,
-    TorqueOffset,
-    TimeDelay,
-    EncoderOffset,
-    InterpolatorMismatch,
+    SimulatedTorqueConstant,
+    SimulatedTorqueOffset,
+    SimulatedTimeDelay,
+    SimulatedEncoderOffset,
+    SimulatedInterpolatorMismatch,
 )
 
 #: Simulated forms by the name of the effect.
-EFFECTS: dict[str, type[Effect]] = {form.name: form for form in _FORMS}
+EFFECTS: dict[str, type[SimulatedEffect]] = {form.name: form for form in _FORMS}
 
 #: Those that the vocabulary has no name for: what a diagnosis must call unknown.
-OUTSIDE: dict[str, type[Effect]] = {form.name: form for form in (RoughBearing, WanderingTorque, RubbingBrake)}
+OUTSIDE: dict[str, type[SimulatedEffect]] = {form.name: form for form in (RoughBearing, WanderingTorque, RubbingBrake)}
 
 
-def load_effect(data: Mapping[str, Any]) -> Effect:
+def load_effect(data: Mapping[str, Any]) -> SimulatedEffect:
     """An effect from {"effect": name, "joints": [names], "parameters": {…}}; the last two may be absent.
 
     Raises:
@@ -75,4 +85,4 @@ def load_effect(data: Mapping[str, Any]) -> Effect:
     return known[name].from_parameters(tuple(data.get("joints", ())), data.get("parameters", {}))
 
 
-__all__ = ["EFFECTS", "OUTSIDE", "Effect", "load_effect"]
+__all__ = ["EFFECTS", "OUTSIDE", "SimulatedEffect", "load_effect"]

@@ -8,14 +8,14 @@ from typing import ClassVar
 import numpy as np
 
 from agent.robot.dynamics import Dynamics, Tool
-from fake_controller.actuation.effect import ArmEffect, Effect
+from fake_controller.actuation.effect import ArmEffect, SimulatedEffect
 from fake_controller.actuation.machine import Machine
 
 _SECOND_MOMENTS = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, kw_only=True)
-class Payload(ArmEffect):
+class SimulatedPayload(ArmEffect):
     """A ball of `mass` [kg] and `radius` [m] at `centre` (3,) [m] of the tip frame."""
 
     name: ClassVar[str] = "payload"
@@ -34,7 +34,7 @@ class Payload(ArmEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class InertialMismatch(ArmEffect):
+class SimulatedInertialMismatch(ArmEffect):
     """Link number `link` (from 1) is `scale` times as dense and has `points` ((mass, x, y, z), …) bolted to it.
 
     kg and m in the frame of the link's joint: whatever is drawn is a body.
@@ -62,7 +62,7 @@ class InertialMismatch(ArmEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BaseTilt(ArmEffect):
+class SimulatedBaseTilt(ArmEffect):
     """The base leans by `roll` about its x axis, then `pitch` about its y axis [rad]."""
 
     name: ClassVar[str] = "base_tilt"
@@ -78,7 +78,7 @@ class BaseTilt(ArmEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class WristCoupling(Effect):
+class SimulatedWristCoupling(SimulatedEffect):
     """The motor of the second joint named also turns with the first: C[second, first] grows by `factor`.
 
     The controller moves the joints as they should; the torque it reports knows nothing of the coupling.

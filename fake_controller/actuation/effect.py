@@ -15,7 +15,7 @@ from fake_controller.actuation.machine import Machine
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Effect(ABC):
+class SimulatedEffect(ABC):
     """One effect of the vocabulary with its parameters, which are the further fields of the subclass.
 
     `joints` are the names it sits on; an effect of the whole arm or base has none.
@@ -91,7 +91,7 @@ class Effect(ABC):
             self.need(getattr(self, key) > 0, key, "above 0")
 
 
-class JointEffect(Effect):
+class JointEffect(SimulatedEffect):
     """An effect that sits on every one of its joints in the same way."""
 
     def install(self, machine: Machine) -> None:
@@ -103,7 +103,7 @@ class JointEffect(Effect):
         """Build it into axle or joint `k`."""
 
 
-class ArmEffect(Effect):
+class ArmEffect(SimulatedEffect):
     """An effect of the whole arm or its base."""
 
     def check_no_joints(self) -> None:

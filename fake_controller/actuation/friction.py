@@ -37,7 +37,7 @@ class FrictionCurve:
         return np.sign(speed) * level + self.viscous * speed / (1.0 + np.abs(speed) / self.knee)
 
 
-class FrictionTerm:
+class FrictionModifier:
     """Something that alters the friction of one axle; each method gives back what it was given unless overridden.
 
     `temperature` [K] is above the one at which the machine's friction curves hold, None for what has none.

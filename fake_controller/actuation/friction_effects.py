@@ -7,12 +7,12 @@ from math import asinh, exp
 from typing import ClassVar
 
 from fake_controller.actuation.effect import JointEffect
-from fake_controller.actuation.friction import FrictionTerm
+from fake_controller.actuation.friction import FrictionModifier
 from fake_controller.actuation.machine import Machine
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stribeck(JointEffect, FrictionTerm):
+class SimulatedStribeck(JointEffect, FrictionModifier):
     """The bristles hold up to `rise` [N·m] more at low speed, fading with exp(−(|v| / speed)^shape)."""
 
     name: ClassVar[str] = "stribeck"
@@ -29,7 +29,7 @@ class Stribeck(JointEffect, FrictionTerm):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AsymmetricFriction(JointEffect, FrictionTerm):
+class SimulatedAsymmetricFriction(JointEffect, FrictionModifier):
     """Coulomb and viscous levels are higher by these fractions where the axle turns forward, lower backward."""
 
     name: ClassVar[str] = "asymmetric_friction"
@@ -47,7 +47,7 @@ class AsymmetricFriction(JointEffect, FrictionTerm):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoadDependentFriction(JointEffect, FrictionTerm):
+class SimulatedLoadDependentFriction(JointEffect, FrictionModifier):
     """The Coulomb level grows with the torque that the gear transmits, by `coefficient` N·m each N·m."""
 
     name: ClassVar[str] = "load_dependent_friction"
@@ -61,7 +61,7 @@ class LoadDependentFriction(JointEffect, FrictionTerm):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViscousNonlinearity(JointEffect, FrictionTerm):
+class SimulatedViscousNonlinearity(JointEffect, FrictionModifier):
     """A film that shears thin, `torque` · asinh(v / `speed`) (Eyring), and churning, `cubic` · v³ [N·m·s³/rad³]."""
 
     name: ClassVar[str] = "viscous_nonlinearity"
@@ -78,7 +78,7 @@ class ViscousNonlinearity(JointEffect, FrictionTerm):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrictionChange(JointEffect):
+class SimulatedFrictionChange(JointEffect):
     """Wear or another grease: the Coulomb and viscous levels are these multiples of what the machine had."""
 
     name: ClassVar[str] = "friction_change"

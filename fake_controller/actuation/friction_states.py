@@ -7,12 +7,12 @@ from math import exp
 from typing import ClassVar
 
 from fake_controller.actuation.effect import JointEffect
-from fake_controller.actuation.friction import FrictionTerm
+from fake_controller.actuation.friction import FrictionModifier
 from fake_controller.actuation.machine import Machine
 
 
 @dataclass(frozen=True, kw_only=True)
-class ThermalFriction(JointEffect):
+class SimulatedThermalFriction(JointEffect):
     """One thermal mass: time_constant · Ṫ = equilibrium + resistance · (friction power) − T, starting at `start`.
 
     T [K] counts from the temperature at which the machine's friction curves hold. The Coulomb level falls by
@@ -33,8 +33,8 @@ class ThermalFriction(JointEffect):
         machine.terms.setdefault(k, []).append(_ThermalMass(self))
 
 
-class _ThermalMass(FrictionTerm):
-    def __init__(self, effect: ThermalFriction):
+class _ThermalMass(FrictionModifier):
+    def __init__(self, effect: SimulatedThermalFriction):
         self._effect = effect
         self.temperature: float = effect.start
 
@@ -51,7 +51,7 @@ class _ThermalMass(FrictionTerm):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Presliding(JointEffect):
+class SimulatedPresliding(JointEffect):
     """A `share` (0 to 0.9) of the Coulomb level builds up over `travel` [rad] after each reversal.
 
     Six springs in parallel, each slipping at its own stretch (Iwan, 1966): a hysteresis in position with the memory
@@ -68,10 +68,10 @@ class Presliding(JointEffect):
         machine.terms.setdefault(k, []).append(_SlipChain(self, machine.friction[k].coulomb))
 
 
-class _SlipChain(FrictionTerm):
+class _SlipChain(FrictionModifier):
     ELEMENTS = 6
 
-    def __init__(self, effect: Presliding, coulomb: float):
+    def __init__(self, effect: SimulatedPresliding, coulomb: float):
         self._torque = effect.share * coulomb
         # Evenly spread limits; the mean reversal is complete after `travel`.
         self._limits = [effect.travel * (i + 0.5) / self.ELEMENTS for i in range(self.ELEMENTS)]

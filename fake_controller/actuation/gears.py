@@ -29,7 +29,7 @@ def _mount(machine: Machine, k: int, name: str, gear: Gear) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointElasticity(JointEffect):
+class SimulatedJointElasticity(JointEffect):
     """The gear is a spring of `stiffness` [N·m/rad] between rotor and link, with a damper of `damping_ratio`."""
 
     name: ClassVar[str] = "joint_elasticity"
@@ -55,7 +55,7 @@ class _Spring:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Backlash(JointEffect):
+class SimulatedBacklash(JointEffect):
     """Teeth with a play of `gap` [rad], flank to flank; they touch as springs of `stiffness` [N·m/rad].
 
     A stiffness of 0 stands for the usual: rotor against link at 60 Hz.

@@ -13,7 +13,7 @@ from fake_controller.actuation.machine import Machine
 
 
 @dataclass(frozen=True, kw_only=True)
-class TorqueRipple(JointEffect):
+class SimulatedTorqueRipple(JointEffect):
     """The motor's torque is off by `amplitude` · sin(order · motor angle + phase) [N·m on the joint side].
 
     `order` counts periods a motor turn: whole for cogging and current sensors, a fraction for gear angles.
@@ -40,7 +40,7 @@ class _Ripple:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GravitySpring(JointEffect):
+class SimulatedGravitySpring(JointEffect):
     """A counterbalance between a pivot `anchor` [m] and a pivot `lever` [m] from the joint's axis.
 
     It pulls with `preload` [N] where the pivots are nearest, at the joint angle `angle`, and `rate` [N/m] more beyond:
@@ -67,7 +67,7 @@ class GravitySpring(JointEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DressPack(JointEffect):
+class SimulatedDressPack(JointEffect):
     """A hose that bends with the joint: `stiffness` [N·m/rad] and `cubic` [N·m/rad³] about `centre` [rad].
 
     Its inner friction lags behind by up to `hysteresis` [N·m], rebuilt over `travel` [rad] after a reversal (Dahl).
@@ -86,7 +86,7 @@ class DressPack(JointEffect):
 
 
 class _Hose:
-    def __init__(self, effect: DressPack):
+    def __init__(self, effect: SimulatedDressPack):
         self._effect = effect
         self._lag = 0.0  # of one
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from agent.robot import RobotDescription
 from agent.robot.dynamics import Dynamics
-from fake_controller.actuation.friction import FrictionCurve, FrictionTerm
+from fake_controller.actuation.friction import FrictionCurve, FrictionModifier
 
 #: Temperature [°C] at which the friction curves of a machine hold.
 AMBIENT = 25.0
@@ -68,7 +68,7 @@ class Machine:
     nominal: np.ndarray
     limit: np.ndarray
     typical_inertia: np.ndarray
-    terms: dict[int, list[FrictionTerm]] = field(default_factory=dict)
+    terms: dict[int, list[FrictionModifier]] = field(default_factory=dict)
     gears: dict[int, Gear] = field(default_factory=dict)
     motor_loads: dict[int, list[Load]] = field(default_factory=dict)
     joint_loads: dict[int, list[Load]] = field(default_factory=dict)

@@ -13,7 +13,7 @@ from fake_controller.actuation.machine import Machine
 
 
 @dataclass(frozen=True, kw_only=True)
-class TorqueConstant(JointEffect):
+class SimulatedTorqueConstant(JointEffect):
     """The motor gives 1 / `scale` of the torque that its current is taken for, so it draws and reports more."""
 
     name: ClassVar[str] = "torque_constant"
@@ -25,7 +25,7 @@ class TorqueConstant(JointEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TorqueOffset(JointEffect):
+class SimulatedTorqueOffset(JointEffect):
     """The current sensor reads too much by `offset` [N·m on the joint side]."""
 
     name: ClassVar[str] = "torque_offset"
@@ -36,7 +36,7 @@ class TorqueOffset(JointEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TimeDelay(ArmEffect):
+class SimulatedTimeDelay(ArmEffect):
     """Torques arrive `delay` [s] later than the positions of the same moment; below zero, positions do."""
 
     name: ClassVar[str] = "time_delay"
@@ -48,7 +48,7 @@ class TimeDelay(ArmEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EncoderOffset(JointEffect):
+class SimulatedEncoderOffset(JointEffect):
     """The joint reads `offset` [rad] more than it stands at, to controller and user alike."""
 
     name: ClassVar[str] = "encoder_offset"
@@ -59,7 +59,7 @@ class EncoderOffset(JointEffect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class InterpolatorMismatch(ArmEffect):
+class SimulatedInterpolatorMismatch(ArmEffect):
     """The path is run at `rate` times the planned speed, and its corners are averaged over `blend` [s].
 
     Start, end and rests of at least `blend` stay where they were.

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from fake_controller.actuation.effect import JointEffect
-from fake_controller.actuation.friction import FrictionTerm
+from fake_controller.actuation.friction import FrictionModifier
 from fake_controller.actuation.machine import Machine
 
 _FULL_SPEED = 0.003  # rad/s of sliding beyond which a rough bearing opposes fully
@@ -98,7 +98,7 @@ class RubbingBrake(JointEffect):
         machine.terms.setdefault(k, []).append(_Brake(self, k))
 
 
-class _Brake(FrictionTerm):
+class _Brake(FrictionModifier):
     def __init__(self, effect: RubbingBrake, k: int):
         self._rng = np.random.default_rng([int(effect.seed), 13, k])
         self._effect = effect

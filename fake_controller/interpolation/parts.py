@@ -30,7 +30,7 @@ _SHARPEST = 2.9  # rad; the arm stops at corners that turn by more
 
 
 @dataclass(frozen=True)
-class Law:
+class InterpolationLaw:
     """What makes one controller's interpolation differ from another's.
 
     blend: `circle` or `parabola`. jerk_time: [s] from no acceleration to all of it, 0 for trapezoidal ramps.
@@ -48,10 +48,10 @@ class Law:
     turning: float = 6.0
 
 
-def drawn_law(seed: int) -> Law:
+def drawn_law(seed: int) -> InterpolationLaw:
     """The law of one controller."""
     rng = np.random.default_rng([seed, 17])
-    return Law(
+    return InterpolationLaw(
         blend=str(rng.choice(["circle", "parabola"])),
         jerk_time=float(rng.choice([0.0, rng.uniform(0.04, 0.14)])),
         acceleration=float(rng.uniform(0.9, 1.0)),
@@ -78,7 +78,7 @@ class Part:
 class PartMaker:
     """Makes the parts of one robot's moves; keeps the kinematics of every tool it has met."""
 
-    def __init__(self, robot: RobotDescription, law: Law) -> None:
+    def __init__(self, robot: RobotDescription, law: InterpolationLaw) -> None:
         self.robot, self.law = robot, law
         self._of_tool: dict[object, Kinematics] = {None: kinematics_for(robot)}
 

@@ -57,7 +57,7 @@ class Ramp:
 
 
 @dataclass(frozen=True)
-class Stretch:
+class RampedMove:
     """`length` [m] from speed `start` to `end` with no more than `speed`; up and down with a jerk limit in common."""
 
     length: float

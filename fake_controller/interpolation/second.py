@@ -23,8 +23,8 @@ from agent.motion.trajectory import Trajectory
 from agent.robot import RobotDescription
 from agent.robot.kinematics import KinematicsError, kinematics_for
 from fake_controller.interpolation.curves import arc, corner
-from fake_controller.interpolation.parts import Law, Part, PartMaker
-from fake_controller.interpolation.ramps import Stretch, reachable
+from fake_controller.interpolation.parts import InterpolationLaw, Part, PartMaker
+from fake_controller.interpolation.ramps import RampedMove, reachable
 
 _SMALLEST_CUT = 1e-4  # m, or s
 _KNOTS = 0.004  # m, rad or s of path between two inverse kinematics
@@ -45,7 +45,7 @@ class _Piece:
 class SecondInterpolator:
     """Plans the moves of one robot at `period` [s] by `law`."""
 
-    def __init__(self, robot: RobotDescription, law: Law, period: float) -> None:
+    def __init__(self, robot: RobotDescription, law: InterpolationLaw, period: float) -> None:
         self.robot, self.law, self.period = robot, law, period
         self._maker, self._kinematics = PartMaker(robot, law), kinematics_for(robot)
 
@@ -154,7 +154,7 @@ class SecondInterpolator:
         return rows, owner
 
     def _sampled(
-        self, stretches: Sequence[Stretch], ways: Sequence[np.ndarray], splines: Sequence[CubicSpline], index: int
+        self, stretches: Sequence[RampedMove], ways: Sequence[np.ndarray], splines: Sequence[CubicSpline], index: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """(S, 3, n) joints, velocities and accelerations from rest to rest, and (S,) the pieces they belong to."""
         begins = np.concatenate(([0.0], np.cumsum([stretch.duration for stretch in stretches])))
@@ -189,7 +189,7 @@ class SecondInterpolator:
             q = places[-1]
         return out
 
-    def _timed(self, pieces: Sequence[_Piece], limits: np.ndarray, slower: np.ndarray) -> list[Stretch]:
+    def _timed(self, pieces: Sequence[_Piece], limits: np.ndarray, slower: np.ndarray) -> list[RampedMove]:
         """Speed and acceleration of each piece, with corners as slow as the ways between them make it."""
         speed, up, down = limits
         speed, up, down = speed * np.sqrt(slower), up * slower, down * slower
@@ -206,7 +206,7 @@ class SecondInterpolator:
             border[k] = min(border[k], most)
         speed = np.where(corners, border[:-1], speed)
         return [
-            Stretch(length[k], border[k], border[k + 1], speed[k], up[k], down[k], jerk) for k in range(len(pieces))
+            RampedMove(length[k], border[k], border[k + 1], speed[k], up[k], down[k], jerk) for k in range(len(pieces))
         ]
 
     def _limits(self, piece: _Piece, way: np.ndarray, spline: CubicSpline) -> tuple[float, float, float]:

@@ -17,8 +17,8 @@ from drivers.wire.tcp import (
     MAX_BATCH,
     MAX_REQUEST_PAYLOAD,
     VERSION,
-    Decoder,
     End,
+    FrameDecoder,
     Heartbeat,
     Hello,
     Refused,
@@ -192,7 +192,7 @@ class Session(FrameClient):
                     return
 
     def _read(self) -> None:
-        decoder = Decoder(MAX_REQUEST_PAYLOAD)
+        decoder = FrameDecoder(MAX_REQUEST_PAYLOAD)
         silence = 0.0
         with selectors.DefaultSelector() as selector:
             selector.register(self._socket, selectors.EVENT_READ)

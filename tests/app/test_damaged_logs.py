@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from agent.core.console import Console
 from agent.core.errors import AgentError
 from agent.estimation import IdentifiedModel
-from agent.pipeline.diagnose import Question, diagnose_files
+from agent.pipeline.diagnose import GapQuestion, diagnose_files
 from agent.pipeline.identify import estimate_files, import_files, validate_files
 from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile
@@ -115,7 +115,7 @@ def analyse(arm: str, paths: list[Path], folder: Path, diagnose: bool) -> None:
     if model.exists():
         answers(lambda: validate_files(model, paths, None, quiet))
     if diagnose:
-        answers(lambda: diagnose_files(arm, paths, Question(model if model.exists() else None), quiet))
+        answers(lambda: diagnose_files(arm, paths, GapQuestion(model if model.exists() else None), quiet))
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.diagnosis import verdict as rules
-from agent.diagnosis.answer import Cause, DiagnosisResult, PathGap, Place, TorqueGap
+from agent.diagnosis.answer import Cause, DiagnosisResult, EffectPlace, PathGap, TorqueGap
 from agent.diagnosis.finding import Finding, class_probability
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.result import next_experiment
@@ -28,7 +28,7 @@ causes = st.builds(
     closure=closures,
     probability=st.floats(0.5, 1),
     parameters=st.dictionaries(st.sampled_from("ab"), st.sampled_from([0.0, 1.0, np.nan, np.inf]), max_size=2),
-    equivalent_to=st.sampled_from([(), (Place("presliding", ("joint_2",)),)]),
+    equivalent_to=st.sampled_from([(), (EffectPlace("presliding", ("joint_2",)),)]),
 )
 
 
@@ -114,7 +114,7 @@ def test_what_a_search_found_comes_to_an_answer_that_keeps_its_promises(verdict,
                 c.cause.closure,
                 c.cause.probability,
                 c.cause.parameters,
-                tuple(Place(name, ("joint_2",)) for name, _ in there),
+                tuple(EffectPlace(name, ("joint_2",)) for name, _ in there),
             )
             for c, there in zip(finding.causes, finding.rivals, strict=True)
         )

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.excitation import Score, ranking
+from agent.excitation import LoopScore, ranking
 from agent.excitation.genetic import ELITE, genetic, offspring
 from agent.excitation.random_search import random_search
 from agent.excitation.scoring import infeasible
@@ -16,17 +16,19 @@ from agent.excitation.scoring import infeasible
 GENES = 12
 
 
-def bowl(genomes: np.ndarray) -> list[Score]:
+def bowl(genomes: np.ndarray) -> list[LoopScore]:
     """Best at 0.3 everywhere; forbidden where the first gene is above one half, by how much it is."""
     scores = []
     for genome in genomes:
         beyond = float(genome[0] - 0.5)
-        scores.append(infeasible(beyond, "first gene") if beyond > 0 else Score(-float(np.sum((genome - 0.3) ** 2))))
+        scores.append(
+            infeasible(beyond, "first gene") if beyond > 0 else LoopScore(-float(np.sum((genome - 0.3) ** 2)))
+        )
     return scores
 
 
 def run(method: Callable[..., None], seed: int, population: int = 30, generations: int = 25) -> list[tuple]:
-    noted: list[tuple[np.ndarray, Sequence[Score]]] = []
+    noted: list[tuple[np.ndarray, Sequence[LoopScore]]] = []
     rng = np.random.default_rng(seed)
     method(bowl, GENES, population, generations, rng, lambda genomes, scores: noted.append((genomes.copy(), scores)))
     return noted
@@ -76,8 +78,8 @@ def test_children_stay_in_the_ranges(seed: int, size: int, step: float) -> None:
 
 SCORES = st.lists(
     st.one_of(
-        st.builds(Score, st.floats(-1e3, 1e3)),
-        st.just(Score(-np.inf)),
+        st.builds(LoopScore, st.floats(-1e3, 1e3)),
+        st.just(LoopScore(-np.inf)),
         st.builds(infeasible, st.floats(1e-9, 1e3), st.just("")),
         st.just(infeasible(np.nan, "")),
     ),
@@ -87,7 +89,7 @@ SCORES = st.lists(
 
 
 @given(SCORES)
-def test_whoever_breaks_a_limit_stands_behind_all_who_do_not(scores: list[Score]) -> None:
+def test_whoever_breaks_a_limit_stands_behind_all_who_do_not(scores: list[LoopScore]) -> None:
     ranked = [scores[k] for k in ranking(scores)]
     feasible = [score.feasible for score in ranked]
     assert feasible == sorted(feasible, reverse=True)

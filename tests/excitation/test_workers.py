@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.excitation.scoring import Score
+from agent.excitation.scoring import LoopScore
 from agent.excitation.workers import Workers
 
 ROOT = Path(__file__).parents[2]
 GENOMES = np.arange(21.0).reshape(7, 3)
-SUM = "lambda genome: __import__('agent.excitation.scoring', fromlist=['Score']).Score(float(genome.sum()))"
+SUM = "lambda genome: __import__('agent.excitation.scoring', fromlist=['LoopScore']).LoopScore(float(genome.sum()))"
 REFUSED = "lambda genome: __import__('agent.robot', fromlist=['x']).load_robot('less')"
 
 
@@ -23,7 +23,7 @@ REFUSED = "lambda genome: __import__('agent.robot', fromlist=['x']).load_robot('
 def test_scores_come_in_the_order_of_the_genomes(count: int) -> None:
     with Workers(eval, SUM, count) as workers:
         for genomes in (GENOMES, GENOMES[::-1], GENOMES[:1]):
-            assert workers.evaluate(genomes) == [Score(float(genome.sum())) for genome in genomes]
+            assert workers.evaluate(genomes) == [LoopScore(float(genome.sum())) for genome in genomes]
 
 
 @pytest.mark.parametrize(

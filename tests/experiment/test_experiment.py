@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from agent.diagnosis import Diagnosis, diagnose
 from agent.excitation import LoopProblem
 from agent.experiment import open_pairs, plan_experiment
-from agent.experiment.outlook import Motion, Outlook
+from agent.experiment.outlook import GridMotion, Outlook
 from agent.experiment.pieces import Pieces
 from agent.motion import ViaRegions
 from agent.motion.program import FlyTrajectory, FlyType, MotionSettings
@@ -51,12 +51,12 @@ def problem() -> LoopProblem:
     return LoopProblem(robot=arm, regions=ViaRegions((region,) * 4), settings=fly.changed(linear_speed=0.5))
 
 
-def _wave(arm: RobotDescription, amplitudes: Sequence[float], seconds: float) -> Motion:
+def _wave(arm: RobotDescription, amplitudes: Sequence[float], seconds: float) -> GridMotion:
     time = np.arange(0, seconds, 0.02)
     w = 2 * np.pi / seconds * np.arange(1, arm.dof + 1)
     a = np.asarray(amplitudes)
     phase = time[:, None] * w
-    return Motion(time, a * np.sin(phase), a * w * np.cos(phase), -a * w**2 * np.sin(phase))
+    return GridMotion(time, a * np.sin(phase), a * w * np.cos(phase), -a * w**2 * np.sin(phase))
 
 
 def test_what_is_ambiguous_is_what_is_asked(ambiguous):
@@ -88,7 +88,7 @@ def test_a_standstill_tells_nothing(arm, ambiguous):
     outlook = Outlook(ambiguous.dataset, open_pairs(ambiguous))
     time = np.arange(0, 8, 0.02)
     zero = np.zeros((len(time), arm.dof))
-    assert not any(moments.any() for moments in outlook.moments(Motion(time, zero + 0.3, zero, zero)))
+    assert not any(moments.any() for moments in outlook.moments(GridMotion(time, zero + 0.3, zero, zero)))
 
 
 def test_pieces_begin_and_end_at_rest_in_the_sub_region(problem):

@@ -376,7 +376,7 @@ class RegistersFoe(Foe):
         answer = modbus.ANSWER.pack(
             session=state["session"],
             request=state["request"],
-            outcome=modbus.Outcome.DONE,
+            outcome=modbus.OutcomeCode.DONE,
             refusal=0,
             line=0,
             column=0,

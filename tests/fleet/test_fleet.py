@@ -117,7 +117,7 @@ def test_whose_a_run_is(tmp_path: Path):
         for log in logs:
             (folder / log).parent.mkdir(parents=True, exist_ok=True)
             (folder / log).write_text("{}" if log.endswith("json") else "", encoding="utf-8")
-        plant = tasks.find_tasks(store.Store(str(folder)), tasks.Question("estimate"))
+        plant = tasks.find_tasks(store.Store(str(folder)), tasks.RunQuestion("estimate"))
         return [f"{task.robot} {task.run}" for task in plant.tasks]
 
     from agent.fleet import tasks

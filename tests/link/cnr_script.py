@@ -10,12 +10,12 @@ from collections.abc import Callable
 import numpy as np
 
 from drivers.transports.cnr.address import CnrAddress
-from drivers.transports.cnr.motion import Arm, CnrMotion
+from drivers.transports.cnr.motion import CnrArm, CnrMotion
 from drivers.wire import cnr
 from drivers.wire.cnr import Message, MessageType, Point, QueueStatus
 
-ARM = Arm(2, 0.002, np.array([[2.0, 0.0], [0.5, -1.0]]))
-READY = cnr.Status(1, 0, 0, 0, 0, 2, 1)
+ARM = CnrArm(2, 0.002, np.array([[2.0, 0.0], [0.5, -1.0]]))
+READY = cnr.StatusMessage(1, 0, 0, 0, 0, 2, 1)
 TEN = (0.0,) * 10
 
 
@@ -53,7 +53,7 @@ class Script:
                 serve(connection)
 
     def _commands(self, connection: socket.socket) -> None:
-        decoder = cnr.Decoder(self.order)
+        decoder = cnr.MessageDecoder(self.order)
         while data := connection.recv(65536):
             for message in decoder.feed(data):
                 self.heard.append(message)
@@ -68,7 +68,7 @@ class Script:
         self._lock_step(connection, MessageType.STATUS, lambda: self.state)
 
     def _lock_step(self, connection: socket.socket, kind: MessageType, record: Callable[[], object]) -> None:
-        decoder = cnr.Decoder(self.order)
+        decoder = cnr.MessageDecoder(self.order)
         while True:
             sent = Message(kind, 2, 0, record())
             connection.sendall(cnr.encode(sent, self.order))

@@ -26,7 +26,7 @@ class Peer:
 
     def __init__(self, connection: socket.socket) -> None:
         self.socket = connection
-        self._decoder = tcp.Decoder(tcp.MAX_REQUEST_PAYLOAD)
+        self._decoder = tcp.FrameDecoder(tcp.MAX_REQUEST_PAYLOAD)
         self._frames: list[tcp.Frame] = []
 
     def receive(self) -> tuple[object, int]:

@@ -99,7 +99,7 @@ def test_feedback_and_status_come_back_as_they_came(linked, order):
     for _ in range(10):
         assert script.answered.acquire(timeout=10)
     assert sockets.feedback() == script.feedback
-    script.state = cnr.Status(0, 1, 7, 1, 0, 1, 0)
+    script.state = cnr.StatusMessage(0, 1, 7, 1, 0, 1, 0)
     assert sockets.fresh_status() == script.state  # made after the question, not before
     assert [message.type for message in script.heard] == [MessageType.PING]
 

@@ -21,7 +21,7 @@ from drivers.registry import create
 from drivers.wire.cnr import IDENTITY_FILE, MessageType
 from drivers.wire.reasons import EndReason
 from fake_controller.build import build_controller
-from fake_controller.servers.cnr.ftp import ProgramFolder
+from fake_controller.servers.cnr.ftp import FtpFolder
 from fake_controller.servers.cnr.server import CnrServer
 from tests.conftest import end_with_tests, patience
 from tests.faults.conftest import RECIPE
@@ -171,7 +171,7 @@ def test_ten_minutes_at_500_hz(tmp_path, broker, measured):
 @pytest.mark.parametrize("mended", [False, True])
 def test_a_controller_whose_watchdog_nobody_vouches_for_is_told_of(arm, broker, tmp_path, mended, monkeypatch):
     """By the driver, and by `agent check`."""
-    write = ProgramFolder.write_identity
+    write = FtpFolder.write_identity
 
     def write_less(folder):
         write(folder)
@@ -181,7 +181,7 @@ def test_a_controller_whose_watchdog_nobody_vouches_for_is_told_of(arm, broker, 
         identity.write_text(json.dumps(entry), encoding="utf-8")
 
     if not mended:
-        monkeypatch.setattr(ProgramFolder, "write_identity", write_less)
+        monkeypatch.setattr(FtpFolder, "write_identity", write_less)
     controller = build_controller(arm, seed=3, clock="fast")
     with closing(CnrServer(controller, watchdog=patience(2.0), broker=broker.address, waits=True)) as server:
         with connected(server.address, arm) as driver:

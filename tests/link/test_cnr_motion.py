@@ -285,7 +285,7 @@ def test_a_motion_that_fails_does_not_wait_for_a_broker_that_is_gone():
     ],
 )
 def test_a_stop_by_the_controller_has_its_reason(change, said):
-    state = cnr.Status(**{**READY.__dict__, **change})
+    state = cnr.StatusMessage(**{**READY.__dict__, **change})
     run = motion(broker=False)
     run.feedbacks([feedback(20), feedback(40)], READY)
     for k in range(20):

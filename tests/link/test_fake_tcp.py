@@ -224,7 +224,7 @@ class Client:
     def __init__(self, server, watchdog_ms=5000):
         host, _, port = server.address.rpartition(":")
         self.socket = socket.create_connection((host, int(port)), 20)
-        self._decoder = tcp.Decoder(tcp.MAX_REPLY_PAYLOAD)
+        self._decoder = tcp.FrameDecoder(tcp.MAX_REPLY_PAYLOAD)
         self._frames = []
         self.watchdog_ms = watchdog_ms
 

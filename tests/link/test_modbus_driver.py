@@ -293,7 +293,7 @@ class ByHand:
         return self.write(wire.COMMAND, **values)
 
     def answer(self):
-        while (answer := self.read(wire.ANSWER))["outcome"] == wire.Outcome.WORKING:
+        while (answer := self.read(wire.ANSWER))["outcome"] == wire.OutcomeCode.WORKING:
             pass
         return answer
 
@@ -315,7 +315,7 @@ def test_a_command_said_twice_acts_once(server):
         checksum = hand.store(2, SHORT)
         for _ in range(3):
             assert hand.give(4, wire.Command.START, checksum=checksum, motion=b"m" * 16) == 0
-        assert hand.answer()["outcome"] == wire.Outcome.DONE
+        assert hand.answer()["outcome"] == wire.OutcomeCode.DONE
         while server.controller.moving:
             assert hand.write(wire.HEARTBEAT, session=5, count=1, taken=0) == 0
         # As a new command, with the old motion's id.

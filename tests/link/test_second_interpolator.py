@@ -24,8 +24,8 @@ from agent.motion.program import (
 )
 from agent.robot import load_robot
 from fake_controller.interpolation import build_interpolator
-from fake_controller.interpolation.parts import Law, drawn_law
-from fake_controller.interpolation.ramps import Stretch
+from fake_controller.interpolation.parts import InterpolationLaw, drawn_law
+from fake_controller.interpolation.ramps import RampedMove
 from fake_controller.interpolation.second import SecondInterpolator
 
 ROBOT = load_robot("comau_ns16")
@@ -114,7 +114,7 @@ def test_set_points_are_one_motion_within_the_joints_limits(via, seed, kind):
 )
 @settings(max_examples=60, deadline=None)
 def test_a_stretch_is_the_integral_of_its_acceleration(length, start, end, speed, jerk):
-    stretch = Stretch(length, start, end, max(speed, start, end), 1.5, 2.0, jerk)
+    stretch = RampedMove(length, start, end, max(speed, start, end), 1.5, 2.0, jerk)
     up, _, down = stretch.parts()
     if up.length + down.length > length * (1 + 1e-9):
         return  # the borders do not fit into the length: `reachable` keeps that from happening
@@ -140,7 +140,7 @@ def test_it_is_not_the_planners():
 def test_an_override_keeps_the_path():
     moves, tool = loop(2, 0.02, 0.8)
     slow = [Move(m.type, m.target, m.settings.changed(arm_override=0.3), m.fly) for m in moves]
-    law = SecondInterpolator(ROBOT, Law(), PERIOD)
+    law = SecondInterpolator(ROBOT, InterpolationLaw(), PERIOD)
     full, third = tool_points(law.plan(moves, START).q, tool), tool_points(law.plan(slow, START).q, tool)
     assert len(third) > 1.3 * len(full)
     assert off_polygon(third[::5], full).max() < 1e-3
@@ -150,13 +150,13 @@ def test_what_this_controller_has_not_is_told_with_its_move():
     moves, _ = loop(3, 0.02, 0.8)
     wrist = Move(MoveType.LINEAR, moves[1].target, moves[1].settings.changed(orientation=OrientationType.WRIST_JNT))
     with pytest.raises(MotionError, match="WRIST_JNT") as error:
-        SecondInterpolator(ROBOT, Law(), PERIOD).plan([moves[0], wrist], START)
+        SecondInterpolator(ROBOT, InterpolationLaw(), PERIOD).plan([moves[0], wrist], START)
     assert error.value.move == 1
 
 
 def test_a_circle_passes_its_via_point():
     moves, tool = loop(4, 0.02, 0.5)
     circle = Move(MoveType.CIRCULAR, moves[1].target, moves[1].settings, via=moves[0].target)
-    points = tool_points(SecondInterpolator(ROBOT, Law(), PERIOD).plan([circle], START).q, tool)
+    points = tool_points(SecondInterpolator(ROBOT, InterpolationLaw(), PERIOD).plan([circle], START).q, tool)
     for target in (moves[0].target, moves[1].target):
         assert np.linalg.norm(points - target.pose[:3, 3], axis=1).min() < 0.003

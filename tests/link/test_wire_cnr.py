@@ -58,7 +58,7 @@ GOLDEN = [
         + "02010000 00000100 01000000",
     ),
     (
-        cnr.Message(13, 2, 0, cnr.Status(1, 0, 62513, 1, 0, 2, -1)),
+        cnr.Message(13, 2, 0, cnr.StatusMessage(1, 0, 62513, 1, 0, 2, -1)),
         "28000000 0d000000 02000000 00000000  01000000 00000000 31f40000 01000000 00000000 02000000 ffffffff",
     ),
 ]
@@ -74,7 +74,7 @@ def test_golden_bytes(message, expected):
     data = bytes.fromhex(expected)
     assert int.from_bytes(data[:4], "little") == len(data) - 4
     assert cnr.encode(message) == data
-    decoder = cnr.Decoder()
+    decoder = cnr.MessageDecoder()
     assert list(decoder.feed(data)) == [message]
     assert (decoder.order, decoder.pending) == (cnr.LITTLE, 0)
 
@@ -83,7 +83,7 @@ def test_golden_bytes(message, expected):
 def test_a_big_endian_controller_is_known_by_its_first_length(message, expected):
     data = swapped(bytes.fromhex(expected))
     assert cnr.encode(message, cnr.BIG) == data
-    decoder = cnr.Decoder()
+    decoder = cnr.MessageDecoder()
     assert list(decoder.feed(data)) == [message]
     assert decoder.order == cnr.BIG
 
@@ -93,7 +93,7 @@ def test_cut_anywhere(cuts):
     messages = [message for message, _ in GOLDEN]
     data = b"".join(bytes.fromhex(text) for _, text in GOLDEN)
     edges = sorted({0, len(data), *(cut for cut in cuts if cut < len(data))})
-    decoder = cnr.Decoder()
+    decoder = cnr.MessageDecoder()
     got = [m for a, b in itertools.pairwise(edges) for m in decoder.feed(data[a:b])]
     assert got == messages
     assert decoder.pending == 0
@@ -102,7 +102,7 @@ def test_cut_anywhere(cuts):
 @settings(max_examples=300)
 @given(data=st.binary(max_size=300))
 def test_garbage_is_an_error_or_a_message_never_anything_else(data):
-    decoder = cnr.Decoder()
+    decoder = cnr.MessageDecoder()
     try:
         messages = list(decoder.feed(data))
     except ProtocolError as error:
@@ -124,12 +124,12 @@ def test_garbage_is_an_error_or_a_message_never_anything_else(data):
 )
 def test_other_wires_are_named(data, said):
     with pytest.raises(ProtocolError, match=said):
-        list(cnr.Decoder().feed(data))
+        list(cnr.MessageDecoder().feed(data))
 
 
 def test_whole_messages_before_the_damage_are_given():
     status = bytes.fromhex(GOLDEN[-1][1])
-    messages = cnr.Decoder().feed(status + b"\xff" * 8)
+    messages = cnr.MessageDecoder().feed(status + b"\xff" * 8)
     assert next(messages) == GOLDEN[-1][0]
     with pytest.raises(ProtocolError):
         next(messages)

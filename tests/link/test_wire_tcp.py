@@ -93,7 +93,7 @@ GOLDEN = [
 @pytest.mark.parametrize(("message", "request_id", "expected"), GOLDEN, ids=lambda v: type(v).__name__)
 def test_golden_bytes(message, request_id, expected):
     assert tcp.encode(message, request_id) == expected
-    (frame,) = tcp.Decoder(1000).feed(expected)
+    (frame,) = tcp.FrameDecoder(1000).feed(expected)
     assert frame.request == request_id
     assert tcp.decode(frame) == message
 
@@ -107,7 +107,7 @@ def test_golden_bytes_of_samples():
         "  0000000000001040 00000000000010c0  0000000000001440 00000000000014c0"
     )
     assert tcp.encode(message) == expected
-    (frame,) = tcp.Decoder(1000).feed(expected)
+    (frame,) = tcp.FrameDecoder(1000).feed(expected)
     decoded = tcp.decode(frame)
     assert decoded.first == 3
     for name in ("time_ns", "position", "velocity", "torque", "reference_position", "reference_velocity"):
@@ -123,7 +123,7 @@ def test_every_message_has_golden_bytes():
 def test_any_split_gives_the_same_frames(chosen, data):
     stream = b"".join(GOLDEN[k][2] for k in chosen)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=12)))
-    decoder = tcp.Decoder(1000)
+    decoder = tcp.FrameDecoder(1000)
     frames = []
     for begin, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
         frames += decoder.feed(stream[begin:end])
@@ -137,7 +137,7 @@ def test_a_flipped_bit_never_gives_a_frame(chosen, data):
     stream = bytearray(GOLDEN[chosen][2])
     bit = data.draw(st.integers(0, 8 * len(stream) - 1))
     stream[bit // 8] ^= 1 << bit % 8
-    decoder = tcp.Decoder(1000)
+    decoder = tcp.FrameDecoder(1000)
     frames = []
     try:
         frames = list(decoder.feed(bytes(stream)))
@@ -150,7 +150,7 @@ def test_a_flipped_bit_never_gives_a_frame(chosen, data):
 @given(st.binary(max_size=400))
 @settings(max_examples=300, deadline=None)
 def test_noise_is_refused_and_not_hoarded(noise):
-    decoder = tcp.Decoder(64)
+    decoder = tcp.FrameDecoder(64)
     try:
         for byte in noise:
             list(decoder.feed(bytes([byte])))
@@ -170,7 +170,7 @@ def test_any_payload_decodes_or_is_a_protocol_error(kind, payload):
 
 
 def test_frames_before_the_damage_are_not_lost():
-    decoder = tcp.Decoder(100)
+    decoder = tcp.FrameDecoder(100)
     frames = decoder.feed(HEARTBEAT + HEARTBEAT + b"GARBAGE")
     assert [next(frames).type, next(frames).type] == [tcp.Heartbeat.TYPE] * 2
     with pytest.raises(ProtocolError, match="GARB"):
@@ -179,17 +179,17 @@ def test_frames_before_the_damage_are_not_lost():
 
 def test_another_protocol_is_recognised_by_its_first_bytes():
     with pytest.raises(ProtocolError, match="not the calibration link"):
-        list(tcp.Decoder(100).feed(b"HTTP/1.1 400 Bad Request"))
+        list(tcp.FrameDecoder(100).feed(b"HTTP/1.1 400 Bad Request"))
 
 
 def test_another_version_says_so():
     with pytest.raises(ProtocolError, match="version 2"):
-        list(tcp.Decoder(100).feed(HEARTBEAT[:4] + b"\x02" + HEARTBEAT[5:]))
+        list(tcp.FrameDecoder(100).feed(HEARTBEAT[:4] + b"\x02" + HEARTBEAT[5:]))
 
 
 def test_an_announced_length_is_refused_before_it_arrives():
     with pytest.raises(ProtocolError, match="4294967295 bytes; at most 100"):
-        list(tcp.Decoder(100).feed(bytes.fromhex("43414c4b 01 0a 0000 ffffffff 00000000")))
+        list(tcp.FrameDecoder(100).feed(bytes.fromhex("43414c4b 01 0a 0000 ffffffff 00000000")))
 
 
 def test_unknown_type():
@@ -199,5 +199,5 @@ def test_unknown_type():
 
 def test_long_text_is_cut_at_a_character():
     message = tcp.End(0, 0, "é" * MAX_TEXT)
-    (frame,) = tcp.Decoder(2 * MAX_TEXT).feed(tcp.encode(message))
+    (frame,) = tcp.FrameDecoder(2 * MAX_TEXT).feed(tcp.encode(message))
     assert tcp.decode(frame).message == "é" * (MAX_TEXT // 2)

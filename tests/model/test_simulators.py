@@ -20,7 +20,7 @@ from agent.diagnosis.rollout import MujocoEngine
 from agent.model.identified import IdentifiedModel
 from agent.model.simulators import load_joint_map, load_simulator
 from agent.pipeline.corrected_simulator import write_simulator
-from agent.pipeline.diagnose import Question, diagnose_files
+from agent.pipeline.diagnose import GapQuestion, diagnose_files
 from agent.pipeline.diagnosis_text import diagnosis_text
 from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile
@@ -253,7 +253,7 @@ def test_positions_in_degrees_are_refused(tmp_path, robot):
     file.finish()
     file.close()
     with pytest.raises(RejectedError, match="look like degrees"):
-        diagnose_files(None, [tmp_path / "deg.mcap"], Question(tmp_path / "arm.urdf"), Console(-1))
+        diagnose_files(None, [tmp_path / "deg.mcap"], GapQuestion(tmp_path / "arm.urdf"), Console(-1))
 
 
 RATE = 125.0
@@ -282,7 +282,7 @@ def test_a_right_simulator_has_no_gap_and_needs_no_description(tmp_path, robot, 
     monkeypatch.setattr(forward_windows, "_WINDOWS", 2)
     right = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model
     logs = [recorded(tmp_path / f"{k}.mcap", right, k) for k in (1, 2)]
-    result = diagnose_files(None, logs, Question(tmp_path / "arm.urdf", out=tmp_path / "same.urdf"), Console(-1))
+    result = diagnose_files(None, logs, GapQuestion(tmp_path / "arm.urdf", out=tmp_path / "same.urdf"), Console(-1))
     assert result["verdict"] == "no_gap"
     assert result["forward"]["before"] == result["forward"]["after"]
     assert (tmp_path / "same.urdf").read_text() == URDF
@@ -429,4 +429,4 @@ def test_what_an_mjcf_lacks_is_named(tmp_path):
 
 def test_a_map_without_such_a_file_is_refused(tmp_path, robot):
     with pytest.raises(InputError, match="--map"):
-        diagnose_files("comau_ns16", [tmp_path / "a.mcap"], Question(joint_map=tmp_path / "map.yaml"), Console(-1))
+        diagnose_files("comau_ns16", [tmp_path / "a.mcap"], GapQuestion(joint_map=tmp_path / "map.yaml"), Console(-1))

@@ -10,7 +10,7 @@ import pytest
 from agent.core.errors import InputError
 from agent.motion import FlyInterpolator, FlyParameters, create_interpolator
 from agent.motion.learned import load_law
-from agent.motion.learning import Learner, Stretch
+from agent.motion.learning import Learner, RecordedMove
 from agent.motion.pdl2 import parse_program
 from agent.pipeline import learn as learning
 from agent.pipeline.learn import learn_files
@@ -47,7 +47,7 @@ def judge(parameters: FlyParameters, seed: int, via: int):
     moves = list(parse_program(loop_program(ROBOT, via), "", ROBOT).run())[1:5]
     start = kinematics_for(ROBOT).solve(moves[-1].target.pose, START)
     planned = build_interpolator("second", ROBOT, seed, 0.004).plan(moves, start)
-    return Learner(ROBOT, [Stretch(tuple(moves), planned.t, planned.q)], 0.004).errors(parameters)
+    return Learner(ROBOT, [RecordedMove(tuple(moves), planned.t, planned.q)], 0.004).errors(parameters)
 
 
 def test_one_loop_teaches_the_law_of_the_others(learned):

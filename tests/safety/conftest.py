@@ -107,7 +107,7 @@ class Peer(threading.Thread):
         self.controller.let_go.set()
 
     def _serve(self, connection: socket.socket) -> None:
-        told, decoder = self.controller, tcp.Decoder(tcp.MAX_REQUEST_PAYLOAD)
+        told, decoder = self.controller, tcp.FrameDecoder(tcp.MAX_REQUEST_PAYLOAD)
         state = {
             "drives_on": True,
             "mode": "auto",

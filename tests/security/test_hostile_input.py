@@ -30,7 +30,7 @@ from drivers.transports.cnr.address import parse_address
 from drivers.transports.cnr.files import ProgramFolder
 from drivers.transports.cnr.samples import BrokerLink
 from drivers.transports.frames import to_block
-from drivers.transports.motion import Motion
+from drivers.transports.motion import MotionStream
 from drivers.transports.sequencer import Sequencer
 from drivers.wire.cnr import decode_joints
 from drivers.wire.tcp import Samples
@@ -216,7 +216,7 @@ def test_a_clock_that_shows_no_time_ends_the_motion(time: float, before: int):
 )
 def test_sample_frames_of_any_content_are_samples_or_a_protocol_error(frames: list[tuple[Any, ...]]):
     """As they come off the wire: the head fits the payload, the content does what it likes."""
-    motion = Motion(1 << 20)
+    motion = MotionStream(1 << 20)
     with contextlib.suppress(ProtocolError):
         for first, count, joints, time_ns, value, request in frames:
             head = Samples._HEAD.pack(first, count, joints)

@@ -11,7 +11,7 @@ import pytest
 from agent.pipeline.reports import write_index
 from agent.report.page import About, NextStep, Page, Section, Table, render
 from agent.report.plots import Panel, Plot, Series
-from agent.report.scene import Arm, Scene
+from agent.report.scene import ArmPoses, Scene
 
 WIDTHS = (390, 1440, 2560)
 MOST_BYTES = 3_000_000
@@ -39,7 +39,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     every = slice(None, None, 20)
     dates = Panel("by date", "%", [Series(f"joint_{k}", wave[every, 0] * k, joint=f"joint_{k}") for k in (1, 2)])
     line = np.column_stack([np.cos(t[every]), np.sin(t[every]), 0 * t[every]])
-    arm = Arm(np.array([0.0, 1.0]), np.arange(24.0).reshape(2, 2, 2, 3) / 24, np.array([0.1, 0.05]))
+    arm = ArmPoses(np.array([0.0, 1.0]), np.arange(24.0).reshape(2, 2, 2, 3) / 24, np.array([0.1, 0.05]))
     boxes = {"keep-out: table": (np.zeros(3), np.ones(3))}
     left = {"loop": np.abs(line[:, 0])}
     scene = Scene("path", "The arm.", {"loop": line}, {"points": line[:3]}, boxes, arm, left, "left [%]")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agent.core.figures import error_text
-from agent.pipeline.calibrate import Outcome
+from agent.pipeline.calibrate import CalibrationOutcome
 from agent.pipeline.drift_check import worse_joints
 from agent.pipeline.result import judge
 from agent.report.figures import motion_box_plot
@@ -58,7 +58,7 @@ def without(robot: RobotDescription, *names: str) -> RobotDescription:
 )
 def test_summary_and_headline(shares, said):
     typed = json.loads(json.dumps(result(*shares)), object_hook=lambda fields: SimpleNamespace(**fields))
-    text = Outcome(Path("run"), typed, "").summary()
+    text = CalibrationOutcome(Path("run"), typed, "").summary()
     headline = _headline(result(*shares))
     for words in said:
         assert words in text

@@ -7,7 +7,7 @@ from agent.model.effects.contact import Contact
 from agent.model.effects.dress_pack import DressPack
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.encoder_offset import EncoderOffset
-from agent.model.effects.experiments import Experiment
+from agent.model.effects.experiments import SeparatingMotion
 from agent.model.effects.friction_change import FrictionChange
 from agent.model.effects.gravity_spring import GravitySpring
 from agent.model.effects.inertial_mismatch import InertialMismatch
@@ -54,4 +54,4 @@ CATALOGUE = Catalogue(
     )
 )
 
-__all__ = ["CATALOGUE", "GROUP", "Columns", "Effect", "Experiment", "FitContext"]
+__all__ = ["CATALOGUE", "GROUP", "Columns", "Effect", "FitContext", "SeparatingMotion"]

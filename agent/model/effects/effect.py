@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
-from agent.model.effects.experiments import THREE_LOADS, Experiment
+from agent.model.effects.experiments import THREE_LOADS, SeparatingMotion
 from agent.model.signals import MotionSignals, NominalModel
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ class Effect(ABC):
     practical: ClassVar[float] = 0.01
     phrase: ClassVar[str]
     look_at: ClassVar[str]
-    experiment: ClassVar[Experiment] = THREE_LOADS
+    experiment: ClassVar[SeparatingMotion] = THREE_LOADS
     shows_in: ClassVar[str] = "torque"
     moves_arm: ClassVar[bool] = True
     shapes: ClassVar[tuple[str, ...]] = ()

@@ -6,27 +6,27 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, order=True)
-class Experiment:
+class SeparatingMotion:
     """A motion in words; `order` says which comes first where two effects name different ones."""
 
     order: int
     motion: str
 
 
-RAMPS_AND_STANDSTILLS = Experiment(
+RAMPS_AND_STANDSTILLS = SeparatingMotion(
     10, "single-joint ramps at several constant speeds both ways, with standstills of 2 s in between"
 )
-SLOW_REVERSALS = Experiment(
+SLOW_REVERSALS = SeparatingMotion(
     20, "slow reversals of growing travel on this joint, then constant speeds from 1 to 20 % of the highest"
 )
-WHOLE_RANGE = Experiment(
+WHOLE_RANGE = SeparatingMotion(
     30, "slow motion of this joint over its whole range, with the joints above it in two different postures"
 )
-FROM_COLD = Experiment(40, "the same cycle repeated from cold for 20 minutes")
-POSTURES = Experiment(
+FROM_COLD = SeparatingMotion(40, "the same cycle repeated from cold for 20 minutes")
+POSTURES = SeparatingMotion(
     50, "standstills in ten postures with the wrist turned, then fast wrist motions, without and with the tool"
 )
-SHARP_REVERSALS = Experiment(60, "short sharp reversals of this joint with the arm stretched and folded")
-THREE_LOADS = Experiment(
+SHARP_REVERSALS = SeparatingMotion(60, "short sharp reversals of this joint with the arm stretched and folded")
+THREE_LOADS = SeparatingMotion(
     70, "constant speeds both ways on this joint at three loads (arm stretched, half, folded)"
 )  # what tells most pairs apart

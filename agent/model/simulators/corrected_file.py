@@ -31,7 +31,7 @@ _LEAST = 1e-12  # relative, that a number changes
 
 
 @dataclass(frozen=True)
-class Change:
+class FileChange:
     """One value of the file: of which element, its attribute, old and new value (SI), and why."""
 
     element: str
@@ -89,7 +89,7 @@ def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> 
     return (*files, beside, *([] if code is None else [effects]))
 
 
-def _changes(correction: Correction, text: MjcfText | UrdfText) -> Iterator[Change]:
+def _changes(correction: Correction, text: MjcfText | UrdfText) -> Iterator[FileChange]:
     """Change the text, number by number, and say each."""
     before, after, released = correction.given, correction.arm, correction.released
     for k, joint in enumerate(before.file_joints):
@@ -101,17 +101,17 @@ def _changes(correction: Correction, text: MjcfText | UrdfText) -> Iterator[Chan
             old, new = float(getattr(before, key)[k]), float(getattr(after, key)[k])
             if k in reasons and _differ(old, new) and text.can_say(key):
                 text.set_joint(k, joint, key, new)
-                yield Change(f"joint {joint}", key, old, new, reasons[k])
+                yield FileChange(f"joint {joint}", key, old, new, reasons[k])
         if k in released.springs:
             for key, old, new in (
                 ("stiffness", before.stiffness[k], after.stiffness[k]),
                 ("springref", before.rest[k], after.rest[k]),
             ):
                 text.set_joint(k, joint, key, float(new))
-                yield Change(f"joint {joint}", key, float(old), float(new), released.springs[k])
+                yield FileChange(f"joint {joint}", key, float(old), float(new), released.springs[k])
         if k in released.offsets:
             zeros = text.move_zero(k, joint, before.prismatic[k], released.offsets[k])
-            yield Change(
+            yield FileChange(
                 f"joint {joint}", text.zero, zeros[0], zeros[1], "encoder_offset: the joint's zero is elsewhere"
             )
         if k in released.links:
@@ -125,10 +125,10 @@ def _changes(correction: Correction, text: MjcfText | UrdfText) -> Iterator[Chan
                 ("centre of mass", slice(1, 4)),
                 ("inertia about it", slice(4, 10)),
             ):
-                yield Change(of, key, _listed(old_block, part), _listed(new_block, part), released.links[k])
+                yield FileChange(of, key, _listed(old_block, part), _listed(new_block, part), released.links[k])
     if before.gravity != after.gravity:
         text.set_gravity(after.gravity)
-        yield Change("option", "gravity", list(before.gravity), list(after.gravity), released.gravity)
+        yield FileChange("option", "gravity", list(before.gravity), list(after.gravity), released.gravity)
 
 
 def _listed(block: np.ndarray, part: slice) -> float | list[float]:

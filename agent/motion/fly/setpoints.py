@@ -31,7 +31,7 @@ _TURNING = 6.0
 _TOLERANCE = 5e-4
 
 
-class Law(Protocol):
+class PathTiming(Protocol):
     """s over time: from t (P,) on at s (P,), until `duration` [s]."""
 
     @property
@@ -90,7 +90,7 @@ class Run:
 
     path: Path
     shape: PathShape
-    law: Law
+    law: PathTiming
     samples: SetPoints
 
 
@@ -158,7 +158,7 @@ def refuse_crawling(
     )
 
 
-def refuse_long(path: Path, law: Law, segments: Sequence[Segment], parameters: FlyParameters) -> None:
+def refuse_long(path: Path, law: PathTiming, segments: Sequence[Segment], parameters: FlyParameters) -> None:
     """Refuse a motion that takes too long (MotionError); names the move on which the longest of it is spent."""
     if law.duration <= parameters.longest:
         return
@@ -177,7 +177,7 @@ def _label(segments: Sequence[Segment], move: int) -> str:
     return next((segment.label for segment in segments if segment.move == move), segments[0].label)
 
 
-def sampled(path: Path, shape: PathShape, law: Law, period: float) -> SetPoints:
+def sampled(path: Path, shape: PathShape, law: PathTiming, period: float) -> SetPoints:
     """Samples of a path run through by a time law."""
     n = path.q.shape[1]
     t = np.arange(int(np.ceil(law.duration / period - 1e-9)) + 1) * period

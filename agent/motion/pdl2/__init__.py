@@ -3,7 +3,7 @@
 The package imports its parser generator only when a program is read.
 """
 
-from agent.motion.pdl2.errors import Pdl2Error, Place
+from agent.motion.pdl2.errors import Pdl2Error, TextPosition
 from agent.motion.pdl2.frames import pos_to_pose, pose_to_pos
 from agent.motion.pdl2.interpreter import MAX_STEPS, Program
 from agent.motion.pdl2.listing import listing_beside
@@ -13,8 +13,8 @@ from agent.motion.pdl2.writer import write_loop_program, write_program
 __all__ = [
     "MAX_STEPS",
     "Pdl2Error",
-    "Place",
     "Program",
+    "TextPosition",
     "job_text",
     "listing_beside",
     "parse_program",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from agent.motion.pdl2 import tree
-from agent.motion.pdl2.errors import Pdl2Error, Place
+from agent.motion.pdl2.errors import Pdl2Error, TextPosition
 from agent.motion.pdl2.evaluation import Memory, Value, check_configuration, evaluate
 from agent.motion.pdl2.variables import PREDEFINED, SYSTEM_VARIABLES
 
@@ -95,7 +95,7 @@ def _check_header(program: tree.ProgramTree) -> None:
         raise Pdl2Error(f"END names the program, which is {program.name}", program.end)
 
 
-def _require_new(place: Place, scope: Scope, types: dict[str, DataType]) -> None:
+def _require_new(place: TextPosition, scope: Scope, types: dict[str, DataType]) -> None:
     name = place.word.lower()
     if name in PREDEFINED or name in _DATA_TYPES:
         raise Pdl2Error("is a predefined word and cannot be declared", place)
@@ -181,7 +181,7 @@ class _Checker:
     def assignable(self, wanted: str, value: tree.Expression) -> None:
         self.require(value, *(_NUMBERS if wanted == "REAL" else (wanted,)))
 
-    def system(self, place: Place, name: str, value: tree.Expression) -> None:
+    def system(self, place: TextPosition, name: str, value: tree.Expression) -> None:
         variable = SYSTEM_VARIABLES.get(name)
         if variable is None:
             raise Pdl2Error("is not a system variable of the motion subset read here", place)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from agent.core.errors import InputError
 
 
-class Place(NamedTuple):
+class TextPosition(NamedTuple):
     """Where a word of a program stands: line and column count from 1."""
 
     line: int
@@ -18,7 +18,7 @@ class Place(NamedTuple):
 class Pdl2Error(InputError):
     """A program that cannot be read or run: `line`, `column` (from 1) and `word` say where, `reason` says why."""
 
-    def __init__(self, reason: str, place: Place, path: str = ""):
+    def __init__(self, reason: str, place: TextPosition, path: str = ""):
         self.reason = reason
         self.place = place
         self.path = path

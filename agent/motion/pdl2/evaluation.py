@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from agent.motion.pdl2 import tree
-from agent.motion.pdl2.errors import Pdl2Error, Place, shortened
+from agent.motion.pdl2.errors import Pdl2Error, TextPosition, shortened
 from agent.motion.pdl2.variables import PREDEFINED, read
 
 Value = bool | int | float | str | tree.Constant | tree.Pos | tree.Joints
@@ -79,7 +79,7 @@ def subscript(node: tree.Element, memory: Memory) -> int:
     return index
 
 
-def check_configuration(configuration: str, place: Place) -> None:
+def check_configuration(configuration: str, place: TextPosition) -> None:
     """Raises Pdl2Error where a configuration string has other flags than S, E, W, A, B and turns T1:n to T4:n."""
     seen: set[str] = set()
     for flag in configuration.split():
@@ -89,7 +89,7 @@ def check_configuration(configuration: str, place: Place) -> None:
         seen.add(name)
 
 
-def _assigned(value: Value | None, place: Place, name: str) -> Value:
+def _assigned(value: Value | None, place: TextPosition, name: str) -> Value:
     if value is None:
         raise Pdl2Error(f"{name} has no value yet", place)
     return value
@@ -119,7 +119,7 @@ def _quotient(node: tree.Binary, left: float, right: float) -> float:
     return quotient if node.operator == "DIV" else int(left) - quotient * int(right)
 
 
-def _in_range(value: int | float, place: Place) -> int | float:
+def _in_range(value: int | float, place: TextPosition) -> int | float:
     if isinstance(value, int) and abs(value) > tree.MAX_INTEGER:
         raise Pdl2Error(f"the result is beyond the integers of {tree.MAX_INTEGER}", place)
     if not math.isfinite(value):

@@ -11,7 +11,7 @@ import numpy as np
 
 from agent.motion.pdl2 import tree
 from agent.motion.pdl2.checker import Scope
-from agent.motion.pdl2.errors import Pdl2Error, Place
+from agent.motion.pdl2.errors import Pdl2Error, TextPosition
 from agent.motion.pdl2.evaluation import Memory, Value, evaluate, subscript
 from agent.motion.pdl2.frames import pos_to_pose
 from agent.motion.pdl2.variables import SYSTEM_VARIABLES, motion_settings, read
@@ -84,7 +84,7 @@ class _Run:
         self.limit = limit
         self.left = limit
 
-    def step(self, place: Place) -> None:
+    def step(self, place: TextPosition) -> None:
         self.left -= 1
         if self.left < 0:
             raise StepLimitError(f"the program executes more than {self.limit} statements", place)
@@ -167,7 +167,7 @@ class _Run:
         assert isinstance(value, tree.Joints)
         return JointTarget(self.joints(value.fields, node.place)), name
 
-    def joints(self, fields: tuple[float, ...], place: Place) -> np.ndarray:
+    def joints(self, fields: tuple[float, ...], place: TextPosition) -> np.ndarray:
         if self.robot is None:
             return np.radians(fields)
         if len(fields) != self.robot.dof:
@@ -183,7 +183,7 @@ def _pose(fields: tuple[float, ...]) -> np.ndarray:
     return pose
 
 
-def _checked(place: Place, name: str, value: Value) -> Value:
+def _checked(place: TextPosition, name: str, value: Value) -> Value:
     refusal = SYSTEM_VARIABLES[name].refusal(value)  # type: ignore[arg-type]
     if refusal:
         raise Pdl2Error(refusal, place)

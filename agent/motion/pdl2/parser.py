@@ -10,7 +10,7 @@ from typing import Any
 from lark import Lark, Token, Transformer, UnexpectedCharacters, UnexpectedToken, v_args
 
 from agent.motion.pdl2 import tree
-from agent.motion.pdl2.errors import Pdl2Error, Place, shortened
+from agent.motion.pdl2.errors import Pdl2Error, TextPosition, shortened
 
 #: Longer programs are refused unread.
 MAX_CHARACTERS = 1_000_000
@@ -42,14 +42,14 @@ def parse_tree(text: str) -> tree.ProgramTree:
         Pdl2Error: where the text is too long, or not a program of the motion subset.
     """
     if len(text) > MAX_CHARACTERS:
-        raise Pdl2Error(f"the program has {len(text)} characters; {MAX_CHARACTERS} are allowed", Place(1, 1, ""))
+        raise Pdl2Error(f"the program has {len(text)} characters; {MAX_CHARACTERS} are allowed", TextPosition(1, 1, ""))
     text = _LINE_END.sub("\n", text.removeprefix("\ufeff"))
     try:
         program: tree.ProgramTree = _lark().parse(text)  # type: ignore[assignment]  # what _TreeBuilder makes of it
     except UnexpectedToken as error:
         raise _unexpected_token(error) from None
     except UnexpectedCharacters as error:
-        place = Place(error.line, error.column, error.char)
+        place = TextPosition(error.line, error.column, error.char)
         if error.char == "'":
             raise Pdl2Error("the string is not closed on its line", place) from None
         raise Pdl2Error("this character has no meaning here", place) from None
@@ -58,9 +58,9 @@ def parse_tree(text: str) -> tree.ProgramTree:
     return program
 
 
-def place_of(token: Token) -> Place:
+def place_of(token: Token) -> TextPosition:
     """Where a token stands."""
-    return Place(token.line or 0, token.column or 0, str(token))
+    return TextPosition(token.line or 0, token.column or 0, str(token))
 
 
 def _check_lines(program: tree.ProgramTree, lines: list[str]) -> None:
@@ -109,7 +109,7 @@ def _unexpected_token(error: UnexpectedToken) -> Pdl2Error:
     if isinstance(before, Token) and before.type == "NAME" and {"_ASSIGN", "_LSQB"} >= set(error.expected):
         return Pdl2Error("is not a statement of the motion subset read here", place_of(before))
     if token.type == "$END":
-        last = Place(max(token.line or 1, 1), max(token.column or 1, 1), "")
+        last = TextPosition(max(token.line or 1, 1), max(token.column or 1, 1), "")
         return Pdl2Error(f"the program ends too early; {_expected(error)}", last)
     if OUTSIDE_SUBSET.fullmatch(token):
         return Pdl2Error(_OUTSIDE, place_of(token))
@@ -152,7 +152,7 @@ def _system_name(token: Token) -> str:
 
 
 #: What may follow the target of a move: its VIA, an ADVANCE (where it stands), a WITH.
-_Clause = tree.Expression | Place | tree.Setting
+_Clause = tree.Expression | TextPosition | tree.Setting
 
 
 @v_args(inline=True)
@@ -188,11 +188,11 @@ class _TreeBuilder(Transformer[Token, tree.ProgramTree]):
         return tree.TypeDeclaration(place_of(name), name.lower(), type_)
 
     def variables(
-        self, names: tuple[Place, ...], type_: tree.NamedType, initial: tree.Expression | None
+        self, names: tuple[TextPosition, ...], type_: tree.NamedType, initial: tree.Expression | None
     ) -> tree.VariableDeclaration:
         return tree.VariableDeclaration(names[0], names, type_, initial)
 
-    def names(self, *names: Token) -> tuple[Place, ...]:
+    def names(self, *names: Token) -> tuple[TextPosition, ...]:
         return tuple(place_of(name) for name in names)
 
     def initial(self, value: tree.Expression | None = None) -> tree.Expression | None:
@@ -209,7 +209,7 @@ class _TreeBuilder(Transformer[Token, tree.ProgramTree]):
             raise Pdl2Error("is another arm; programs of arm 1 are read here", place_of(words[-1]))
         return bool(words)
 
-    def body(self, _begin: Token, *rest: Any) -> tuple[bool, tree.Block, Place]:
+    def body(self, _begin: Token, *rest: Any) -> tuple[bool, tree.Block, TextPosition]:
         *cycle, block, _end, name = rest
         return bool(cycle), block, place_of(name)
 
@@ -249,8 +249,8 @@ class _TreeBuilder(Transformer[Token, tree.ProgramTree]):
     def move(
         self, keyword: Token, trajectory: str, _to: Token, target: tree.Expression, clauses: list[_Clause]
     ) -> tree.MoveStatement:
-        vias = [clause for clause in clauses if not isinstance(clause, Place | tree.Setting)]
-        advances = [clause for clause in clauses if isinstance(clause, Place)]
+        vias = [clause for clause in clauses if not isinstance(clause, TextPosition | tree.Setting)]
+        advances = [clause for clause in clauses if isinstance(clause, TextPosition)]
         if len(vias) > 1:
             raise Pdl2Error("VIA is given twice in this move", vias[0].place)
         if len(advances) > 1:

@@ -11,7 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping
 
-from agent.motion.pdl2.errors import Pdl2Error, Place
+from agent.motion.pdl2.errors import Pdl2Error, TextPosition
 from agent.motion.pdl2.listing import Listed
 from agent.motion.pdl2.parser import OUTSIDE_SUBSET
 from agent.motion.pdl2.variables import PREDEFINED, SYSTEM_VARIABLES
@@ -127,7 +127,7 @@ class _Sieve:
                 self._moving_routines.setdefault(name.lower(), last)
             if end.match(bare):
                 return last
-        raise Pdl2Error("the routine does not end", Place(at + 1, 1, name))
+        raise Pdl2Error("the routine does not end", TextPosition(at + 1, 1, name))
 
     def _statement(self, at: int, out: list[str]) -> int:
         """Keeps or passes over the statement of a line; returns its last line."""
@@ -209,8 +209,8 @@ class _Sieve:
         self.passed[word.split()[0]] += 1
         return ""
 
-    def _place(self, at: int, word: str) -> Place:
-        return Place(at + 1, self._lines[at].lower().find(word.lower()) + 1, word)
+    def _place(self, at: int, word: str) -> TextPosition:
+        return TextPosition(at + 1, self._lines[at].lower().find(word.lower()) + 1, word)
 
 
 def _without_comment(line: str) -> str:

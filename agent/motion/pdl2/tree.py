@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from agent.motion.pdl2.errors import Pdl2Error, Place
+from agent.motion.pdl2.errors import Pdl2Error, TextPosition
 
 #: Deeper expressions and blocks are refused: reading and running them would recurse that deep.
 MAX_EXPRESSION_DEPTH = 100
@@ -37,7 +37,7 @@ class Joints:
 
 @dataclass(frozen=True)
 class Literal:
-    place: Place
+    place: TextPosition
     value: int | float | str
 
 
@@ -45,7 +45,7 @@ class Literal:
 class Name:
     """A variable, a constant of the program or a predefined constant."""
 
-    place: Place
+    place: TextPosition
     name: str
 
 
@@ -53,7 +53,7 @@ class Name:
 class Element:
     """One element of an array."""
 
-    place: Place
+    place: TextPosition
     name: str
     index: Expression
 
@@ -62,20 +62,20 @@ class Element:
 class System:
     """A system variable; `name` in capitals."""
 
-    place: Place
+    place: TextPosition
     name: str
 
 
 @dataclass(frozen=True)
 class Unary:
-    place: Place
+    place: TextPosition
     operator: str
     operand: Expression
 
 
 @dataclass(frozen=True)
 class Binary:
-    place: Place
+    place: TextPosition
     operator: str
     left: Expression
     right: Expression
@@ -83,13 +83,13 @@ class Binary:
 
 @dataclass(frozen=True)
 class PosLiteral:
-    place: Place
+    place: TextPosition
     fields: tuple[Expression, ...]
 
 
 @dataclass(frozen=True)
 class JointLiteral:
-    place: Place
+    place: TextPosition
     fields: tuple[Expression, ...]
 
 
@@ -99,7 +99,7 @@ Target = Name | Element | System
 
 @dataclass(frozen=True)
 class Assignment:
-    place: Place
+    place: TextPosition
     target: Target
     value: Expression
 
@@ -108,7 +108,7 @@ class Assignment:
 class Setting:
     """`$NAME = value` of a WITH clause."""
 
-    place: Place
+    place: TextPosition
     name: str
     value: Expression
 
@@ -117,7 +117,7 @@ class Setting:
 class MoveStatement:
     """`trajectory` is LINEAR, JOINT, CIRCULAR or empty, where `$MOVE_TYPE` says."""
 
-    place: Place
+    place: TextPosition
     fly: bool
     trajectory: str
     target: Expression
@@ -127,13 +127,13 @@ class MoveStatement:
 
 @dataclass(frozen=True)
 class DelayStatement:
-    place: Place
+    place: TextPosition
     milliseconds: Expression
 
 
 @dataclass(frozen=True)
 class ForLoop:
-    place: Place
+    place: TextPosition
     variable: Name
     first: Expression
     last: Expression
@@ -144,7 +144,7 @@ class ForLoop:
 
 @dataclass(frozen=True)
 class Conditional:
-    place: Place
+    place: TextPosition
     condition: Expression
     then: Block
     otherwise: Block
@@ -158,21 +158,21 @@ Block = tuple[StatementNode, ...]
 class NamedType:
     """A data type by its name in lower case, or `size` of them where it is an array."""
 
-    place: Place
+    place: TextPosition
     name: str
     size: Expression | None = None
 
 
 @dataclass(frozen=True)
 class ConstantDeclaration:
-    place: Place
+    place: TextPosition
     name: str
     value: Expression
 
 
 @dataclass(frozen=True)
 class TypeDeclaration:
-    place: Place
+    place: TextPosition
     name: str
     type: NamedType
 
@@ -181,8 +181,8 @@ class TypeDeclaration:
 class VariableDeclaration:
     """Variables of one type, each with the initial value where there is one."""
 
-    place: Place
-    names: tuple[Place, ...]
+    place: TextPosition
+    names: tuple[TextPosition, ...]
     type: NamedType
     initial: Expression | None
 
@@ -192,7 +192,7 @@ Declaration = ConstantDeclaration | TypeDeclaration | VariableDeclaration
 
 @dataclass(frozen=True)
 class Attribute:
-    place: Place
+    place: TextPosition
     name: str
     value: Literal | None
 
@@ -201,13 +201,13 @@ class Attribute:
 class ProgramTree:
     """A whole program as it was written."""
 
-    place: Place
+    place: TextPosition
     name: str
     attributes: tuple[Attribute, ...]
     declarations: tuple[Declaration, ...]
     cycle: bool
     block: Block
-    end: Place
+    end: TextPosition
 
 
 def children(node: Expression) -> tuple[Expression, ...]:

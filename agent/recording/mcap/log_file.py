@@ -34,7 +34,7 @@ FLUSH_INTERVAL = 0.5
 _NANO = 1_000_000_000
 
 
-class Samples(Protocol):
+class LoggedSamples(Protocol):
     """K samples of n joints, as a driver delivers them: (K,) and (K, n) arrays; None where there are no values.
 
     `current` (K, n) of the motors [A]; `received` is the receive time [s], 0 where the driver has none.
@@ -115,7 +115,7 @@ class LogFile:
         """Samples that came again and were left out."""
         return self._sequence.repeated
 
-    def write(self, samples: Samples) -> None:
+    def write(self, samples: LoggedSamples) -> None:
         """Add measured samples and, where there are any, the set-points of the controller."""
         lost = self.lost
         keep = self._sequence.take(samples.sequence, samples.time)
@@ -263,7 +263,7 @@ def write_log(path: Path, log: Log) -> None:
             beside.unlink(missing_ok=True)
 
 
-def as_samples(log: Log) -> Samples:
+def as_samples(log: Log) -> LoggedSamples:
     """A log in memory as one block of measured samples."""
     times = log.stamp + log.t
     return _Block(np.arange(len(times)), times, log.position, log.velocity, log.effort)
@@ -290,7 +290,7 @@ def _write_whole(path: Path, log: Log) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """Samples that come from memory; arrays as in `Samples`."""
+    """Samples that come from memory; arrays as in `LoggedSamples`."""
 
     sequence: np.ndarray
     time: np.ndarray

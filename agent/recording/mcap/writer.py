@@ -11,7 +11,7 @@ from types import TracebackType
 
 import numpy as np
 
-from agent.recording.mcap.log_file import FLUSH_INTERVAL, PLANNED, TEMPERATURES, LogFile, Samples
+from agent.recording.mcap.log_file import FLUSH_INTERVAL, PLANNED, TEMPERATURES, LogFile, LoggedSamples
 from agent.recording.mcap.output import RecordingError
 
 #: What may wait in memory for a slow disk [bytes]: half an hour of six joints at 500 Hz.
@@ -89,7 +89,7 @@ class LogWriter:
         """Bytes that were handed over and have not gone through the writer yet."""
         return self._backlog
 
-    def write(self, block: Samples) -> None:
+    def write(self, block: LoggedSamples) -> None:
         """Add measured samples with their set-points. The arrays must not change afterwards."""
         references = (block.reference_position, block.reference_velocity)
         arrays = (block.position, block.velocity, block.torque, block.current, *references)

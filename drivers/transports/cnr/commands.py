@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from drivers.errors import DriverError, RefusedError, SafetyRefused
 from drivers.transports.cnr.motion import HAND_REST, CnrMotion, stop_reason
-from drivers.transports.cnr.sockets import Answer, Sockets
+from drivers.transports.cnr.sockets import CommandReply, Sockets
 from drivers.wire import cnr as wire
 from drivers.wire.cnr import MessageType, Point
 from drivers.wire.reasons import EndReason
@@ -18,7 +18,7 @@ _HAND_TIMEOUT = 600.0  # s for somebody to press START
 
 def command_start(
     sockets: Sockets, host: str, what: str, point: Point, timeout: float, motion: CnrMotion | None
-) -> Answer | None:
+) -> CommandReply | None:
     """The answer to a start that was carried out; None where the arm moves and no answer came.
 
     Raises:
@@ -64,7 +64,7 @@ def wait_for_a_person(sockets: Sockets, motion: CnrMotion, name: str, tell: Call
         raise DriverError(f"nobody started {name} within {_HAND_TIMEOUT / 60:.0f} minutes; nothing was recorded")
 
 
-def _refused_start(what: str, state: wire.Status, stored: bool) -> RefusedError:
+def _refused_start(what: str, state: wire.StatusMessage, stored: bool) -> RefusedError:
     reason = stop_reason(state)
     if reason is None:
         advice = (
@@ -82,10 +82,10 @@ def insist_on_stop(
     sockets: Sockets,
     motion: CnrMotion,
     stop: MessageType,
-    answer: Answer | None,
+    answer: CommandReply | None,
     timeout: float,
     tell: Callable[[str], None] | None,
-) -> Answer | None:
+) -> CommandReply | None:
     """Say it again where the controller did not take it: it does not before its flag says that the arm moves.
 
     `tell`: says to a person what to do, where one has started the motion.

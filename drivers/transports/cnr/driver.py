@@ -20,11 +20,11 @@ from drivers.protocol import Gap, Identity, SampleBlock, Status
 from drivers.transports.cnr.address import CnrAddress
 from drivers.transports.cnr.commands import command_start, insist_on_stop, wait_for_a_person
 from drivers.transports.cnr.facts import motion_facts
-from drivers.transports.cnr.files import Machine, ProgramFolder
+from drivers.transports.cnr.files import CnrIdentity, ProgramFolder
 from drivers.transports.cnr.frames import pose_of_frame
-from drivers.transports.cnr.motion import Arm, CnrMotion, stop_reason
+from drivers.transports.cnr.motion import CnrArm, CnrMotion, stop_reason
 from drivers.transports.cnr.samples import BrokerLink
-from drivers.transports.cnr.sockets import Answer, Sockets
+from drivers.transports.cnr.sockets import CommandReply, Sockets
 from drivers.wire.cnr import Feedback, MessageType, Mode, Point
 from drivers.wire.reasons import EndReason
 
@@ -67,7 +67,7 @@ class CnrDriver:
         self._folder = ProgramFolder(address, start_timeout)
         self._sockets: Sockets | None = None
         self._broker: BrokerLink | None = None
-        self._machine: Machine | None = None
+        self._machine: CnrIdentity | None = None
         self._motion: CnrMotion | None = None
         self._stored = "", ""
         self._starting = threading.Lock()  # whoever holds it may start a trajectory, or say that none is to follow
@@ -266,7 +266,7 @@ class CnrDriver:
             broker.check(self._timeout)
             broker.joiner.forget_counts()
         patience = max(_SAMPLE_PATIENCE, 2 * self._machine.watchdog)
-        arm = Arm(joints, self.identify().period, self.torque_per_ampere)
+        arm = CnrArm(joints, self.identify().period, self.torque_per_ampere)
         silent = None if broker is None else broker.silent
         motion = CnrMotion(arm, self._buffer_limit, is_over, patience, silent)
         self._motion = motion
@@ -274,7 +274,7 @@ class CnrDriver:
         self._sockets.guarded = True
         return motion
 
-    def _command_start(self, sockets: Sockets, what: str, point: Point) -> Answer | None:
+    def _command_start(self, sockets: Sockets, what: str, point: Point) -> CommandReply | None:
         """The answer to a start that was carried out; None and raises as `command_start`."""
         answer = command_start(sockets, self._address.host, what, point, self._start_timeout, self._motion)
         assert self._motion is not None

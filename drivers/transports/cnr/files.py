@@ -31,7 +31,7 @@ _MOST_LINES = 100  # of an answer
 
 
 @dataclass(frozen=True)
-class Machine:
+class CnrIdentity:
     """What the identity file says. `watchdog` [s]."""
 
     identity: Identity
@@ -47,7 +47,7 @@ class ProgramFolder:
         self._timeout = timeout
         self._peer = f"{address.host}:{address.ftp}"
 
-    def machine(self) -> Machine:
+    def machine(self) -> CnrIdentity:
         """Who the controller is, by the file that was written when the link was set up."""
         with self._session() as ftp:
             data = _read(ftp, wire.IDENTITY_FILE)
@@ -192,7 +192,7 @@ def _first_fault(faults: bytes) -> str:
     return first
 
 
-def _machine(data: bytes, peer: str) -> Machine:
+def _machine(data: bytes, peer: str) -> CnrIdentity:
     where = f"{wire.IDENTITY_FILE} at {peer}"
     try:
         entry = json.loads(data.decode("utf-8"))
@@ -211,4 +211,6 @@ def _machine(data: bytes, peer: str) -> Machine:
             f"{watchdog}, {emulator}"
         )
     unguarded = "" if "watchdog" in entry else _UNGUARDED
-    return Machine(Identity(robot, serial, controller, version, names, period, unguarded=unguarded), emulator, watchdog)
+    return CnrIdentity(
+        Identity(robot, serial, controller, version, names, period, unguarded=unguarded), emulator, watchdog
+    )

@@ -12,8 +12,8 @@ import numpy as np
 from drivers.errors import DriverError
 from drivers.protocol import SampleBlock
 from drivers.transports.cnr.clock import ClockMatch
-from drivers.transports.motion import Motion
-from drivers.wire.cnr import Feedback, Mode, Status
+from drivers.transports.motion import MotionStream
+from drivers.wire.cnr import Feedback, Mode, StatusMessage
 from drivers.wire.reasons import EndReason
 
 #: Rest that is kept before the set-points begin to change and after they have changed for the last time [s].
@@ -41,7 +41,7 @@ _POSITION, _VELOCITY, _TARGET, _TARGET_VELOCITY, _CURRENT = range(5)
 
 
 @dataclass(frozen=True, eq=False)
-class Arm:
+class CnrArm:
     """What the driver knows of the arm: joints n, sampling period [s], and torque per ampere (n, n) [N·m/A]."""
 
     joints: int
@@ -62,13 +62,13 @@ class CnrMotion:
 
     def __init__(
         self,
-        arm: Arm,
+        arm: CnrArm,
         limit: int,
         is_over: Callable[[Feedback], bool] | None,
         patience: float,
         silent: Callable[[], str] | None,
     ) -> None:
-        self.motion = Motion(limit)
+        self.motion = MotionStream(limit)
         self.started = False  # set by the driver when the controller has said so
         self.match = None if silent is None else ClockMatch()
         self.clock_reset = False  # a clock went back: somebody counts anew, and no time can be trusted
@@ -118,7 +118,7 @@ class CnrMotion:
         if self._failure is None:
             self._failure, self._end_time, self._drained = error, self._time, 0.0
 
-    def feedbacks(self, feedbacks: list[Feedback], status: Status) -> None:
+    def feedbacks(self, feedbacks: list[Feedback], status: StatusMessage) -> None:
         """What the controller said of itself."""
         for feedback in feedbacks:
             now, position = feedback.time * 1e-3, np.radians(feedback.joints[: self._arm.joints])
@@ -210,7 +210,7 @@ class CnrMotion:
 
     # What the controller says.
 
-    def _judge(self, feedback: Feedback, status: Status, now: float, position: np.ndarray) -> None:
+    def _judge(self, feedback: Feedback, status: StatusMessage, now: float, position: np.ndarray) -> None:
         """Is it over, and why?"""
         rested = self._rested(now, position)
         over = self._is_over is not None and self._is_over(feedback)
@@ -227,7 +227,7 @@ class CnrMotion:
         elif self.started and self._moved and not self._paused and self._quiet >= _BELIEVED:
             self._account_for_rest(status, now, rested)
 
-    def _account_for_rest(self, status: Status, now: float, rested: float) -> None:
+    def _account_for_rest(self, status: StatusMessage, now: float, rested: float) -> None:
         """The arm has moved and rests, and has not said that it is at the end."""
         reason = stop_reason(status)
         if self._is_over is not None or reason is not None:
@@ -328,7 +328,7 @@ class CnrMotion:
         self.motion.take(block, 0)
 
 
-def stop_reason(status: Status) -> tuple[EndReason, str] | None:
+def stop_reason(status: StatusMessage) -> tuple[EndReason, str] | None:
     """Why the controller would have stopped the arm, by its status; None where that says nothing."""
     if status.e_stopped == 1:
         return EndReason.EMERGENCY_STOP, "the emergency stop is pressed"

@@ -17,7 +17,7 @@ from drivers.errors import DriverError, RefusedError
 from drivers.protocol import ViaPoint
 from drivers.transports.cnr.driver import CnrDriver
 from drivers.transports.cnr.motion import CnrMotion
-from drivers.transports.cnr.sockets import Answer, Sockets
+from drivers.transports.cnr.sockets import CommandReply, Sockets
 from drivers.wire import cnr as wire
 from drivers.wire.cnr import Feedback, MessageType, Point, QueueStatus
 
@@ -163,7 +163,7 @@ class _Feeder:
             self._seen = True
         return self._seen and not feedback.is_moving and feedback.last_point_processed == last
 
-    def _send(self, point: Point) -> Answer:
+    def _send(self, point: Point) -> CommandReply:
         """The answer to a point, which is sent once."""
         answer = self._sockets.command(MessageType.POINT, point)
         if answer is None:

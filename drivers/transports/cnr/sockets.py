@@ -21,13 +21,13 @@ from drivers.transports.cnr.address import CnrAddress
 from drivers.transports.tcp import open_socket
 from drivers.wire.cnr import (
     LITTLE,
-    Decoder,
     Feedback,
     Message,
+    MessageDecoder,
     MessageType,
     Point,
     ReplyCode,
-    Status,
+    StatusMessage,
     encode,
 )
 from drivers.wire.cnr import CommType as Comm
@@ -37,7 +37,7 @@ _ACTING = 0.25  # s: an answer that comes so late, where it is seen already that
 _TURN = 0.02  # s between two looks at what has to be done, where nothing comes
 
 
-class Answer(NamedTuple):
+class CommandReply(NamedTuple):
     """To a command: carried out or not, and what the queue says of itself."""
 
     success: bool
@@ -50,7 +50,7 @@ class _Socket:
         self.peer = f"{host}:{port}"
         self.connection = open_socket(self.peer if ":" not in host else f"[{host}]:{port}", timeout)
         self.connection.settimeout(timeout)
-        self.decoder = Decoder()
+        self.decoder = MessageDecoder()
         self.heard = False
 
 
@@ -88,8 +88,8 @@ class Sockets:
         self._answers: queue.SimpleQueue[Message | None] = queue.SimpleQueue()
         self._asking = threading.Lock()
         self._changed = threading.Condition()
-        self._counts = {Feedback: 0, Status: 0}
-        self._latest: dict[type, Feedback | Status] = {}
+        self._counts = {Feedback: 0, StatusMessage: 0}
+        self._latest: dict[type, Feedback | StatusMessage] = {}
         self._closing = threading.Event()
         with contextlib.ExitStack() as opened:
 
@@ -114,28 +114,28 @@ class Sockets:
         assert isinstance(latest, Feedback)
         return latest
 
-    def fresh_status(self) -> Status:
+    def fresh_status(self) -> StatusMessage:
         """A status that the controller made after this call.
 
         Raises:
             DriverError: none comes, or the link is down.
         """
         with self._changed:
-            wanted = self._counts[Status] + 2  # the next one may have been under way already
+            wanted = self._counts[StatusMessage] + 2  # the next one may have been under way already
             came = self._changed.wait_for(
-                lambda: self._counts[Status] >= wanted or self.failure is not None, self._timeout
+                lambda: self._counts[StatusMessage] >= wanted or self.failure is not None, self._timeout
             )
             self.check()
             if not came:
                 raise DriverError(f"{self._status.peer} sends no status within {self._timeout:g} s; is its program on?")
-            latest = self._latest[Status]
-        assert isinstance(latest, Status)
+            latest = self._latest[StatusMessage]
+        assert isinstance(latest, StatusMessage)
         return latest
 
-    def last_status(self) -> Status:
+    def last_status(self) -> StatusMessage:
         """The last one that came."""
-        latest = self._latest[Status]
-        assert isinstance(latest, Status)
+        latest = self._latest[StatusMessage]
+        assert isinstance(latest, StatusMessage)
         return latest
 
     def wait_feedback(self, condition: Callable[[], bool], timeout: float) -> bool:
@@ -151,7 +151,7 @@ class Sockets:
         point: Point | None = None,
         timeout: float | None = None,
         acts: Callable[[], bool] = lambda: False,
-    ) -> Answer | None:
+    ) -> CommandReply | None:
         """Send a command, once, and wait for its answer; None where none comes in time [s], or once it `acts`.
 
         Raises:
@@ -178,7 +178,7 @@ class Sockets:
         """
         self._send(self._trajectory, Message(kind, Comm.REQUEST, ReplyCode.NONE, Point()))
 
-    def ask_again(self, kind: MessageType, point: Point) -> Answer | None:
+    def ask_again(self, kind: MessageType, point: Point) -> CommandReply | None:
         """The late answer to a command, which comes before that to a ping; None where the ping's comes alone.
 
         Raises:
@@ -192,7 +192,7 @@ class Sockets:
                 if message.type == MessageType.PING:
                     return None
                 if message.type == kind and isinstance(record, Point):
-                    return Answer(message.reply == ReplyCode.SUCCESS, record.queue_status, record.sequence_number)
+                    return CommandReply(message.reply == ReplyCode.SUCCESS, record.queue_status, record.sequence_number)
         raise DriverError(f"{self._trajectory.peer} does not even answer a ping any more; look at the controller")
 
     def close(self) -> None:
@@ -211,11 +211,11 @@ class Sockets:
         if self.failure is not None:
             raise type(self.failure)(str(self.failure))
 
-    def _heard(self, kind: type[Feedback | Status]) -> bool:
+    def _heard(self, kind: type[Feedback | StatusMessage]) -> bool:
         return self._counts[kind] > 0 or self.failure is not None
 
     def _greet(self) -> None:
-        for kind, each in ((Feedback, self._feedback), (Status, self._status)):
+        for kind, each in ((Feedback, self._feedback), (StatusMessage, self._status)):
             with self._changed:
                 came = self._changed.wait_for(partial(self._heard, kind), self._timeout)
             self.check()
@@ -228,11 +228,11 @@ class Sockets:
         if self.command(MessageType.PING) is None:
             raise DriverError(f"{self._trajectory.peer} does not answer a ping; is its program active?")
 
-    def _answer(self, kind: MessageType, point: Point, limit: float) -> Answer | None:
+    def _answer(self, kind: MessageType, point: Point, limit: float) -> CommandReply | None:
         while (message := self._next_answer(limit)) is not None:
             record = message.record
             if message.type == kind and isinstance(record, Point):
-                return Answer(message.reply == ReplyCode.SUCCESS, record.queue_status, record.sequence_number)
+                return CommandReply(message.reply == ReplyCode.SUCCESS, record.queue_status, record.sequence_number)
         return None
 
     def _next_answer(self, limit: float) -> Message | None:
@@ -326,7 +326,7 @@ class Sockets:
             raise ProtocolError(f"{source.peer}: {error}") from None
         return feedbacks
 
-    def _note(self, record: Feedback | Status) -> None:
+    def _note(self, record: Feedback | StatusMessage) -> None:
         with self._changed:
             self._latest[type(record)] = record
             self._counts[type(record)] += 1

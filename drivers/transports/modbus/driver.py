@@ -19,7 +19,7 @@ from drivers.protocol import Gap, Identity, SampleBlock, Status
 from drivers.transports.modbus.link import Client, ModbusLink, SilentError
 from drivers.transports.modbus.replies import identity_of, status_of
 from drivers.transports.modbus.ring import RingReader
-from drivers.transports.motion import Motion
+from drivers.transports.motion import MotionStream
 from drivers.transports.tcp import open_socket, parse_address
 from drivers.wire import modbus as wire
 from drivers.wire.reasons import refusal_error
@@ -64,7 +64,7 @@ class ModbusDriver:
         self._buffer_limit = buffer_limit
         self._unit = unit
         self._link: ModbusLink | None = None
-        self._motion: Motion | None = None
+        self._motion: MotionStream | None = None
         self._closed = threading.Event()
 
     @property
@@ -151,7 +151,7 @@ class ModbusDriver:
         if self._motion is not None and not self._motion.over:
             raise DriverError("the last motion is not over yet; read its samples to the end, or stop it")
         _fits(name)
-        motion = Motion(self._buffer_limit)
+        motion = MotionStream(self._buffer_limit)
         motion_id = uuid.uuid4().bytes
         link.call(lambda: self._begin(motion, motion_id))
         try:
@@ -251,21 +251,21 @@ class ModbusDriver:
                 raise lost or DriverError(
                     f"{what}: the controller at {self.address} went on to another command, or was started again"
                 )
-            if answer["outcome"] != wire.Outcome.WORKING:
+            if answer["outcome"] != wire.OutcomeCode.WORKING:
                 break
             if acts is not None and acts():
                 return answer
             if time.monotonic() > until:
                 raise DriverError(f"the controller at {self.address} did not finish {what} within {timeout:g} s")
             self._closed.wait(_ANSWER_POLL)
-        if answer["outcome"] == wire.Outcome.DONE:
+        if answer["outcome"] == wire.OutcomeCode.DONE:
             return answer
         place = answer["line"], answer["column"]
         raise refusal_error(self.address, what, answer["refusal"], *place, answer["message"])
 
     # From here on in the link's thread.
 
-    def _begin(self, motion: Motion, motion_id: bytes) -> None:
+    def _begin(self, motion: MotionStream, motion_id: bytes) -> None:
         link = self._connected()
         self._motion = motion
         self._ring = RingReader(link, self._session, motion, motion_id, self._joints, self._slots, self._beat_if_due)
@@ -321,7 +321,7 @@ class ModbusDriver:
         if ring is not None:
             ring.shown_from = taken
 
-    def _check_room(self, motion: Motion) -> None:
+    def _check_room(self, motion: MotionStream) -> None:
         if motion.too_full:
             stop = {**self._blank(), "command": wire.Command.STOP, "request": next(self._requests)}
             self._connected().write(wire.COMMAND, **stop)

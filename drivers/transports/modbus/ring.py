@@ -10,7 +10,7 @@ import numpy as np
 from drivers.errors import DriverError, ProtocolError
 from drivers.protocol import SampleBlock
 from drivers.transports.modbus.link import ModbusLink
-from drivers.transports.motion import Motion
+from drivers.transports.motion import MotionStream
 from drivers.wire import modbus as wire
 
 _CHUNK = 64  # samples taken in one turn
@@ -27,7 +27,7 @@ class RingReader:
         self,
         link: ModbusLink,
         session: int,
-        motion: Motion,
+        motion: MotionStream,
         motion_id: bytes,
         joints: int,
         slots: int,

@@ -11,7 +11,7 @@ from drivers.wire.cnr import CommType, Message, MessageType, Point, QueueStatus,
 from drivers.wire.reasons import EndReason
 from fake_controller.controller import Controller
 from fake_controller.programs import RefusedRequest
-from fake_controller.servers.cnr.ftp import ProgramFolder
+from fake_controller.servers.cnr.ftp import FtpFolder
 from fake_controller.servers.cnr.queue import PROGRAM, PointQueue
 from fake_controller.servers.cnr.reports import Reports
 from fake_controller.servers.cnr.sockets import Client, Port
@@ -29,7 +29,7 @@ class TrajectoryPort(Port):
     def __init__(
         self,
         controller: Controller,
-        folder: ProgramFolder,
+        folder: FtpFolder,
         reports: Reports,
         address: str,
         port: int,

@@ -35,7 +35,7 @@ logging.getLogger("pyftpdlib").addHandler(logging.NullHandler())
 logging.getLogger("pyftpdlib").propagate = False
 
 
-class ProgramFolder:
+class FtpFolder:
     """Serves one folder of its own, which ends with it; a thread of its own does it.
 
     `NAME.pdl` is stored and translated: beside it appears `NAME.cod`, or `NAME.err` with "line column message".
@@ -189,7 +189,7 @@ class _Transfer(DTPHandler):
 class _Session(FTPHandler):
     """One client; what it is sent and what it says goes through the faults of the wire."""
 
-    folder: ProgramFolder
+    folder: FtpFolder
     faults: Faults
     dtp_handler = _Transfer
     banner = f"{CONTROLLER} {VERSION}"

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.wire.cnr import AXES, Feedback, Mode, Status
+from drivers.wire.cnr import AXES, Feedback, Mode, StatusMessage
 from drivers.wire.reasons import EndReason
 from fake_controller.controller import PERIOD, Controller
 from fake_controller.execution import Slice
@@ -190,11 +190,11 @@ class Reports:
                 record = replace(self._told, is_moving=int(self.flag), last_point_processed=self.last_point)
                 self._feedback.offer(record, spare=True)
 
-    def _state(self) -> Status:
+    def _state(self) -> StatusMessage:
         state = self._controller.state
         in_error = bool(state.alarms) or self.program_error
         auto = state.mode == "auto"
-        return Status(
+        return StatusMessage(
             drives_powered=int(state.drives_on),
             e_stopped=int(state.emergency_stop),
             error_code=_code(state.alarms[0]) if state.alarms else PROGRAM_ERROR * int(self.program_error),

@@ -9,7 +9,7 @@ from drivers.wire.reasons import EndReason
 from fake_controller.controller import Controller
 from fake_controller.servers.base import BROKER
 from fake_controller.servers.cnr.commands import TrajectoryPort
-from fake_controller.servers.cnr.ftp import ProgramFolder
+from fake_controller.servers.cnr.ftp import FtpFolder
 from fake_controller.servers.cnr.mqtt import JointPublisher
 from fake_controller.servers.cnr.reports import Reports
 from fake_controller.servers.cnr.sockets import LockStep
@@ -48,7 +48,7 @@ class CnrServer:
         with ExitStack() as undo:
             self._publisher = JointPublisher(broker, controller.robot, controller.faults, cut, waits)
             undo.callback(self._publisher.close)
-            self._folder = ProgramFolder(controller, address, ftp, watchdog)
+            self._folder = FtpFolder(controller, address, ftp, watchdog)
             undo.callback(self._folder.close)
             self._feedback = LockStep(MessageType.FEEDBACK, address, feedback, controller.faults, cut)
             undo.callback(self._feedback.close)

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable
 
 from drivers.errors import ProtocolError
-from drivers.wire.cnr import LITTLE, CommType, Decoder, Message, MessageType, Record, ReplyCode, encode
+from drivers.wire.cnr import LITTLE, CommType, Message, MessageDecoder, MessageType, Record, ReplyCode, encode
 from fake_controller.faults import Faults
 from fake_controller.servers.base import accepted, deaf_socket
 
@@ -37,7 +37,7 @@ class Client:
 
     def read(self, heard: Callable[[Message], None]) -> None:
         """Hand on what comes until the connection ends or makes no sense."""
-        decoder = Decoder(LITTLE)
+        decoder = MessageDecoder(LITTLE)
         with contextlib.suppress(OSError, ProtocolError):
             while data := self._receive():
                 for message in decoder.feed(self._faults.heard(data)):

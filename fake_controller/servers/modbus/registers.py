@@ -207,7 +207,7 @@ class RegisterMap:
         self._watchdog = min(max(values["watchdog"] / 1000, self._shortest), LONGEST_WATCHDOG)
         self._heard, self._silence, self._upload = True, 0.0, None
         self._controller.reach("connect")
-        self._answer = _no_answer(values, wire.Outcome.DONE, watchdog=round(self._watchdog * 1000))
+        self._answer = _no_answer(values, wire.OutcomeCode.DONE, watchdog=round(self._watchdog * 1000))
         return None
 
     def _upload_block(self, values: dict[str, Any]) -> ExcCodes | None:
@@ -223,7 +223,7 @@ class RegisterMap:
         if values["request"] <= self._request:
             return None  # taken before: said twice, done once
         self._request = values["request"]
-        self._answer = _no_answer(values, wire.Outcome.WORKING)
+        self._answer = _no_answer(values, wire.OutcomeCode.WORKING)
         command = values["command"]
         if command in (wire.Command.UPLOAD_END, wire.Command.START):  # these take their time
             if command == wire.Command.START:
@@ -236,11 +236,11 @@ class RegisterMap:
 
     def _carry_out(self, values: dict[str, Any]) -> None:
         try:
-            answer = _no_answer(values, wire.Outcome.DONE, checksum=self._do(values))
+            answer = _no_answer(values, wire.OutcomeCode.DONE, checksum=self._do(values))
         except RefusedRequest as refused:
             answer = _no_answer(
                 values,
-                wire.Outcome.REFUSED,
+                wire.OutcomeCode.REFUSED,
                 refusal=refused.reason,
                 line=refused.line,
                 column=refused.column,
@@ -313,7 +313,7 @@ class RegisterMap:
 
 
 def _no_answer(
-    values: dict[str, Any] | None = None, outcome: wire.Outcome = wire.Outcome.WORKING, **more: Any
+    values: dict[str, Any] | None = None, outcome: wire.OutcomeCode = wire.OutcomeCode.WORKING, **more: Any
 ) -> dict[str, Any]:
     """The fields of the answer block to a command."""
     return {
