@@ -38,7 +38,7 @@ from agent.excitation.genetic import genetic  # noqa: E402
 from agent.model.identified import IdentifiedModel  # noqa: E402
 from agent.recipe import load_recipe  # noqa: E402
 from agent.recording import Log  # noqa: E402
-from agent.robot.rigid_bodies import rigid_bodies  # noqa: E402
+from agent.robot.bodies import rigid_bodies  # noqa: E402
 from fake_controller.plant import Plant  # noqa: E402
 
 EDGE = 0.25

@@ -17,7 +17,7 @@ import numpy as np
 
 from agent.core.errors import RejectedError
 from agent.model.data import ModelEffect
-from agent.model.full_parameters import full_parameters
+from agent.model.standard_parameters import full_parameters
 from agent.model.identified import IdentifiedModel
 from agent.robot.dynamics import Dynamics
 from fake_controller.actuation import load_effect

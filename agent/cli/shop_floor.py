@@ -91,7 +91,7 @@ def history(
     as_json: AsJson = False,
 ) -> None:
     """Past runs: what they found, and what the gate said."""
-    from agent.runs.current_model import current_runs
+    from agent.runs.current import current_runs
     from agent.runs.history import history_json, history_table, open_history
 
     with open_history(logs) as past:
@@ -213,7 +213,7 @@ def apply(
 ) -> None:
     """Make a run's model the robot's current one. Writes to no controller."""
     from agent.core.console import print_json
-    from agent.runs.current_model import apply_previous, apply_run
+    from agent.runs.current import apply_previous, apply_run
     from agent.runs.history import find_run
 
     if (run is None) == (not previous):

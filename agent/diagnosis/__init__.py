@@ -1,8 +1,8 @@
 """The sim-to-real gap: where it lies, which effect causes it, how far it shrinks."""
 
 from agent.diagnosis.answer import Cause, DiagnosisResult
-from agent.diagnosis.diagnose import check_effects, diagnose
-from agent.diagnosis.extended_model import extended_model
+from agent.diagnosis.workflow import check_effects, diagnose
+from agent.diagnosis.extension import extended_model
 from agent.diagnosis.forward import Simulated, simulate, simulation_part
 from agent.diagnosis.limits import DecisionLimits
 from agent.diagnosis.result import Diagnosis

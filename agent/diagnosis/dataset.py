@@ -13,7 +13,7 @@ from agent.diagnosis.candidate import Fold
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.standstill import standing
-from agent.estimation.estimate import EstimationSettings, estimate
+from agent.estimation.workflow import EstimationSettings, estimate
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.observation import Observation, observe
 from agent.estimation.prior import DESCRIPTION, EITHER, physical_prior

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.diagnosis.extended_model import extended_model
+from agent.diagnosis.extension import extended_model
 from agent.estimation.filtering import FilterSettings, Motion, motions, smooth_and_differentiate
 from agent.model.effects import CATALOGUE
 from agent.model.friction_terms import AxleMotion, axle_columns

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from agent.core.errors import InputError, RejectedError
-from agent.diagnosis.corrected import corrected
+from agent.diagnosis.correction import corrected
 from agent.diagnosis.result import Diagnosis
 from agent.diagnosis.rollout import Drive, at_motors, engine
 from agent.estimation.filtering import FilterSettings, Motion, motions

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.diagnosis.diagnose import diagnose
-from agent.diagnosis.extended_model import extended_model
+from agent.diagnosis.workflow import diagnose
+from agent.diagnosis.extension import extended_model
 from agent.model.identified import IdentifiedModel
 from agent.recording.log import Log
 from agent.robot import RobotDescription

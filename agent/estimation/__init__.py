@@ -1,6 +1,6 @@
 """From logs to an identified model: filtering, regression, friction, uncertainty."""
 
-from agent.estimation.estimate import ESTIMATORS, EstimationSettings, Estimator, estimate, methods
+from agent.estimation.workflow import ESTIMATORS, EstimationSettings, Estimator, estimate, methods
 from agent.estimation.filtering import FilterSettings
 from agent.model.data import ModelEffect
 from agent.model.identified import EFFECTS, IdentifiedModel, condition_text

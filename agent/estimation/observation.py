@@ -18,7 +18,7 @@ from agent.model.friction_terms import AxleMotion, FrictionTerm, axle_columns
 from agent.recording.log import Log
 from agent.recording.scratch import Scratch
 from agent.robot import RobotDescription
-from agent.robot.rigid_bodies import RigidBodies
+from agent.robot.bodies import RigidBodies
 
 if TYPE_CHECKING:
     pass

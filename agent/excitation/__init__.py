@@ -3,9 +3,9 @@
 from agent.excitation.candidates import Candidates, Loop, LoopProblem
 from agent.excitation.criterion import Criterion, log_determinant, torque_weights
 from agent.excitation.scoring import LoopScore, ranking
-from agent.excitation.search import Generation, SearchResult, search
+from agent.excitation.loop_search import Generation, SearchResult, search
 from agent.excitation.sub_region import OutOfReach, check_sub_region
-from agent.runs.stored_loops import FOLDER, StoredLoop, find_loop, keep_loop, loop_key, stored_loops
+from agent.runs.loop_store import FOLDER, StoredLoop, find_loop, keep_loop, loop_key, stored_loops
 
 __all__ = [
     "FOLDER",

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from agent.robot import RobotDescription
-from agent.robot.base_parameters import base_parameters
+from agent.robot.base_reduction import base_parameters
 from agent.robot.drivetrain import rotor_regressor
 from agent.robot.dynamics import Dynamics, Tool
 from agent.robot.friction import PAPER_TERMS, friction_regressor

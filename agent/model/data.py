@@ -25,7 +25,7 @@ class ModelData:
     """The data of a fitted model of one robot.
 
     Its p parameters are b base parameters (rotor inertias among them), then the friction terms: values (p,) and
-    covariance (p, p). `independent`, `projection` and `combinations` are those of `agent.robot.base_parameters`;
+    covariance (p, p). `independent`, `projection` and `combinations` are those of `agent.robot.base_reduction`;
     `residual_rmse` and `held_out_rmse` (n,) [N·m] are of the fit and of its cross-validation, standstill included;
     `weights` (2, n) are the fit's, in motion and at standstill; `group_rmse` (2, n) is the held-out RMSE of the same
     groups, and `standstill_speed` (n,) up to which a joint stands still (None in older files); `cutoff` [Hz] and

@@ -25,7 +25,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from agent.core.errors import RejectedError
-from agent.model.full_parameters import check_physical, full_parameters
+from agent.model.standard_parameters import check_physical, full_parameters
 from agent.model.identified import IdentifiedModel
 from agent.model.sdf import sdf_text
 from agent.recording.mcap import foxglove

@@ -17,7 +17,7 @@ from agent.model.checks import check_model
 from agent.model.data import ModelData, ModelEffect
 from agent.model.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns
 from agent.robot import RobotDescription
-from agent.robot.rigid_bodies import RigidBodies
+from agent.robot.bodies import RigidBodies
 
 SCHEMA = "model/1"
 

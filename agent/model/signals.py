@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.model.friction_terms import AxleMotion, Reversal, axle_columns
-from agent.model.full_parameters import from_pseudo_inertia, pseudo_inertia
+from agent.model.standard_parameters import from_pseudo_inertia, pseudo_inertia
 from agent.model.identified import IdentifiedModel
 from agent.robot import RobotDescription
 from agent.robot.parameter_layout import ParameterLayout

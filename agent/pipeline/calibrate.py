@@ -20,7 +20,7 @@ from agent.pipeline.result import CalibrationResult, build_result, provenance, r
 from agent.recipe import Recipe
 from agent.robot.torque_figures import not_judged_text, outcome_text
 from agent.runs.approved import approve, check_approved
-from agent.runs.current_model import register_run, run_key
+from agent.runs.current import register_run, run_key
 from agent.runs.folder import RunFolder, sha256_file
 from agent.runs.lock import robot_lock
 from agent.safety.preconditions import check_period

@@ -33,7 +33,7 @@ def compare_runs(runs: Sequence[Path], console: Console, report: Path | None = N
         for run, model in zip(runs[1:], models[1:], strict=True)
     ]
     if report is not None:
-        from agent.report.comparison_page import comparison_page
+        from agent.report.comparison import comparison_page
         from agent.runs.folder import write_atomically
 
         by_name = {run.name: model for run, model in zip(runs, models, strict=True)}

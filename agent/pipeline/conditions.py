@@ -47,7 +47,7 @@ def friction_levels(model: IdentifiedModel, top_speed: np.ndarray) -> list[Level
 
     Single friction parameters lean on each other; friction at a speed the axle had does not.
     """
-    from agent.estimation.refit import conditional_covariance
+    from agent.estimation.refitting import conditional_covariance
 
     base = len(model.independent)
     between = conditional_covariance(model)

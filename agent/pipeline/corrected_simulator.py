@@ -56,8 +56,8 @@ def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: 
     Raises:
         InputError, RejectedError: the file cannot be changed in place, or did not read back as meant.
     """
-    from agent.diagnosis.corrected import corrected
-    from agent.diagnosis.ranges import ranges, ranges_text
+    from agent.diagnosis.correction import corrected
+    from agent.diagnosis.randomisation import ranges, ranges_text
     from agent.model.simulators.corrected_file import write_corrected
     from agent.model.simulators.correction import NOT_OF_A_SIMULATOR
     from agent.runs.folder import write_atomically

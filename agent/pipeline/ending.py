@@ -9,7 +9,7 @@ from typing import Any
 
 from agent.core.errors import InputError
 from agent.recipe import Recipe
-from agent.runs.current_model import current_model
+from agent.runs.current import current_model
 from agent.runs.folder import RunFolder
 
 _LOGS = Path("logs")

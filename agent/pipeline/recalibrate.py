@@ -24,7 +24,7 @@ from agent.pipeline.result import provenance
 from agent.recipe import Recipe
 from agent.robot.torque_figures import not_judged_text, outcome_text, torque_units, without_nominal
 from agent.runs.approved import approve
-from agent.runs.current_model import apply_run, register_run, run_key
+from agent.runs.current import apply_run, register_run, run_key
 from agent.runs.due import too_early, wrong_clock
 from agent.runs.folder import RunFolder, sha256_file
 from agent.runs.lock import robot_lock
@@ -32,9 +32,9 @@ from agent.safety.authorisation import Authorisation
 
 if TYPE_CHECKING:
     from agent.estimation import IdentifiedModel
-    from agent.estimation.refit import Refit
+    from agent.estimation.refitting import Refit
     from agent.recording.log import Log
-    from agent.runs.stored_loops import StoredLoop
+    from agent.runs.loop_store import StoredLoop
     from agent.validation import Prediction
     from agent.validation.compare import Comparison
 
@@ -176,7 +176,7 @@ def _check_machine(reference: Reference, link: RobotLink) -> None:
 
 
 def _estimate(recipe: Recipe, reference: Reference, run: RunFolder, console: Console) -> tuple[Log, Refit, Comparison]:
-    from agent.estimation.refit import refit
+    from agent.estimation.refitting import refit
     from agent.pipeline.identify import check_run, read_logs
     from agent.validation.compare import compare_models
 

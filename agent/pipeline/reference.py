@@ -15,14 +15,14 @@ from agent.core.errors import InputError
 from agent.pipeline import planning
 from agent.recipe import Recipe
 from agent.runs.approved import approved_parts, differences, problem
-from agent.runs.current_model import current_model, run_key
+from agent.runs.current import current_model, run_key
 from agent.runs.history import open_history
 from agent.runs.past_run import PastRun
 
 if TYPE_CHECKING:
     from agent.estimation import IdentifiedModel
     from agent.motion.program import Move, Target
-    from agent.runs.stored_loops import StoredLoop
+    from agent.runs.loop_store import StoredLoop
 
 #: Of poses [m] and joints [rad] that are written with nine decimals.
 _SAME = 1e-6
@@ -77,7 +77,7 @@ def find_reference(recipe: Recipe, logs: Path, past: PastRun) -> Reference:
         InputError: the loop is not kept here, was changed, or does not lie in the recipe's sub-region; or no model.
     """
     from agent.estimation import IdentifiedModel
-    from agent.runs.stored_loops import FOLDER, find_loop
+    from agent.runs.loop_store import FOLDER, find_loop
 
     loop = find_loop(recipe, program=past.program)
     if loop is None:
@@ -111,7 +111,7 @@ def check_loop(recipe: Recipe, loop: StoredLoop) -> None:
     from agent.excitation import Candidates
     from agent.motion.pdl2 import parse_program
     from agent.motion.program import Move
-    from agent.runs.stored_loops import FOLDER
+    from agent.runs.loop_store import FOLDER
 
     def moves(text: str) -> list[Move]:
         program = parse_program(text, f"{loop.program_name}.pdl", recipe.robot)

@@ -13,7 +13,7 @@ from agent.core.errors import AgentError, InputError
 from agent.pipeline.drift_check import diagnose_if_worse, joint_moves, moving_rmse, worse_joints
 from agent.recipe import Recipe
 from agent.recording.log import AROUND
-from agent.runs.current_model import current_runs
+from agent.runs.current import current_runs
 from agent.runs.folder import RunFolder, write_atomically
 from agent.runs.history import last_accepted, open_history
 
@@ -51,9 +51,9 @@ def recalibration_page(
     from agent.pipeline.first_screen import about_run
     from agent.pipeline.plan import left_over, motion_data
     from agent.report.comparison_sections import comparison_section
-    from agent.report.friction_section import friction_section
+    from agent.report.friction_curves import friction_section
     from agent.report.log_sections import log_section
-    from agent.report.recalibration_report import RecalibrationData, recalibration_report
+    from agent.report.recalibration import RecalibrationData, recalibration_report
     from agent.report.residual_sections import residual_section
     from agent.report.run_sections import observation_part
 

@@ -8,7 +8,7 @@ from agent.recipe.recipe import (
     load_recipe,
     recipe_schema,
 )
-from agent.recipe.template import template
+from agent.recipe.recipe_text import template
 from agent.recipe.via_points import ViaBox, ViaLike, ViaPointList, ViaPointRegion, ViaTube
 
 __all__ = [

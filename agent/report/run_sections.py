@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from agent.report.comparison_sections import comparison_section
 from agent.report.correlation import correlation_section
-from agent.report.friction_section import friction_section
+from agent.report.friction_curves import friction_section
 from agent.report.log_sections import log_section
 from agent.report.observation_section import observation_section
 from agent.report.page import Section
@@ -55,7 +55,7 @@ class RunContent:
 def observation_part(model: IdentifiedModel, log: Log) -> Section:
     """What a model's own motion shows of its parameters."""
     from agent.estimation import condition_text
-    from agent.validation.observability import observability
+    from agent.validation.singular_values import observability
 
     return observation_section(observability(model, log), condition_text(model.condition_number))
 

@@ -1,7 +1,7 @@
 """Robot description, kinematics, dynamics, base parameters and friction.
 
 `agent.robot.dynamics` is imported where it is used: it loads Pinocchio. So is
-`agent.robot.base_parameters`, whose function has its name.
+`agent.robot.base_reduction`, whose function has its name.
 """
 
 from agent.robot.description import (

@@ -10,9 +10,9 @@ import pytest
 
 from agent.estimation import EstimationSettings, estimate
 from agent.model.effects import CATALOGUE
-from agent.model.full_parameters import from_pseudo_inertia, pseudo_inertia
+from agent.model.standard_parameters import from_pseudo_inertia, pseudo_inertia
 from agent.model.signals import MotionSignals, NominalModel
-from agent.robot.rigid_bodies import rigid_bodies
+from agent.robot.bodies import rigid_bodies
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from agent.diagnosis import CATALOGUE, diagnose
 from agent.estimation import EstimationSettings, estimate
 from agent.recording.log import Log
 from agent.robot import RobotDescription
-from agent.robot.rigid_bodies import rigid_bodies
+from agent.robot.bodies import rigid_bodies
 from tests.estimation.conftest import _arm, _log, _multisine
 
 COULOMB = 12.0  # N·m, of 100 nominal

@@ -7,7 +7,7 @@ import numpy as np
 from agent.diagnosis.structure import with_structure
 from agent.estimation import EstimationSettings, estimate
 from agent.model.identified import IdentifiedModel
-from agent.robot.rigid_bodies import rigid_bodies
+from agent.robot.bodies import rigid_bodies
 from agent.validation import validate
 from tests.estimation.conftest import _arm, _log, _multisine
 

@@ -17,9 +17,9 @@ from agent.core.errors import RejectedError
 from agent.estimation import IdentifiedModel
 from agent.model.export import export_model
 from agent.model.friction_terms import FrictionTerm, Reversal
-from agent.model.full_parameters import check_physical, full_parameters, pseudo_inertia
+from agent.model.standard_parameters import check_physical, full_parameters, pseudo_inertia
 from agent.robot import RobotDescription, load_robot
-from agent.robot.rigid_bodies import rigid_bodies
+from agent.robot.bodies import rigid_bodies
 
 WRIST = ((1, 0, 0, 0, 0, 0), (0, 1, 0, 0, 0, 0), (0, 0, 1, 0, 0, 0), (0, 0, 0, 1, 0, 0), (0, 0, 0, 0, 1, 0))
 COUPLED = (*(tuple(map(float, row)) for row in WRIST), (0.0, 0.0, 0.0, 0.0, 1.0, 1.0))

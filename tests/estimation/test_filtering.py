@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from agent.core.errors import InputError
 from agent.estimation import filtering
-from agent.estimation.estimate import observe_predictable
+from agent.estimation.workflow import observe_predictable
 from agent.estimation.filtering import FilterSettings, motions, smooth_and_differentiate
-from agent.robot.rigid_bodies import rigid_bodies
+from agent.robot.bodies import rigid_bodies
 
 
 def _motions(log, cutoff=None, reduce=True, **more):

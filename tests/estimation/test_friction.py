@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from agent.estimation import EstimationSettings, estimate
 from agent.estimation.friction_selection import paper_terms
 from agent.model.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns, dahl
-from agent.robot.rigid_bodies import rigid_bodies
+from agent.robot.bodies import rigid_bodies
 from agent.validation import predict_log
 
 

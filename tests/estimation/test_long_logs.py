@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from agent.estimation import estimate
-from agent.estimation.estimate import EstimationSettings
+from agent.estimation.workflow import EstimationSettings
 from agent.recording import read_log, scratch, write_log
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.estimation import EFFECTS, EstimationSettings, IdentifiedModel, ModelEffect, estimate
-from agent.robot.rigid_bodies import rigid_bodies
+from agent.robot.bodies import rigid_bodies
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 
 from agent.estimation import ESTIMATORS, EstimationSettings, Estimator, IdentifiedModel, estimate
 from agent.estimation.problem import Estimate
-from agent.robot.rigid_bodies import rigid_bodies
+from agent.robot.bodies import rigid_bodies
 
 PAPER = EstimationSettings.create(method="paper")
 
@@ -55,7 +55,7 @@ def test_it_believes_nothing_of_the_description(log):
 
 def test_it_is_the_weighted_pseudo_inverse(log):
     from agent.estimation.observation import observe
-    from agent.robot.rigid_bodies import rigid_bodies
+    from agent.robot.bodies import rigid_bodies
 
     robot, recorded = log()
     model = estimate(robot, [recorded], PAPER)

@@ -9,7 +9,7 @@ import numpy as np
 from agent.estimation import EstimationSettings, estimate
 from agent.estimation.method_selection import choose
 from agent.estimation.problem import Estimate
-from agent.robot.rigid_bodies import rigid_bodies
+from agent.robot.bodies import rigid_bodies
 from agent.validation import validate
 
 FRICTION = np.array([40.0, 80.0, 50.0, 20.0, 12.0, 6.0, 3.0])  # N·m

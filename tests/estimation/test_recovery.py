@@ -19,7 +19,7 @@ from agent.estimation.observation import observe
 from agent.estimation.prior import link_prior
 from agent.estimation.problem import Problem
 from agent.model.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns
-from agent.robot.rigid_bodies import rigid_bodies
+from agent.robot.bodies import rigid_bodies
 
 PAPER = EstimationSettings.create(method="weighted", friction="paper")
 

@@ -18,7 +18,7 @@ from agent.estimation.problem import Problem
 from agent.estimation.solving import autocorrelation_time
 from agent.estimation.uncertainty import covariance
 from agent.model.friction_terms import AxleMotion, Reversal, axle_columns
-from agent.robot.rigid_bodies import rigid_bodies
+from agent.robot.bodies import rigid_bodies
 from agent.validation import predict_log
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from agent.excitation import Criterion, log_determinant, torque_weights
 from agent.robot import RobotDescription, load_robot
-from agent.robot.base_parameters import base_parameters
+from agent.robot.base_reduction import base_parameters
 from agent.robot.dynamics import Dynamics
 
 

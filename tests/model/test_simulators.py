@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from agent.core.console import Console
 from agent.core.errors import InputError, RejectedError
 from agent.diagnosis import diagnose, extended_model, forward_windows
-from agent.diagnosis.ranges import ranges, ranges_text
+from agent.diagnosis.randomisation import ranges, ranges_text
 from agent.diagnosis.rollout import MujocoEngine
 from agent.model.identified import IdentifiedModel
 from agent.model.simulators import load_joint_map, load_simulator

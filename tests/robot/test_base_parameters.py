@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agent.robot import RobotDescription, load_robot
-from agent.robot.base_parameters import BaseParameters, base_parameters
+from agent.robot.base_reduction import BaseParameters, base_parameters
 from agent.robot.drivetrain import rotor_regressor
 from agent.robot.dynamics import Dynamics
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from agent.core.errors import InputError
-from agent.runs.current_model import apply_previous, apply_run, current_model
+from agent.runs.current import apply_previous, apply_run, current_model
 
 
 def _three(write_runs) -> tuple[Path, list[Path]]:

@@ -25,7 +25,7 @@ from agent.pipeline.reference import check_loop
 from agent.recipe import Recipe, load_recipe, template
 from agent.runs.approved import approve, check_approved, differences, digest, problem
 from agent.runs.folder import RunFolder, sha256_file, sha256_text
-from agent.runs.stored_loops import stored_loops
+from agent.runs.loop_store import stored_loops
 
 CATALOGUE = Path(agent.robot.__file__).parent / "catalogue" / "comau_ns16"
 TOOL = "tool: {frame: [0 mm, 0 mm, 120 mm, 0 deg, 0 deg, 0 deg], mass: 2.1 kg}\n"
@@ -238,7 +238,7 @@ def test_a_replaced_loop_does_not_move_even_where_the_run_was_changed_with_it(sh
 
 
 def test_a_key_alone_finds_nothing(shop: Path):
-    from agent.runs.stored_loops import find_loop
+    from agent.runs.loop_store import find_loop
 
     def other_region(data: dict[str, Any]) -> None:
         data["sub_region"]["box"]["centre"][2] -= 0.35

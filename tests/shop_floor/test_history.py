@@ -14,7 +14,7 @@ import pytest
 
 from agent.core.errors import AgentError, InputError
 from agent.pipeline.reports import write_index
-from agent.runs.current_model import apply_run
+from agent.runs.current import apply_run
 from agent.runs.history import FILE, find_run, history_json, history_table, open_history
 
 

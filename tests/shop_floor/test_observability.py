@@ -10,7 +10,7 @@ import pytest
 from agent.estimation import IdentifiedModel
 from agent.estimation.filtering import FilterSettings, motions
 from agent.recording import read_log
-from agent.validation.observability import observability
+from agent.validation.singular_values import observability
 
 
 @pytest.fixture(scope="module")

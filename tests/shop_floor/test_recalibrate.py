@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from agent.estimation import IdentifiedModel
-from agent.runs.stored_loops import stored_loops
+from agent.runs.loop_store import stored_loops
 
 
 def _runs(shop: Path) -> list[Path]:

@@ -20,7 +20,7 @@ from agent.core.errors import AgentError, InputError
 from agent.pipeline.compare import compare_runs
 from agent.pipeline.rebuild_report import report_again
 from agent.pipeline.reports import write_index
-from agent.runs.current_model import apply_previous, apply_run
+from agent.runs.current import apply_previous, apply_run
 from agent.runs.folder import RunFolder
 from agent.runs.history import FILE, find_run, history_json, history_table, open_history
 from agent.runs.trends import watch

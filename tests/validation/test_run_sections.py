@@ -80,7 +80,7 @@ def test_a_section_is_one_function_and_one_registration(monkeypatch, tmp_path):
 
 
 def test_a_friction_curve_is_that_of_long_sliding(logs):
-    from agent.report.friction_section import friction_curve
+    from agent.report.friction_curves import friction_curve
 
     robot, (fitted, _) = logs
     model = estimate(robot, [fitted], EstimationSettings.create(method="paper", cutoff=20))

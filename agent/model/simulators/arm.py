@@ -166,7 +166,7 @@ def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, o
     Raises:
         InputError: a mass matrix that is not positive, or joints that are not one serial chain.
     """
-    from agent.robot.rigid_bodies import rigid_bodies
+    from agent.robot.bodies import rigid_bodies
 
     check_mass_matrix(arm, robot)
     rigid, standard_names, combinations = rigid_bodies(robot)

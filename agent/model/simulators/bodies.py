@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.model.full_parameters import LOG_DET_BASIS, from_pseudo_inertia, nearby_body, pseudo_inertia
+from agent.model.standard_parameters import LOG_DET_BASIS, from_pseudo_inertia, nearby_body, pseudo_inertia
 
 _ROUNDS, _PULLS = 60, (1.0, 1e-2, 1e-4, 1e-6)  # Newton steps for each weight of the distance from the file
 _STEP = 1e-10  # relative, at which a minimum counts as found

@@ -149,7 +149,7 @@ def apply_previous(logs: Path, robot: str | None = None, serial: str | None = No
 
 def run_key(recipe: Recipe) -> dict[str, str]:
     """Facts about a run by which later ones find it: its loop's key and its controller."""
-    from agent.runs.stored_loops import loop_key
+    from agent.runs.loop_store import loop_key
 
     return {"loop": loop_key(recipe), "controller": f"{recipe.controller.driver} {recipe.controller.address}"}
 

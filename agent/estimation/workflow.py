@@ -32,7 +32,7 @@ from agent.model.identified import IdentifiedModel
 from agent.recording.log import Log
 from agent.recording.scratch import parts
 from agent.robot import RobotDescription
-from agent.robot.rigid_bodies import RigidBodies, rigid_bodies
+from agent.robot.bodies import RigidBodies, rigid_bodies
 
 if TYPE_CHECKING:
     from agent.robot.dynamics import Tool

@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.core.figures import plus_minus
 from agent.report.comparison_sections import comparison_section
-from agent.report.friction_section import friction_curve
+from agent.report.friction_curves import friction_curve
 from agent.report.page import About, NextStep, Page, Section, Table, render
 from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series
 from agent.report.residual_sections import heat_map, residual_map

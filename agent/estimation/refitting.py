@@ -22,7 +22,7 @@ import numpy as np
 
 from agent.core.errors import InputError
 from agent.estimation.blocks import partition
-from agent.estimation.estimate import ESTIMATORS
+from agent.estimation.workflow import ESTIMATORS
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.observation import Observation, observe
 from agent.estimation.problem import Estimate, Problem, cross_validate
@@ -30,7 +30,7 @@ from agent.estimation.solving import autocorrelation_time, reweight, solve_scale
 from agent.estimation.summary import build_model
 from agent.model.identified import IdentifiedModel
 from agent.recording.log import Log
-from agent.robot.rigid_bodies import rigid_bodies
+from agent.robot.bodies import rigid_bodies
 
 if TYPE_CHECKING:
     from agent.robot.dynamics import Tool

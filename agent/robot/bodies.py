@@ -24,7 +24,7 @@ class RigidBodies:
     """The regressor of base parameters, with which (joint, parameter) pairs can be other than zero.
 
     `independent` (b,) are the standard parameters kept as base parameters; `projection` (b, p) turns standard ones into
-    base ones (see `agent.robot.base_parameters`); `support[i]` lists what acts on joint i.
+    base ones (see `agent.robot.base_reduction`); `support[i]` lists what acts on joint i.
     """
 
     def __init__(self, dynamics: Dynamics, independent: np.ndarray, projection: np.ndarray):
@@ -87,7 +87,7 @@ def rigid_bodies(
     robot: RobotDescription, tool: Tool | None = None
 ) -> tuple[RigidBodies, tuple[str, ...], tuple[str, ...]]:
     """Regressor of a robot's base parameters, the names of its standard parameters, and the combinations as text."""
-    from agent.robot.base_parameters import base_parameters
+    from agent.robot.base_reduction import base_parameters
     from agent.robot.dynamics import Dynamics
 
     base = base_parameters(robot)
