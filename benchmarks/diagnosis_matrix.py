@@ -24,8 +24,9 @@ from agent.blind_check.cases import draw_effect
 from agent.core.errors import AgentError
 from agent.core.on_dask import open_engine
 from agent.core.parallel import InProcess
-from agent.diagnosis import CATALOGUE, diagnose
-from agent.estimation import IdentifiedModel, estimate
+from agent.diagnosis import diagnose
+from agent.estimation import estimate
+from agent.model import CATALOGUE, IdentifiedModel
 from agent.recording.log import Log
 from agent.robot import RobotDescription, load_robot
 from fake_controller.plant import Plant

@@ -21,12 +21,13 @@ sys.path.insert(0, str(ROOT))
 
 from cma_es import cma_es  # noqa: E402  beside this file
 
-from agent.estimation import EstimationSettings, IdentifiedModel, estimate  # noqa: E402
+from agent.estimation import EstimationSettings, estimate  # noqa: E402
 from agent.excitation import Candidates, Criterion, Loop, LoopProblem  # noqa: E402
 from agent.excitation.criterion import log_determinant, one_blas_thread  # noqa: E402
 from agent.excitation.genetic import genetic  # noqa: E402
 from agent.excitation.random_search import random_search  # noqa: E402
 from agent.excitation.scoring import LoopScore, ranking  # noqa: E402
+from agent.model import IdentifiedModel  # noqa: E402
 from agent.motion import create_interpolator  # noqa: E402
 from agent.motion.program import JointTarget, Move, MoveType, Termination  # noqa: E402
 from agent.pipeline.planning import loop_problem  # noqa: E402

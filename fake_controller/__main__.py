@@ -11,7 +11,7 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core.errors import AgentError, InputError
+from agent.core import AgentError, InputError
 from fake_controller.servers import WIRES
 
 if TYPE_CHECKING:

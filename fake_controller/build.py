@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agent.robot import load_robot
-from agent.robot.kinematics import kinematics_for
+from agent.robot import kinematics_for, load_robot
 from fake_controller.clock import CLOCKS
 from fake_controller.controller import PERIOD, Controller
 from fake_controller.faults import Fault, Faults
@@ -41,7 +40,7 @@ def build_controller(
     """
     identified = None
     if model is not None:
-        from agent.model.identified import IdentifiedModel
+        from agent.model import IdentifiedModel
 
         identified = IdentifiedModel.load(model)
     robot = load_robot(robot_name) if identified is None else identified.robot

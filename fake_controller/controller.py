@@ -12,10 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from agent.motion.interpolator import Interpolator
-from agent.motion.pdl2 import Pdl2Error
-from agent.motion.pdl2.evaluation import Value
-from agent.motion.pdl2.tree import Pos
+from agent.motion import Interpolator, Pdl2Error, Pos, Value
 from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.clock import Clock

@@ -9,10 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.core.errors import InputError
-from agent.motion.interpolator import Interpolator, MotionError
-from agent.motion.program import Delay, JointTarget, Move, Statement, Target, Termination
-from agent.motion.trajectory import Trajectory
+from agent.core import InputError
+from agent.motion import Delay, Interpolator, JointTarget, MotionError, Move, Statement, Target, Termination, Trajectory
 from drivers.wire.reasons import EndReason
 from fake_controller.astray import Astray
 from fake_controller.plant import Plant

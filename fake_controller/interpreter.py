@@ -11,37 +11,39 @@ from typing import Any
 
 import numpy as np
 
-from agent.motion.pdl2 import Pdl2Error, Program
-from agent.motion.pdl2.evaluation import Memory, Value, evaluate, subscript
-from agent.motion.pdl2.tree import (
+from agent.motion import (
     Assignment,
     Block,
+    CartesianTarget,
     Conditional,
     Constant,
+    Delay,
     DelayStatement,
     Element,
     Expression,
-    ForLoop,
-    Joints,
-    MoveStatement,
-    Pos,
-    System,
-)
-from agent.motion.program import (
-    CartesianTarget,
-    Delay,
     FlyTrajectory,
     FlyType,
+    ForLoop,
     Frame,
+    Joints,
     JointTarget,
+    Memory,
     MotionSettings,
     Move,
+    MoveStatement,
     MoveType,
     OrientationType,
+    Pdl2Error,
+    Pos,
+    Program,
     SpeedOption,
     Statement,
+    System,
     Target,
     Termination,
+    Value,
+    evaluate,
+    subscript,
 )
 from agent.robot import RobotDescription
 from fake_controller.frames import Transform, target_in_robot_base

@@ -15,11 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from agent.core.errors import RejectedError
-from agent.model.data import ModelEffect
-from agent.model.standard_parameters import full_parameters
-from agent.model.identified import IdentifiedModel
-from agent.robot.dynamics import Dynamics
+from agent.core import RejectedError
+from agent.model import IdentifiedModel, ModelEffect, full_parameters
+from agent.robot import Dynamics
 from fake_controller.actuation import load_effect
 from fake_controller.actuation.friction import FrictionCurve
 from fake_controller.actuation.machine import Machine, draw_machine

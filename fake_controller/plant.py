@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core.errors import InputError
-from agent.robot import RobotDescription
-from agent.robot.dynamics import Dynamics
+from agent.core import InputError
+from agent.robot import Dynamics, RobotDescription
 from agent.simulation import ExternalTorque, ForwardSimulation, ServoGains
 from fake_controller.actuation import load_effect
 from fake_controller.actuation.drive import Drive
@@ -18,7 +17,7 @@ from fake_controller.actuation.machine import Machine, draw_machine
 from fake_controller.actuation.sensors import Measured, Sensors
 
 if TYPE_CHECKING:
-    from agent.model.identified import IdentifiedModel
+    from agent.model import IdentifiedModel
     from fake_controller.modelled import BeyondMachine
 
 __all__ = ["Measured", "Plant", "Truth"]

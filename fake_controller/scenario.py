@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from agent.core.documents import load_document
-from agent.recipe.quantities import Time
+from agent.core import load_document
+from agent.recipe import Time
 from fake_controller.faults import NOT_ON, Fault
 from fake_controller.servers import WIRES
 

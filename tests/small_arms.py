@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.estimation import IdentifiedModel, estimate
+from agent.estimation import estimate
+from agent.model import IdentifiedModel
 from agent.recording.log import Log
 from agent.robot import Joint, RobotDescription
 from fake_controller.plant import Plant

@@ -39,3 +39,16 @@ def test_no_class_name_stands_for_two_things():
                 if isinstance(node, ast.ClassDef):
                     places.setdefault(node.name, []).append(path.relative_to(ROOT).as_posix())
     assert {name: where for name, where in places.items() if len(where) > 1} == {}
+
+
+def test_a_room_is_entered_by_its_door():
+    """What a package of the agent has for others is what its `__init__` exports; the rest is private to it."""
+    inside = []
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            own = path.relative_to(ROOT).parts[:2]
+            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+                room = (node.module or "").split(".") if isinstance(node, ast.ImportFrom) and not node.level else []
+                if room[:1] == ["agent"] and len(room) > 2 and tuple(room[:2]) != own:
+                    inside.append(f"{path.relative_to(ROOT).as_posix()}:{node.lineno}: {node.module}")
+    assert inside == []

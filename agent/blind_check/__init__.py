@@ -1,5 +1,5 @@
 """Runs with a withheld effect, diagnosed without the key, then scored."""
 
-from agent.blind_check.check import BlindCheck
+import lazy_loader
 
-__all__ = ["BlindCheck"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.model.effects import CATALOGUE
+from agent.model import CATALOGUE
 from agent.robot import RobotDescription
 
 #: Runs that share one individual machine and its reference model.
@@ -208,7 +208,7 @@ def _nominal(robot: RobotDescription) -> np.ndarray:
 
 def _inertia(robot: RobotDescription, k: int) -> float:
     """[kg·m²] that joint k sees in the middle of its range."""
-    from agent.robot.dynamics import Dynamics
+    from agent.robot import Dynamics
 
     lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
     return float(Dynamics(robot).mass_matrix(0.5 * (lower + upper))[k, k])

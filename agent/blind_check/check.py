@@ -16,9 +16,8 @@ from agent.blind_check.cases import Case
 from agent.blind_check.key import key_text, open_key, seal
 from agent.blind_check.scoring import outcome, score
 from agent.blind_check.worlds import EmulatorWorld, MujocoWorld, World
-from agent.core.console import Console
-from agent.core.errors import AgentError, InputError
-from agent.runs.folder import write_atomically
+from agent.core import AgentError, Console, InputError
+from agent.runs import write_atomically
 from drivers.errors import DriverError
 
 #: A log of the first two motions is about this long [s], two cycles and the way to where they start.
@@ -140,7 +139,7 @@ class BlindCheck:
     def _second_opinions(self, case: Case, result: dict[str, Any]) -> dict[str, Any]:
         from agent.blind_check.oracle import reference_closures
         from agent.blind_check.worker import diagnose_job
-        from agent.core.console import finite
+        from agent.core import finite
 
         names = sorted({effect["effect"] for effect in case.effects})
         planned = sorted(self._folder(case).glob("*.npy"))

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.core.errors import InputError
-from agent.link.planned import check_cell
-from agent.motion import create_interpolator
-from agent.motion.pdl2 import write_program
-from agent.motion.program import JointTarget, MotionSettings, Move, MoveType, Termination
+from agent.core import InputError
+from agent.link import check_cell
+from agent.motion import JointTarget, MotionSettings, Move, MoveType, Termination, create_interpolator, write_program
 from agent.recipe import Recipe
 from agent.robot import RobotDescription
 

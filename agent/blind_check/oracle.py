@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.diagnosis import CATALOGUE, Diagnosis, Effect, Trial
+from agent.diagnosis import Diagnosis, Trial
+from agent.model import CATALOGUE, Effect
 
 if TYPE_CHECKING:
-    from agent.model.effects.effect import Columns
-    from agent.model.signals import MotionSignals
+    from agent.model import Columns, MotionSignals
 
 
 class BlackBox(Effect):

@@ -43,7 +43,7 @@ def weak_spots(scores: Scores) -> list[str]:
 
 
 def _right(effect: str) -> str:
-    from agent.diagnosis import CATALOGUE
+    from agent.model import CATALOGUE
 
     return "no_gap" if effect == "nothing" else effect if effect in CATALOGUE else "unknown"
 

@@ -11,8 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from agent.core.console import Console
-from agent.core.errors import ControllerError
+from agent.core import Console, ControllerError
 from agent.recipe import Recipe, load_recipe
 
 #: Corners that fly joint by joint are held to no FLY distance: the guard and the cell are told how far they may go.
@@ -78,8 +77,7 @@ def record_motions(
         ControllerError, SafetyError, DriverError: the arm did not do it.
         InputError: a program that cannot be planned.
     """
-    from agent.link.planned import plan_statements
-    from agent.link.record import open_link
+    from agent.link import open_link, plan_statements
 
     folder.mkdir(parents=True, exist_ok=True)
     logs = []

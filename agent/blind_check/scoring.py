@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.diagnosis.labels import in_torque
+from agent.diagnosis import in_torque
 
 Entry = Mapping[str, Any]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.link.alignment import moving_stretches
+from agent.link import moving_stretches
 from agent.recording import read_log
 from agent.robot import RobotDescription
 

@@ -20,7 +20,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
-    from agent.recording.log import Log
+    from agent.recording import Log
 
 
 _FORBIDDEN = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.fork", "socket.connect")
@@ -65,8 +65,7 @@ def main() -> int:
 
 def _answer(job: dict[str, Any]) -> dict[str, Any]:
     """The diagnosis, or why there is none."""
-    from agent.core.console import finite
-    from agent.core.errors import AgentError
+    from agent.core import AgentError, finite
 
     begin = time.process_time()
     try:
@@ -86,7 +85,7 @@ def diagnose_job(job: Mapping[str, Any], without: Sequence[str] = ()) -> Diagnos
         InputError: as in `diagnose`.
     """
     from agent.diagnosis import diagnose
-    from agent.estimation import IdentifiedModel
+    from agent.model import IdentifiedModel
     from agent.recording import read_log
     from agent.robot import load_robot
 
@@ -100,7 +99,7 @@ def diagnose_job(job: Mapping[str, Any], without: Sequence[str] = ()) -> Diagnos
 def _planned_as(log: Log, set_points: np.ndarray) -> Log:
     """The log with executed set-points (T, n) of another run as its plan, from stop to stop; none if stops differ."""
     from agent.blind_check.size import REST
-    from agent.link.alignment import moving_stretches
+    from agent.link import moving_stretches
 
     assert log.reference_position is not None
     here, there = (moving_stretches(points, REST) for points in (log.reference_position, set_points))

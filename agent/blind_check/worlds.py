@@ -14,9 +14,8 @@ import numpy as np
 
 from agent.blind_check.cases import GROUP, Case, draw_cases
 from agent.blind_check.runs import link_recipe, record_motions
-from agent.core.console import Console
-from agent.core.errors import ControllerError, InputError
-from agent.runs.folder import write_atomically
+from agent.core import Console, ControllerError, InputError
+from agent.runs import write_atomically
 
 _PLAIN = "without_effect"
 _NOWHERE = "127.0.0.1:9"  # plans are drawn without a controller

@@ -27,7 +27,7 @@ from agent.cli.options import (
     Yes,
     console_for,
 )
-from agent.core.errors import InputError
+from agent.core import InputError
 
 app = typer.Typer(
     name="agent",
@@ -68,7 +68,7 @@ def init(
     cone: Annotated[str | None, typer.Option("--cone", metavar="ANGLE", help="how far the tool may lean")] = None,
 ) -> None:
     """Write a commented recipe; what no option says is asked on a terminal."""
-    from agent.pipeline.init import write_recipe
+    from agent.pipeline import write_recipe
 
     given = {"robot": robot, "driver": driver, "controller": controller, "centre": centre, "size": size}
     print(write_recipe(recipe, {**given, "orientation": orientation, "cone": cone}))
@@ -78,8 +78,8 @@ def init(
 @app.command()
 def check(recipe: RecipePath, as_json: AsJson = False, verbose: Verbose = False, quiet: Quiet = False) -> None:
     """Validate recipe, reach, limits and cell, and ping the controller. Moves nothing."""
-    from agent.core.console import print_json
-    from agent.pipeline.check import check_recipe
+    from agent.core import print_json
+    from agent.pipeline import check_recipe
 
     findings = check_recipe(recipe, console_for(verbose, quiet))
     if as_json:
@@ -98,8 +98,8 @@ def plan(
     quiet: Quiet = False,
 ) -> None:
     """Search for the via-points only: trajectory, margins to every limit, the .pdl. Opens no port."""
-    from agent.core.console import print_json
-    from agent.pipeline.plan import plan_recipe
+    from agent.core import print_json
+    from agent.pipeline import plan_recipe
     from agent.recipe import load_recipe
 
     loaded = load_recipe(recipe)
@@ -123,14 +123,14 @@ def calibrate(
     quiet: Quiet = False,
 ) -> None:
     """The whole job: plan, program, send, record, filter, estimate, validate, report. Prints the run folder."""
-    from agent.core.console import print_json, print_path
-    from agent.pipeline.calibrate import calibrate as run_job
+    from agent.core import print_json, print_path
+    from agent.pipeline import run_calibration
     from agent.recipe import load_recipe
-    from agent.runs.history import find_run
+    from agent.runs import find_run
 
     console = console_for(verbose, quiet)
     stopped = None if resume is None else find_run(logs, resume)
-    outcome = run_job(load_recipe(recipe), console, logs=logs, resume=stopped, yes=yes)
+    outcome = run_calibration(load_recipe(recipe), console, logs=logs, resume=stopped, yes=yes)
     if as_json:
         print_json(outcome.result.to_dict())
     else:
@@ -149,7 +149,7 @@ def record(
     quiet: Quiet = False,
 ) -> None:
     """Send a program, run it and record the motion."""
-    from agent.link.record import record_program_file
+    from agent.link import record_program_file
     from agent.recipe import load_recipe
 
     log = out or program.with_suffix(".mcap")
@@ -178,8 +178,8 @@ def estimate(
     quiet: Quiet = False,
 ) -> None:
     """Filter and estimate from logs. Writes the model file."""
-    from agent.core.console import print_json
-    from agent.pipeline.identify import estimate_files
+    from agent.core import print_json
+    from agent.pipeline import estimate_files
 
     model, text = estimate_files(
         robot, logs, out, cutoff, method, console_for(verbose, quiet), export, allow_mixed, force, structure
@@ -201,8 +201,8 @@ def validate(
     quiet: Quiet = False,
 ) -> None:
     """Predict the torque of logs that were not used in the fit."""
-    from agent.core.console import print_json
-    from agent.pipeline.identify import validate_files, validation_text
+    from agent.core import print_json
+    from agent.pipeline import validate_files, validation_text
 
     result = validate_files(model, logs, cutoff, console_for(verbose, quiet), allow_mixed)
     if as_json:
@@ -251,10 +251,8 @@ def diagnose(
     quiet: Quiet = False,
 ) -> None:
     """The gap between model and robot: where it lies, which effect causes it, how far it shrinks."""
-    from agent.core.console import print_json
-    from agent.pipeline.diagnose import GapQuestion, diagnose_files, diagnose_recording
-    from agent.pipeline.diagnosis_text import diagnosis_text
-    from agent.pipeline.until_sure import budget_of
+    from agent.core import print_json
+    from agent.pipeline import GapQuestion, budget_of, diagnose_files, diagnose_recording, diagnosis_text
 
     question = GapQuestion(model, joint_map, cutoff, tuple(without or ()), report, out, allow_mixed, force, next_recipe)
     console = console_for(verbose, quiet)
@@ -291,9 +289,8 @@ def blind_check(
     quiet: Quiet = False,
 ) -> None:
     """Simulated runs with a withheld effect, diagnosed without the key, then scored."""
-    from agent.blind_check import BlindCheck
-    from agent.blind_check.report import summary_text
-    from agent.core.console import print_json
+    from agent.blind_check import BlindCheck, summary_text
+    from agent.core import print_json
 
     scores = BlindCheck(cases, seed, out, world=world).run(console_for(verbose, quiet))
     if as_json:
@@ -305,8 +302,8 @@ def blind_check(
 @app.command()
 def trajectories(as_json: AsJson = False) -> None:
     """Stored loops, by robot, tool, sub-region and checksum."""
-    from agent.core.console import print_json
-    from agent.excitation import stored_loops
+    from agent.core import print_json
+    from agent.runs import stored_loops
 
     damaged: list[str] = []
     loops = stored_loops(damaged=damaged)
@@ -330,7 +327,7 @@ def import_(
     quiet: Quiet = False,
 ) -> None:
     """Turn columns of CSV, MAT or Parquet files into a log."""
-    from agent.pipeline.identify import import_files
+    from agent.pipeline import import_files
 
     if len(files) < 2:
         raise InputError("import: name at least one table and the log to write: agent import … IN OUT.mcap")

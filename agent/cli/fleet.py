@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from agent.cli.options import AllowMixed, AsJson, Cutoff, Force, Quiet, Verbose, console_for
-from agent.core.errors import InputError
+from agent.core import InputError
 
 app = typer.Typer(no_args_is_help=True, help="The same over many robots, on local cores or a Dask scheduler.")
 
@@ -110,7 +110,7 @@ def _run(
     verbose: bool,
     quiet: bool,
 ) -> None:
-    from agent.core.console import print_json
+    from agent.core import print_json
 
     summary = _do(kind, source, out, robot, model, asked, where, console_for(verbose, quiet))
     if as_json:
@@ -129,8 +129,7 @@ def _do(
     where: tuple[str | None, int | None, str | None],
     console: Any,
 ) -> Any:
-    from agent.core.on_dask import open_engine
-    from agent.core.parallel import available_cores
+    from agent.core import available_cores, open_engine
     from agent.fleet import make_question, run_fleet
 
     scheduler, workers, memory = where
@@ -153,7 +152,7 @@ def simulate(
     rows: Annotated[bool, typer.Option("--rows", help="no logs: the result of `fleet estimate` at once")] = False,
 ) -> None:
     """A synthetic fleet with known wear, steps and causes (truth.csv), to try things out. Prints what it wrote."""
-    from agent.fleet.simulate import simulate_fleet
+    from agent.fleet import simulate_fleet
 
     for written in simulate_fleet(robot, machines, weeks, seed, out, rows):
         print(written)
@@ -178,8 +177,8 @@ def trends(
     quiet: Quiet = False,
 ) -> None:
     """What drifts or has stepped in a fleet, at a controlled rate of false discoveries; families that share a cause."""
-    from agent.core.console import print_json
-    from agent.fleet.trends import fleet_trends, is_result, write_trends
+    from agent.core import print_json
+    from agent.fleet import fleet_trends, is_result, write_trends
 
     result = source
     if not is_result(source):
@@ -206,6 +205,6 @@ def report(
     ] = None,
 ) -> None:
     """One HTML page over a fleet: which machines need a look and why, all by joints, families. Prints its path."""
-    from agent.fleet.page import write_page
+    from agent.fleet import write_page
 
     print(write_page(result, columns or (), out))

@@ -8,9 +8,15 @@ import sys
 import typer
 
 from agent.cli.app import app
-from agent.core.errors import AgentError
-from agent.core.output import flush_results, open_standard_descriptors, patient_messages
-from agent.core.signals import Ended, hang_up, signals_raised
+from agent.core import (
+    AgentError,
+    Ended,
+    flush_results,
+    hang_up,
+    open_standard_descriptors,
+    patient_messages,
+    signals_raised,
+)
 
 _INTERRUPTED = 130
 
@@ -57,7 +63,7 @@ def _unexpected(error: Exception) -> None:
 
 
 def _fail(message: str, code: int) -> None:
-    from agent.core.console import fit_to_show
+    from agent.core import fit_to_show
 
     print(f"agent: {fit_to_show(message)}", file=sys.stderr)
     sys.exit(code)

@@ -26,7 +26,7 @@ Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="MCAP logs")]
 
 def console_for(verbose: bool, quiet: bool) -> Any:
     """What a person sees while a command works."""
-    from agent.core.console import Console
+    from agent.core import Console
 
     return Console(verbosity=1 if verbose else -1 if quiet else 0)
 

@@ -21,7 +21,7 @@ from agent.cli.options import (
     Yes,
     console_for,
 )
-from agent.core.errors import InputError
+from agent.core import InputError
 
 app = typer.Typer()
 
@@ -37,13 +37,13 @@ def recalibrate(
     quiet: Quiet = False,
 ) -> None:
     """For cron and timers: run the stored loop again, re-estimate, judge, and keep what is accepted. No search."""
-    from agent.core.console import print_json, print_path
-    from agent.pipeline.recalibrate import recalibrate as run_job
+    from agent.core import print_json, print_path
+    from agent.pipeline import run_recalibration
     from agent.recipe import load_recipe
-    from agent.safety.authorisation import load_authorisation
+    from agent.safety import load_authorisation
 
     allowed = None if authorisation is None else load_authorisation(authorisation)
-    outcome = run_job(load_recipe(recipe), console_for(verbose, quiet), logs, yes, allowed)
+    outcome = run_recalibration(load_recipe(recipe), console_for(verbose, quiet), logs, yes, allowed)
     if as_json:
         print_json(outcome.result or {"schema": "recalibration/1", "skipped": outcome.skipped})
     else:
@@ -65,10 +65,9 @@ def schedule(
     install: Annotated[bool, typer.Option("--install", help="write the systemd units of this user")] = False,
 ) -> None:
     """Print (or install) a systemd service and timer, and a crontab line, that recalibrate by the clock."""
-    from agent.pipeline.schedule import install as write_units
-    from agent.pipeline.schedule import make_schedule, next_steps
+    from agent.pipeline import install as write_units, make_schedule, next_steps
     from agent.recipe import load_recipe
-    from agent.safety.authorisation import load_authorisation
+    from agent.safety import load_authorisation
 
     if authorisation is None:
         print("without --authorisation FILE, nothing but an emulator on this computer will move", file=sys.stderr)
@@ -91,8 +90,7 @@ def history(
     as_json: AsJson = False,
 ) -> None:
     """Past runs: what they found, and what the gate said."""
-    from agent.runs.current import current_runs
-    from agent.runs.history import history_json, history_table, open_history
+    from agent.runs import current_runs, history_json, history_table, open_history
 
     with open_history(logs) as past:
         runs = past.runs(robot, serial)
@@ -103,7 +101,7 @@ def history(
         if as_json:
             import json
 
-            from agent.runs.trends import watch
+            from agent.runs import watch
 
             data = {**history_json(past, runs, current), "watch": [one.to_dict() for one in watch(runs)]}
             print(json.dumps(data))
@@ -123,9 +121,9 @@ def compare(
     quiet: Quiet = False,
 ) -> None:
     """Which parameters moved from the first run to the others by more than their uncertainty, and what that does."""
-    from agent.core.console import print_json
-    from agent.pipeline.compare import compare_runs
-    from agent.runs.history import find_run
+    from agent.core import print_json
+    from agent.pipeline import compare_runs
+    from agent.runs import find_run
 
     if len(runs) < 2:
         raise InputError("compare: name two runs or more: agent compare RUN RUN")
@@ -149,10 +147,9 @@ def report(
     quiet: Quiet = False,
 ) -> None:
     """Make the HTML page of a run again, or the page over all runs. Prints its path."""
-    from agent.core.console import print_path
-    from agent.pipeline.rebuild_report import report_again
-    from agent.pipeline.reports import write_index
-    from agent.runs.history import find_run
+    from agent.core import print_path
+    from agent.pipeline import report_again, write_index
+    from agent.runs import find_run
 
     if (run is None) == (not index):
         raise InputError("report: name a run, or give --index for the page over all of them")
@@ -173,8 +170,7 @@ def export(
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="folder to write to")],
 ) -> None:
     """Write a model for other programs: URDF, MuJoCo model, SDF, friction, CSV, Foxglove layout. Prints the paths."""
-    from agent.estimation import IdentifiedModel
-    from agent.model.export import export_model
+    from agent.model import IdentifiedModel, export_model
 
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; name a folder to write to")
@@ -192,8 +188,8 @@ def learn_interpolator(
     quiet: Quiet = False,
 ) -> None:
     """The controller's interpolation law from recorded set-points, for `search.interpolator` of a recipe."""
-    from agent.core.console import print_json
-    from agent.pipeline.learn import learn_files
+    from agent.core import print_json
+    from agent.pipeline import learn_files
 
     learned = learn_files(robot, logs, out, console_for(verbose, quiet))
     if as_json:
@@ -212,9 +208,8 @@ def apply(
     as_json: AsJson = False,
 ) -> None:
     """Make a run's model the robot's current one. Writes to no controller."""
-    from agent.core.console import print_json
-    from agent.runs.current import apply_previous, apply_run
-    from agent.runs.history import find_run
+    from agent.core import print_json
+    from agent.runs import apply_previous, apply_run, find_run
 
     if (run is None) == (not previous):
         raise InputError("apply: name the run whose model shall be current, or give --previous")

@@ -19,10 +19,8 @@ from agent.diagnosis.dataset import Dataset, precision_of
 from agent.diagnosis.finding import Finding, class_probability
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.gap import HeldOutGap
-from agent.model.effects.friction_change import FrictionChange
-from agent.model.effects.inertial_mismatch import InertialMismatch
-from agent.model.effects.payload import Payload
-from agent.robot.parameter_layout import ParameterLayout
+from agent.model import FrictionChange, InertialMismatch, Payload
+from agent.robot import ParameterLayout
 
 _EQUAL = 0.9  # of the best gain, from where on the plainer group is taken
 _MOVED = 100  # standard deviations in the file, from where on a base parameter has moved

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.model.effects import Effect, FitContext
-from agent.model.signals import NominalModel
+from agent.model import Effect, FitContext, NominalModel
 
 #: An effect's name, and joints from 0; none for one of the whole arm or base.
 Where = tuple[str, tuple[int, ...]]

@@ -7,9 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from agent.diagnosis.result import Diagnosis
-from agent.model.data import ModelEffect
-from agent.model.simulators import Simulator
-from agent.model.simulators.correction import Correction, Released, correct
+from agent.model import Correction, ModelEffect, Released, Simulator, correct
 
 
 def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = None) -> Correction:

@@ -8,18 +8,23 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.diagnosis.candidate import Fold
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.standstill import standing
-from agent.estimation.workflow import EstimationSettings, estimate
-from agent.estimation.filtering import FilterSettings
-from agent.estimation.observation import Observation, observe
-from agent.estimation.prior import DESCRIPTION, EITHER, physical_prior
-from agent.model.identified import IdentifiedModel, torque_of
-from agent.model.signals import MotionSignals, NominalModel
-from agent.recording.log import Log
+from agent.estimation import (
+    DESCRIPTION,
+    EITHER,
+    EstimationSettings,
+    FilterSettings,
+    Observation,
+    estimate,
+    observe,
+    physical_prior,
+)
+from agent.model import IdentifiedModel, MotionSignals, NominalModel, torque_of
+from agent.recording import Log
 from agent.robot import RobotDescription
 
 _BLOCKS = 5  # of one log without cycles

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from agent.model.data import ModelEffect
-from agent.model.identified import IdentifiedModel
+from agent.model import IdentifiedModel, ModelEffect
 
 if TYPE_CHECKING:
     from agent.diagnosis.result import Diagnosis

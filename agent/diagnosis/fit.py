@@ -20,8 +20,7 @@ import numpy as np
 
 from agent.diagnosis.candidate import Candidate, Fold, HeldOutScore, Wanted, make_candidates
 from agent.diagnosis.moments import FitMoments
-from agent.model.effects import Effect
-from agent.model.signals import MotionSignals, NominalModel
+from agent.model import Effect, MotionSignals, NominalModel
 
 _INDEPENDENT = 0.1  # s between independent rows
 

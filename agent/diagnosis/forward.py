@@ -17,12 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.diagnosis.extension import extended_model
-from agent.estimation.filtering import FilterSettings, Motion, motions, smooth_and_differentiate
-from agent.model.effects import CATALOGUE
-from agent.model.friction_terms import AxleMotion, axle_columns
-from agent.model.identified import IdentifiedModel
-from agent.model.signals import NominalModel
-from agent.model.with_effects import effect_torque
+from agent.estimation import FilterSettings, Motion, motions, smooth_and_differentiate
+from agent.model import CATALOGUE, AxleMotion, IdentifiedModel, NominalModel, axle_columns, effect_torque
 from agent.simulation import ForwardSimulation, RigidActuation, ServoGains
 
 if TYPE_CHECKING:

@@ -18,14 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from agent.core.errors import InputError, RejectedError
+from agent.core import InputError, RejectedError
 from agent.diagnosis.correction import corrected
 from agent.diagnosis.result import Diagnosis
 from agent.diagnosis.rollout import Drive, at_motors, engine
-from agent.estimation.filtering import FilterSettings, Motion, motions
-from agent.model.data import ModelEffect
-from agent.model.simulators import Simulator
-from agent.model.simulators.corrected_file import write_corrected, written_files
+from agent.estimation import FilterSettings, Motion, motions
+from agent.model import ModelEffect, Simulator, write_corrected, written_files
 
 _HORIZONS = (0.2, 0.5, 1.0, 2.0)  # s
 _WINDOWS = 24  # at most, over all motions

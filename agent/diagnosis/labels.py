@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from agent.model.effects import CATALOGUE
+from agent.model import CATALOGUE
 
 REGIMES = {
     "standstill": "standing still",

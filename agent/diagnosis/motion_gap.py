@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from agent.diagnosis.limits import LIMITS, DecisionLimits
-from agent.recording.log import Log
+from agent.recording import Log
 
 
 @dataclass(frozen=True, eq=False)

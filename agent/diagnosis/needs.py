@@ -9,8 +9,7 @@ import numpy as np
 
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.standstill import moves
-from agent.model.effects import Effect
-from agent.model.signals import MotionSignals
+from agent.model import Effect, MotionSignals
 
 _METRES = 0.1  # of a slide that count as a radian
 

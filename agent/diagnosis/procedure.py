@@ -17,7 +17,7 @@ from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.needs import Excursions
 from agent.diagnosis.standstill import at_rest
 from agent.diagnosis.verdict import abstained, named
-from agent.model.effects import CATALOGUE
+from agent.model import CATALOGUE
 
 
 class Search:

@@ -30,8 +30,8 @@ from agent.diagnosis.motion_gap import MotionGap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.regimes import regimes
 from agent.diagnosis.verdict import causes_of, settle, with_path
-from agent.model.effects import CATALOGUE, Effect
-from agent.robot.torque_figures import error_units
+from agent.model import CATALOGUE, Effect
+from agent.robot import error_units
 
 _WHEN_UNKNOWN = "slow single-joint ramps both ways on the joints named, then the same at full speed, each twice"
 

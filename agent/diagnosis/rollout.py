@@ -13,10 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from agent.model.effects import CATALOGUE
-from agent.model.identified import IdentifiedModel
-from agent.model.simulators import Simulator
-from agent.model.simulators.mjcf import compiled, mujoco_package
+from agent.model import CATALOGUE, IdentifiedModel, Simulator, compiled, mujoco_package
 
 #: (seconds since the start, q (n,), q̇ (n,)) → torque of the motors (n,) [N·m].
 Drive = Callable[[float, np.ndarray, np.ndarray], np.ndarray]

@@ -23,11 +23,9 @@ from agent.diagnosis.gap import HeldOutGap
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.verdict import judge
-from agent.estimation.filtering import FilterSettings, resolve_cutoff
-from agent.model.effects.inertial_mismatch import InertialMismatch
-from agent.model.effects.payload import Payload
-from agent.model.identified import IdentifiedModel
-from agent.recording.log import Log
+from agent.estimation import FilterSettings, resolve_cutoff
+from agent.model import IdentifiedModel, InertialMismatch, Payload
+from agent.recording import Log
 from agent.robot import RobotDescription
 
 _OF_THE_MIDDLE = 1.5  # times the relative error of the joint in the middle is expected of every joint

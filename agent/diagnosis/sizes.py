@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from agent.core.figures import plus_minus
+from agent.core import plus_minus
 from agent.diagnosis.finding import Finding
-from agent.model.effects import CATALOGUE
+from agent.model import CATALOGUE
 
 #: What a cause is called large by, in the order of preference.
 _LEADING = (

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.diagnosis.limits import LIMITS, DecisionLimits
-from agent.model.regimes import standstill_speed
-from agent.model.signals import MotionSignals
+from agent.model import MotionSignals, standstill_speed
 
 
 def standing(signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -> list[np.ndarray]:

@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.diagnosis.workflow import diagnose
 from agent.diagnosis.extension import extended_model
-from agent.model.identified import IdentifiedModel
-from agent.recording.log import Log
+from agent.diagnosis.workflow import diagnose
+from agent.model import IdentifiedModel
+from agent.recording import Log
 from agent.robot import RobotDescription
 
 _LEAST_GAIN = 0.05  # of the squared error held out, each joint over its own without effects

@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.diagnosis.candidate import Candidate
 from agent.diagnosis.result import Diagnosis
-from agent.model.effects import CATALOGUE, Effect
+from agent.model import CATALOGUE, Effect
 
 _FACTORS = (1.25, 1.1, 1.05)
 

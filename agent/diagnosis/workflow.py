@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from agent.core.errors import InputError
-from agent.core.memory import keep_freed_memory
+from agent.core import InputError, keep_freed_memory
 from agent.diagnosis.dataset import assemble
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.motion_gap import MotionGap, motion_gap
@@ -15,10 +14,8 @@ from agent.diagnosis.procedure import Search
 from agent.diagnosis.result import Diagnosis, build
 from agent.diagnosis.simulator import search_simulator
 from agent.diagnosis.verdict import judge
-from agent.model.effects import CATALOGUE
-from agent.model.identified import IdentifiedModel
-from agent.model.simulators import SIMULATOR
-from agent.recording.log import Log
+from agent.model import CATALOGUE, SIMULATOR, IdentifiedModel
+from agent.recording import Log
 from agent.robot import RobotDescription
 
 

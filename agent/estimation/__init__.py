@@ -1,19 +1,5 @@
 """From logs to an identified model: filtering, regression, friction, uncertainty."""
 
-from agent.estimation.workflow import ESTIMATORS, EstimationSettings, Estimator, estimate, methods
-from agent.estimation.filtering import FilterSettings
-from agent.model.data import ModelEffect
-from agent.model.identified import EFFECTS, IdentifiedModel, condition_text
+import lazy_loader
 
-__all__ = [
-    "EFFECTS",
-    "ESTIMATORS",
-    "EstimationSettings",
-    "Estimator",
-    "FilterSettings",
-    "IdentifiedModel",
-    "ModelEffect",
-    "condition_text",
-    "estimate",
-    "methods",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -11,9 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.recording.log import Log
-from agent.recording.repair.grid import line, sample_numbers, settled
-from agent.recording.scratch import parts
+from agent.recording import Log, line, parts, sample_numbers, settled
 
 _HALO = 100  # samples at either side of a part, beyond which a spline does not feel its knots
 

@@ -22,7 +22,7 @@ import numpy as np
 from agent.estimation.prior import link_prior
 from agent.estimation.problem import Estimate, Problem, cross_validate
 from agent.estimation.solving import clear_gain, iterate_weights, solve_sum
-from agent.robot.parameter_layout import ParameterLayout
+from agent.robot import ParameterLayout
 
 _TRUSTS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of the prior_weight against noise alone
 _SOLIDITY = 1e-4  # smallest eigenvalue of a pseudo-inertia, in units of the link's own scale

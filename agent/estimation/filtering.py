@@ -23,10 +23,10 @@ from functools import partial
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.estimation.clock import SampleClock
 from agent.estimation.quiet_velocity import quiet_velocity
-from agent.recording.log import Log
+from agent.recording import Log
 
 DEFAULT_CUTOFF = 30.0
 #: Gaps of at most so many periods of the cut-off are bridged: little of what passes the filter turns within one.

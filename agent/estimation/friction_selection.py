@@ -22,7 +22,7 @@ from agent.estimation.prior import Prior
 from agent.estimation.prior_choice import choose_links
 from agent.estimation.problem import Problem
 from agent.estimation.solving import clear_gain, iterate_weights, solve
-from agent.model.friction_terms import FrictionTerm, Reversal
+from agent.model import FrictionTerm, Reversal
 
 _SPEEDS = (2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 3e-2)  # of the highest speed of the axle
 _TRAVELS = (1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the range the axle moves over

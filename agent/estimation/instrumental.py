@@ -23,7 +23,7 @@ from agent.estimation.least_squares import finish
 from agent.estimation.moments import collect
 from agent.estimation.observation import rigid_columns
 from agent.estimation.problem import Estimate, Problem
-from agent.robot.parameter_layout import ParameterLayout
+from agent.robot import ParameterLayout
 
 _LONGEST_LAG = 0.1  # s
 

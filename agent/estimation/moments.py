@@ -14,8 +14,7 @@ import numpy as np
 
 from agent.estimation.blocks import Partition
 from agent.estimation.observation import Observation, Segment
-from agent.model.friction_terms import FrictionTerm
-from agent.model.regimes import standstill_speed
+from agent.model import FrictionTerm, standstill_speed
 
 _SURELY_SLIDES = 0.005  # of the highest speed: more than where a diagnosis leaves the torque open
 

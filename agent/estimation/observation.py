@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.estimation.filtering import FilterSettings, Motion, motions, resolve_cutoff
-from agent.model.friction_terms import AxleMotion, FrictionTerm, axle_columns
-from agent.recording.log import Log
-from agent.recording.scratch import Scratch
-from agent.robot import RobotDescription
-from agent.robot.bodies import RigidBodies
+from agent.model import AxleMotion, FrictionTerm, axle_columns
+from agent.recording import Log, Scratch
+from agent.robot import RigidBodies, RobotDescription
 
 if TYPE_CHECKING:
     pass

@@ -14,11 +14,11 @@ from itertools import combinations
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.estimation.filtering import FilterSettings, motions, resolve_cutoff
 from agent.estimation.rigid_fit import Bodies, FitSamples, solved
 from agent.estimation.velocity_check import velocity_doubts
-from agent.recording.log import Log
+from agent.recording import Log
 from agent.robot import RobotDescription
 
 _CUTOFF = 10.0  # Hz
@@ -137,7 +137,7 @@ def _degrees(robot: RobotDescription, logs: Sequence[Log], moving: np.ndarray) -
 
 
 def _too_strong(robot: RobotDescription, turning: np.ndarray, moving: np.ndarray, strong: np.ndarray) -> str | None:
-    from agent.robot.dynamics import Dynamics
+    from agent.robot import Dynamics
 
     drives = np.array([np.nan if joint.max_torque is None else joint.max_torque for joint in robot.joints])
     drives = np.where(drives > 0, drives, robot.nominal_torque)

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.estimation.observation import Observation
-from agent.model.friction_terms import FORMS, FrictionTerm
-from agent.robot.parameter_layout import ParameterLayout
+from agent.model import FORMS, FrictionTerm
+from agent.robot import ParameterLayout
 
 _LINK_DOUBT = 0.5  # standard deviation of a link's mass, first moment and inertia, relative
 _FREE_DOUBT = (

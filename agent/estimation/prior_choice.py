@@ -17,7 +17,7 @@ import numpy as np
 from agent.estimation.prior import DESCRIPTION, EITHER, SIZE
 from agent.estimation.problem import Problem, cross_validate
 from agent.estimation.solving import clear_gain, iterate_weights, solve_sum
-from agent.robot.parameter_layout import LINK_PARAMETERS
+from agent.robot import LINK_PARAMETERS
 
 _LEAST_GAIN = 0.05  # of the squared error held out
 _ALIKE = 1e-6  # relative difference of masses that are the same

@@ -12,7 +12,7 @@ from agent.estimation.moments import Moments, collect
 from agent.estimation.observation import Observation
 from agent.estimation.prior import DESCRIPTION, Prior, physical_prior
 from agent.estimation.solving import autocorrelation_time, iterate_weights, solve
-from agent.model.friction_terms import FrictionTerm
+from agent.model import FrictionTerm
 
 #: Weighted sum of moments (p + 1, p + 1) to parameters (p,).
 Solver = Callable[[np.ndarray], np.ndarray]

@@ -20,20 +20,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.estimation.blocks import partition
-from agent.estimation.workflow import ESTIMATORS
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.observation import Observation, observe
 from agent.estimation.problem import Estimate, Problem, cross_validate
 from agent.estimation.solving import autocorrelation_time, reweight, solve_scaled
 from agent.estimation.summary import build_model
-from agent.model.identified import IdentifiedModel
-from agent.recording.log import Log
-from agent.robot.bodies import rigid_bodies
+from agent.estimation.workflow import ESTIMATORS
+from agent.model import IdentifiedModel
+from agent.recording import Log
+from agent.robot import rigid_bodies
 
 if TYPE_CHECKING:
-    from agent.robot.dynamics import Tool
+    from agent.robot import Tool
 
 _ROUNDS = 4
 

@@ -31,7 +31,7 @@ class Bodies:
     """Rigid links and rotors of a robot, read once for many fits."""
 
     def __init__(self, robot: RobotDescription):
-        from agent.robot.dynamics import Dynamics
+        from agent.robot import Dynamics
 
         self.robot = robot
         self._dynamics = Dynamics(robot)
@@ -47,7 +47,7 @@ class Bodies:
 
     def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """(S, n, 11 n)."""
-        from agent.robot.drivetrain import rotor_regressor
+        from agent.robot import rotor_regressor
 
         return np.concatenate([self._dynamics.regressor(q, qd, qdd), rotor_regressor(self.robot, qdd)], axis=2)
 

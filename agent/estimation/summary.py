@@ -15,8 +15,8 @@ from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.solving import autocorrelation_time
 from agent.estimation.uncertainty import covariance, silent_directions
-from agent.model.identified import IdentifiedModel, condition_text
-from agent.recording.log import MACHINE, Log
+from agent.model import IdentifiedModel, condition_text
+from agent.recording import MACHINE, Log
 
 _BAD_CONDITION = 1000.0
 _NOTABLE_STANDSTILL = 0.05

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from agent.recording.log import Log
+from agent.recording import Log
 
 _RATES = (0.7, 1.4)  # velocity over derivative of position: between them filters and lag
 _MOVING = 1e-2  # rad or m that a joint travels to count as moving

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core.errors import InputError
-from agent.core.memory import keep_freed_memory
+from agent.core import InputError, keep_freed_memory
 from agent.estimation.blocks import Partition, partition
 from agent.estimation.consistent import consistent
 from agent.estimation.cutoff import LOWEST, predictive_cutoff
@@ -27,15 +26,12 @@ from agent.estimation.problem import Estimate, Problem
 from agent.estimation.robust import huber
 from agent.estimation.solving import iterate_weights, solve
 from agent.estimation.summary import build_model
-from agent.model.friction_terms import Reversal
-from agent.model.identified import IdentifiedModel
-from agent.recording.log import Log
-from agent.recording.scratch import parts
-from agent.robot import RobotDescription
-from agent.robot.bodies import RigidBodies, rigid_bodies
+from agent.model import IdentifiedModel, Reversal
+from agent.recording import Log, parts
+from agent.robot import RigidBodies, RobotDescription, rigid_bodies
 
 if TYPE_CHECKING:
-    from agent.robot.dynamics import Tool
+    from agent.robot import Tool
 
 
 @dataclass(frozen=True)

@@ -8,19 +8,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core.memory import keep_freed_memory
+from agent.core import keep_freed_memory
 from agent.excitation.criterion import Criterion
 from agent.excitation.scoring import LoopScore, infeasible
-from agent.motion import Trajectory, ViaRegions, create_interpolator, loop_moves
-from agent.motion.interpolator import MotionError
-from agent.motion.program import MotionSettings, Move
-from agent.robot import Box, RobotDescription
-from agent.robot.drivetrain import rotor_regressor
-from agent.robot.dynamics import Dynamics, Tool
-from agent.robot.kinematics import Kinematics, KinematicsError, kinematics_for
-from agent.robot.kinematics.numerical import NumericalKinematics
-from agent.safety.cell import Cell
-from agent.safety.clearance import CellReport
+from agent.motion import MotionError, MotionSettings, Move, Trajectory, ViaRegions, create_interpolator, loop_moves
+from agent.robot import (
+    Box,
+    Dynamics,
+    Kinematics,
+    KinematicsError,
+    NumericalKinematics,
+    RobotDescription,
+    Tool,
+    kinematics_for,
+    rotor_regressor,
+)
+from agent.safety import Cell, CellReport
 
 if TYPE_CHECKING:
     pass

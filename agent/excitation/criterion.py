@@ -20,12 +20,16 @@ from typing import Any
 
 import numpy as np
 
-from agent.robot import RobotDescription
-from agent.robot.base_reduction import base_parameters
-from agent.robot.drivetrain import rotor_regressor
-from agent.robot.dynamics import Dynamics, Tool
-from agent.robot.friction import PAPER_TERMS, friction_regressor
-from agent.robot.parameter_layout import ParameterLayout
+from agent.robot import (
+    PAPER_TERMS,
+    Dynamics,
+    ParameterLayout,
+    RobotDescription,
+    Tool,
+    base_parameters,
+    friction_regressor,
+    rotor_regressor,
+)
 
 #: Columns of unit length with a reciprocal condition number below this are not excited independently of each other.
 DEPENDENT = 1e-10

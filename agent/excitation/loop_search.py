@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core.errors import InputError
-from agent.core.parallel import available_cores
+from agent.core import InputError, available_cores
 from agent.excitation.candidates import Candidates, Loop, LoopProblem
 from agent.excitation.criterion import one_blas_thread
 from agent.excitation.genetic import genetic

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.excitation.candidates import LoopProblem
-from agent.robot.kinematics import Kinematics, KinematicsError, kinematics_for
+from agent.robot import Kinematics, KinematicsError, kinematics_for
 
 #: Where in a via-point's region it is asked: the middle, the corners of its position and the ends of its orientation.
 _PLACES = {

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.excitation.criterion import one_blas_thread
 from agent.excitation.scoring import LoopScore
 

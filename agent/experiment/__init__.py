@@ -1,6 +1,5 @@
 """The experiment that tells what a diagnosis leaves open: which motion, and what it is expected to say."""
 
-from agent.experiment.plan import Expected, Experiment, plan_experiment
-from agent.experiment.questions import OpenPair, open_pairs
+import lazy_loader
 
-__all__ = ["Expected", "Experiment", "OpenPair", "open_pairs", "plan_experiment"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

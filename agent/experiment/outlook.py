@@ -23,11 +23,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from agent.diagnosis.candidate import Candidate
-from agent.diagnosis.dataset import Dataset, background_of
-from agent.diagnosis.fit import Fit
+from agent.diagnosis import Candidate, Dataset, Fit, background_of
 from agent.experiment.questions import Form, Hypothesis, OpenPair
-from agent.model.signals import MotionSignals
+from agent.model import MotionSignals
 
 #: s, as in the fit: rows this far apart count as independent.
 _INDEPENDENT = 0.1

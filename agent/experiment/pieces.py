@@ -13,12 +13,20 @@ import numpy as np
 
 from agent.excitation import Candidates, LoopProblem
 from agent.experiment.outlook import GridMotion
-from agent.motion import Trajectory, create_interpolator
-from agent.motion.frames import with_frames
-from agent.motion.interpolator import MotionError
-from agent.motion.program import Delay, JointTarget, MotionSettings, Move, MoveType, Statement, Termination
-from agent.robot import RobotDescription
-from agent.robot.kinematics import KinematicsError
+from agent.motion import (
+    Delay,
+    JointTarget,
+    MotionError,
+    MotionSettings,
+    Move,
+    MoveType,
+    Statement,
+    Termination,
+    Trajectory,
+    create_interpolator,
+    with_frames,
+)
+from agent.robot import KinematicsError, RobotDescription
 
 #: Kinds of pieces, and how often each is drawn.
 KINDS = {"loop": 0.4, "stops": 0.3, "reversals": 0.3}

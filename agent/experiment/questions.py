@@ -9,11 +9,8 @@ from typing import cast
 
 import numpy as np
 
-from agent.diagnosis import Diagnosis
-from agent.diagnosis.candidate import Candidate
-from agent.diagnosis.fit import Fit
-from agent.diagnosis.isolability import best_by_place, plausible
-from agent.model.effects import CATALOGUE, FitContext
+from agent.diagnosis import Candidate, Diagnosis, Fit, best_by_place, plausible
+from agent.model import CATALOGUE, FitContext
 
 Place = tuple[str, tuple[int, ...]]
 

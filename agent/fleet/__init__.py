@@ -1,6 +1,5 @@
 """The same over many robots: one task a robot and run, on the cores of this machine or a Dask scheduler."""
 
-from agent.fleet.job import Summary, run_fleet
-from agent.fleet.tasks import KINDS, RunQuestion, make_question
+import lazy_loader
 
-__all__ = ["KINDS", "RunQuestion", "Summary", "make_question", "run_fleet"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core.errors import InputError
-from agent.core.parallel import needed
+from agent.core import InputError, needed
 
 #: Share of findings that may be chance, expected. Low, as a fleet of few worn machines has few findings to share it.
 RATE = 0.01

@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core.console import Console, finite
-from agent.core.errors import InputError
+from agent.core import Console, InputError, finite
 from agent.fleet.tasks import RunQuestion
 
 if TYPE_CHECKING:
-    from agent.model.identified import IdentifiedModel
-    from agent.recording.log import Log
+    from agent.model import IdentifiedModel
+    from agent.recording import Log
 
 
 class Notes(Console):
@@ -36,7 +35,7 @@ def estimate(
     question: RunQuestion, robot: str | None, model: Path | None, logs: list[Path], notes: Notes
 ) -> tuple[dict[str, Any], bytes]:
     """`agent estimate`: the columns, and the model file but for when it was made."""
-    from agent.pipeline.identify import fit_files
+    from agent.pipeline import fit_files
 
     fitted, read = fit_files(
         _needed(robot),
@@ -70,7 +69,7 @@ def estimate(
 
 def _conditions(model: IdentifiedModel, logs: list[Log]) -> dict[str, Any]:
     """Friction that was met, and how it changed meanwhile: of the longest log, as a run folder has it."""
-    from agent.pipeline.conditions import friction_levels, top_speed, warm_up
+    from agent.pipeline import friction_levels, top_speed, warm_up
     from agent.validation import predict_log
 
     log = max(logs, key=lambda one: len(one.t))
@@ -89,7 +88,7 @@ def validate(
     question: RunQuestion, robot: str | None, model: Path | None, logs: list[Path], notes: Notes
 ) -> tuple[dict[str, Any], bytes]:
     """`agent validate`: the columns, with the whole result."""
-    from agent.pipeline.identify import validate_files
+    from agent.pipeline import validate_files
 
     if model is None:
         raise InputError(f"there is no {question.model or 'model'} in or above this run; name a model with --model")
@@ -111,8 +110,8 @@ def diagnose(
     question: RunQuestion, robot: str | None, model: Path | None, logs: list[Path], notes: Notes
 ) -> tuple[dict[str, Any], bytes]:
     """`agent diagnose`: the columns, with the whole result."""
-    from agent.pipeline.diagnose import GapQuestion, diagnose_files
-    from agent.robot.torque_figures import SHARE
+    from agent.pipeline import GapQuestion, diagnose_files
+    from agent.robot import SHARE
 
     if question.model and model is None:
         raise InputError(f"there is no {question.model} in or above this run; leave --model out, or name another")

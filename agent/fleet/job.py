@@ -10,14 +10,12 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from agent.core.console import Console
-from agent.core.errors import BusyError
-from agent.core.parallel import TaskEngine
+from agent.core import BusyError, Console, TaskEngine
 from agent.fleet.result import SCHEMA_NAME, Result
 from agent.fleet.store import Store
 from agent.fleet.tasks import RunQuestion, SourceTasks, Task, find_tasks
 from agent.fleet.work import PASSING, TaskRow, run_task
-from agent.runs.lock import robot_lock
+from agent.runs import robot_lock
 from drivers.texts import hide_all, printable
 
 #: What is finished is kept at least so often [s].

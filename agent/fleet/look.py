@@ -13,7 +13,7 @@ import numpy as np
 
 from agent.fleet.machines import MachineRuns
 from agent.fleet.trends import Course
-from agent.recipe.schema import GateSection
+from agent.recipe import GateSection
 
 #: Normalised RMSE that a calibration is let through with, where its recipe says nothing else.
 GATE = float(GateSection.model_fields["normalised_rmse"].default)

@@ -18,8 +18,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from agent.core.errors import InputError
-from agent.core.parallel import needed
+from agent.core import InputError, needed
 from agent.fleet.store import Store, StoreError
 
 ROWS, DONE, MODELS = "rows.parquet", "_done", "_models"

@@ -23,8 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core.errors import InputError
-from agent.core.parallel import needed
+from agent.core import InputError, needed
 from agent.fleet.result import ROWS, schema
 from agent.fleet.store import Store
 from agent.robot import RobotDescription, load_robot
@@ -176,7 +175,7 @@ class _Motion:
     nominal: np.ndarray
 
     def log(self, fleet: Fleet, machine: int, week: int, rng: np.random.Generator) -> Any:
-        from agent.recording.log import Log
+        from agent.recording import Log
 
         cooling = 1 + fleet.answer[machine] * fleet.cold[machine, week] * (np.exp(-self.t / _DECAY) - 1)[:, None]
         torque = self.rigid + self.friction * fleet.friction[machine, week] * cooling
@@ -201,7 +200,7 @@ class _Motion:
 
 def _motion(robot: RobotDescription, seed: int) -> _Motion:
     """Four sines a joint, the same for all machines; within the joints' ranges, speeds and accelerations."""
-    from agent.robot.dynamics import Dynamics
+    from agent.robot import Dynamics
 
     rng = np.random.default_rng((seed, 1))
     t = np.arange(round(_CYCLES * _PERIOD * _RATE)) / _RATE

@@ -17,8 +17,7 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
-from agent.core.errors import AgentError, InputError
-from agent.core.parallel import needed
+from agent.core import AgentError, InputError, needed
 
 #: How often a store is asked before it counts as unavailable, and the first pause between [s]; each is twice the last.
 TRIES = 4

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.fleet.store import Store, StoredFile
 from agent.fleet.version import figures_version
 
@@ -108,8 +108,8 @@ def make_question(kind: str, robot: str | None, model: str | None, **options: An
     """
     from agent.diagnosis import check_effects
     from agent.estimation import EstimationSettings
-    from agent.pipeline.identify import check_structure
-    from agent.robot.description import builtin_robots, load_robot
+    from agent.pipeline import check_structure
+    from agent.robot import builtin_robots, load_robot
 
     # what no run can answer is told once, before any is asked
     check_effects(options.get("without", ()))
@@ -199,7 +199,7 @@ def _nearest(folders: dict[str, dict[str, StoredFile]], folder: str, name: str) 
 
 def _description(path: Path) -> Sequence[Given]:
     """A description and its URDF, at places as they have them to each other."""
-    from agent.core.documents import read_yaml
+    from agent.core import read_yaml
 
     path = path / _ROBOT if path.is_dir() else path
     urdf = PurePosixPath(str(read_yaml(path)["urdf"]))

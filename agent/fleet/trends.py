@@ -15,16 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.fleet.discoveries import RATE, Family, false_discovery_levels, find_families, read_columns
 from agent.fleet.machines import MachineRuns, read_machines
 from agent.fleet.result import META, ROWS, SOURCE, open_rows
 from agent.fleet.store import Store
 from agent.fleet.tasks import KINDS
-from agent.runs.changes import Background
-from agent.runs.series import FrictionSeries, SeriesChange, find_change
-from agent.runs.trends import PRACTICAL
-from agent.runs.warm_up import FEWEST
+from agent.runs import FEWEST, PRACTICAL, Background, FrictionSeries, SeriesChange, find_change
 
 #: Relative change of a prediction error that matters.
 PRACTICAL_ERROR = 0.25

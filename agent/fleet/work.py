@@ -18,8 +18,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from agent.core.documents import read_yaml
-from agent.core.errors import AgentError, InputError
+from agent.core import AgentError, InputError, read_yaml
 from agent.fleet.store import Store, StoredFile
 from agent.fleet.tasks import Task
 
@@ -64,7 +63,7 @@ class _Inputs:
 
 def run_task(task: Task) -> TaskRow:
     """The answer to one task; no input makes it raise."""
-    from agent.excitation.criterion import one_blas_thread
+    from agent.excitation import one_blas_thread
 
     began = time.process_time()
     with tempfile.TemporaryDirectory(prefix="agent-fleet-") as folder:

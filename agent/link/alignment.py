@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from agent.motion.trajectory import Trajectory
+    from agent.motion import Trajectory
 
 
 class Aligner:

@@ -17,7 +17,7 @@ def create_driver(recipe: Recipe, tell: Callable[[str], None]) -> Driver:
         ConfigurationError: no such driver, or an address that it cannot use.
         InputError: it delivers motor currents, and the robot description has no torque constants.
     """
-    from agent.robot.drivetrain import torque_per_ampere
+    from agent.robot import torque_per_ampere
     from drivers.registry import create
 
     driver = create(recipe.controller.driver, recipe.controller.address)
@@ -37,7 +37,7 @@ def answering(recipe: Recipe) -> Iterator[tuple[Driver, Identity]]:
         ConfigurationError, InputError: as in `create_driver`.
         DriverError: nobody there, silent, or another protocol.
     """
-    from agent.safety.preconditions import check_identity
+    from agent.safety import check_identity
 
     driver = create_driver(recipe, lambda _: None)
     try:

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.recipe import Recipe
 
 if TYPE_CHECKING:
-    from agent.motion.program import Move, Statement
-    from agent.motion.trajectory import Trajectory
+    from agent.motion import Move, Statement, Trajectory
 
 #: Rad or m by which an arm that comes round again may start elsewhere on the same way: joints written in a program, and
 #: those that inverse kinematics gives for a pose, differ in their last digits.
@@ -27,8 +26,7 @@ def plan_statements(recipe: Recipe, text: str, path: str, start: np.ndarray) -> 
         Pdl2Error: the text is not the motion subset of PDL2.
         MotionError: it breaks a limit.
     """
-    from agent.motion import create_interpolator
-    from agent.motion.pdl2 import parse_program
+    from agent.motion import create_interpolator, parse_program
 
     program = parse_program(text, path, recipe.robot)
     interpolator = create_interpolator(
@@ -62,7 +60,7 @@ def check_cell(recipe: Recipe, trajectory: Trajectory) -> None:
 
 
 def _stop_to_stop(statements: Iterator[Statement]) -> Iterator[list[Move]]:
-    from agent.motion.program import Move
+    from agent.motion import Move
 
     pending: list[Move] = []
     for statement in statements:
@@ -88,6 +86,6 @@ def chain_key(moves: list[Move]) -> tuple[Any, ...]:
 
 @lru_cache(maxsize=4)
 def _cell(recipe: Recipe) -> Any:
-    from agent.safety.cell import Cell
+    from agent.safety import Cell
 
     return Cell(recipe.robot, recipe.tool, recipe.cell.keep_out, recipe.cell.joint_ranges)

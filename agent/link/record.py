@@ -10,19 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core.console import Console
+from agent.core import Console
 from agent.link.alignment import Aligner
 from agent.link.controller import create_driver, torque_facts
 from agent.recipe import Recipe
-from agent.runs.lock import robot_lock
-from agent.safety.checked import FILE, CheckedPrograms
-from agent.safety.guard import GuardedLink
-from agent.safety.motion import PlannedProgram, pauses
+from agent.runs import robot_lock
+from agent.safety import FILE, CheckedPrograms, GuardedLink, PlannedProgram, pauses
 from drivers.protocol import Identity
 
 if TYPE_CHECKING:
-    from agent.motion.trajectory import Trajectory
-    from agent.safety.authorisation import Authorisation
+    from agent.motion import Trajectory
+    from agent.safety import Authorisation
 
 
 @dataclass(frozen=True)
@@ -122,7 +120,7 @@ class RobotLink:
         """Run the slow version; returns the program planned anew, from where the arm stands now."""
         from agent.link.planned import check_cell, plan_statements
         from agent.motion import create_interpolator
-        from agent.safety.first_run import FIRST_SPEED, slow_version
+        from agent.safety import FIRST_SPEED, slow_version
 
         recipe = self._recipe
         interpolator = create_interpolator(
@@ -144,8 +142,7 @@ class RobotLink:
         return self._planned(name, program.text, chains)
 
     def _planned(self, name: str, text: str, chains: Sequence[Trajectory]) -> PlannedProgram:
-        from agent.motion.frames import left_open
-        from agent.motion.pdl2 import parse_program
+        from agent.motion import left_open, parse_program
 
         statements = list(parse_program(text, name, self._recipe.robot).run())
         frames = left_open(statements, self._recipe.tool)
@@ -154,7 +151,7 @@ class RobotLink:
 
     def _with_points(self, program: PlannedProgram) -> PlannedProgram:
         from agent.link.via_points import via_points
-        from agent.motion.frames import tool_frame
+        from agent.motion import tool_frame
 
         robot, tool = self._recipe.robot, self._recipe.tool
         # The points are joint positions, and the straight lines between them the tool's.
@@ -263,9 +260,9 @@ def record_program_file(
     Raises:
         InputError: the program cannot be parsed or planned, or the log exists.
     """
-    from agent.core.errors import InputError
+    from agent.core import InputError
     from agent.link.planned import check_cell, plan_statements
-    from agent.recording.log import motion_name
+    from agent.recording import motion_name
 
     if log.exists():
         raise InputError(f"{log}: exists already; name another log with -o")

@@ -6,16 +6,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core.errors import InputError
-from agent.motion.frames import pose_in_robot_base, tool_frame
-from agent.motion.program import CartesianTarget, FlyTrajectory, FlyType, Move, MoveType, SpeedOption
-from agent.safety.motion import PlannedProgram
+from agent.core import InputError
+from agent.motion import (
+    CartesianTarget,
+    FlyTrajectory,
+    FlyType,
+    Move,
+    MoveType,
+    SpeedOption,
+    pose_in_robot_base,
+    tool_frame,
+)
+from agent.safety import PlannedProgram
 from drivers.protocol import ViaPoint
 
 if TYPE_CHECKING:
-    from agent.motion.trajectory import Trajectory
-    from agent.robot import RobotDescription
-    from agent.robot.dynamics import Tool
+    from agent.motion import Trajectory
+    from agent.robot import RobotDescription, Tool
 
 #: A MOVE JOINT becomes straight lines between points of its plan, no joint turning further in one of them [rad, m].
 JOINT_STEP = np.radians(5.0)
@@ -32,8 +39,8 @@ def via_points(program: PlannedProgram, robot: RobotDescription, tool: Tool | No
     Raises:
         InputError: a move that points cannot say.
     """
-    from agent.motion.pdl2 import parse_program
-    from agent.safety.first_run import stop_to_stop
+    from agent.motion import parse_program
+    from agent.safety import stop_to_stop
 
     chains = [*program.chains]
     points: list[ViaPoint] = []
@@ -61,7 +68,7 @@ def _points(
 def _point(
     move: Move, index: int, chain: Trajectory, name: str, robot: RobotDescription, tool: Tool | None
 ) -> ViaPoint:
-    from agent.robot.kinematics import kinematics_for
+    from agent.robot import kinematics_for
 
     settings = move.settings
     if move.type is not MoveType.LINEAR or settings.speed_option is not SpeedOption.SPD_LIN:

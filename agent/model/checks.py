@@ -6,8 +6,7 @@ import numpy as np
 
 from agent.model.data import ModelData
 from agent.model.friction_terms import FORMS, FrictionTerm
-from agent.robot import RobotDescription
-from agent.robot.parameter_layout import ParameterLayout
+from agent.robot import ParameterLayout, RobotDescription
 
 _REVERSING = ("coulomb", "stribeck", "load")
 

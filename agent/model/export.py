@@ -24,12 +24,12 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from agent.core.errors import RejectedError
-from agent.model.standard_parameters import check_physical, full_parameters
+from agent.core import RejectedError
 from agent.model.identified import IdentifiedModel
 from agent.model.sdf import sdf_text
-from agent.recording.mcap import foxglove
-from agent.robot.parameter_layout import ParameterLayout, about_centre
+from agent.model.standard_parameters import check_physical, full_parameters
+from agent.recording import FOXGLOVE_LAYOUT, foxglove_layout
+from agent.robot import ParameterLayout, about_centre
 
 _STATES = 50
 _TOLERANCE = 1e-9  # of the largest torque
@@ -55,7 +55,7 @@ def export_model(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
         folder / "friction.json": json.dumps(friction_data(model, standard, lines), indent=1, allow_nan=False),
         folder / f"{model.robot.name}.sdf": sdf_text(model, standard, lines),
         folder / "parameters.csv": _csv(model),
-        folder / foxglove.FILE_NAME: foxglove.foxglove_layout(model.robot.joint_names),
+        folder / FOXGLOVE_LAYOUT: foxglove_layout(model.robot.joint_names),
     }
     folder.mkdir(parents=True, exist_ok=True)
     parts = {path: path.with_name(path.name + ".part") for path in texts}
@@ -115,7 +115,7 @@ def urdf_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -
 
 def mujoco_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -> str:
     """The same as a MuJoCo model, without geometry."""
-    from agent.robot.kinematics.chain import joint_axes
+    from agent.robot import joint_axes
 
     robot, dynamics = model.robot, model.rigid.dynamics
     layout = ParameterLayout.of(robot)
@@ -243,8 +243,7 @@ def _friction_lines(model: IdentifiedModel) -> np.ndarray:
 
 def _read_back(model: IdentifiedModel, urdf: Path, mujoco: Path, friction: Path) -> None:
     """Raise RejectedError unless the files on disk give the torques of the model's links and rotors."""
-    from agent.robot.drivetrain import rotor_mass_matrix
-    from agent.robot.dynamics import Dynamics
+    from agent.robot import Dynamics, rotor_mass_matrix
 
     robot = model.robot
     rng = np.random.default_rng(0)

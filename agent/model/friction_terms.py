@@ -22,8 +22,7 @@ from functools import cached_property
 
 import numpy as np
 
-from agent.robot import RobotDescription
-from agent.robot.drivetrain import axle_motion
+from agent.robot import RobotDescription, axle_motion
 
 #: Symbol of each form's parameter, and the power of speed it is multiplied with.
 FORMS = {

@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.model.checks import check_model
 from agent.model.data import ModelData, ModelEffect
 from agent.model.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns
-from agent.robot import RobotDescription
-from agent.robot.bodies import RigidBodies
+from agent.robot import RigidBodies, RobotDescription
 
 SCHEMA = "model/1"
 
@@ -49,7 +48,7 @@ class IdentifiedModel(ModelData):
     @cached_property
     def rigid(self) -> RigidBodies:
         """The regressor of the base parameters."""
-        from agent.robot.dynamics import Dynamics
+        from agent.robot import Dynamics
 
         return RigidBodies(Dynamics(self.robot), self.independent, self.projection)
 
@@ -197,7 +196,7 @@ class IdentifiedModel(ModelData):
         Raises:
             AgentError: the disk is full or not writable; what was there stays.
         """
-        from agent.runs.folder import write_atomically
+        from agent.runs import write_atomically
 
         write_atomically(Path(path), json.dumps(self.to_dict(), allow_nan=False))
 

@@ -12,8 +12,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from agent.model.identified import IdentifiedModel
-from agent.robot.kinematics.chain import joint_axes
-from agent.robot.parameter_layout import ParameterLayout, about_centre
+from agent.robot import ParameterLayout, about_centre, joint_axes
 
 _AXES = "xyz"
 

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.model.friction_terms import AxleMotion, Reversal, axle_columns
-from agent.model.standard_parameters import from_pseudo_inertia, pseudo_inertia
 from agent.model.identified import IdentifiedModel
-from agent.robot import RobotDescription
-from agent.robot.parameter_layout import ParameterLayout
+from agent.model.standard_parameters import from_pseudo_inertia, pseudo_inertia
+from agent.robot import ParameterLayout, RobotDescription
 
 if TYPE_CHECKING:
-    from agent.robot.dynamics import Dynamics
+    from agent.robot import Dynamics
 
 _MASS_STEP = 10  # mass matrices change slowly: one in ten samples is computed
 
@@ -30,7 +29,7 @@ class NominalModel:
     """
 
     def __init__(self, model: IdentifiedModel):
-        from agent.robot.dynamics import Dynamics
+        from agent.robot import Dynamics
 
         self.model, self.robot = model, model.robot
         nominal = Dynamics(self.robot)

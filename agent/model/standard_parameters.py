@@ -16,10 +16,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.core.errors import RejectedError
+from agent.core import RejectedError
 from agent.model.identified import IdentifiedModel
-from agent.robot import RobotDescription
-from agent.robot.parameter_layout import ParameterLayout
+from agent.robot import ParameterLayout, RobotDescription
 
 _ROUNDS = 200
 _DECREMENT = 1e-9

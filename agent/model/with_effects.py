@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.model.data import ModelEffect
 from agent.model.effects import CATALOGUE
 from agent.model.identified import EFFECTS, IdentifiedModel

@@ -11,7 +11,7 @@ import numpy as np
 from agent.motion.program import NO_FRAME, CartesianTarget, Frame, MotionSettings, Move, MoveType, Statement
 
 if TYPE_CHECKING:
-    from agent.robot.dynamics import Tool
+    from agent.robot import Tool
 
 #: System variables and the fields of MotionSettings that they stand in.
 FRAMES = {"$BASE": "base", "$TOOL": "tool", "$UFRAME": "uframe"}

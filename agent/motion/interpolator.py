@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.motion.program import Statement
 from agent.motion.trajectory import Trajectory
 

@@ -11,10 +11,9 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from agent.core.documents import load_document
-from agent.core.errors import InputError
+from agent.core import InputError, load_document
 from agent.motion.fly_parameters import FlyParameters
-from agent.robot.description import RobotDescription
+from agent.robot import RobotDescription
 
 SCHEMA = "interpolator/1"
 #: File name endings that tell a learned interpolator from the name of an installed one.

@@ -17,8 +17,7 @@ from agent.motion.fly.interpolator import FlyInterpolator
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.interpolator import MotionError
 from agent.motion.program import FlyTrajectory, FlyType, Move
-from agent.robot.description import RobotDescription
-from agent.robot.kinematics import kinematics_for
+from agent.robot import RobotDescription, kinematics_for
 
 #: Parts of the way at which motions are compared; how the ends are crept along is lost in the set-points' digits.
 _PARTS = np.linspace(0.002, 0.998, 250)

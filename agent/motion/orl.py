@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.motion.interpolator import MotionError
 from agent.motion.orl_calls import (
     ARM,
@@ -34,11 +34,10 @@ from agent.motion.orl_vendor import vendor_calls
 from agent.motion.path import rotation
 from agent.motion.program import Delay, JointTarget, Move, Statement, Target
 from agent.motion.trajectory import Trajectory
-from agent.robot.description import RobotDescription
-from agent.robot.kinematics import kinematics_for
+from agent.robot import RobotDescription, kinematics_for
 
 if TYPE_CHECKING:
-    from agent.robot.dynamics import Tool
+    from agent.robot import Tool
 
 #: [s] no chain of moves may take longer.
 _LONGEST = 3600.0

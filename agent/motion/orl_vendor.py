@@ -12,7 +12,7 @@ import os
 from functools import cache
 from typing import Any
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.motion.orl_calls import ARM, CONTROLLER, MOST_JOINTS, CallRefused, Told, configuration_flags
 from agent.motion.program import (
     CartesianTarget,

@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.motion.path import rotation
 
 #: Slack of `contains`, in genes.

@@ -6,12 +6,12 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.motion.fly.interpolator import FlyInterpolator
 from agent.motion.interpolator import Interpolator
 from agent.motion.learned import is_file_name, load_law
 from agent.motion.orl import OrlInterpolator
-from agent.robot.description import RobotDescription
+from agent.robot import RobotDescription
 
 #: Third parties add interpolators under this entry-point group.
 ENTRY_POINTS = "calibration_agent.interpolators"

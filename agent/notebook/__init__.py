@@ -1,39 +1,5 @@
 """The functions behind `import agent as ca`, and results that print themselves in a notebook."""
 
-from agent.notebook.functions import (
-    calibrate,
-    diagnose,
-    drivers,
-    effects,
-    estimate,
-    export,
-    load_recipe,
-    load_robot,
-    plan,
-    read_logs,
-    report,
-    validate,
-)
-from agent.notebook.results import Calibration, GapDiagnosis, Listing, Logs, Model, PlannedLoop, TorqueValidation
+import lazy_loader
 
-__all__ = [
-    "Calibration",
-    "GapDiagnosis",
-    "Listing",
-    "Logs",
-    "Model",
-    "PlannedLoop",
-    "TorqueValidation",
-    "calibrate",
-    "diagnose",
-    "drivers",
-    "effects",
-    "estimate",
-    "export",
-    "load_recipe",
-    "load_robot",
-    "plan",
-    "read_logs",
-    "report",
-    "validate",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.notebook.results import (
     Calibration,
     GapDiagnosis,
@@ -19,11 +19,10 @@ from agent.notebook.results import (
     quiet,
 )
 from agent.recording import Log
-from agent.robot import RobotDescription
-from agent.robot import load_robot as _load_robot
+from agent.robot import RobotDescription, load_robot as _load_robot
 
 if TYPE_CHECKING:
-    from agent.model.identified import IdentifiedModel
+    from agent.model import IdentifiedModel
     from agent.recipe import Recipe
 
 RobotLike = RobotDescription | str | Path
@@ -57,7 +56,7 @@ def read_logs(logs: LogsLike, robot: RobotLike) -> Logs:
     Raises:
         InputError: nothing matches, or a file that cannot be read as a log of this robot.
     """
-    from agent.pipeline.identify import read_logs as read
+    from agent.pipeline import read_logs as read
 
     description = load_robot(robot)
     found: list[Log] = []
@@ -81,9 +80,8 @@ def estimate(
         InputError: logs that cannot be used, of several machines (unless `allow_mixed`), or an unknown method.
         RejectedError: logs that no motion of this robot can have made, unless `force`.
     """
-    from agent.estimation import EstimationSettings
-    from agent.estimation import estimate as fit
-    from agent.pipeline.identify import check_one_machine, check_plausible
+    from agent.estimation import EstimationSettings, estimate as fit
+    from agent.pipeline import check_one_machine, check_plausible
 
     description, settings = load_robot(robot), EstimationSettings.create(cutoff=cutoff, method=method)
     given = read_logs(logs, description)
@@ -100,7 +98,7 @@ def validate(
     Raises:
         InputError: a model or log that cannot be used, or (unless `allow_mixed`) logs of another machine.
     """
-    from agent.pipeline.identify import check_one_machine
+    from agent.pipeline import check_one_machine
     from agent.validation import predict_log
 
     known = _model(model)
@@ -128,7 +126,7 @@ def diagnose(
         RejectedError: as in `estimate`.
     """
     from agent.diagnosis import diagnose as search
-    from agent.pipeline.identify import check_one_machine, check_plausible
+    from agent.pipeline import check_one_machine, check_plausible
 
     description, reference = load_robot(robot), None if model is None else _model(model)
     given = read_logs(logs, description)
@@ -143,11 +141,11 @@ def report(result: GapDiagnosis | TorqueValidation | Calibration | str | Path, o
     Raises:
         InputError: `out` is missing or cannot be written, or the run folder is not complete.
     """
-    from agent.pipeline.identify import check_output
-    from agent.runs.folder import write_atomically
+    from agent.pipeline import check_output
+    from agent.runs import write_atomically
 
     if isinstance(result, (Calibration, str, Path)):
-        from agent.pipeline.rebuild_report import report_again
+        from agent.pipeline import report_again
 
         return report_again(result.outcome.run if isinstance(result, Calibration) else Path(result), quiet())
     if out is None:
@@ -162,7 +160,7 @@ def export(model: ModelLike, folder: str | Path) -> tuple[Path, ...]:
     Raises:
         RejectedError: no physical links have the model's base parameters; fit with method="consistent".
     """
-    from agent.model.export import export_model
+    from agent.model import export_model
 
     return export_model(_model(model), Path(folder))
 
@@ -173,7 +171,7 @@ def plan(recipe: Recipe | str | Path, folder: str | Path | None = None) -> Plann
     Raises:
         InputError: the recipe is wrong, out of reach, or the folder holds a plan.
     """
-    from agent.pipeline.plan import plan_recipe
+    from agent.pipeline import plan_recipe
 
     loaded = load_recipe(recipe)
     return PlannedLoop(plan_recipe(loaded, Path(folder or f"{loaded.path.stem}_plan"), quiet()))
@@ -187,16 +185,16 @@ def calibrate(
     Raises:
         AgentError, DriverError: as `agent calibrate`, before anything moves or after a controlled stop.
     """
-    from agent.pipeline.calibrate import calibrate as run_job
-    from agent.runs.history import find_run
+    from agent.pipeline import run_calibration
+    from agent.runs import find_run
 
     stopped = None if resume is None else find_run(Path(logs), str(resume))
-    return Calibration(run_job(load_recipe(recipe), quiet(), Path(logs), stopped, yes))
+    return Calibration(run_calibration(load_recipe(recipe), quiet(), Path(logs), stopped, yes))
 
 
 def effects() -> Listing:
     """The effects that a diagnosis looks for, by name."""
-    from agent.model.effects import CATALOGUE
+    from agent.model import CATALOGUE
 
     return Listing("effects", CATALOGUE, {name: effect.signature for name, effect in CATALOGUE.items()})
 
@@ -225,7 +223,7 @@ def _paths(pattern: str | Path) -> list[Path]:
 
 
 def _model(model: ModelLike) -> IdentifiedModel:
-    from agent.model.identified import IdentifiedModel
+    from agent.model import IdentifiedModel
 
     return IdentifiedModel.load(model) if isinstance(model, (str, Path)) else model
 
@@ -233,12 +231,10 @@ def _model(model: ModelLike) -> IdentifiedModel:
 def _page(result: GapDiagnosis | TorqueValidation) -> str:
     if isinstance(result, GapDiagnosis):
         from agent.diagnosis import simulate
-        from agent.report.diagnosis_page import diagnosis_report
+        from agent.report import diagnosis_report
 
         return diagnosis_report(result.diagnosis, simulate(result.diagnosis))
-    from agent.report.common_sections import parameters_section
-    from agent.report.page import Page, Section, render
-    from agent.report.residual_sections import residual_section
+    from agent.report import Page, Section, parameters_section, render, residual_section
 
     model = result.predictions[0].model
     sections = (

@@ -8,18 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core.console import Console
-from agent.core.figures import error_text
+from agent.core import Console, error_text
 from agent.diagnosis import Diagnosis
-from agent.model.identified import IdentifiedModel
+from agent.model import IdentifiedModel
 from agent.notebook.card import Shown, bars, lines
-from agent.pipeline.calibrate import CalibrationOutcome
-from agent.pipeline.diagnosis_text import diagnosis_text
-from agent.pipeline.identify import validation_text
-from agent.pipeline.plan import PlanFiles
+from agent.pipeline import CalibrationOutcome, PlanFiles, diagnosis_text, validation_text
 from agent.recording import Log
-from agent.report.first_screen import headline
-from agent.robot.torque_figures import SHARE, torque_units
+from agent.report import headline
+from agent.robot import SHARE, torque_units
 from agent.validation import Prediction, summary
 
 if TYPE_CHECKING:

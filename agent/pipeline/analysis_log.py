@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.recording.log import Log
-from agent.recording.mcap.foxglove import FILTERED, PREDICTED, RESIDUAL
-from agent.recording.mcap.log_file import LogFile, as_samples
+from agent.recording import FILTERED, PREDICTED, RESIDUAL, Log, LogFile, as_samples
 
 if TYPE_CHECKING:
     from agent.validation import Prediction

@@ -8,22 +8,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from agent.core.console import Console
-from agent.core.figures import error_text
-from agent.link.controller import answering
-from agent.link.record import Recording
+from agent.core import Console, error_text
+from agent.link import Recording, answering
 from agent.pipeline import planning
 from agent.pipeline.ending import current_run, ending_text, going_on
 from agent.pipeline.record_plan import EXCITATION, record_plan, validation_logs
 from agent.pipeline.reports import refresh_index
 from agent.pipeline.result import CalibrationResult, build_result, provenance, run_data, typical_motion
 from agent.recipe import Recipe
-from agent.robot.torque_figures import not_judged_text, outcome_text
-from agent.runs.approved import approve, check_approved
-from agent.runs.current import register_run, run_key
-from agent.runs.folder import RunFolder, sha256_file
-from agent.runs.lock import robot_lock
-from agent.safety.preconditions import check_period
+from agent.robot import not_judged_text, outcome_text
+from agent.runs import RunFolder, approve, check_approved, register_run, robot_lock, run_key, sha256_file
+from agent.safety import check_period
 
 
 @dataclass(frozen=True)
@@ -41,7 +36,7 @@ class CalibrationOutcome:
 
     def summary(self) -> str:
         """One screen."""
-        from agent.estimation import condition_text
+        from agent.model import condition_text
 
         result, validation = self.result, self.result.validation
         axes = "  ".join(
@@ -73,7 +68,7 @@ class CalibrationOutcome:
         )
 
 
-def calibrate(recipe: Recipe, console: Console, logs: Path, resume: Path | None, yes: bool) -> CalibrationOutcome:
+def run_calibration(recipe: Recipe, console: Console, logs: Path, resume: Path | None, yes: bool) -> CalibrationOutcome:
     """Run the job; with `resume`, go on after the last finished step of a stopped run.
 
     Raises:
@@ -116,7 +111,8 @@ def _greet(recipe: Recipe, console: Console) -> None:
 
 
 def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
-    from agent.estimation import EstimationSettings, IdentifiedModel, estimate
+    from agent.estimation import EstimationSettings, estimate
+    from agent.model import IdentifiedModel
     from agent.pipeline.identify import check_run, read_logs
 
     if run.finished("estimate"):

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from agent.core.console import Console
-from agent.core.errors import AgentError, ControllerError
+from agent.core import AgentError, Console, ControllerError
 from agent.recipe import Recipe, examine_recipe
-from agent.robot.torque_figures import not_judged_text
+from agent.robot import not_judged_text
 
 #: Random loops that are run through the interpolator and the cell.
 LOOPS = 50
@@ -110,7 +109,7 @@ def _validation(recipe: Recipe, console: Console) -> str:
 
 
 def _feasible(recipe: Recipe, speed: float, seed: int, console: Console) -> str:
-    from agent.core.errors import InputError
+    from agent.core import InputError
     from agent.excitation import Candidates
     from agent.pipeline.planning import loop_problem
 
@@ -132,10 +131,9 @@ def _feasible(recipe: Recipe, speed: float, seed: int, console: Console) -> str:
 
 
 def _controller(recipe: Recipe, _: Console) -> str:
-    from agent.link.controller import answering
-    from agent.motion.frames import tool_frame
-    from agent.safety.frames import check_frames, frames_text
-    from agent.safety.motion import PlannedProgram
+    from agent.link import answering
+    from agent.motion import tool_frame
+    from agent.safety import PlannedProgram, check_frames, frames_text
     from drivers.protocol import AcceptsViaPoints, ReportsFrames
 
     address = recipe.controller.address

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from agent.core.console import Console
-from agent.core.errors import InputError
+from agent.core import Console, InputError
 
 if TYPE_CHECKING:
-    from agent.model.identified import IdentifiedModel
-    from agent.recording.log import Log
-    from agent.validation.compare import Comparison
+    from agent.model import IdentifiedModel
+    from agent.recording import Log
+    from agent.validation import Comparison
 
 
 def compare_runs(runs: Sequence[Path], console: Console, report: Path | None = None) -> list[Comparison]:
@@ -23,8 +22,7 @@ def compare_runs(runs: Sequence[Path], console: Console, report: Path | None = N
     Raises:
         InputError: a run without a model or a log, or of different robots.
     """
-    from agent.validation import predict_log
-    from agent.validation.compare import compare_models
+    from agent.validation import compare_models, predict_log
 
     models = _models(runs)
     motion = _motion(runs, models[-1], console)
@@ -33,8 +31,8 @@ def compare_runs(runs: Sequence[Path], console: Console, report: Path | None = N
         for run, model in zip(runs[1:], models[1:], strict=True)
     ]
     if report is not None:
-        from agent.report.comparison import comparison_page
-        from agent.runs.folder import write_atomically
+        from agent.report import comparison_page
+        from agent.runs import write_atomically
 
         by_name = {run.name: model for run, model in zip(runs, models, strict=True)}
         predictions = [predict_log(model, motion) for model in models]
@@ -43,7 +41,7 @@ def compare_runs(runs: Sequence[Path], console: Console, report: Path | None = N
 
 
 def _models(runs: Sequence[Path]) -> list[IdentifiedModel]:
-    from agent.estimation import IdentifiedModel
+    from agent.model import IdentifiedModel
 
     if len({run.name for run in runs}) < len(runs):
         raise InputError("compare: a run is named twice; name two runs or more, each once")

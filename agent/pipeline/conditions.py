@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.recording.log import Log
+from agent.recording import Log
 
 if TYPE_CHECKING:
-    from agent.estimation import IdentifiedModel
-    from agent.link.record import Recording
+    from agent.link import Recording
+    from agent.model import IdentifiedModel
     from agent.validation import Prediction
 
 #: Friction is compared at these shares of the highest speed the axle had in the loop.
@@ -47,7 +47,7 @@ def friction_levels(model: IdentifiedModel, top_speed: np.ndarray) -> list[Level
 
     Single friction parameters lean on each other; friction at a speed the axle had does not.
     """
-    from agent.estimation.refitting import conditional_covariance
+    from agent.estimation import conditional_covariance
 
     base = len(model.independent)
     between = conditional_covariance(model)
@@ -64,7 +64,7 @@ def friction_levels(model: IdentifiedModel, top_speed: np.ndarray) -> list[Level
 
 def top_speed(log: Log, model: IdentifiedModel) -> np.ndarray:
     """(n,) speed [rad/s] that each axle reached in a log, but for the fastest hundredth of it."""
-    from agent.robot.drivetrain import axle_motion
+    from agent.robot import axle_motion
 
     speed = np.gradient(log.position, log.t, axis=0) if log.velocity is None else log.velocity
     return np.quantile(np.abs(axle_motion(model.robot, speed)), 0.99, axis=0)

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core.console import Console
-from agent.core.errors import InputError
+from agent.core import Console, InputError
 from agent.pipeline.identify import check_output
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
-    from agent.model.simulators import Simulator
+    from agent.model import Simulator
 
 _FORMATS = {".xml": "an MJCF", ".mjcf": "an MJCF", ".urdf": "a URDF"}
 
@@ -23,7 +22,7 @@ def check_simulator_out(model: Path | None, out: Path, inputs: Sequence[Path]) -
     Raises:
         InputError: as said.
     """
-    from agent.model.simulators.corrected_file import written_files
+    from agent.model import written_files
 
     wanted = _FORMATS.get(out.suffix.lower())
     if wanted is None:
@@ -41,7 +40,7 @@ def check_simulator_out(model: Path | None, out: Path, inputs: Sequence[Path]) -
 
 def run_forward(found: Diagnosis, simulator: Simulator, console: Console) -> dict[str, Any]:
     """`forward` of a result: the simulator run as given and corrected; nothing where it cannot be."""
-    from agent.diagnosis.forward_windows import forward_or_reason
+    from agent.diagnosis import forward_or_reason
 
     console.step("running the simulator forward, as given and corrected")
     figures, reason = forward_or_reason(found, simulator)
@@ -56,11 +55,9 @@ def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: 
     Raises:
         InputError, RejectedError: the file cannot be changed in place, or did not read back as meant.
     """
-    from agent.diagnosis.correction import corrected
-    from agent.diagnosis.randomisation import ranges, ranges_text
-    from agent.model.simulators.corrected_file import write_corrected
-    from agent.model.simulators.correction import NOT_OF_A_SIMULATOR
-    from agent.runs.folder import write_atomically
+    from agent.diagnosis import corrected, ranges, ranges_text
+    from agent.model import NOT_OF_A_SIMULATOR, write_corrected
+    from agent.runs import write_atomically
 
     correction = corrected(found, simulator)
     for note in correction.notes:

@@ -8,16 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core.console import Console
-from agent.core.errors import InputError
+from agent.core import Console, InputError
 from agent.pipeline.corrected_simulator import check_simulator_out, run_forward, write_simulator
 from agent.pipeline.identify import check_one_machine, check_output, check_plausible, read_logs, say_used
 from agent.robot import RobotDescription, load_robot
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
-    from agent.model.identified import IdentifiedModel
-    from agent.model.simulators import Simulator
+    from agent.model import IdentifiedModel, Simulator
     from agent.pipeline.until_sure import Found
 
 
@@ -77,9 +75,7 @@ def diagnose_recording(
     from agent.pipeline.reports import refresh_index
     from agent.pipeline.until_sure import until_sure
     from agent.recipe import load_recipe
-    from agent.runs.approved import approve
-    from agent.runs.folder import RunFolder, write_atomically
-    from agent.runs.lock import robot_lock
+    from agent.runs import RunFolder, approve, robot_lock, write_atomically
 
     loaded = load_recipe(recipe)
     _check(question, [])
@@ -129,7 +125,7 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
         KeyError: the run does not say what was asked.
     """
     from agent.pipeline.first_screen import after_diagnosis
-    from agent.report.diagnosis_page import diagnosis_report
+    from agent.report import diagnosis_report
 
     asked = json.loads((run / "state.json").read_text(encoding="utf-8"))["question"]
     model = run / _SIMULATOR
@@ -166,8 +162,8 @@ def _diagnose(
         result["next_experiment"] = _next(found, question, console) or result["next_experiment"]
     if question.report is not None:
         from agent.pipeline.first_screen import after_diagnosis
-        from agent.report.diagnosis_page import diagnosis_report
-        from agent.runs.folder import write_atomically
+        from agent.report import diagnosis_report
+        from agent.runs import write_atomically
 
         steps = after_diagnosis(found.result, source, paths, question.model)
         page = diagnosis_report(found, simulated, result.get("forward"), steps)
@@ -193,7 +189,7 @@ def _next(found: Diagnosis, question: GapQuestion, console: Console) -> dict[str
 
 def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQuestion, console: Console) -> Found:
     from agent.diagnosis import diagnose, simulate
-    from agent.model.simulators import SIMULATOR
+    from agent.model import SIMULATOR
 
     reference, simulator = _simulator(robot, paths, question, console)
     if reference is not None and (robot is None or reference.method == SIMULATOR):
@@ -224,8 +220,7 @@ def _simulator(
     Raises:
         InputError: a file that cannot be used, or of another arm.
     """
-    from agent.model.identified import IdentifiedModel
-    from agent.model.simulators import is_simulator, load_joint_map, load_simulator
+    from agent.model import IdentifiedModel, is_simulator, load_joint_map, load_simulator
     from agent.recording import read_log
 
     if question.model is None or not is_simulator(question.model):

@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core.console import Console
-from agent.core.errors import AgentError
-from agent.model.regimes import standstill_speed
-from agent.runs.folder import RunFolder
+from agent.core import AgentError, Console
+from agent.model import standstill_speed
+from agent.runs import RunFolder
 
 if TYPE_CHECKING:
-    from agent.estimation import IdentifiedModel
-    from agent.recording.log import Log
+    from agent.model import IdentifiedModel
+    from agent.recording import Log
     from agent.validation import Prediction
 
 #: Error may be this much above that at the model's own calibration, and this part of the nominal torque more.
@@ -53,7 +52,7 @@ def diagnose_if_worse(
         the run folder gets as `diagnosis.json`.
     """
     from agent.diagnosis import diagnose
-    from agent.report.gap_section import diagnosis_summary
+    from agent.report import diagnosis_summary
 
     if not worse:
         return None

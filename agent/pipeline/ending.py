@@ -7,10 +7,9 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.recipe import Recipe
-from agent.runs.current import current_model
-from agent.runs.folder import RunFolder
+from agent.runs import RunFolder, current_model
 
 _LOGS = Path("logs")
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from agent.pipeline.ending import next_steps, whose
 from agent.recipe import Recipe
-from agent.report.page import About, NextStep
+from agent.report import About, NextStep
 
 _ASKED = {
     "calibrate": "How well does a model of this arm, made from its own motion, predict its torque in the sub-region?",

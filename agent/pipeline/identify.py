@@ -7,13 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core.console import Console
-from agent.core.errors import InputError, RejectedError
+from agent.core import Console, InputError, RejectedError
 from agent.robot import load_robot
 
 if TYPE_CHECKING:
-    from agent.model.identified import IdentifiedModel
-    from agent.recording.log import Log
+    from agent.model import IdentifiedModel
+    from agent.recording import Log
 
 
 def import_files(robot: str, mapping: Path, tables: list[Path], out: Path) -> list[str]:
@@ -83,7 +82,7 @@ def check_plausible(
     Raises:
         RejectedError: with the likeliest reason first.
     """
-    from agent.estimation.plausible import doubts
+    from agent.estimation import doubts
 
     found = doubts(robot, logs)
     if found and not force:
@@ -109,7 +108,7 @@ def check_run(robot: Any, logs: Sequence[Any], model: Any, console: Console) -> 
 
 def say_used(logs: Sequence[Any], cutoff: float, order: int, console: Console) -> None:
     """Say how many samples of each log a filter left to work with; a warning where segments are too short for it."""
-    from agent.estimation.filtering import FilterSettings, used_text
+    from agent.estimation import FilterSettings, used_text
 
     for log in logs:
         text = used_text(log, FilterSettings(cutoff, order))
@@ -142,7 +141,7 @@ def estimate_files(
     model.save(out)
     written = [out]
     if export is not None:
-        from agent.model.export import export_model
+        from agent.model import export_model
 
         written += export_model(model, export)
     return model.to_dict(), "\n".join([model.text(), *(str(path) for path in written)])
@@ -170,7 +169,7 @@ def fit_files(
     logs = [replace(log, velocity=None, planned_position=None) for log in logs]
     model = estimate(description, logs, EstimationSettings.create(cutoff=cutoff, method=method))
     if structure == "auto":
-        from agent.diagnosis.structure import with_structure
+        from agent.diagnosis import with_structure
 
         console.step("searching for structure beyond bodies and friction")
         model = with_structure(description, logs, model, console.progress)
@@ -196,7 +195,7 @@ def validate_files(
     model_path: Path, paths: list[Path], cutoff: float | None, console: Console, allow_mixed: bool = False
 ) -> dict[str, Any]:
     """Prediction of logs by a model, in the contract's schema."""
-    from agent.estimation import IdentifiedModel
+    from agent.model import IdentifiedModel
     from agent.validation import validate
 
     model = IdentifiedModel.load(model_path)
@@ -217,7 +216,7 @@ def _comments(model: Any, logs: Sequence[Any], result: dict[str, Any]) -> Iterat
         yield f"the model was fitted to {', '.join(known)}: its error there says little about other motions"
     error = result["overall"]["relative_error_all_joints"]
     if error is not None and error > 1:
-        from agent.estimation.plausible import doubts
+        from agent.estimation import doubts
 
         reasons = doubts(model.robot, logs) or ["the model is of another robot, tool or unit than the logs"]
         yield (

@@ -9,12 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from agent.core.errors import InputError
-from agent.core.units import Bare, Dimension, parse_quantity
-from agent.recipe import load_recipe, recipe_schema, template
-from agent.recipe.quantities import BARE_ANGLE, BARE_LEAN, BARE_PLACE, BARE_REACH
+from agent.core import Bare, Dimension, InputError, parse_quantity
+from agent.recipe import BARE_ANGLE, BARE_LEAN, BARE_PLACE, BARE_REACH, load_recipe, recipe_schema, template
 from agent.robot import builtin_robots, load_robot
-from agent.runs.folder import write_atomically
+from agent.runs import write_atomically
 
 #: Beside the recipe; editors with a YAML language server read it.
 SCHEMA = "recipe.schema.json"

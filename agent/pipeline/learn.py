@@ -9,15 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core.console import Console
-from agent.core.errors import InputError
+from agent.core import Console, InputError
 from agent.pipeline.identify import check_one_machine, check_output, read_logs
 
 if TYPE_CHECKING:
-    from agent.motion.learned import LearnedLaw
-    from agent.motion.learning import RecordedMove
-    from agent.motion.program import Move, Statement
-    from agent.recording.log import Log
+    from agent.motion import LearnedLaw, Move, RecordedMove, Statement
+    from agent.recording import Log
     from agent.robot import RobotDescription
 
 #: A way between two stops is so many times as long as planned, at least and at most: it is another one otherwise.
@@ -77,11 +74,9 @@ def learn_files(robot: str, paths: Sequence[Path], out: Path, console: Console) 
         InputError: logs without set-points, of another robot or of several, at rest, without their program, or that do
             not follow it.
     """
-    from agent.motion import FlyParameters, MotionError
-    from agent.motion.learned import LearnedLaw, robot_digest
-    from agent.motion.learning import Learner
+    from agent.motion import FlyParameters, LearnedLaw, Learner, MotionError, robot_digest
     from agent.robot import load_robot
-    from agent.runs.folder import write_atomically
+    from agent.runs import write_atomically
 
     check_output(out, paths)
     if out.suffix.lower() not in (".yaml", ".yml"):
@@ -135,7 +130,7 @@ def _check_log(log: Log, robot: RobotDescription) -> None:
 
 def _statements(log: Log, robot: RobotDescription) -> list[Statement]:
     """Of the program that was recorded: a file beside the log with its name, or that of its run."""
-    from agent.motion.pdl2 import parse_program
+    from agent.motion import parse_program
 
     beside = log.path.with_suffix(".pdl")
     of_run = log.path.with_name("program.pdl")
@@ -172,11 +167,8 @@ def _stretches(
     log: Log, statements: Sequence[Statement], robot: RobotDescription, rests: dict[str, list[float]]
 ) -> list[tuple[Any, RecordedMove]]:
     """What was moved between stops, by what tells one motion from another; `rests` [s] grows by what stops took."""
-    from agent.link.alignment import Aligner, moving_stretches
-    from agent.link.planned import chain_key
-    from agent.motion import FlyInterpolator
-    from agent.motion.learning import RecordedMove
-    from agent.motion.program import Move
+    from agent.link import Aligner, chain_key, moving_stretches
+    from agent.motion import FlyInterpolator, Move, RecordedMove
 
     tool = log.metadata.get("tool", "none")
     if tool != "none" and any(isinstance(one, Move) and one.settings.tool is None for one in statements):
@@ -222,7 +214,7 @@ def _stretches(
 
 def _chains(statements: Sequence[Statement]) -> list[tuple[list[Move], float]]:
     """Moves from stop to stop, each with the DELAY [s] before it."""
-    from agent.motion.program import Delay, Move
+    from agent.motion import Delay, Move
 
     chains: list[tuple[list[Move], float]] = []
     pending: list[Move] = []

@@ -10,17 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core.console import Console, finite
-from agent.core.errors import AgentError, InputError
-from agent.link.planned import check_cell, plan_statements
+from agent.core import AgentError, Console, InputError, finite
+from agent.link import check_cell, plan_statements
 from agent.recipe import Recipe
-from agent.runs.folder import write_atomically
+from agent.runs import write_atomically
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
-    from agent.experiment import Experiment, OpenPair
-    from agent.experiment.pieces import Piece
-    from agent.motion.trajectory import Trajectory
+    from agent.experiment import Experiment, OpenPair, Piece
+    from agent.motion import Trajectory
     from agent.robot import RobotDescription
 
 #: Longest motion that is planned [s].
@@ -156,7 +154,7 @@ def _check_folder(folder: Path) -> None:
 
 def _other_test(pairs: Sequence[OpenPair]) -> str:
     """What could still tell, by the knowledge that the open effects carry."""
-    from agent.model.effects import CATALOGUE
+    from agent.model import CATALOGUE
 
     names = {name for pair in pairs for name in pair.names if name in CATALOGUE}
     experiment = min(CATALOGUE[name].experiment for name in names)
@@ -175,7 +173,7 @@ class _Runs:
         self.refused = ""
 
     def __call__(self, pieces: Sequence[Piece]) -> bool:
-        from agent.motion.interpolator import MotionError
+        from agent.motion import MotionError
 
         text = _text(self._recipe, pieces, self._name)
         try:
@@ -190,9 +188,7 @@ class _Runs:
 
 
 def _text(recipe: Recipe, pieces: Sequence[Piece], name: str) -> str:
-    from agent.motion.frames import with_frames
-    from agent.motion.pdl2 import write_program
-    from agent.motion.program import JointTarget, Move, MoveType, Statement, Termination
+    from agent.motion import JointTarget, Move, MoveType, Statement, Termination, with_frames, write_program
 
     calm = with_frames(recipe.motion.settings, recipe.tool).changed(
         speed_override=_WAY_SPEED, termination=Termination.FINE

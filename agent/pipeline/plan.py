@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core.console import Console, finite
-from agent.core.errors import AgentError, InputError
-from agent.link.planned import check_cell
+from agent.core import AgentError, Console, InputError, finite
+from agent.link import check_cell
 from agent.pipeline.planning import PlannedMotion, program_text, search_loop
 from agent.recipe import Recipe, ViaBox, ViaPointList
-from agent.runs.folder import write_atomically
+from agent.runs import write_atomically
 
 if TYPE_CHECKING:
-    from agent.model.identified import IdentifiedModel
-    from agent.motion.trajectory import Trajectory
-    from agent.recording.log import Log
+    from agent.model import IdentifiedModel
+    from agent.motion import Trajectory
+    from agent.recording import Log
     from agent.report import MotionData, SearchData
     from agent.validation import Prediction
 
@@ -102,8 +101,7 @@ def planned_motion_data(recipe: Recipe, motion: PlannedMotion) -> MotionData:
 
 def motion_data(recipe: Recipe, cycle: Trajectory, via_points: np.ndarray, cycles: int) -> MotionData:
     """What a report shows of one planned cycle of a loop through via-points (K, 3) [m]."""
-    from agent.report import MotionData
-    from agent.report.arm import arm_along
+    from agent.report import MotionData, arm_along
 
     return MotionData(
         robot=recipe.robot.name,
@@ -122,8 +120,7 @@ def motion_data(recipe: Recipe, cycle: Trajectory, via_points: np.ndarray, cycle
 
 def with_residual(motion: MotionData, model: IdentifiedModel, log: Path) -> MotionData:
     """The loop coloured by what a model leaves of the torque measured along one cycle of its log."""
-    from agent.recording import read_log
-    from agent.recording.log import AROUND
+    from agent.recording import AROUND, read_log
     from agent.validation import predict_log
 
     recorded = read_log(log, model.robot)
@@ -167,7 +164,7 @@ def _boxes(recipe: Recipe) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 def limit_use(recipe: Recipe, trajectory: Trajectory) -> dict[str, np.ndarray]:
     """{kind: (S, n)} how much of each joint limit a trajectory uses; 1 is all of it."""
-    from agent.safety.cell import position_ranges
+    from agent.safety import position_ranges
 
     robot = recipe.robot
     lower, upper = position_ranges(robot, recipe.cell.joint_ranges)

@@ -9,17 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core.console import Console
-from agent.core.documents import read_json
-from agent.core.errors import InputError
-from agent.link.planned import check_cell, plan_statements
+from agent.core import Console, InputError, read_json
+from agent.link import check_cell, plan_statements
 from agent.recipe import Recipe, ViaLike
-from agent.runs.folder import RunFolder, sha256_file, sha256_text
+from agent.runs import RunFolder, sha256_file, sha256_text
 
 if TYPE_CHECKING:
     from agent.excitation import Loop, LoopProblem
-    from agent.motion.program import Target
-    from agent.motion.trajectory import Trajectory
+    from agent.motion import Target, Trajectory
 
 #: The arm goes to the first point at this share of its joint speeds.
 APPROACH_SPEED = 0.1
@@ -93,7 +90,8 @@ def search_loop(recipe: Recipe, console: Console) -> tuple[PlannedMotion, dict[s
         InputError: as in `plan_once`.
     """
     _tell_passed_over(recipe, console)
-    from agent.excitation import check_sub_region, keep_loop, search
+    from agent.excitation import check_sub_region, search
+    from agent.runs import keep_loop
 
     problem = loop_problem(recipe, recipe.motion.speed)
     for missed in check_sub_region(problem):
@@ -139,9 +137,7 @@ def loop_problem(recipe: Recipe, speed: float) -> LoopProblem:
 
 def program_text(recipe: Recipe, motion: PlannedMotion) -> str:
     """PDL2 text of a planned motion; it sets every frame itself, so it means the same whatever ran before."""
-    from agent.motion.frames import with_frames
-    from agent.motion.pdl2 import write_loop_program
-    from agent.motion.program import JointTarget
+    from agent.motion import JointTarget, with_frames, write_loop_program
 
     settings = with_frames(recipe.motion.settings_at(motion.speed), recipe.tool)
     approach = settings.changed(speed_override=APPROACH_SPEED)
@@ -176,8 +172,7 @@ def programs(
 
 def via_regions(recipe: Recipe) -> Any:
     """The recipe's sub-region as the search needs it."""
-    from agent.motion import ViaRegions
-    from agent.motion.regions import pose_of
+    from agent.motion import ViaRegions, pose_of
     from agent.recipe import ViaBox, ViaPointList, ViaTube
 
     via = recipe.motion.via_points
@@ -192,7 +187,7 @@ def via_regions(recipe: Recipe) -> Any:
 
 def _task_poses(recipe: Recipe) -> np.ndarray:
     """(S, 4, 4) poses of the job that the recipe's `like` names: a program or a log."""
-    from agent.robot.dynamics import Dynamics
+    from agent.robot import Dynamics
 
     via = recipe.motion.via_points
     assert isinstance(via, ViaLike)
@@ -202,7 +197,7 @@ def _task_poses(recipe: Recipe) -> np.ndarray:
 
         q = read_log(path, recipe.robot).position
         return Dynamics(recipe.robot, recipe.tool).tcp_pose(q[:: max(1, len(q) // 2000)])
-    from agent.robot.kinematics import kinematics_for
+    from agent.robot import kinematics_for
 
     kinematics = kinematics_for(recipe.robot, recipe.tool)
     _, chains = plan_statements(recipe, _job(recipe, path)[0], str(path), kinematics.middle)
@@ -214,7 +209,7 @@ def _task_poses(recipe: Recipe) -> np.ndarray:
 
 def _job(recipe: Recipe, path: Path) -> tuple[str, dict[str, int]]:
     """What moves in the program of a job, and how often each word was passed over."""
-    from agent.motion.pdl2 import job_text, listing_beside
+    from agent.motion import job_text, listing_beside
 
     try:
         text = path.read_text(encoding="utf-8")
@@ -298,9 +293,9 @@ def _draw_validation(recipe: Recipe, console: Console) -> Iterator[PlannedMotion
 
 def _targets(recipe: Recipe, loop: Loop) -> list[Target]:
     """Via-points as a controller takes them: poses with flags where the arm has flags, joint positions elsewhere."""
-    from agent.excitation.candidates import via_joints
-    from agent.motion.program import CartesianTarget, JointTarget
-    from agent.robot.kinematics import kinematics_for
+    from agent.excitation import via_joints
+    from agent.motion import CartesianTarget, JointTarget
+    from agent.robot import kinematics_for
 
     if isinstance(loop.moves[0].target, JointTarget):
         *flown, closing = (move.target for move in loop.moves)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core.console import Console
-from agent.core.errors import InputError
+from agent.core import Console, InputError
 from agent.pipeline.reports import recalibration_page
 from agent.recipe import Recipe, load_recipe
-from agent.runs.folder import sha256_file, write_atomically
-from agent.runs.past_run import PastRun, read_object, read_run, readable
+from agent.runs import PastRun, read_object, read_run, readable, sha256_file, write_atomically
 
 if TYPE_CHECKING:
-    from agent.estimation import IdentifiedModel
+    from agent.model import IdentifiedModel
 
 
 def report_again(run: Path, console: Console) -> Path:
@@ -62,8 +60,7 @@ def _calibration(run: Path, recipe: Recipe, console: Console) -> str:
 
 def _recalibration(run: Path, recipe: Recipe, console: Console) -> str:
     from agent.pipeline.identify import read_logs
-    from agent.validation import predict_log
-    from agent.validation.compare import Comparison
+    from agent.validation import Comparison, predict_log
 
     (log,) = read_logs([run / "excitation.mcap"], recipe.robot, console)
     comparison = Comparison.from_dict(read_object(run / "comparison.json"))
@@ -79,7 +76,7 @@ def _diagnosis(run: Path, recipe: Recipe, console: Console) -> str:
 
 
 def _model(run: Path) -> IdentifiedModel:
-    from agent.estimation import IdentifiedModel
+    from agent.model import IdentifiedModel
 
     return IdentifiedModel.load(run / "model.json")
 

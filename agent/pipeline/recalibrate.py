@@ -9,11 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core.console import Console
-from agent.core.errors import ControllerError
-from agent.core.figures import error_text
-from agent.link.planned import check_cell, plan_statements
-from agent.link.record import Recording, RobotLink, open_link, report_losses
+from agent.core import Console, ControllerError, error_text
+from agent.link import Recording, RobotLink, check_cell, open_link, plan_statements, report_losses
 from agent.pipeline.calibrate import step
 from agent.pipeline.drift_check import diagnose_if_worse, worse_joints
 from agent.pipeline.ending import current_run, ending_text
@@ -22,21 +19,26 @@ from agent.pipeline.reference import Reference, find_reference, last_accepted
 from agent.pipeline.reports import refresh_index, watch_lines
 from agent.pipeline.result import provenance
 from agent.recipe import Recipe
-from agent.robot.torque_figures import not_judged_text, outcome_text, torque_units, without_nominal
-from agent.runs.approved import approve
-from agent.runs.current import apply_run, register_run, run_key
-from agent.runs.due import too_early, wrong_clock
-from agent.runs.folder import RunFolder, sha256_file
-from agent.runs.lock import robot_lock
-from agent.safety.authorisation import Authorisation
+from agent.robot import not_judged_text, outcome_text, torque_units, without_nominal
+from agent.runs import (
+    RunFolder,
+    apply_run,
+    approve,
+    register_run,
+    robot_lock,
+    run_key,
+    sha256_file,
+    too_early,
+    wrong_clock,
+)
+from agent.safety import Authorisation
 
 if TYPE_CHECKING:
-    from agent.estimation import IdentifiedModel
-    from agent.estimation.refitting import Refit
-    from agent.recording.log import Log
-    from agent.runs.loop_store import StoredLoop
-    from agent.validation import Prediction
-    from agent.validation.compare import Comparison
+    from agent.estimation import Refit
+    from agent.model import IdentifiedModel
+    from agent.recording import Log
+    from agent.runs import StoredLoop
+    from agent.validation import Comparison, Prediction
 
 _SURE = 3.0
 
@@ -80,7 +82,7 @@ class RecalibrationOutcome:
         return "\n".join(lines)
 
 
-def recalibrate(
+def run_recalibration(
     recipe: Recipe,
     console: Console,
     logs: Path,
@@ -176,9 +178,9 @@ def _check_machine(reference: Reference, link: RobotLink) -> None:
 
 
 def _estimate(recipe: Recipe, reference: Reference, run: RunFolder, console: Console) -> tuple[Log, Refit, Comparison]:
-    from agent.estimation.refitting import refit
+    from agent.estimation import refit
     from agent.pipeline.identify import check_run, read_logs
-    from agent.validation.compare import compare_models
+    from agent.validation import compare_models
 
     what = recipe.recalibrate.parameters
     console.step("estimating friction again" if what == "friction" else "estimating all parameters again")

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agent.core.console import Console
-from agent.core.errors import ControllerError, InputError
-from agent.link.record import MotionOfMany, Recording, RobotLink, open_link, report_losses
+from agent.core import Console, ControllerError, InputError
+from agent.link import MotionOfMany, Recording, RobotLink, open_link, report_losses
 from agent.pipeline.planning import Plan, programs
 from agent.recipe import Recipe
-from agent.runs.folder import RunFolder, sha256_file
+from agent.runs import RunFolder, sha256_file
 
 EXCITATION = "excitation.mcap"
 

@@ -10,19 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core.documents import read_json
-from agent.core.errors import InputError
+from agent.core import InputError, read_json
 from agent.pipeline import planning
 from agent.recipe import Recipe
-from agent.runs.approved import approved_parts, differences, problem
-from agent.runs.current import current_model, run_key
-from agent.runs.history import open_history
-from agent.runs.past_run import PastRun
+from agent.runs import PastRun, approved_parts, current_model, differences, open_history, problem, run_key
 
 if TYPE_CHECKING:
-    from agent.estimation import IdentifiedModel
-    from agent.motion.program import Move, Target
-    from agent.runs.loop_store import StoredLoop
+    from agent.model import IdentifiedModel
+    from agent.motion import Move, Target
+    from agent.runs import StoredLoop
 
 #: Of poses [m] and joints [rad] that are written with nine decimals.
 _SAME = 1e-6
@@ -76,8 +72,8 @@ def find_reference(recipe: Recipe, logs: Path, past: PastRun) -> Reference:
     Raises:
         InputError: the loop is not kept here, was changed, or does not lie in the recipe's sub-region; or no model.
     """
-    from agent.estimation import IdentifiedModel
-    from agent.runs.loop_store import FOLDER, find_loop
+    from agent.model import IdentifiedModel
+    from agent.runs import FOLDER, find_loop
 
     loop = find_loop(recipe, program=past.program)
     if loop is None:
@@ -109,9 +105,8 @@ def check_loop(recipe: Recipe, loop: StoredLoop) -> None:
         InputError: it was changed since it was stored, or is no loop for this recipe.
     """
     from agent.excitation import Candidates
-    from agent.motion.pdl2 import parse_program
-    from agent.motion.program import Move
-    from agent.runs.loop_store import FOLDER
+    from agent.motion import Move, parse_program
+    from agent.runs import FOLDER
 
     def moves(text: str) -> list[Move]:
         program = parse_program(text, f"{loop.program_name}.pdl", recipe.robot)

@@ -8,25 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core.console import Console
-from agent.core.errors import AgentError, InputError
+from agent.core import AgentError, Console, InputError
 from agent.pipeline.drift_check import diagnose_if_worse, joint_moves, moving_rmse, worse_joints
 from agent.recipe import Recipe
-from agent.recording.log import AROUND
-from agent.runs.current import current_runs
-from agent.runs.folder import RunFolder, write_atomically
-from agent.runs.history import last_accepted, open_history
+from agent.recording import AROUND
+from agent.runs import RunFolder, current_runs, last_accepted, open_history, write_atomically
 
 if TYPE_CHECKING:
-    from agent.recording.log import Log
-    from agent.report.torque_section import TorqueData
-    from agent.validation import Prediction
-    from agent.validation.compare import Comparison
+    from agent.recording import Log
+    from agent.report import TorqueData
+    from agent.validation import Comparison, Prediction
 
 
 def against_last(run: RunFolder, log: Log, console: Console) -> dict[str, Any]:
     """The last accepted run of the same loop, and why its model predicts a fresh log worse than it did, if it does."""
-    from agent.estimation import IdentifiedModel
+    from agent.model import IdentifiedModel
     from agent.validation import predict_log
 
     last = last_accepted(run.path)
@@ -47,15 +43,18 @@ def recalibration_page(
     run: Path,
 ) -> str:
     """HTML of a recalibration's report; `program` is the text of the loop, `prediction` is of its `log` in `run`."""
-    from agent.link.planned import plan_statements
+    from agent.link import plan_statements
     from agent.pipeline.first_screen import about_run
     from agent.pipeline.plan import left_over, motion_data
-    from agent.report.comparison_sections import comparison_section
-    from agent.report.friction_curves import friction_section
-    from agent.report.log_sections import log_section
-    from agent.report.recalibration import RecalibrationData, recalibration_report
-    from agent.report.residual_sections import residual_section
-    from agent.report.run_sections import observation_part
+    from agent.report import (
+        RecalibrationData,
+        comparison_section,
+        friction_section,
+        log_section,
+        observation_part,
+        recalibration_report,
+        residual_section,
+    )
 
     model = prediction.model
     *_, cycle = plan_statements(recipe, program, "program.pdl", log.position[0])[1]
@@ -86,8 +85,8 @@ def write_index(logs: Path, robot: str | None = None, serial: str | None = None)
     Raises:
         InputError: there is no such folder, or nothing in it.
     """
-    from agent.report.index import IndexData, index_page
-    from agent.runs.trends import parameter_trends, watch
+    from agent.report import IndexData, index_page
+    from agent.runs import parameter_trends, watch
 
     with open_history(logs) as history:
         runs = history.runs(robot, serial)
@@ -117,7 +116,7 @@ def refresh_index(logs: Path, console: Console) -> None:
 
 def watch_lines(logs: Path, robot: str, serial: str) -> list[str]:
     """Alarms and warnings of one machine's history, a sentence each."""
-    from agent.runs.trends import watch
+    from agent.runs import watch
 
     with open_history(logs) as history:
         return [line for one in watch(history.runs(robot, serial)) for line in one.lines()]
@@ -138,7 +137,7 @@ def _cycle_errors(log: Log, prediction: Prediction) -> np.ndarray:
 
 def _shown_cycle(log: Log, prediction: Prediction) -> TorqueData:
     """What one cycle shows, few enough samples to be drawn."""
-    from agent.report.torque_section import TorqueData
+    from agent.report import TorqueData
     from agent.validation import predict_log
 
     start, stop = log.middle_cycle()

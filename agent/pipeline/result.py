@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.link.record import Recording
+from agent.link import Recording
 from agent.pipeline.first_screen import about_run
 from agent.pipeline.plan import planned_motion_data, search_data, with_residual
 from agent.pipeline.planning import Plan
 from agent.recipe import Recipe
-from agent.report import RunData
-from agent.report.torque_section import TorqueData
-from agent.robot.torque_figures import torque_units, without_nominal
+from agent.report import RunData, TorqueData
+from agent.robot import torque_units, without_nominal
 
 if TYPE_CHECKING:
-    from agent.estimation import IdentifiedModel
-    from agent.report.page import Section
+    from agent.model import IdentifiedModel
+    from agent.report import Section
     from agent.validation import Prediction
 
 
@@ -230,7 +229,7 @@ def typical_motion(predictions: Sequence[Prediction]) -> Prediction:
 
 def provenance(run_path: Path, state: dict[str, Any], logs: Sequence[Path]) -> dict[str, str]:
     """Versions and SHA-256 of everything that went into a run, as names and text."""
-    from agent.runs.folder import sha256_file
+    from agent.runs import sha256_file
 
     entries = {f"version of {name}": version for name, version in state["versions"].items()}
     entries |= {f"SHA-256 of {name}": value for name, value in state["inputs_sha256"].items()}

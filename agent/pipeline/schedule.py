@@ -15,9 +15,9 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from agent.core.errors import AgentError, InputError
+from agent.core import AgentError, InputError
 from agent.recipe import Recipe
-from agent.runs.folder import write_atomically
+from agent.runs import write_atomically
 
 _HOUR = 3600.0
 _DAY = 24 * _HOUR

@@ -6,19 +6,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core.console import Console
-from agent.core.errors import InputError
-from agent.core.units import Bare, Dimension, parse_quantity
-from agent.link.planned import check_cell, plan_statements
-from agent.link.record import open_link, report_losses
+from agent.core import Bare, Console, Dimension, InputError, parse_quantity
+from agent.link import check_cell, open_link, plan_statements, report_losses
 from agent.pipeline.next_experiment import LONGEST, NextMotion, plan_next
 from agent.recipe import Recipe
-from agent.runs.folder import RunFolder, sha256_file
+from agent.runs import RunFolder, sha256_file
 
 if TYPE_CHECKING:
-    from agent.diagnosis import Diagnosis
-    from agent.diagnosis.forward import Simulated
-    from agent.model.simulators import Simulator
+    from agent.diagnosis import Diagnosis, Simulated
+    from agent.model import Simulator
 
     #: A diagnosis, what it says in simulation, and the simulator's file that was read.
     Found = tuple[Diagnosis, list[Simulated], Simulator | None]

@@ -1,27 +1,5 @@
 """Recipes: one validated object per file, SI inside. Millimetres and degrees end here."""
 
-from agent.recipe.recipe import (
-    CellDescription,
-    MotionPlan,
-    Recipe,
-    examine_recipe,
-    load_recipe,
-    recipe_schema,
-)
-from agent.recipe.recipe_text import template
-from agent.recipe.via_points import ViaBox, ViaLike, ViaPointList, ViaPointRegion, ViaTube
+import lazy_loader
 
-__all__ = [
-    "CellDescription",
-    "MotionPlan",
-    "Recipe",
-    "ViaBox",
-    "ViaLike",
-    "ViaPointList",
-    "ViaPointRegion",
-    "ViaTube",
-    "examine_recipe",
-    "load_recipe",
-    "recipe_schema",
-    "template",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -6,8 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
-from agent.core.errors import InputError
-from agent.core.units import Bare, Dimension, Quantity, parse_quantity
+from agent.core import Bare, Dimension, InputError, Quantity, parse_quantity
 
 FULL_TURN = 6.283185307179586
 

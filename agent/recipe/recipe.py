@@ -9,10 +9,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core.documents import find_faults, line_of, read_yaml, without_faults
-from agent.core.errors import InputError
-from agent.core.units import Dimension, parse_quantity
-from agent.motion.program import MotionSettings
+from agent.core import Dimension, InputError, find_faults, line_of, parse_quantity, read_yaml, without_faults
+from agent.motion import MotionSettings
 from agent.recipe.quantities import BARE_ANGLE, BARE_PLACE
 from agent.recipe.schema import (
     ControllerSection,
@@ -29,7 +27,7 @@ from agent.recipe.via_points import ViaPoints, via_points_of
 from agent.robot import Box, RobotDescription, builtin_robots, load_robot
 
 if TYPE_CHECKING:
-    from agent.robot.dynamics import Tool
+    from agent.robot import Tool
 
 
 @dataclass(frozen=True)
@@ -152,8 +150,7 @@ def _contradictions(
     path: Path, document: RecipeDocument, robot: RobotDescription
 ) -> Iterator[tuple[tuple[str, ...], str]]:
     """What is wrong between values that are each right by themselves."""
-    from agent.motion import interpolator_names
-    from agent.motion.learned import is_file_name, load_law
+    from agent.motion import interpolator_names, is_file_name, load_law
     from drivers.errors import ConfigurationError
     from drivers.registry import available, create
 
@@ -231,7 +228,7 @@ def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Re
 
 def _search(path: Path, document: RecipeDocument) -> SearchSection:
     """With the file of a learned interpolator as a path from here."""
-    from agent.motion.learned import is_file_name
+    from agent.motion import is_file_name
 
     name = document.search.interpolator
     file = str(path.parent / name) if is_file_name(name) else name

@@ -14,7 +14,7 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails
 
-from agent.motion.program import FlyTrajectory, FlyType
+from agent.motion import FlyTrajectory, FlyType
 from agent.recipe.quantities import (
     FULL_TURN,
     Count,

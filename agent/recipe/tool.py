@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.motion.path import rotation
+from agent.motion import rotation
 from agent.recipe.schema import ToolSection
 
 if TYPE_CHECKING:
-    from agent.robot.dynamics import Tool
+    from agent.robot import Tool
 
 
 def tool_of(section: ToolSection | None) -> Tool | None:
     """The tool, or None where the recipe has none."""
     if section is None:
         return None
-    from agent.robot.dynamics import Tool
+    from agent.robot import Tool
 
     frame = np.eye(4)
     frame[:3, :3] = rotation.to_matrix(rotation.from_euler(np.array([section.frame[3:]])))[0]

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core.errors import InputError
-from agent.core.units import Dimension, parse_quantity
+from agent.core import Dimension, InputError, parse_quantity
 from agent.recording.log import MACHINE, Log
 from agent.recording.mapping import CURRENT, Columns, EffortColumns, Mapping, PositionColumns, load_mapping, units_of
 from agent.recording.mcap.log_file import nanoseconds, write_log

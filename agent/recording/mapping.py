@@ -8,9 +8,7 @@ from typing import Annotated, Any, Literal, NoReturn
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from agent.core.documents import line_of, read_yaml, validate_document
-from agent.core.errors import InputError
-from agent.core.units import Dimension, Quantity
+from agent.core import Dimension, InputError, Quantity, line_of, read_yaml, validate_document
 
 Side = Literal["motor", "joint"]
 _TURN = 6.283185307179586

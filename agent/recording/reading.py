@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.recording.log import Log, Repair
 from agent.recording.mcap.log_file import PLANNED, REFERENCES, RUN, STATES
 from agent.recording.mcap.scan import Messages, Scan, scan

@@ -7,7 +7,7 @@ from typing import overload
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.recording.log import Log, Repair
 
 _Grids = list[tuple[int, int, np.ndarray]]  # first and stop of a segment, and the times [s] on the new grid

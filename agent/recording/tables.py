@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 
 #: Columns that one matrix of a MAT file may hold; a wider one is no table of samples.
 _MAX_COLUMNS = 256

@@ -20,8 +20,7 @@ def arm_along(robot: RobotDescription, time: np.ndarray, q: np.ndarray, tool: np
 
     time (S,) and q (S, n) of a motion; `tool` (4, 4): the tool's frame at the flange.
     """
-    from agent.robot.dynamics import Dynamics
-    from agent.robot.kinematics.chain import chain_of
+    from agent.robot import Dynamics, chain_of
 
     chosen = np.linspace(0, len(q) - 1, min(len(q), _MOST_POSTURES)).round().astype(int)
     joints = chain_of(robot, tool).origins(q[chosen])

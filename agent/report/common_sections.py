@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core.figures import plus_minus
+from agent.core import plus_minus
 from agent.report.gap_section import diagnosis_section
 from agent.report.page import Section, Table
 

@@ -7,18 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core.figures import plus_minus
+from agent.core import plus_minus
 from agent.report.comparison_sections import comparison_section
 from agent.report.friction_curves import friction_curve
 from agent.report.page import About, NextStep, Page, Section, Table, render
 from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series
 from agent.report.residual_sections import heat_map, residual_map
-from agent.robot.torque_figures import torque_units
+from agent.robot import torque_units
 
 if TYPE_CHECKING:
-    from agent.model.identified import IdentifiedModel
-    from agent.validation import Prediction
-    from agent.validation.compare import Comparison
+    from agent.model import IdentifiedModel
+    from agent.validation import Comparison, Prediction
 
 _GRID = 121
 

@@ -11,7 +11,7 @@ from agent.report.page import Section, Table
 from agent.report.plots import SERIES
 
 if TYPE_CHECKING:
-    from agent.validation.compare import Comparison
+    from agent.validation import Comparison
 
 
 _SHOWN = 30.0
@@ -68,7 +68,7 @@ def comparison_section(
 
 def changes_figure(comparison: Comparison, name: str = "changes") -> Figure:
     """Change of every parameter in standard deviations of a change."""
-    from agent.validation.compare import BEYOND
+    from agent.validation import BEYOND
 
     changes = comparison.changes
     values = np.array([change.deviations for change in changes])

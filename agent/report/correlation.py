@@ -11,7 +11,7 @@ from agent.report.figures import Figure
 from agent.report.page import Section, Table
 
 if TYPE_CHECKING:
-    from agent.model.identified import IdentifiedModel
+    from agent.model import IdentifiedModel
 
 _SHOWN = 0.1
 _STRONG = 0.95

@@ -6,15 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.diagnosis.forward import Simulated
-from agent.diagnosis.regimes import BANDS, band_shares, masks, motor_phase_share
-from agent.diagnosis.result import Diagnosis
-from agent.model.regimes import REGIMES
+from agent.diagnosis import BANDS, Diagnosis, Simulated, band_shares, masks, motor_phase_share
+from agent.model import REGIMES
 from agent.recording import Log
 from agent.report.figures import Figure, new_plot, to_figure
 from agent.report.plots import SERIES, Panel, Plot, Series
 from agent.report.torque_section import worst_first
-from agent.robot.torque_figures import SHARE, torque_units
+from agent.robot import SHARE, torque_units
 
 _MOST_JOINTS = 3
 _MOST_LOGS = 6

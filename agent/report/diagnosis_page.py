@@ -5,17 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from agent.diagnosis.finding import Step
-from agent.diagnosis.forward import Simulated, simulation_part
-from agent.diagnosis.labels import REGIMES, closes, name, place, torque_gap
-from agent.diagnosis.result import Diagnosis
-from agent.diagnosis.sizes import told
-from agent.model.effects import CATALOGUE
+from agent.diagnosis import REGIMES, Diagnosis, Simulated, Step, closes, name, place, simulation_part, told, torque_gap
+from agent.model import CATALOGUE
 from agent.report.diagnosis_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
 from agent.report.first_screen import about_diagnosis, headline, parameter_text, sentence, sized
 from agent.report.page import NextStep, Page, Section, Table, render
 from agent.report.simulator_section import simulator_sections
-from agent.robot.torque_figures import figure_text
+from agent.robot import figure_text
 
 _MOST_STEPS = 8
 _MOST_REJECTED = 12

@@ -7,12 +7,10 @@ from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from agent.diagnosis.labels import closes, how_sure, name, place, torque_gap
-from agent.diagnosis.result import Diagnosis
-from agent.diagnosis.sizes import intervals, leading, size_text
-from agent.model.effects import CATALOGUE
+from agent.diagnosis import Diagnosis, closes, how_sure, intervals, leading, name, place, size_text, torque_gap
+from agent.model import CATALOGUE
 from agent.report.page import About, NextStep
-from agent.robot.torque_figures import figure_text
+from agent.robot import figure_text
 
 _HEADLINES = {
     "no_gap": "No gap: model and robot agree within what the model's own prediction error allows.",

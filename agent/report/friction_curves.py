@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.model.friction_terms import AxleMotion, axle_columns
+from agent.model import AxleMotion, axle_columns
 from agent.report.page import Section
 from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series
 from agent.report.torque_section import worst_first
-from agent.robot.drivetrain import axle_motion
-from agent.robot.torque_figures import torque_units
+from agent.robot import axle_motion, torque_units
 
 if TYPE_CHECKING:
-    from agent.model.identified import IdentifiedModel
+    from agent.model import IdentifiedModel
     from agent.validation import Prediction
 
 _GRID = 120

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from agent.diagnosis.labels import in_torque, torque_gap
-from agent.diagnosis.sizes import size_text, told
+from agent.diagnosis import in_torque, size_text, told, torque_gap
 from agent.report.page import Section, Table
-from agent.robot.torque_figures import SHARE, figure_text
+from agent.robot import SHARE, figure_text
 
 _VERDICTS = {
     "no_gap": "Nothing of practical size beyond what the model's own prediction error allows.",

@@ -10,8 +10,7 @@ import numpy as np
 from agent.report.plots import SERIES, Panel, Plot, Series
 
 if TYPE_CHECKING:
-    from agent.runs.past_run import PastRun
-    from agent.runs.trends import Trend, Watch
+    from agent.runs import PastRun, Trend, Watch
 
 _MOST_RUNS = 1000
 _MOST_PARAMETERS = 24

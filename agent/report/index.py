@@ -15,8 +15,7 @@ from agent.report.page import About, NextStep, Page, Section, Table, render
 from agent.report.plots import Plot
 
 if TYPE_CHECKING:
-    from agent.runs.past_run import PastRun
-    from agent.runs.trends import Trend, Watch
+    from agent.runs import PastRun, Trend, Watch
 
 
 @dataclass(frozen=True, eq=False)

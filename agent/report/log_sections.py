@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from agent.recording.log import Log
+from agent.recording import Log
 from agent.report.page import Section, Table
 
 

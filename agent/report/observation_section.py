@@ -10,7 +10,7 @@ from agent.report.page import Section, Table
 from agent.report.plots import Panel, Plot, Series
 
 if TYPE_CHECKING:
-    from agent.validation.singular_values import Observability
+    from agent.validation import Observability
 
 _USUAL_LIMIT = 100  # Gautier and Khalil's rule of thumb for exciting trajectories
 

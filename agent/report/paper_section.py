@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.report.page import Section, Table
-from agent.robot.torque_figures import torque_units
+from agent.robot import torque_units
 
 if TYPE_CHECKING:
-    from agent.estimation import IdentifiedModel
+    from agent.model import IdentifiedModel
     from agent.recording import Log
-    from agent.robot.dynamics import Tool
+    from agent.robot import Tool
     from agent.validation import Prediction
 
 

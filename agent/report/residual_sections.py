@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.model.regimes import REGIMES, regime_masks, standstill_speed
+from agent.model import REGIMES, regime_masks, standstill_speed
 from agent.report.figures import Figure, new_plot, to_figure
 from agent.report.page import Section
 from agent.report.residual_plots import residual_plots
-from agent.robot.torque_figures import torque_units
+from agent.robot import torque_units
 
 if TYPE_CHECKING:
     from matplotlib.patches import Rectangle

@@ -19,10 +19,10 @@ from agent.report.observation_section import observation_section
 from agent.report.page import Section
 from agent.report.paper_section import paper_section
 from agent.report.residual_sections import residual_section
-from agent.runs.history import last_accepted
+from agent.runs import last_accepted
 
 if TYPE_CHECKING:
-    from agent.estimation import IdentifiedModel
+    from agent.model import IdentifiedModel
     from agent.recipe import Recipe
     from agent.recording import Log
     from agent.validation import Prediction
@@ -54,8 +54,8 @@ class RunContent:
 
 def observation_part(model: IdentifiedModel, log: Log) -> Section:
     """What a model's own motion shows of its parameters."""
-    from agent.estimation import condition_text
-    from agent.validation.singular_values import observability
+    from agent.model import condition_text
+    from agent.validation import observability
 
     return observation_section(observability(model, log), condition_text(model.condition_number))
 
@@ -82,8 +82,8 @@ def _paper(content: RunContent) -> Section | None:
 
 def _comparison(content: RunContent) -> Section | None:
     """Against the last accepted run of the same machine and loop, if there is one."""
-    from agent.estimation import IdentifiedModel
-    from agent.validation.compare import compare_models
+    from agent.model import IdentifiedModel
+    from agent.validation import compare_models
 
     last = last_accepted(content.run)
     if last is None:

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.diagnosis.randomisation import Range, ranges
-from agent.diagnosis.result import Diagnosis
+from agent.diagnosis import Diagnosis, Range, ranges
 from agent.report.figures import Figure, new_plot, to_figure
 from agent.report.page import Section, Table
 from agent.report.plots import SERIES

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.report.plots import SERIES, Panel, Plot, Series, thinned
-from agent.robot.torque_figures import torque_units
+from agent.robot import torque_units
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription

@@ -4,27 +4,6 @@
 `agent.robot.base_reduction`, whose function has its name.
 """
 
-from agent.robot.description import (
-    Box,
-    Capsule,
-    CartesianLimits,
-    Joint,
-    RobotDescription,
-    builtin_robots,
-    load_robot,
-)
-from agent.robot.kinematics import InverseSolutions, Kinematics, KinematicsError, kinematics_for
+import lazy_loader
 
-__all__ = [
-    "Box",
-    "Capsule",
-    "CartesianLimits",
-    "InverseSolutions",
-    "Joint",
-    "Kinematics",
-    "KinematicsError",
-    "RobotDescription",
-    "builtin_robots",
-    "kinematics_for",
-    "load_robot",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -13,8 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveFloat
 
-from agent.core.documents import load_document
-from agent.core.errors import InputError
+from agent.core import InputError, load_document
 from agent.robot.urdf_checks import check_urdf
 
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.robot.description import RobotDescription
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.robot.description import RobotDescription
 from agent.robot.parameter_layout import ParameterLayout
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from agent.core.figures import error_text
+from agent.core import error_text
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 
 #: Attributes that are read as numbers, by element.
 _NUMBERS = {

@@ -19,8 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core.documents import read_json
-from agent.core.errors import InputError
+from agent.core import InputError, read_json
 from agent.recipe import Recipe
 from agent.runs.folder import RunFolder, sha256_text
 
@@ -50,7 +49,7 @@ def problem(recipe: Recipe) -> dict[str, Any]:
     sub_region = {kind: _plain(via_points)}
     like = getattr(via_points, "path", None)
     if isinstance(like, Path):
-        from agent.motion.pdl2 import listing_beside
+        from agent.motion import listing_beside
 
         sub_region[kind]["path"] = _file_digest(like)
         listing = listing_beside(like) if like.suffix.lower() == ".pdl" else None
@@ -176,9 +175,7 @@ def _by_name(value: Any) -> dict[str, Any] | None:
 
 def _interpolator(name: str) -> Any:
     """Its name, with what tells one installed or licensed interpolator from another of that name."""
-    from agent.motion.learned import is_file_name
-    from agent.motion.orl_calls import ARM, CONTROLLER, LIBRARY
-    from agent.motion.registry import ENTRY_POINTS
+    from agent.motion import ARM, CONTROLLER, ENTRY_POINTS, LIBRARY, is_file_name
 
     if is_file_name(name):
         return {"name": "learned", "file": _file_digest(Path(name))}

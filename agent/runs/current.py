@@ -16,9 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core.console import Console
-from agent.core.documents import read_json
-from agent.core.errors import AgentError, InputError
+from agent.core import AgentError, Console, InputError, read_json
 from agent.runs.folder import RunFolder, sha256_file, write_atomically
 from agent.runs.history import open_history
 from agent.runs.past_run import read_run

@@ -12,9 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from agent.core.console import finite, fit_to_show
-from agent.core.documents import read_json
-from agent.core.errors import AgentError, InputError
+from agent.core import AgentError, InputError, finite, fit_to_show, read_json
 from drivers.texts import hide
 
 _STATE = "state.json"

@@ -15,7 +15,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from agent.core.errors import AgentError, InputError
+from agent.core import AgentError, InputError
 from agent.runs.past_run import PastParameter, PastRun, read_run
 
 FILE = "history.sqlite"

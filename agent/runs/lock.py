@@ -14,7 +14,7 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-from agent.core.errors import AgentError, BusyError
+from agent.core import AgentError, BusyError
 
 #: Where every user may leave a file; the first that is there. Not the temporary folder: each user may have its own.
 FOLDERS = (Path("/run/lock"), Path("/tmp"))

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core.documents import read_json
-from agent.core.errors import AgentError, InputError
+from agent.core import AgentError, InputError, read_json
 from agent.recipe import Recipe
 from agent.runs.approved import digest, problem
 from agent.runs.folder import sha256_text, write_atomically

@@ -11,8 +11,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from agent.core.errors import InputError
-from agent.core.figures import error_text
+from agent.core import InputError, error_text
 
 #: Clocks differ by so much without being wrong.
 AHEAD = timedelta(minutes=5)
@@ -204,7 +203,7 @@ def read_object(path: Path) -> dict[str, Any]:
     Raises:
         ValueError: it cannot be read, or holds no object.
     """
-    from agent.core.documents import read_json
+    from agent.core import read_json
 
     try:
         data = read_json(path)

@@ -24,9 +24,8 @@ import numpy as np
 from agent.safety.planned_path import PlannedPath
 
 if TYPE_CHECKING:
-    from agent.motion.trajectory import Trajectory
-    from agent.robot import RobotDescription
-    from agent.robot.dynamics import Tool
+    from agent.motion import Trajectory
+    from agent.robot import RobotDescription, Tool
     from drivers.protocol import SampleBlock
 
 #: So much of the plan may pass in a second: where ours slows down for a corner, theirs need not.
@@ -85,7 +84,7 @@ class Adherence:
     def __init__(
         self, chains: Sequence[Trajectory], robot: RobotDescription, tool: Tool | None, margin: float, period: float
     ) -> None:
-        from agent.robot.dynamics import Dynamics
+        from agent.robot import Dynamics
 
         self._robot = robot
         self._margin = max(margin, SMALLEST_MARGIN)

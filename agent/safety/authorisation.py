@@ -22,9 +22,8 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from agent.core.documents import load_document
-from agent.core.errors import InputError
-from agent.recipe.quantities import Name, Speed, Time
+from agent.core import InputError, load_document
+from agent.recipe import Name, Speed, Time
 
 #: Nobody knows what a cell looks like in two years: a file that allows more is refused.
 LONGEST = timedelta(days=366)

@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core.errors import InputError
-from agent.motion.trajectory import Trajectory
-from agent.robot.description import Box, Capsule, RobotDescription
+from agent.core import InputError
+from agent.motion import Trajectory
+from agent.robot import Box, Capsule, RobotDescription
 from agent.safety.clearance import CellReport, PairClearance, Violation
 from agent.safety.clearance_search import ClearanceSearch
 
 if TYPE_CHECKING:
-    from agent.robot.collision import CollisionModel
-    from agent.robot.dynamics import Tool
+    from agent.robot import CollisionModel, Tool
 
 #: Radius [m] of the capsule from flange to TCP that stands for tool and payload.
 TOOL_RADIUS = 0.05
@@ -89,7 +88,7 @@ class Cell:
         Raises:
             InputError: a body of the arm is nearer than `margin` [m] to a box in every one of many postures.
         """
-        from agent.robot.collision import KEEP_OUT
+        from agent.robot import KEEP_OUT
 
         for pair, widest in zip(self._model.pairs, self._widest, strict=True):
             if pair.second.startswith(KEEP_OUT) and not widest >= margin:
@@ -144,7 +143,7 @@ class Cell:
         Left out are pairs of the arm's bodies that overlap in every posture: capsules too coarse to tell anything. A
         margin means nothing for two that no posture takes so far apart: neighbours but one, a wrist and its tool.
         """
-        from agent.robot.collision import KEEP_OUT
+        from agent.robot import KEEP_OUT
 
         if not self._model.pairs:
             return (), np.zeros(0), np.zeros(0)
@@ -188,7 +187,7 @@ def position_ranges(
 def _collision_model(
     robot: RobotDescription, tool: Tool | None, keep_out: Sequence[Box], tool_radius: float
 ) -> CollisionModel:
-    from agent.robot.collision import KEEP_OUT, Body, CollisionModel, skeleton
+    from agent.robot import KEEP_OUT, Body, CollisionModel, skeleton
 
     bodies = [Body(link, link, capsules) for link, capsules in robot.bodies.items()]
     bodies = bodies or list(skeleton(robot, SKELETON_RADIUS))

@@ -6,7 +6,7 @@ import json
 from datetime import UTC, datetime
 from pathlib import Path
 
-from agent.core.errors import InputError
+from agent.core import InputError
 
 FILE = "checked_programs.json"
 _SCHEMA = "checked_programs/1"
@@ -36,7 +36,7 @@ class CheckedPrograms:
         Raises:
             AgentError: the file cannot be written, or it is damaged.
         """
-        from agent.runs.folder import write_atomically
+        from agent.runs import write_atomically
 
         if self.has(serial, checksum):
             return

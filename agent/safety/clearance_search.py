@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.safety.clearance import PairClearance, Violation
 
 if TYPE_CHECKING:
-    from agent.robot.collision import CollisionModel
+    from agent.robot import CollisionModel
 
 #: The smallest clearance of a pair is found to this part of its distance from the margin.
 RESOLUTION = 0.25

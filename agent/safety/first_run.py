@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core.errors import InputError
-from agent.motion.program import Move, Statement, Target
+from agent.core import InputError
+from agent.motion import Move, Statement, Target
 from agent.safety.motion import PlannedProgram
 
 if TYPE_CHECKING:
-    from agent.motion.interpolator import Interpolator
-    from agent.motion.trajectory import Trajectory
+    from agent.motion import Interpolator, Trajectory
     from agent.robot import RobotDescription
 
 #: Highest speed of the tool centre point in a first run [m/s].
@@ -38,7 +37,7 @@ def slow_version(
     Raises:
         InputError: it cannot be planned, or not so slowly.
     """
-    from agent.motion.pdl2 import parse_program, write_program
+    from agent.motion import parse_program, write_program
 
     statements: list[Statement] = []
     chains: list[Trajectory] = []

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from agent.core.errors import ControllerError, InputError
+from agent.core import ControllerError, InputError
 from agent.safety.motion import PlannedProgram
 from drivers.protocol import Driver, ReportsFrames
 
@@ -45,7 +45,7 @@ def check_frames(program: PlannedProgram, driver: Driver, address: str) -> None:
 
 def pos_text(frame: np.ndarray) -> str:
     """A frame (4, 4) [m] as PDL2 has it, in mm and degrees."""
-    from agent.motion.pdl2 import pose_to_pos
+    from agent.motion import pose_to_pos
 
     fields = pose_to_pos(frame).round(3) + 0.0
     return f"POS({', '.join(f'{value:g}' for value in fields)}, '')"

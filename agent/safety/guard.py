@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core.errors import ControllerError, InputError
-from agent.core.signals import stop_to_come, undisturbed
+from agent.core import ControllerError, InputError, stop_to_come, undisturbed
 from agent.robot import RobotDescription
 from agent.safety.adherence import Adherence
 from agent.safety.checked import CheckedPrograms
@@ -44,7 +43,7 @@ from drivers.protocol import (
 )
 
 if TYPE_CHECKING:
-    from agent.robot.dynamics import Tool
+    from agent.robot import Tool
     from agent.safety.authorisation import Authorisation
 
 

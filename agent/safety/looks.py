@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 
-from agent.core.errors import AgentError
+from agent.core import AgentError
 
 #: The samples wait for an answer so long [s]; one that comes later is heeded when it comes.
 PROMPT = 0.05

@@ -12,8 +12,7 @@ import numpy as np
 from drivers.protocol import ViaPoint
 
 if TYPE_CHECKING:
-    from agent.motion.program import Statement
-    from agent.motion.trajectory import Trajectory
+    from agent.motion import Statement, Trajectory
 
 #: A motion may take so many times as long as planned, so long at each stop, and as long before and after it all [s].
 SLOWER, SETTLING, WAITING = 1.25, 3.0, 10.0
@@ -21,7 +20,7 @@ SLOWER, SETTLING, WAITING = 1.25, 3.0, 10.0
 
 def rest_at(position: np.ndarray) -> Trajectory:
     """The plan of an arm that stays at `position` (n,)."""
-    from agent.motion.trajectory import Trajectory
+    from agent.motion import Trajectory
 
     there = np.asarray(position, dtype=float)[None]
     nothing, unknown = np.zeros_like(there), np.full((1, 4, 4), np.nan)
@@ -30,7 +29,7 @@ def rest_at(position: np.ndarray) -> Trajectory:
 
 def pauses(statements: Iterable[Statement]) -> float:
     """Seconds that a program rests because it says so."""
-    from agent.motion.program import Delay
+    from agent.motion import Delay
 
     return sum(statement.seconds for statement in statements if isinstance(statement, Delay))
 

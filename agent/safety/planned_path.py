@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from agent.motion.trajectory import Trajectory
-    from agent.robot.dynamics import Dynamics
+    from agent.motion import Trajectory
+    from agent.robot import Dynamics
 
 #: Speed may be had from so long [s] before or after a place: ramps and blends of the controller are not ours.
 AROUND = 0.1

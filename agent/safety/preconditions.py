@@ -6,7 +6,7 @@ from ipaddress import ip_address
 
 import numpy as np
 
-from agent.core.errors import ControllerError, InputError, SafetyError
+from agent.core import ControllerError, InputError, SafetyError
 from agent.robot import RobotDescription
 from agent.safety.motion import PlannedProgram
 from drivers.protocol import Identity, Status

@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from agent.core.errors import AgentError, ControllerError, SafetyError
+from agent.core import AgentError, ControllerError, SafetyError
 from agent.safety.adherence import Adherence
 from agent.safety.looks import Looks
 from agent.safety.patience import Patience

@@ -1,15 +1,5 @@
 """Forward simulation of a servo-controlled arm."""
 
-from agent.simulation.actuation import Actuation, RigidActuation
-from agent.simulation.forward import ExternalTorque, ForwardSimulation, SimulatedMotion
-from agent.simulation.servo import CascadedServo, ServoGains
+import lazy_loader
 
-__all__ = [
-    "Actuation",
-    "CascadedServo",
-    "ExternalTorque",
-    "ForwardSimulation",
-    "RigidActuation",
-    "ServoGains",
-    "SimulatedMotion",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.robot.dynamics import Dynamics
+from agent.robot import Dynamics
 from agent.simulation.actuation import Actuation
 from agent.simulation.servo import CascadedServo, ServoGains
 

@@ -1,5 +1,5 @@
 """Torque prediction on unseen motions."""
 
-from agent.validation.torque import Prediction, predict_log, summary, validate
+import lazy_loader
 
-__all__ = ["Prediction", "predict_log", "summary", "validate"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

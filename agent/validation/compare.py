@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.recording.log import AROUND
+from agent.recording import AROUND
 
 if TYPE_CHECKING:
-    from agent.estimation import IdentifiedModel
-    from agent.recording.log import Log
+    from agent.model import IdentifiedModel
+    from agent.recording import Log
 
 #: A parameter moved where the change is beyond this many of its standard deviations (one in a thousand by chance).
 BEYOND = 3.3
@@ -179,7 +179,7 @@ def change_deviations(before: IdentifiedModel, after: IdentifiedModel) -> dict[s
 
     Friction of two models that share their base parameters differs by what friction alone may be off.
     """
-    from agent.estimation.refitting import conditional_covariance
+    from agent.estimation import conditional_covariance
 
     variances = [np.diag(model.covariance).copy() for model in (before, after)]
     if share_base(before, after):
@@ -198,8 +198,7 @@ def share_base(before: IdentifiedModel, after: IdentifiedModel) -> bool:
 
 def _torque_difference(before: IdentifiedModel, after: IdentifiedModel, log: Log) -> tuple[np.ndarray, np.ndarray]:
     """(S, n) difference of the predictions [N·m], and (n,) root mean square of what uncertainty makes of it."""
-    from agent.estimation.filtering import FilterSettings, motions
-    from agent.estimation.refitting import conditional_covariance
+    from agent.estimation import FilterSettings, conditional_covariance, motions
 
     settings = FilterSettings(after.cutoff, after.order)
     parts, variance, count = [], np.zeros(after.robot.dof), 0

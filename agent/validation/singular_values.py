@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.recording.log import AROUND
+from agent.recording import AROUND
 
 if TYPE_CHECKING:
-    from agent.estimation import IdentifiedModel
-    from agent.recording.log import Log
+    from agent.model import IdentifiedModel
+    from agent.recording import Log
 
 #: Parameters named in a direction of parameter space.
 _NAMED = 4
@@ -39,7 +39,7 @@ class Observability:
 
 def observability(model: IdentifiedModel, log: Log, directions: int = 3) -> Observability:
     """Look at a model along one cycle of the motion that it was estimated from."""
-    from agent.estimation.filtering import FilterSettings, motions
+    from agent.estimation import FilterSettings, motions
 
     start, stop = log.middle_cycle()
     total = np.zeros((len(model.values), len(model.values)))

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from agent.estimation.filtering import FilterSettings, motions, resolve_cutoff
-from agent.estimation.observation import check_log
-from agent.model.identified import IdentifiedModel
-from agent.recording.log import Log
+from agent.estimation import FilterSettings, check_log, motions, resolve_cutoff
+from agent.model import IdentifiedModel
+from agent.recording import Log
 
 SCHEMA = "validation/1"
 _MOVING = 1e-3  # of a joint's highest speed by the robot description

@@ -35,10 +35,10 @@ from drivers.wire.tcp import (
     Stored,
     TemperaturesReply,
     UploadBegin,
+    UploadBlock as Block,
     UploadEnd,
     Welcome,
 )
-from drivers.wire.tcp import UploadBlock as Block
 
 
 class FrameDriver:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from fake_controller.actuation.bodies import (
     SimulatedBaseTilt,
     SimulatedInertialMismatch,

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from agent.robot.dynamics import Dynamics, Tool
+from agent.robot import Dynamics, Tool
 from fake_controller.actuation.effect import ArmEffect, SimulatedEffect
 from fake_controller.actuation.machine import Machine
 

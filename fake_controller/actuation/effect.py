@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.robot import RobotDescription
 from fake_controller.actuation.machine import Machine
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from fake_controller.actuation.effect import JointEffect
 from fake_controller.actuation.machine import Gear, Machine
 

@@ -8,8 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from agent.robot import RobotDescription
-from agent.robot.dynamics import Dynamics
+from agent.robot import Dynamics, RobotDescription
 from fake_controller.actuation.friction import FrictionCurve, FrictionModifier
 
 #: Temperature [°C] at which the friction curves of a machine hold.

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from agent.motion.interpolator import MotionError
-from agent.motion.program import (
+from agent.motion import (
     CartesianTarget,
     FlyTrajectory,
     FlyType,
     JointTarget,
+    MotionError,
     MotionSettings,
     Move,
     MoveType,
@@ -20,9 +20,7 @@ from agent.motion.program import (
     SpeedOption,
     Target,
 )
-from agent.robot import RobotDescription
-from agent.robot.dynamics import Tool
-from agent.robot.kinematics import Kinematics, KinematicsError, kinematics_for
+from agent.robot import Kinematics, KinematicsError, RobotDescription, Tool, kinematics_for
 from fake_controller.interpolation.curves import Leg, arc, corner, corner_angle, cut_off
 
 _NOTHING = 1e-9  # m, rad

@@ -16,12 +16,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from agent.core.errors import InputError
-from agent.motion.interpolator import MotionError
-from agent.motion.program import Delay, SpeedOption, Statement
-from agent.motion.trajectory import Trajectory
-from agent.robot import RobotDescription
-from agent.robot.kinematics import KinematicsError, kinematics_for
+from agent.core import InputError
+from agent.motion import Delay, MotionError, SpeedOption, Statement, Trajectory
+from agent.robot import KinematicsError, RobotDescription, kinematics_for
 from fake_controller.interpolation.curves import arc, corner
 from fake_controller.interpolation.parts import InterpolationLaw, Part, PartMaker
 from fake_controller.interpolation.ramps import RampedMove, reachable

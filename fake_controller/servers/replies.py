@@ -8,8 +8,7 @@ import numpy as np
 
 from drivers.wire.reasons import Refusal
 from drivers.wire.tcp import IdentityReply, Samples, StatusReply
-from fake_controller.controller import CONTROLLER, PERIOD, Controller
-from fake_controller.controller import VERSION as CONTROLLER_VERSION
+from fake_controller.controller import CONTROLLER, PERIOD, VERSION as CONTROLLER_VERSION, Controller
 from fake_controller.execution import Slice
 from fake_controller.programs import RefusedRequest
 

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, assume, given, settings, strategies as st
 
 from agent.core.console import Console
 from agent.core.errors import AgentError
-from agent.estimation import IdentifiedModel
+from agent.model import IdentifiedModel
 from agent.pipeline.diagnose import GapQuestion, diagnose_files
 from agent.pipeline.identify import estimate_files, import_files, validate_files
 from agent.recording import read_log

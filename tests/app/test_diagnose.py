@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.estimation import IdentifiedModel
+from agent.model import IdentifiedModel
 
 DELAY = 0.008  # s
 

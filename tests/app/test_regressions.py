@@ -87,7 +87,8 @@ def test_logs_without_motion_or_torque_are_refused(moving, said):
 )
 def test_a_model_file_that_was_damaged_by_hand_is_refused(tmp_path: Path, key, value):
     from agent.core.errors import InputError
-    from agent.estimation import EstimationSettings, IdentifiedModel, estimate
+    from agent.estimation import EstimationSettings, estimate
+    from agent.model import IdentifiedModel
     from agent.recording.log import Log
     from agent.robot import load_robot
 

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from agent.core.errors import AgentError, ControllerError, InputError, SafetyError
 from agent.link.alignment import moving_stretches

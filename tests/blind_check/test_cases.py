@@ -11,7 +11,7 @@ import pytest
 from agent.blind_check.cases import OUTSIDE, draw_cases, draw_effect
 from agent.blind_check.key import key_text, open_key, seal
 from agent.core.errors import InputError
-from agent.diagnosis import CATALOGUE
+from agent.model import CATALOGUE
 from agent.robot import load_robot
 from agent.runs.folder import sha256_text
 from fake_controller import actuation

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from agent.blind_check.report import report_text, summary_text, weak_spots
 from agent.blind_check.scoring import clopper_pearson, outcome, score

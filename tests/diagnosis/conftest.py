@@ -8,7 +8,8 @@ from functools import cache
 import pytest
 
 from agent.diagnosis import Diagnosis, diagnose
-from agent.estimation import IdentifiedModel, estimate
+from agent.estimation import estimate
+from agent.model import IdentifiedModel
 from agent.recording import read_log
 from agent.recording.log import Log
 from agent.robot import RobotDescription, load_robot

@@ -12,8 +12,9 @@ import pytest
 
 import agent.diagnosis
 import agent.report
-from agent.diagnosis import CATALOGUE, check_effects, diagnose, extended_model
-from agent.estimation import IdentifiedModel, estimate
+from agent.diagnosis import check_effects, diagnose, extended_model
+from agent.estimation import estimate
+from agent.model import CATALOGUE, IdentifiedModel
 from agent.model.effects import GROUP
 from agent.report.diagnosis_page import diagnosis_report
 from agent.validation import validate

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.diagnosis import diagnose, extended_model
-from agent.estimation import IdentifiedModel
+from agent.model import IdentifiedModel
 from agent.validation import validate
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from agent.estimation import EstimationSettings, estimate
 from agent.model.effects import CATALOGUE
-from agent.model.standard_parameters import from_pseudo_inertia, pseudo_inertia
 from agent.model.signals import MotionSignals, NominalModel
+from agent.model.standard_parameters import from_pseudo_inertia, pseudo_inertia
 from agent.robot.bodies import rigid_bodies
 
 

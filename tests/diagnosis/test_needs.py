@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.diagnosis import CATALOGUE, diagnose
+from agent.diagnosis import diagnose
 from agent.diagnosis.dataset import assemble
+from agent.model import CATALOGUE
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record
 

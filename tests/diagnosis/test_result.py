@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.diagnosis import CATALOGUE, diagnose
-from agent.pipeline.diagnosis_text import diagnosis_text
+from agent.diagnosis import diagnose
+from agent.model import CATALOGUE
+from agent.pipeline.printed_diagnosis import diagnosis_text
 from agent.report.diagnosis_page import diagnosis_report
 
 VOCABULARY = [

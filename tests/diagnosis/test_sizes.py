@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from agent.core.figures import plus_minus
 from agent.diagnosis.sizes import leading, size_text, told, unit_of

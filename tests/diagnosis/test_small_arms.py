@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.diagnosis import CATALOGUE, Diagnosis, diagnose, extended_model, simulate, simulation_part
+from agent.diagnosis import Diagnosis, diagnose, extended_model, simulate, simulation_part
 from agent.diagnosis.dataset import Dataset, assemble
-from agent.estimation import IdentifiedModel
+from agent.model import CATALOGUE, IdentifiedModel
 from agent.model.identified import ModelEffect
-from agent.pipeline.diagnosis_text import diagnosis_text
+from agent.pipeline.printed_diagnosis import diagnosis_text
 from agent.recording.log import Log
 from agent.report.diagnosis_page import diagnosis_report, headline
 from agent.report.gap_section import diagnosis_section, diagnosis_summary

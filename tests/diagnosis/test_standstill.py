@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.diagnosis import CATALOGUE, diagnose
+from agent.diagnosis import diagnose
 from agent.estimation import EstimationSettings, estimate
+from agent.model import CATALOGUE
 from agent.recording.log import Log
 from agent.robot import RobotDescription
 from agent.robot.bodies import rigid_bodies

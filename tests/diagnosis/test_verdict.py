@@ -7,8 +7,7 @@ from types import SimpleNamespace
 from unittest.mock import patch
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from agent.diagnosis import verdict as rules
 from agent.diagnosis.answer import Cause, DiagnosisResult, EffectPlace, PathGap, TorqueGap

@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import RejectedError
-from agent.estimation import IdentifiedModel
+from agent.model import IdentifiedModel
 from agent.model.export import export_model
 from agent.model.friction_terms import FrictionTerm, Reversal
 from agent.model.standard_parameters import check_physical, full_parameters, pseudo_inertia

@@ -7,13 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
 from agent.estimation import filtering
-from agent.estimation.workflow import observe_predictable
 from agent.estimation.filtering import FilterSettings, motions, smooth_and_differentiate
+from agent.estimation.workflow import observe_predictable
 from agent.robot.bodies import rigid_bodies
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.estimation import EFFECTS, EstimationSettings, IdentifiedModel, ModelEffect, estimate
+from agent.estimation import EstimationSettings, estimate
+from agent.model import EFFECTS, IdentifiedModel, ModelEffect
 from agent.robot.bodies import rigid_bodies
 
 

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.estimation import ESTIMATORS, EstimationSettings, Estimator, IdentifiedModel, estimate
+from agent.estimation import ESTIMATORS, EstimationSettings, Estimator, estimate
 from agent.estimation.problem import Estimate
+from agent.model import IdentifiedModel
 from agent.robot.bodies import rigid_bodies
 
 PAPER = EstimationSettings.create(method="paper")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from agent.core.errors import AgentError, InputError
-from agent.excitation import StoredLoop, find_loop, keep_loop, loop_key, stored_loops
 from agent.recipe import Recipe, load_recipe, template
+from agent.runs import StoredLoop, find_loop, keep_loop, loop_key, stored_loops
 from agent.runs.folder import sha256_text
 
 

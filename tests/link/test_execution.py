@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from agent.motion.program import Delay, JointTarget, Move, MoveType
 from agent.motion.trajectory import Trajectory

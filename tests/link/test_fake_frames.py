@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio
 import pytest
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
+from hypothesis import Phase, given, settings, strategies as st
 
 from agent.motion import FlyInterpolator
 from agent.motion.pdl2 import parse_program, pos_to_pose, pose_to_pos, write_program

@@ -8,8 +8,7 @@ from contextlib import closing, suppress
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from drivers.errors import DriverError, RefusedError
 from drivers.transports.tcp import TcpDriver

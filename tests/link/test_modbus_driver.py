@@ -11,8 +11,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from pymodbus.client import ModbusTcpClient
 
 from drivers.errors import ConfigurationError, DriverError, MotionStopped, ProtocolError, RefusedError

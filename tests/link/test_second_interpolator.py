@@ -7,8 +7,7 @@ import itertools
 import numpy as np
 import pinocchio
 import pytest
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
+from hypothesis import Phase, given, settings, strategies as st
 
 from agent.motion import MotionError
 from agent.motion.program import (

@@ -6,13 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.transports.serial_port import parse_port
-from drivers.wire import serial as wire
-from drivers.wire import tcp
+from drivers.wire import serial as wire, tcp
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "wire-serial.md"
 

@@ -21,7 +21,7 @@ from agent.model.identified import IdentifiedModel
 from agent.model.simulators import load_joint_map, load_simulator
 from agent.pipeline.corrected_simulator import write_simulator
 from agent.pipeline.diagnose import GapQuestion, diagnose_files
-from agent.pipeline.diagnosis_text import diagnosis_text
+from agent.pipeline.printed_diagnosis import diagnosis_text
 from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile
 from agent.report.diagnosis_page import diagnosis_report

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from agent.motion import FlyInterpolator, MotionError, Trajectory
 from agent.motion.program import FlyTrajectory, FlyType, Move, MoveType

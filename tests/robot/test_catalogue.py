@@ -4,8 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from agent.robot import RobotDescription, builtin_robots, kinematics_for
 from agent.robot.dynamics import Dynamics

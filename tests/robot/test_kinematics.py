@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
 from agent.robot import KinematicsError, RobotDescription, kinematics_for, load_robot

@@ -15,7 +15,7 @@ from agent.blind_check import BlindCheck
 from agent.blind_check.worlds import MujocoWorld
 from agent.core.console import Console
 from agent.core.errors import InputError
-from agent.diagnosis import CATALOGUE
+from agent.model import CATALOGUE
 from agent.recording import read_log
 from agent.robot import load_robot
 

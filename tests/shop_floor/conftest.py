@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.browser import Browser
-from tests.browser import browser as start_browser
+from tests.browser import Browser, browser as start_browser
 
 ROOT = Path(__file__).resolve().parents[2]
 JOINTS = [f"joint_{k + 1}" for k in range(6)]

@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from agent.recording import read_log
-from agent.recording.mcap.foxglove import FILE_NAME, foxglove_layout
+from agent.recording.mcap.foxglove import FOXGLOVE_LAYOUT as FILE_NAME, foxglove_layout
 from agent.robot import load_robot
 
 ROOT = Path(__file__).resolve().parents[2]

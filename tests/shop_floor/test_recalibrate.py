@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.estimation import IdentifiedModel
+from agent.model import IdentifiedModel
 from agent.runs.loop_store import stored_loops
 
 

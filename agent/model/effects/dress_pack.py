@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from agent.core.splines import cubic_spline
+from agent.core import cubic_spline
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.friction_terms import dahl

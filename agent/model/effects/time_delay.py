@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.core.splines import cubic_spline
+from agent.core import cubic_spline
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import SHARP_REVERSALS
 from agent.model.friction_terms import axle_columns

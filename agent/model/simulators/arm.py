@@ -9,13 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.model.data import ModelEffect
 from agent.model.friction_terms import FrictionTerm, Reversal
 from agent.model.identified import IdentifiedModel
 from agent.model.simulators.bodies import CarryingBody
-from agent.robot import Joint, RobotDescription
-from agent.robot.parameter_layout import ParameterLayout
+from agent.robot import Joint, ParameterLayout, RobotDescription
 
 #: `method` of a model that was read from a simulator's file.
 SIMULATOR = "simulator"
@@ -144,7 +143,7 @@ def _between_axes(robot: RobotDescription) -> tuple[np.ndarray, np.ndarray, floa
 
     They are link constants (Denavit and Hartenberg), the same whatever the zero position, direction or base frame.
     """
-    from agent.robot.kinematics.chain import chain_of
+    from agent.robot import chain_of
 
     axes, points, tip = chain_of(robot).axes_at_zero()
     angles, distances = [], []
@@ -166,7 +165,7 @@ def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, o
     Raises:
         InputError: a mass matrix that is not positive, or joints that are not one serial chain.
     """
-    from agent.robot.bodies import rigid_bodies
+    from agent.robot import rigid_bodies
 
     check_mass_matrix(arm, robot)
     rigid, standard_names, combinations = rigid_bodies(robot)
@@ -212,7 +211,7 @@ def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, o
 
 def check_mass_matrix(arm: SimulatedArm, robot: RobotDescription) -> None:
     """Raise InputError where some posture has a direction that costs no kinetic energy, or less than none."""
-    from agent.robot.dynamics import Dynamics
+    from agent.robot import Dynamics
 
     links = Dynamics(robot)
     low, high = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core.errors import InputError, RejectedError
+from agent.core import InputError, RejectedError
 from agent.model.simulators.bodies import about_centre, seen_from
 from agent.model.simulators.correction import Correction
 from agent.model.simulators.effects_file import effects_text
@@ -63,7 +63,7 @@ def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> 
         RejectedError: what was written does not read back as what was meant.
         AgentError: the disk is full or not writable.
     """
-    from agent.runs.folder import write_atomically
+    from agent.runs import write_atomically
 
     source = simulator.arm.path
     arm = simulator.arm

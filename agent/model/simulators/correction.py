@@ -22,7 +22,7 @@ from agent.model.simulators.arm import SimulatedArm, described, model_of
 from agent.model.simulators.bodies import about_centre, is_body, nearest, seen_from
 from agent.model.simulators.load import Simulator
 from agent.model.simulators.urdf import pose_of, rotation
-from agent.robot.parameter_layout import LINK_PARAMETERS, ParameterLayout
+from agent.robot import LINK_PARAMETERS, ParameterLayout
 
 _FRICTION = ("coulomb", "viscous")
 #: Effects that happen once, or show in the set-points only: no part of a simulator.

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from agent.core.documents import load_document
-from agent.core.errors import InputError
+from agent.core import InputError, load_document
 
 
 class JointMap(BaseModel):

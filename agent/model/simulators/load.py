@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.model.identified import IdentifiedModel
 from agent.model.simulators.arm import SimulatedArm, described, model_of
 from agent.model.simulators.joints import matched

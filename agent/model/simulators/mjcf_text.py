@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.model.simulators.arm import SimulatedArm
 from agent.model.simulators.correction import text
 from agent.model.simulators.xml_text import Tag, XmlText

@@ -9,10 +9,10 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.model.simulators.arm import SimulatedArm
 from agent.model.simulators.bodies import CarryingBody, parameters, seen_from
-from agent.robot.urdf_checks import check_urdf
+from agent.robot import check_urdf
 
 _TURN = 6.3  # rad
 _MOVABLE = ("revolute", "continuous", "prismatic")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.model.simulators.arm import SimulatedArm
 from agent.model.simulators.correction import rpy_of, text, turned_pose, urdf_inertia
 from agent.model.simulators.urdf import pose_of

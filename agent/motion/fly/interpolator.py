@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.motion.fly.binding import binding_limits
 from agent.motion.fly.profile import ArmLimits
 from agent.motion.fly.runs import RunPlanner
@@ -22,10 +22,10 @@ from agent.motion.path.segments import Segment
 from agent.motion.path.solve import matrices
 from agent.motion.program import Delay, Statement
 from agent.motion.trajectory import BindingLimit, Trajectory
-from agent.robot.description import RobotDescription
+from agent.robot import RobotDescription
 
 if TYPE_CHECKING:
-    from agent.robot.dynamics import Tool
+    from agent.robot import Tool
 
 
 class FlyInterpolator:

@@ -17,7 +17,7 @@ import numpy as np
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.path import rotation, rules
 from agent.motion.path.geometry import Path
-from agent.robot.description import CartesianLimits, RobotDescription
+from agent.robot import CartesianLimits, RobotDescription
 
 _PASSES = 20
 #: The part of every limit that is planned for. The rest is for what a sample may be over at the end of all repairs.

@@ -16,8 +16,7 @@ from agent.motion.interpolator import MotionError
 from agent.motion.path.blend import Corner, corner_between
 from agent.motion.path.geometry import Path, build_path
 from agent.motion.path.segments import CartesianSegment, JointSegment, Segment
-from agent.robot.description import RobotDescription
-from agent.robot.kinematics.configuration import Configuration, parse_configuration
+from agent.robot import Configuration, RobotDescription, parse_configuration
 
 #: A path is built anew at most so often: with smaller joint-space blends, or with more knots, up to so many times.
 _ATTEMPTS, _FINEST = 10, 32.0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.motion.frames import tool_frame
 from agent.motion.interpolator import MotionError
 from agent.motion.path import rotation
@@ -32,11 +32,10 @@ from agent.motion.program import (
     OrientationType,
     Target,
 )
-from agent.robot.description import RobotDescription
-from agent.robot.kinematics import Kinematics, KinematicsError, kinematics_for
+from agent.robot import Kinematics, KinematicsError, RobotDescription, kinematics_for
 
 if TYPE_CHECKING:
-    from agent.robot.dynamics import Tool
+    from agent.robot import Tool
 
 #: Moves shorter than this in every respect [m, rad] are no motion.
 _NOTHING = 1e-9
@@ -210,7 +209,7 @@ class SegmentMaker:
     def _with_tool(self, settings: MotionSettings) -> Kinematics:
         key = None if settings.tool is None else _key(np.array(settings.tool, dtype=float))
         if key not in self._of_tool:
-            from agent.robot.dynamics import Tool  # loads Pinocchio
+            from agent.robot import Tool  # loads Pinocchio
 
             self._of_tool[key] = kinematics_for(self.robot, Tool(frame=np.array(settings.tool, dtype=float)))
         return self._of_tool[key]

@@ -11,7 +11,7 @@ from agent.motion.interpolator import MotionError
 from agent.motion.path import rotation
 from agent.motion.path.segments import Arc, Line, Segment, WristSegment
 from agent.motion.program import MotionSettings
-from agent.robot.kinematics import Kinematics, KinematicsError
+from agent.robot import Kinematics, KinematicsError
 
 #: WRIST_JNT: steps in which the arm is followed [m], and how near the TCP has to come to its path [m].
 _WRIST_STEP, _PLACED = 0.03, 1e-9

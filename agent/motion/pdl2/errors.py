@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from agent.core.errors import InputError
+from agent.core import InputError
 
 
 class TextPosition(NamedTuple):

@@ -18,7 +18,7 @@ from agent.motion.pdl2.variables import SYSTEM_VARIABLES, motion_settings, read
 from agent.motion.program import CartesianTarget, Delay, JointTarget, Move, MoveType, Statement, Target
 
 if TYPE_CHECKING:
-    from agent.robot.description import RobotDescription
+    from agent.robot import RobotDescription
 
 #: Statements and loop turns after which a run is refused, where the caller does not say otherwise.
 MAX_STEPS = 1_000_000

@@ -9,7 +9,7 @@ from agent.motion.pdl2.errors import Pdl2Error
 from agent.motion.pdl2.interpreter import Program, StepLimitError
 
 if TYPE_CHECKING:
-    from agent.robot.description import RobotDescription
+    from agent.robot import RobotDescription
 
 #: A program has no inputs: what it does in its first steps it always does, so that much is tried when it is read.
 TRIAL_STEPS = 5000

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.motion.pdl2.frames import pose_to_pos
 from agent.motion.pdl2.reader import parse_program
 from agent.motion.pdl2.tree import Constant, Pos
@@ -26,7 +26,7 @@ from agent.motion.program import (
 )
 
 if TYPE_CHECKING:
-    from agent.robot.description import RobotDescription
+    from agent.robot import RobotDescription
 
 #: The FLY statement as it is used in the field on the NS16, in its order.
 _FLY_STATEMENT = (

@@ -14,8 +14,7 @@ from urllib.parse import quote
 
 from mcap.opcode import Opcode
 
-from agent.core.documents import read_yaml
-from agent.core.errors import InputError
+from agent.core import InputError, read_yaml
 
 METADATA = "metadata.yaml"
 DATABASE = ".db3"

@@ -10,7 +10,7 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-FILE_NAME = "foxglove-layout.json"
+FOXGLOVE_LAYOUT = "foxglove-layout.json"
 PREDICTED = "/predicted_joint_states"
 FILTERED = "/filtered_joint_states"
 RESIDUAL = "/residual_joint_states"

@@ -16,8 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from agent.recording.log import MACHINE, Log
-from agent.recording.mcap.foxglove import FILE_NAME as LAYOUT_NAME
-from agent.recording.mcap.foxglove import foxglove_layout
+from agent.recording.mcap.foxglove import FOXGLOVE_LAYOUT as LAYOUT_NAME, foxglove_layout
 from agent.recording.mcap.joint_state import SCHEMA_NAME, SCHEMA_TEXT, JointStateLayout, layout_for
 from agent.recording.mcap.output import CHUNK_SIZE, MESSAGE_HEAD, McapOutput, RecordingError
 from agent.recording.repair.sequence import SequenceCheck

@@ -39,7 +39,7 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
-from agent.core.errors import AgentError, InputError
+from agent.core import AgentError, InputError
 
 #: Largest uncompressed chunk [bytes].
 CHUNK_SIZE = 64 * 1024

@@ -25,7 +25,7 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.recording.mcap.bag import DATABASE, bag_files, database_records
 from agent.recording.mcap.joint_state import JointStateLayout, parse_layout
 from agent.recording.scratch import Scratch

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.recording.log import Repair
 from agent.recording.repair.grid import grid_rate, line, sample_numbers
 

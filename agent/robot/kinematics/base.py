@@ -8,7 +8,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.robot.description import RobotDescription
 from agent.robot.kinematics.chain import KinematicChain
 

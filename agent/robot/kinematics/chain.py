@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.robot.description import RobotDescription
 
 

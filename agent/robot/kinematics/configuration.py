@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 
 #: Joint (from 0) and offset [turns] of T1, T2, T3.
 _TURNS = ((3, 0.0), (5, 0.0), (2, 0.5))

@@ -13,7 +13,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from agent.robot.description import RobotDescription
 from agent.robot.kinematics.base import (
     LARGEST_STEP,

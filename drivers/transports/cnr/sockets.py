@@ -21,6 +21,7 @@ from drivers.transports.cnr.address import CnrAddress
 from drivers.transports.tcp import open_socket
 from drivers.wire.cnr import (
     LITTLE,
+    CommType as Comm,
     Feedback,
     Message,
     MessageDecoder,
@@ -30,7 +31,6 @@ from drivers.wire.cnr import (
     StatusMessage,
     encode,
 )
-from drivers.wire.cnr import CommType as Comm
 
 _RECEIVE = 64 * 1024
 _ACTING = 0.25  # s: an answer that comes so late, where it is seen already that a command acts, is taken for lost

@@ -6,7 +6,7 @@ import hashlib
 import secrets
 from collections.abc import Callable
 
-from agent.core.errors import InputError
+from agent.core import InputError
 from drivers.wire.cnr import CommType, Message, MessageType, Point, QueueStatus, ReplyCode
 from drivers.wire.reasons import EndReason
 from fake_controller.controller import Controller

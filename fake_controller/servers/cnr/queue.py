@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.motion.pdl2 import write_program
-from agent.motion.program import FlyTrajectory, FlyType, JointTarget, MotionSettings, Move, MoveType, Termination
+from agent.motion import FlyTrajectory, FlyType, JointTarget, MotionSettings, Move, MoveType, Termination, write_program
 from agent.robot import RobotDescription
 from drivers.wire.cnr import QUEUE_NODES, Point, QueueStatus
 

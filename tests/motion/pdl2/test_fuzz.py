@@ -3,8 +3,7 @@
 import itertools
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from agent.motion.pdl2 import Pdl2Error, parse_program
 from agent.motion.program import Delay, Move

@@ -5,8 +5,7 @@ from enum import Enum
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
 from agent.motion.pdl2 import parse_program, pos_to_pose, write_loop_program, write_program

@@ -15,9 +15,8 @@ _VERDICTS = {
 
 def diagnosis_text(result: dict[str, Any]) -> str:
     """A diagnosis for people."""
-    from agent.diagnosis.labels import closes, torque_gap
-    from agent.diagnosis.sizes import size_text, told
-    from agent.robot.torque_figures import SHARE, figure_text
+    from agent.diagnosis import closes, size_text, told, torque_gap
+    from agent.robot import SHARE, figure_text
 
     lines = [_VERDICTS[result["verdict"]]]
     for cause in result["causes"]:
@@ -51,7 +50,7 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         before, after = (figure_text(torque[side][worst], units[worst]) for side in ("before", "after"))
         lines.append(f"torque error of {gap['joints'][worst]} in forward simulation: {before}, then {after}")
     if result.get("forward"):
-        from agent.diagnosis.forward_windows import forward_lines
+        from agent.diagnosis import forward_lines
 
         lines += list(forward_lines(result["forward"]))
     if result["next_experiment"] is not None:

@@ -1,0 +1,42 @@
+from .console import (
+    Console as Console,
+    finite as finite,
+    fit_to_show as fit_to_show,
+    print_json as print_json,
+    print_path as print_path,
+)
+from .documents import (
+    find_faults as find_faults,
+    line_of as line_of,
+    load_document as load_document,
+    read_json as read_json,
+    read_yaml as read_yaml,
+    validate_document as validate_document,
+    without_faults as without_faults,
+)
+from .errors import (
+    AgentError as AgentError,
+    BusyError as BusyError,
+    ControllerError as ControllerError,
+    InputError as InputError,
+    RejectedError as RejectedError,
+    SafetyError as SafetyError,
+)
+from .figures import error_text as error_text, plus_minus as plus_minus
+from .memory import keep_freed_memory as keep_freed_memory
+from .on_dask import open_engine as open_engine
+from .output import (
+    flush_results as flush_results,
+    open_standard_descriptors as open_standard_descriptors,
+    patient_messages as patient_messages,
+)
+from .parallel import TaskEngine as TaskEngine, available_cores as available_cores, needed as needed
+from .signals import (
+    Ended as Ended,
+    hang_up as hang_up,
+    signals_raised as signals_raised,
+    stop_to_come as stop_to_come,
+    undisturbed as undisturbed,
+)
+from .splines import cubic_spline as cubic_spline
+from .units import Bare as Bare, Dimension as Dimension, Quantity as Quantity, parse_quantity as parse_quantity

@@ -1,0 +1,27 @@
+from .answer import Cause as Cause, DiagnosisResult as DiagnosisResult
+from .candidate import Candidate as Candidate
+from .correction import corrected as corrected
+from .dataset import Dataset as Dataset, background_of as background_of
+from .extension import extended_model as extended_model
+from .finding import Step as Step
+from .fit import Fit as Fit
+from .forward import Simulated as Simulated, simulate as simulate, simulation_part as simulation_part
+from .forward_windows import forward_lines as forward_lines, forward_or_reason as forward_or_reason
+from .isolability import best_by_place as best_by_place, plausible as plausible
+from .labels import (
+    REGIMES as REGIMES,
+    closes as closes,
+    how_sure as how_sure,
+    in_torque as in_torque,
+    name as name,
+    place as place,
+    torque_gap as torque_gap,
+)
+from .limits import DecisionLimits as DecisionLimits
+from .randomisation import Range as Range, ranges as ranges, ranges_text as ranges_text
+from .regimes import BANDS as BANDS, band_shares as band_shares, masks as masks, motor_phase_share as motor_phase_share
+from .result import Diagnosis as Diagnosis
+from .sizes import intervals as intervals, leading as leading, size_text as size_text, told as told
+from .structure import with_structure as with_structure
+from .trial import Trial as Trial
+from .workflow import check_effects as check_effects, diagnose as diagnose

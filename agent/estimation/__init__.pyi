@@ -1,0 +1,19 @@
+from .filtering import (
+    FilterSettings as FilterSettings,
+    Motion as Motion,
+    motions as motions,
+    resolve_cutoff as resolve_cutoff,
+    smooth_and_differentiate as smooth_and_differentiate,
+    used_text as used_text,
+)
+from .observation import Observation as Observation, check_log as check_log, observe as observe
+from .plausible import doubts as doubts
+from .prior import DESCRIPTION as DESCRIPTION, EITHER as EITHER, physical_prior as physical_prior
+from .refitting import Refit as Refit, conditional_covariance as conditional_covariance, refit as refit
+from .workflow import (
+    ESTIMATORS as ESTIMATORS,
+    EstimationSettings as EstimationSettings,
+    Estimator as Estimator,
+    estimate as estimate,
+    methods as methods,
+)

@@ -1,0 +1,11 @@
+from .alignment import Aligner as Aligner, moving_stretches as moving_stretches
+from .controller import answering as answering
+from .planned import chain_key as chain_key, check_cell as check_cell, plan_statements as plan_statements
+from .record import (
+    MotionOfMany as MotionOfMany,
+    Recording as Recording,
+    RobotLink as RobotLink,
+    open_link as open_link,
+    record_program_file as record_program_file,
+    report_losses as report_losses,
+)

@@ -1,0 +1,35 @@
+from .data import ModelEffect as ModelEffect
+from .effects import CATALOGUE as CATALOGUE
+from .effects.effect import Columns as Columns, Effect as Effect, FitContext as FitContext
+from .effects.friction_change import FrictionChange as FrictionChange
+from .effects.inertial_mismatch import InertialMismatch as InertialMismatch
+from .effects.payload import Payload as Payload
+from .export import export_model as export_model
+from .friction_terms import (
+    FORMS as FORMS,
+    AxleMotion as AxleMotion,
+    FrictionTerm as FrictionTerm,
+    Reversal as Reversal,
+    axle_columns as axle_columns,
+)
+from .identified import (
+    EFFECTS as EFFECTS,
+    IdentifiedModel as IdentifiedModel,
+    condition_text as condition_text,
+    torque_of as torque_of,
+)
+from .regimes import REGIMES as REGIMES, regime_masks as regime_masks, standstill_speed as standstill_speed
+from .signals import MotionSignals as MotionSignals, NominalModel as NominalModel
+from .simulators.arm import SIMULATOR as SIMULATOR
+from .simulators.corrected_file import write_corrected as write_corrected, written_files as written_files
+from .simulators.correction import (
+    NOT_OF_A_SIMULATOR as NOT_OF_A_SIMULATOR,
+    Correction as Correction,
+    Released as Released,
+    correct as correct,
+)
+from .simulators.joints import load_joint_map as load_joint_map
+from .simulators.load import Simulator as Simulator, is_simulator as is_simulator, load_simulator as load_simulator
+from .simulators.mjcf import compiled as compiled, mujoco_package as mujoco_package
+from .standard_parameters import full_parameters as full_parameters
+from .with_effects import effect_torque as effect_torque

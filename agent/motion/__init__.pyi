@@ -1,0 +1,63 @@
+from .fly.interpolator import FlyInterpolator as FlyInterpolator
+from .fly_parameters import FlyParameters as FlyParameters
+from .frames import (
+    left_open as left_open,
+    pose_in_robot_base as pose_in_robot_base,
+    tool_frame as tool_frame,
+    with_frames as with_frames,
+)
+from .interpolator import Interpolator as Interpolator, MotionError as MotionError
+from .learned import (
+    LearnedLaw as LearnedLaw,
+    is_file_name as is_file_name,
+    load_law as load_law,
+    robot_digest as robot_digest,
+)
+from .learning import Learner as Learner, RecordedMove as RecordedMove
+from .loop import approach_moves as approach_moves, loop_moves as loop_moves
+from .orl_calls import ARM as ARM, CONTROLLER as CONTROLLER, LIBRARY as LIBRARY
+from .path import rotation as rotation
+from .pdl2.errors import Pdl2Error as Pdl2Error
+from .pdl2.evaluation import Memory as Memory, Value as Value, evaluate as evaluate, subscript as subscript
+from .pdl2.frames import pose_to_pos as pose_to_pos
+from .pdl2.interpreter import Program as Program
+from .pdl2.listing import listing_beside as listing_beside
+from .pdl2.reader import job_text as job_text, parse_program as parse_program
+from .pdl2.tree import (
+    Assignment as Assignment,
+    Block as Block,
+    Conditional as Conditional,
+    Constant as Constant,
+    DelayStatement as DelayStatement,
+    Element as Element,
+    Expression as Expression,
+    ForLoop as ForLoop,
+    Joints as Joints,
+    MoveStatement as MoveStatement,
+    Pos as Pos,
+    System as System,
+)
+from .pdl2.writer import write_loop_program as write_loop_program, write_program as write_program
+from .program import (
+    CartesianTarget as CartesianTarget,
+    Delay as Delay,
+    FlyTrajectory as FlyTrajectory,
+    FlyType as FlyType,
+    Frame as Frame,
+    JointTarget as JointTarget,
+    MotionSettings as MotionSettings,
+    Move as Move,
+    MoveType as MoveType,
+    OrientationType as OrientationType,
+    SpeedOption as SpeedOption,
+    Statement as Statement,
+    Target as Target,
+    Termination as Termination,
+)
+from .regions import ViaRegions as ViaRegions, pose_of as pose_of
+from .registry import (
+    ENTRY_POINTS as ENTRY_POINTS,
+    create_interpolator as create_interpolator,
+    interpolator_names as interpolator_names,
+)
+from .trajectory import BindingLimit as BindingLimit, Trajectory as Trajectory

@@ -1,0 +1,30 @@
+from .calibrate import CalibrationOutcome as CalibrationOutcome, run_calibration as run_calibration
+from .check import check_recipe as check_recipe
+from .compare import compare_runs as compare_runs
+from .conditions import friction_levels as friction_levels, top_speed as top_speed, warm_up as warm_up
+from .diagnose import (
+    GapQuestion as GapQuestion,
+    diagnose_files as diagnose_files,
+    diagnose_recording as diagnose_recording,
+)
+from .identify import (
+    check_one_machine as check_one_machine,
+    check_output as check_output,
+    check_plausible as check_plausible,
+    check_structure as check_structure,
+    estimate_files as estimate_files,
+    fit_files as fit_files,
+    import_files as import_files,
+    read_logs as read_logs,
+    validate_files as validate_files,
+    validation_text as validation_text,
+)
+from .init import write_recipe as write_recipe
+from .learn import learn_files as learn_files
+from .plan import PlanFiles as PlanFiles, plan_recipe as plan_recipe
+from .printed_diagnosis import diagnosis_text as diagnosis_text
+from .rebuild_report import report_again as report_again
+from .recalibrate import run_recalibration as run_recalibration
+from .reports import write_index as write_index
+from .schedule import install as install, make_schedule as make_schedule, next_steps as next_steps
+from .until_sure import budget_of as budget_of

@@ -1,0 +1,44 @@
+from .base_reduction import base_parameters as base_parameters
+from .bodies import RigidBodies as RigidBodies, rigid_bodies as rigid_bodies
+from .collision import KEEP_OUT as KEEP_OUT, Body as Body, CollisionModel as CollisionModel, skeleton as skeleton
+from .description import (
+    Box as Box,
+    Capsule as Capsule,
+    CartesianLimits as CartesianLimits,
+    Joint as Joint,
+    RobotDescription as RobotDescription,
+    builtin_robots as builtin_robots,
+    load_robot as load_robot,
+)
+from .drivetrain import (
+    axle_motion as axle_motion,
+    rotor_mass_matrix as rotor_mass_matrix,
+    rotor_regressor as rotor_regressor,
+    torque_per_ampere as torque_per_ampere,
+)
+from .dynamics import Dynamics as Dynamics, Tool as Tool
+from .friction import PAPER_TERMS as PAPER_TERMS, friction_regressor as friction_regressor
+from .kinematics.base import (
+    InverseSolutions as InverseSolutions,
+    Kinematics as Kinematics,
+    KinematicsError as KinematicsError,
+)
+from .kinematics.chain import chain_of as chain_of, joint_axes as joint_axes
+from .kinematics.configuration import Configuration as Configuration, parse_configuration as parse_configuration
+from .kinematics.factory import kinematics_for as kinematics_for
+from .kinematics.numerical import NumericalKinematics as NumericalKinematics
+from .parameter_layout import (
+    LINK_PARAMETERS as LINK_PARAMETERS,
+    ParameterLayout as ParameterLayout,
+    about_centre as about_centre,
+)
+from .torque_figures import (
+    SHARE as SHARE,
+    error_units as error_units,
+    figure_text as figure_text,
+    not_judged_text as not_judged_text,
+    outcome_text as outcome_text,
+    torque_units as torque_units,
+    without_nominal as without_nominal,
+)
+from .urdf_checks import check_urdf as check_urdf

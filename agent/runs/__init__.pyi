@@ -1,0 +1,49 @@
+from .approved import (
+    approve as approve,
+    approved_parts as approved_parts,
+    check_approved as check_approved,
+    differences as differences,
+    problem as problem,
+)
+from .changes import Background as Background
+from .current import (
+    apply_previous as apply_previous,
+    apply_run as apply_run,
+    current_model as current_model,
+    current_runs as current_runs,
+    register_run as register_run,
+    run_key as run_key,
+)
+from .due import too_early as too_early, wrong_clock as wrong_clock
+from .folder import (
+    RunFolder as RunFolder,
+    sha256_file as sha256_file,
+    sha256_text as sha256_text,
+    write_atomically as write_atomically,
+)
+from .history import (
+    find_run as find_run,
+    history_json as history_json,
+    history_table as history_table,
+    last_accepted as last_accepted,
+    open_history as open_history,
+)
+from .lock import robot_lock as robot_lock
+from .loop_store import (
+    FOLDER as FOLDER,
+    StoredLoop as StoredLoop,
+    find_loop as find_loop,
+    keep_loop as keep_loop,
+    loop_key as loop_key,
+    stored_loops as stored_loops,
+)
+from .past_run import PastRun as PastRun, read_object as read_object, read_run as read_run, readable as readable
+from .series import FrictionSeries as FrictionSeries, SeriesChange as SeriesChange, find_change as find_change
+from .trends import (
+    PRACTICAL as PRACTICAL,
+    Trend as Trend,
+    Watch as Watch,
+    parameter_trends as parameter_trends,
+    watch as watch,
+)
+from .warm_up import FEWEST as FEWEST

@@ -1,0 +1,3 @@
+from .compare import BEYOND as BEYOND, Comparison as Comparison, compare_models as compare_models
+from .singular_values import Observability as Observability, observability as observability
+from .torque import Prediction as Prediction, predict_log as predict_log, summary as summary, validate as validate
