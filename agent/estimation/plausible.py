@@ -35,6 +35,7 @@ _SURE = 5.0  # standard deviations of that push, and
 _ENOUGH = 4.0  # independent samples for each parameter: a short log tells no mistake from chance
 _FAR = 0.2  # rad or m that a joint that is asked to go does not stay behind, however weak its servo
 _MOVING = 1e-2  # rad or m that a joint travels to count as moving
+_NOTHING = 1e-12  # N·m or N by which no torque changes that is one
 
 
 _Regressor = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -72,7 +73,7 @@ def _signals(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
     efforts = [log.effort for log in logs if log.effort is not None]
     weakest, strongest = (np.array([f(e, axis=0) for e in efforts]) for f in (np.min, np.max))
     strong = np.max([np.quantile(np.abs(e), 0.99, axis=0) for e in efforts], axis=0)
-    dead = moving & (strongest.max(axis=0) == weakest.min(axis=0))
+    dead = moving & (strongest.max(axis=0) - weakest.min(axis=0) <= _NOTHING)
     if dead.any():
         yield f"the torque of {', '.join(names[dead])} never changes while it moves: its channel is dead"
     if degrees := _degrees(robot, logs, turning & moving):

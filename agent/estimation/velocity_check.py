@@ -51,5 +51,6 @@ def _velocity_ratio(log: Log, joint: int) -> float | None:
     if len(x) < 10 or np.abs(x).sum() < 10 * _MOVING or not y.any():
         return None
     slope = float(x @ y / (x @ x))
+    y /= np.abs(y).max()  # what is next to nothing has a square of nothing
     correlation = float(x @ y / np.sqrt((x @ x) * (y @ y)))
     return slope if abs(correlation) > 0.95 else None

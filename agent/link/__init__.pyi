@@ -1,6 +1,6 @@
 from .alignment import Aligner as Aligner, moving_stretches as moving_stretches
 from .controller import answering as answering
-from .planned import chain_key as chain_key, check_cell as check_cell, plan_statements as plan_statements
+from .planned import check_cell as check_cell, plan_statements as plan_statements
 from .record import (
     MotionOfMany as MotionOfMany,
     Recording as Recording,

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from agent.safety import is_there
+
 if TYPE_CHECKING:
     from agent.motion import Trajectory
 
@@ -20,8 +22,6 @@ class Aligner:
 
     #: Shortest rest [s] of the set-points that counts as a stop.
     REST = 0.006
-    #: An approach shorter than this [rad, m] is where the arm rests off its set-point; the controller makes none.
-    THERE = 1e-3
 
     def __init__(self, chains: Sequence[Trajectory], period: float):
         self._chains = chains
@@ -48,7 +48,7 @@ class Aligner:
         time = np.concatenate(self._times)
         stretches = moving_stretches(np.concatenate(self._references), round(self.REST / self._period))
         chains, approaches = self._chains, 1
-        if len(stretches) == len(chains) - 1 and np.ptp(chains[0].q, axis=0).max() < self.THERE:
+        if len(stretches) == len(chains) - 1 and is_there(chains[0]):
             chains, approaches = chains[1:], 0  # the arm stood at the first point already
         if len(stretches) != len(chains):
             return []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,7 @@ from agent.core import InputError
 from agent.recipe import Recipe
 
 if TYPE_CHECKING:
-    from agent.motion import Move, Statement, Trajectory
+    from agent.motion import Trajectory
 
 #: Rad or m by which an arm that comes round again may start elsewhere on the same way: joints written in a program, and
 #: those that inverse kinematics gives for a pose, differ in their last digits.
@@ -26,16 +25,16 @@ def plan_statements(recipe: Recipe, text: str, path: str, start: np.ndarray) -> 
         Pdl2Error: the text is not the motion subset of PDL2.
         MotionError: it breaks a limit.
     """
-    from agent.motion import create_interpolator, parse_program
+    from agent.motion import create_interpolator, parse_program, stop_to_stop, way_key
 
     program = parse_program(text, path, recipe.robot)
     interpolator = create_interpolator(
         recipe.search.interpolator, recipe.robot, recipe.tool, period=1.0 / recipe.record.rate
     )
     chains: list[Trajectory] = []
-    known: dict[tuple[Any, ...], list[Trajectory]] = {}
-    for moves in _stop_to_stop(program.run()):
-        alike = known.setdefault(chain_key(moves), [])
+    known: dict[tuple[object, ...], list[Trajectory]] = {}
+    for moves in stop_to_stop(program.run()):
+        alike = known.setdefault(way_key(moves), [])
         chain = next((one for one in alike if np.allclose(one.q[0], start, rtol=0, atol=_SAME)), None)
         if chain is None:
             chain = interpolator.plan(moves, start)
@@ -57,31 +56,6 @@ def check_cell(recipe: Recipe, trajectory: Trajectory) -> None:
         raise InputError(
             f"{report.collision}: move or shrink motion.via_points, or move the arm to another start position"
         )
-
-
-def _stop_to_stop(statements: Iterator[Statement]) -> Iterator[list[Move]]:
-    from agent.motion import Move
-
-    pending: list[Move] = []
-    for statement in statements:
-        if not isinstance(statement, Move):
-            continue  # a DELAY is a rest between two stretches of motion
-        pending.append(statement)
-        if not statement.fly:
-            yield pending
-            pending = []
-    if pending:
-        yield pending
-
-
-def chain_key(moves: list[Move]) -> tuple[Any, ...]:
-    def target(value: Any) -> tuple[Any, ...]:
-        if value is None:
-            return ()
-        array = value.pose if hasattr(value, "pose") else value.position
-        return (type(value).__name__, np.asarray(array).tobytes(), getattr(value, "configuration", ""))
-
-    return tuple((m.type, m.fly, m.settings, target(m.target), target(m.via)) for m in moves)
 
 
 @lru_cache(maxsize=4)

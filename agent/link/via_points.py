@@ -15,6 +15,7 @@ from agent.motion import (
     MoveType,
     SpeedOption,
     pose_in_robot_base,
+    stop_to_stop,
     tool_frame,
 )
 from agent.safety import PlannedProgram
@@ -40,7 +41,6 @@ def via_points(program: PlannedProgram, robot: RobotDescription, tool: Tool | No
         InputError: a move that points cannot say.
     """
     from agent.motion import parse_program
-    from agent.safety import stop_to_stop
 
     chains = [*program.chains]
     points: list[ViaPoint] = []

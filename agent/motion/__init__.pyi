@@ -53,6 +53,8 @@ from .program import (
     Statement as Statement,
     Target as Target,
     Termination as Termination,
+    stop_to_stop as stop_to_stop,
+    way_key as way_key,
 )
 from .regions import ViaRegions as ViaRegions, pose_of as pose_of
 from .registry import (

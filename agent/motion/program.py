@@ -5,6 +5,7 @@ SI units throughout; millimetres and degrees exist in PDL2 text only.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
@@ -147,3 +148,28 @@ class Delay:
 
 
 Statement = Move | Delay
+
+
+def stop_to_stop(statements: Iterable[Statement]) -> Iterator[list[Move]]:
+    """The moves of a program, cut where the arm stops. Rests between them are left out."""
+    pending: list[Move] = []
+    for statement in statements:
+        if not isinstance(statement, Move):
+            continue
+        pending.append(statement)
+        if not statement.fly:
+            yield pending
+            pending = []
+    if pending:
+        yield pending
+
+
+def way_key(moves: Sequence[Move]) -> tuple[object, ...]:
+    """The same for moves that make the same way from the same start, whatever they and their points are called."""
+
+    def place(target: Target | None) -> tuple[object, ...]:
+        if isinstance(target, CartesianTarget):
+            return target.pose.tobytes(), target.configuration
+        return () if target is None else (target.position.tobytes(),)
+
+    return tuple((m.type, m.fly, m.settings, place(m.target), place(m.via)) for m in moves)

@@ -167,8 +167,8 @@ def _stretches(
     log: Log, statements: Sequence[Statement], robot: RobotDescription, rests: dict[str, list[float]]
 ) -> list[tuple[Any, RecordedMove]]:
     """What was moved between stops, by what tells one motion from another; `rests` [s] grows by what stops took."""
-    from agent.link import Aligner, chain_key, moving_stretches
-    from agent.motion import FlyInterpolator, Move, RecordedMove
+    from agent.link import Aligner, moving_stretches
+    from agent.motion import FlyInterpolator, Move, RecordedMove, way_key
 
     tool = log.metadata.get("tool", "none")
     if tool != "none" and any(isinstance(one, Move) and one.settings.tool is None for one in statements):
@@ -204,7 +204,7 @@ def _stretches(
             rests.setdefault(left[0], []).append(float(t[a] - left[1]))
         even = np.diff(t[a:b]).max() <= 2.5 / log.sample_rate
         if even:
-            found.append((chain_key(moves), RecordedMove(tuple(moves), t[a:b], q[a:b])))
+            found.append((way_key(moves), RecordedMove(tuple(moves), t[a:b], q[a:b])))
         left = moves[-1].settings.termination.value, float(t[b - 1])
         at, stand = last + 1, q[b - 1]
         if at == len(moving):

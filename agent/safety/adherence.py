@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from agent.safety.motion import is_there
 from agent.safety.planned_path import PlannedPath
 
 if TYPE_CHECKING:
@@ -38,8 +39,6 @@ LAG, LEAD = 0.15, 0.05
 SHARE, ALLOWANCE, WAY = 0.2, 0.7, 4.0
 #: Samples that are so long [s] apart say nothing of the time between them.
 GAP = 0.1
-#: An approach shorter than this [rad, m] is where the arm rests off its set-point; the controller makes none.
-THERE = 1e-3
 #: No joint is farther than this [rad, m].
 FARTHEST = 1e6
 #: Samples are judged together until so long [s] has passed: a link may hand them out one by one.
@@ -89,11 +88,11 @@ class Adherence:
         self._robot = robot
         self._margin = max(margin, SMALLEST_MARGIN)
         self._dynamics = Dynamics(robot, tool)
-        if len(chains) > 1 and np.ptp(chains[0].q, axis=0).max() < THERE:
+        if len(chains) > 1 and is_there(chains[0]):
             chains = chains[1:]
         self._path = PlannedPath.of(chains, self._dynamics, self._margin)
         self._period = period
-        self._began: float | None = None
+        self._began = np.nan
         self._last = 0.0
         #: The places that fit the last sample: from which one on, and which.
         self._first, self._fits = 0, np.ones(1, dtype=bool)
@@ -134,7 +133,7 @@ class Adherence:
         ):
             if broken.any():
                 return f"the controller sent {what} that are no numbers; look for the fault there"
-        if self._began is None:
+        if np.isnan(self._began):
             self._began = self._last = float(time[0]) - self._period * float(blocks[0].sequence[0])
         lost = np.flatnonzero(np.diff(time, prepend=self._last) > GAP)  # each of these has a long way to be on
         cuts = sorted({*range(0, len(time), _ROWS), *lost.tolist(), *(lost + 1).tolist(), len(time)})
@@ -221,7 +220,7 @@ class Adherence:
     ) -> str:
         """Why none of the places `ways` fits a position (n,) that comes with a speed (n,)."""
         near = self._near(position[None], allowed, ways)[0]
-        at = f"{when - (self._began or 0.0):.2f} s into the motion"
+        at = f"{when - self._began:.2f} s into the motion"
         if not near.any():
             row = int(self._path.rows[ways[np.argmin(self._path.apart(position, ways))]])
             return f"{at} {self._place_of(what, position, row, allowed)}"
@@ -279,7 +278,7 @@ class Adherence:
                 self._mark = self._moved, self._mark[1] + planned
             return None
         return (
-            f"{self._last - (self._began or 0.0):.2f} s into the motion: what was planned to take {planned:.1f} s took "
+            f"{self._last - self._began:.2f} s into the motion: what was planned to take {planned:.1f} s took "
             f"{took:.1f} s: the override is not at 100 %, or was changed, or it is not the planned motion; set it to "
             "100 %, then run the command again; if it was, the controller has a time law of its own: "
             "agent learn-interpolator finds it"

@@ -13,7 +13,6 @@ The file is read, never written, by the agent:
 
 from __future__ import annotations
 
-import os
 import stat
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
@@ -56,17 +55,10 @@ class AuthorisationDocument(_AuthorisedPart):
 
 @dataclass(frozen=True)
 class Authorisation:
-    """A person's word that one program may run on one machine, within limits, until the end of a day (UTC)."""
+    """A person's word, in the file `path`, that one program may run on one machine, within limits, until a day ends."""
 
     path: Path
-    robot: str
-    serial: str
-    program: str
-    problem: str
-    speed: float
-    duration: float
-    expires: date
-    written_by: str
+    word: AuthorisationDocument
 
     def check(
         self, robot: str, serial: str, program: str, speed: float, duration: float, now: datetime | None = None
@@ -80,20 +72,20 @@ class Authorisation:
         Raises:
             InputError: it is not; everything that differs is listed.
         """
-        now = now or datetime.now(UTC)
+        word, limits = self.word, self.word.limits
         faults = []
-        if robot != self.robot:
-            faults.append(f"it is for {self.robot}, the controller drives {robot}")
-        if serial != self.serial:
-            faults.append(f"it is for serial {self.serial}, this machine is {serial}")
-        if program != self.program:
-            faults.append(f"it is for program {self.program[:12]}…, what would run is {program}")
-        if not speed <= self.speed * (1 + 1e-9):
-            faults.append(f"the motion reaches {speed:.3f} m/s, {self.speed:g} m/s are allowed")
-        if not duration <= self.duration:
-            faults.append(f"the motion takes {duration:.0f} s, {self.duration:.0f} s are allowed")
-        if not now.date() <= self.expires:
-            faults.append(f"it ended on {self.expires}")
+        if robot != word.robot:
+            faults.append(f"it is for {word.robot}, the controller drives {robot}")
+        if serial != word.serial:
+            faults.append(f"it is for serial {word.serial}, this machine is {serial}")
+        if program != word.program:
+            faults.append(f"it is for program {word.program[:12]}…, what would run is {program}")
+        if not speed <= limits.speed * (1 + 1e-9):
+            faults.append(f"the motion reaches {speed:.3f} m/s, {limits.speed:g} m/s are allowed")
+        if not duration <= limits.duration:
+            faults.append(f"the motion takes {duration:.0f} s, {limits.duration:.0f} s are allowed")
+        if not (now or datetime.now(UTC)).date() <= word.expires:
+            faults.append(f"it ended on {word.expires}")
         if faults:
             raise InputError(
                 f"{self.path}: this authorisation does not cover the motion: {'; '.join(faults)}. Nothing was moved; "
@@ -109,16 +101,16 @@ class Authorisation:
         Raises:
             InputError: it was not.
         """
-        if problem != self.problem:
+        if problem != self.word.problem:
             raise InputError(
-                f"{self.path}: this authorisation is for problem {self.problem[:12]}…, this recipe, its robot and cell "
-                f"make {problem}. Nothing was moved; somebody who knows the cell has to write a new one"
+                f"{self.path}: this authorisation is for problem {self.word.problem[:12]}…, this recipe, its robot and "
+                f"cell make {problem}. Nothing was moved; somebody who knows the cell has to write a new one"
             )
 
     def ends_soon(self, now: datetime | None = None) -> str | None:
         """What to say where it ends within two weeks."""
-        left = self.expires - (now or datetime.now(UTC)).date()
-        return f"{self.path}: this authorisation ends on {self.expires}" if left <= _SOON else None
+        left = self.word.expires - (now or datetime.now(UTC)).date()
+        return f"{self.path}: this authorisation ends on {self.word.expires}" if left <= _SOON else None
 
 
 def load_authorisation(path: Path, now: datetime | None = None) -> Authorisation:
@@ -128,29 +120,9 @@ def load_authorisation(path: Path, now: datetime | None = None) -> Authorisation
         InputError: missing or wrong, writable by others than its owner, or valid for more than a year.
     """
     document = load_document(path, AuthorisationDocument)
-    if os.name == "posix" and stat.S_IMODE(path.stat().st_mode) & (stat.S_IWGRP | stat.S_IWOTH):
+    if path.stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise InputError(f"{path}: others than its owner can write this authorisation; chmod go-w {path}")
     latest = ((now or datetime.now(UTC)) + LONGEST).date()
     if not document.expires <= latest:
         raise InputError(f"{path}: expires: {document.expires} is more than a year from now; {latest} is the latest")
-    return Authorisation(
-        path=path,
-        robot=document.robot,
-        serial=document.serial,
-        program=document.program,
-        problem=document.problem,
-        speed=document.limits.speed,
-        duration=document.limits.duration,
-        expires=document.expires,
-        written_by=document.written_by,
-    )
-
-
-def not_authorised(address: str, robot: str, serial: str, program: str, speed: float, duration: float) -> InputError:
-    """The error where nobody is there and nothing was written down; it says what would have to be."""
-    return InputError(
-        f"{address}: nobody confirmed that the cell is clear, and no authorisation was given, so nothing was moved. "
-        "Give --yes while somebody watches, or --authorisation FILE, written by a person who knows the cell. This "
-        f"motion needs: robot {robot}, serial {serial}, program {program}, limits of at least {speed:.3f} m/s and "
-        f"{duration:.0f} s"
-    )
+    return Authorisation(path, document)

@@ -61,26 +61,18 @@ class Cell:
 
         Between two bodies of the arm that are never far apart the margin is half their widest distance at most.
         """
-        q, times = _samples(motion)
-        return self._report(q, None, times, margin)
+        if isinstance(motion, Trajectory):
+            return self._report(motion.q, None, motion.t, margin)
+        return self._report(np.atleast_2d(np.asarray(motion, dtype=float)), None, None, margin)
 
-    def check_with_stopping(
-        self, motion: Trajectory, margin: float = 0.0, deceleration: np.ndarray | None = None
-    ) -> CellReport:
+    def check_with_stopping(self, motion: Trajectory, margin: float = 0.0) -> CellReport:
         """Check a motion and, from each of its samples, the way to a stop.
 
-        A stop takes each joint q̇ |q̇| / (2 a) farther, together in a straight line in joint space; a (n,) is
-        `deceleration` [rad/s², m/s²], the description's `max_acceleration` where it is not given.
+        A stop takes each joint q̇ |q̇| / (2 a) farther, a its `max_acceleration`, together in a straight line in joint
+        space.
         """
-        q, times = _samples(motion)
-        limits = self.robot.max_acceleration if deceleration is None else np.asarray(deceleration, dtype=float)
-        return self._report(q, motion.qd * np.abs(motion.qd) / (2 * limits), times, margin)
-
-    def clearance(self, q: np.ndarray) -> np.ndarray:
-        """(S,) smallest distance [m] at each of the joint positions (S, n), for a curve over time."""
-        if not self._model.pairs:
-            return np.full(len(q), np.inf)
-        return self._model.distances(np.asarray(q, dtype=float)).min(axis=1)
+        stop = motion.qd * np.abs(motion.qd) / (2 * self.robot.max_acceleration)
+        return self._report(motion.q, stop, motion.t, margin)
 
     def check_boxes(self, margin: float = 0.0) -> None:
         """Refuse boxes that no motion can keep clear of.
@@ -103,7 +95,9 @@ class Cell:
             raise ValueError("joint positions and ways to a stop must be finite")
         if not 0.0 <= margin < np.inf:
             raise ValueError("the margin must be a number, zero or more")
-        found = [*self._range_violations(q, stop, times)]
+        found = self._range_violations(q, times, stopping=False)
+        if stop is not None:
+            found += self._range_violations(q + stop, times, stopping=True)
         pairs: tuple[PairClearance, ...] = ()
         depth = 0.0
         if self._model.pairs:
@@ -114,27 +108,18 @@ class Cell:
             depth = max(depth, search.depth())
         clearance = min((pair.clearance for pair in pairs), default=np.inf)
         depth = max([depth, *(violation.depth for violation in found)])
-        ends = [q] if stop is None else [q, q + stop]
-        margins = np.min(
-            [np.minimum(end.min(axis=0) - self.lower, self.upper - end.max(axis=0)) for end in ends], axis=0
-        )
         first = min(found, key=lambda violation: violation.index, default=None)
-        return CellReport(pairs, clearance, first, depth, margins)
+        return CellReport(pairs, clearance, first, depth)
 
-    def _range_violations(
-        self, q: np.ndarray, stop: np.ndarray | None, times: np.ndarray | None
-    ) -> Sequence[Violation]:
+    def _range_violations(self, q: np.ndarray, times: np.ndarray | None, stopping: bool) -> list[Violation]:
+        beyond = np.maximum(self.lower - q, q - self.upper)
+        outside = ~(beyond <= RANGE_SLACK)
         found = []
-        for positions, stopping in ((q, False), (None if stop is None else q + stop, True)):
-            if positions is None:
-                continue
-            farthest = np.maximum(self.lower - positions.min(axis=0), positions.max(axis=0) - self.upper)
-            for joint in np.flatnonzero(~(farthest <= RANGE_SLACK)):
-                beyond = np.maximum(self.lower[joint] - positions[:, joint], positions[:, joint] - self.upper[joint])
-                index = int(np.argmax(~(beyond <= RANGE_SLACK)))
-                time = None if times is None else float(times[index])
-                depth = float(beyond.max())
-                found.append(Violation(self.robot.joint_names[joint], "", index, time, depth, 0.0, stopping))
+        for joint in np.flatnonzero(outside.any(axis=0)):
+            index = int(np.argmax(outside[:, joint]))
+            time = None if times is None else float(times[index])
+            depth = float(beyond[:, joint].max())
+            found.append(Violation(self.robot.joint_names[joint], "", index, time, depth, 0.0, stopping))
         return found
 
     def _try_many_postures(self) -> tuple[tuple[tuple[str, str], ...], np.ndarray, np.ndarray]:
@@ -157,12 +142,6 @@ class Cell:
         self._model.leave_out(always)
         largest = np.where(own, widest / 2, np.inf)[~touching]
         return tuple((pair.first, pair.second) for pair in always), largest, widest[~touching]
-
-
-def _samples(motion: Trajectory | np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    if isinstance(motion, Trajectory):
-        return motion.q, motion.t
-    return np.atleast_2d(np.asarray(motion, dtype=float)), None
 
 
 def position_ranges(

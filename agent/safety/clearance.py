@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 
 @dataclass(frozen=True)
 class PairClearance:
@@ -56,11 +54,10 @@ class CellReport:
 
     `pairs`: the smallest clearance of each pair; `clearance` the smallest of all [m], infinite where there is nothing
     to check; `collision`: the first violation in time, or None; `depth`: the deepest of all violations [m, rad], to
-    rank motions by; `joint_margins` (n,): distance of each joint from the nearer end of its range [rad, m].
+    rank motions by.
     """
 
     pairs: tuple[PairClearance, ...]
     clearance: float
     collision: Violation | None
     depth: float
-    joint_margins: np.ndarray

@@ -6,14 +6,13 @@ That is the speed at which a person in the cell can still step aside, as ISO 102
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.core import InputError
-from agent.motion import Move, Statement, Target
+from agent.motion import Move, Statement, stop_to_stop, way_key
 from agent.safety.motion import PlannedProgram
 
 if TYPE_CHECKING:
@@ -41,9 +40,9 @@ def slow_version(
 
     statements: list[Statement] = []
     chains: list[Trajectory] = []
-    seen: set[tuple[object, ...]] = set()
+    seen: set[tuple[bytes, tuple[object, ...]]] = set()
     for moves in stop_to_stop(parse_program(program.text, program.name, robot).run()):
-        key = (np.round(start, 6).tobytes(), *(_key(move) for move in moves))
+        key = np.round(start, 6).tobytes(), way_key(moves)
         if key in seen:
             break
         seen.add(key)
@@ -55,20 +54,6 @@ def slow_version(
     name = f"{program.name[:26]}_slow"
     text = write_program(name, statements, robot)
     return PlannedProgram(name, text, tuple(chains), stands_for=program.checksum, frames=program.frames)
-
-
-def stop_to_stop(statements: Iterable[Statement]) -> Iterator[list[Move]]:
-    """The moves of a program, cut where the arm stops. Rests between them are left out."""
-    pending: list[Move] = []
-    for statement in statements:
-        if not isinstance(statement, Move):
-            continue
-        pending.append(statement)
-        if not statement.fly:
-            yield pending
-            pending = []
-    if pending:
-        yield pending
 
 
 def _slowed(
@@ -91,11 +76,3 @@ def _slowed(
 def _with_speed(move: Move, factor: float) -> Move:
     percent = math.floor(100 * move.settings.speed_override * factor + 1e-9) / 100
     return replace(move, settings=move.settings.changed(speed_override=max(_SLOWEST, percent)))
-
-
-def _key(move: Move) -> tuple[object, ...]:
-    return (move.type, move.fly, move.settings, _place(move.target), _place(move.via))
-
-
-def _place(target: Target | None) -> bytes:
-    return np.asarray(getattr(target, "pose", getattr(target, "position", ()))).tobytes()

@@ -272,11 +272,11 @@ class GuardedLink:
             )
         with self._advice("check the link, then run the command again"):
             status = self._driver.status()
-        check_ready(status, self.address, program.name, program.checksum)
-        check_plan(program, self.robot, standing(status, self.robot, self.address), self.address)
-        with self._advice("check the link, then run the command again"):
+            check_ready(status, self.address, program.name, program.checksum)
+            position = standing(status, self.robot, self.address)
+            check_plan(program, self.robot, position, self.address)
             check_frames(program, self._driver, self.address)
-        return np.asarray(status.position, dtype=float)
+        return position
 
     def _stop(self) -> bool:
         """Ask for a stop; where it is not confirmed, let go of the link, so that the controller stops by itself.

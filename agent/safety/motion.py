@@ -16,6 +16,13 @@ if TYPE_CHECKING:
 
 #: A motion may take so many times as long as planned, so long at each stop, and as long before and after it all [s].
 SLOWER, SETTLING, WAITING = 1.25, 3.0, 10.0
+#: An approach shorter than this [rad, m] is where the arm rests off its set-point; the controller makes none.
+THERE = 1e-3
+
+
+def is_there(chain: Trajectory) -> bool:
+    """Whether a stretch moves too little for a controller to make it."""
+    return bool(np.ptp(chain.q, axis=0).max() < THERE)
 
 
 def rest_at(position: np.ndarray) -> Trajectory:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from ipaddress import ip_address
 
 import numpy as np
@@ -59,17 +60,7 @@ def check_ready(status: Status, address: str, program: str, checksum: str) -> No
     """
     if status.emergency_stop:
         raise SafetyError(f"{address}: the emergency stop is pressed; release it, reset the drives and start again")
-    faults = []
-    if status.mode != "auto":
-        faults.append(f"mode is {status.mode!r}; turn the selector to auto")
-    if status.alarms:
-        faults.append(f"alarms are active ({', '.join(status.alarms)}); clear them")
-    if not status.drives_on:
-        faults.append("the drives are off; switch them on")
-    if not status.cell_closed:
-        faults.append("the cell is open; close the gate")
-    if not abs(status.override - 1.0) <= 1e-6:
-        faults.append(f"the override is {100 * status.override:.0f} %; set it to 100 %, the motion is planned for that")
+    faults = [before for before, _ in _forbidding(status)]
     if status.moving:
         faults.append("the arm is moving already; wait for it, or stop it")
     if (status.program, status.checksum) != (program, checksum):
@@ -133,17 +124,24 @@ def unsafe_in_motion(status: Status) -> str | None:
     """Why an arm that moves has to stop now, and what to do; None if all is as it was at the start."""
     if status.emergency_stop:
         return "the emergency stop was pressed; release it, reset the drives, then run the command again"
+    return next((f"{in_motion}, then run the command again" for _, in_motion in _forbidding(status)), None)
+
+
+def _forbidding(status: Status) -> Iterator[tuple[str, str]]:
+    """What forbids motion but the emergency stop: as it is told before a start, and of an arm that moves."""
     if not status.drives_on:
-        return "the drives went off; look for the fault at the controller, then run the command again"
+        yield "the drives are off; switch them on", "the drives went off; look for the fault at the controller"
     if status.alarms:
-        return f"alarms came up ({', '.join(status.alarms)}); clear them, then run the command again"
+        named = ", ".join(status.alarms)
+        yield f"alarms are active ({named}); clear them", f"alarms came up ({named}); clear them"
     if not status.cell_closed:
-        return "the cell was opened; close the gate, then run the command again"
+        yield "the cell is open; close the gate", "the cell was opened; close the gate"
     if status.mode != "auto":
-        return f"the mode was changed to {status.mode!r}; turn the selector to auto, then run the command again"
+        what = f"{status.mode!r}; turn the selector to auto"
+        yield f"mode is {what}", f"the mode was changed to {what}"
     if not abs(status.override - 1.0) <= 1e-6:
-        return f"the override was changed to {100 * status.override:.0f} %; set it to 100 %, then run the command again"
-    return None
+        what = f"{100 * status.override:.0f} %; set it to 100 %"
+        yield f"the override is {what}, the motion is planned for that", f"the override was changed to {what}"
 
 
 def is_loopback(address: str) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings, strategies as st
+from hypothesis import HealthCheck, assume, example, given, settings, strategies as st
 
 from agent.core.console import Console
 from agent.core.errors import AgentError
@@ -167,6 +167,8 @@ def test_any_damage_in_a_table_is_answered(arm, folder, damages):
 
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.lists(DAMAGE, min_size=1, max_size=3))
+@example([("scale", "effort", 1e-300)])
+@example([("scale", "velocity", 1e-300)])
 def test_any_damage_is_answered(arm, folder, damages):
     check(arm, folder, damages, diagnose=False)
 

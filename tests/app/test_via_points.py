@@ -18,10 +18,10 @@ from agent.motion.program import (
     Move,
     MoveType,
     Termination,
+    stop_to_stop,
 )
 from agent.robot import load_robot
 from agent.robot.kinematics import kinematics_for
-from agent.safety.first_run import stop_to_stop
 from agent.safety.motion import PlannedProgram
 
 ROBOT = load_robot("comau_ns16")

@@ -59,6 +59,15 @@ def test_frames_are_read_and_compared_and_both_are_told(broker):
             check_frames(planned(np.eye(4)), driver, "here")
 
 
+def test_a_frame_that_is_no_number_is_another():
+    class Lost(TcpDriver):
+        def frames(self):
+            return {"$TOOL": MOUNTED * np.nan}
+
+    with pytest.raises(ControllerError, match=r"\$TOOL is POS\(nan"):
+        check_frames(planned(MOUNTED), Lost("127.0.0.1:1"), "here")
+
+
 def test_a_link_that_reads_no_frames_takes_no_program_that_leaves_them_open():
     driver = TcpDriver("127.0.0.1:1")
     check_frames(PlannedProgram("loop", "", ()), driver, "here")

@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from agent.motion.trajectory import Trajectory
 from agent.robot import load_robot
-from agent.safety.authorisation import Authorisation
+from agent.safety.authorisation import Authorisation, AuthorisationDocument, Limits
 from agent.safety.checked import CheckedPrograms
 from agent.safety.guard import GuardedLink
 from agent.safety.motion import PlannedProgram
@@ -25,8 +25,8 @@ from drivers.transports.tcp import TcpDriver
 from drivers.wire import tcp
 from drivers.wire.reasons import EndReason, Refusal
 from tests.conftest import patience
+from tests.safety.following import HOME, at
 
-HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
 NAMES = tuple(f"joint_{k}" for k in range(1, 7))
 
 
@@ -53,7 +53,7 @@ class Controller:
     pushes: bool = False  # all blocks at once, not one a look
     spacing: int = 2_500_000  # of the samples [ns]
     celsius: tuple[float, ...] = ()  # of the motors
-    moves: Callable[[np.ndarray], np.ndarray] = lambda times: _at(_trajectory(), times)  # (K,) [s] to (K, n)
+    moves: Callable[[np.ndarray], np.ndarray] = lambda times: at(_trajectory(), times)  # (K,) [s] to (K, n)
     measures: Callable[[np.ndarray], np.ndarray] | None = None  # the same of what is measured, where it is another
     drops: tuple[int, ...] = ()  # blocks that get lost for good
     repeats: int = 1  # of every block
@@ -284,9 +284,17 @@ def trajectory_through():
     return build
 
 
-def _at(plan: Trajectory, times: np.ndarray) -> np.ndarray:
-    """(K, n) of a plan; it holds its last position."""
-    return np.column_stack([np.interp(times, plan.t, column) for column in plan.q.T])
+@pytest.fixture(scope="session")
+def swing(trajectory_through):
+    """`swing(seconds, turn, start)`: from rest to rest, all joints of the arm."""
+
+    def build(seconds=8.0, turn=1.0, start=0.0):
+        knots = np.tile(HOME, (5, 1))
+        knots[:, 0] += start + turn * np.array([0.0, 0.4, 0.3, 0.8, 1.0])
+        knots[:, 2] += 0.4 * turn * np.array([0.0, 0.3, 0.8, 0.9, 1.0])
+        return trajectory_through(knots, seconds)
+
+    return build
 
 
 def _trajectory(speed: float = 0.1, start: np.ndarray = HOME, seconds: float = 1.0) -> Trajectory:
@@ -303,8 +311,16 @@ def _program(speed: float = 0.1, **changes: object) -> PlannedProgram:
     return PlannedProgram("swing", "PROGRAM swing", (replace(_trajectory(speed), **changes),))
 
 
-def _authorisation(chosen: PlannedProgram, **changes: object) -> Authorisation:
-    granted = Authorisation(
-        Path("word.yaml"), "comau_ns16", "NS16-7", chosen.checksum, "0" * 64, 1.0, 60.0, date(2999, 1, 1), "M. Rossi"
+def _authorisation(
+    chosen: PlannedProgram, speed: float = 1.0, duration: float = 60.0, **changes: object
+) -> Authorisation:
+    word = AuthorisationDocument(
+        robot="comau_ns16",
+        serial="NS16-7",
+        program=chosen.checksum,
+        problem="0" * 64,
+        limits=Limits.model_construct(speed=speed, duration=duration),
+        expires=date(2999, 1, 1),
+        written_by="M. Rossi",
     )
-    return replace(granted, **changes)
+    return Authorisation(Path("word.yaml"), word.model_copy(update=changes))

@@ -60,12 +60,12 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     "adherence.py": {
         "len(chains) > 1": "a count",
         "len(self._waiting) < _BLOCKS": "a count",
-        "np.ptp(chains[0].q, axis=0).max() < THERE": "of a plan that was checked",
         "float(block.time[-1]) - float(self._waiting[0].time[0]) < TOGETHER": "no number waits a little longer",
         "np.diff(time, prepend=self._last) > GAP": "of times that are numbers",
         "passed[k] > GAP": "of times that are numbers",
         "over > GAP": "of times that are numbers",
         "passed.max() <= GAP": "of times that are numbers",
+        "off <= self._path.reach[rows, joint] + allowed.joint": "where the tool's distance is a number",
         "ways >= begin[:, None]": "indices",
         "ways <= end[:, None]": "indices",
         "speed > allowed.resting * self._robot.max_velocity": "of positions that are numbers",
@@ -76,7 +76,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     "authorisation.py": {
         "left <= _SOON": "dates",
         "document.expires <= latest": "dates",
-        "now.date() <= self.expires": "dates",
+        "(now or datetime.now(UTC)).date() <= word.expires": "dates",
     },
     "cell.py": {"widest < 0": "of distances that were found to be numbers"},
     "clearance.py": {"self.margin > 0": "a margin that was found to be a number"},
@@ -90,6 +90,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "bounds < self.margin - self.tolerance": "of distances that were found to be numbers",
         "short.min(axis=1) >= 0": "of distances that were found to be numbers",
     },
+    "motion.py": {"np.ptp(chain.q, axis=0).max() < THERE": "of a plan that was checked"},
     "planned_path.py": {
         "np.diff(found) > 1": "indices",
         "off <= min(away) + within": "of times that are numbers",

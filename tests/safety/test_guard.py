@@ -15,6 +15,7 @@ import pytest
 
 from agent.core.errors import ControllerError, InputError, SafetyError
 from agent.safety.motion import PlannedProgram
+from drivers.errors import DriverError
 from drivers.transports.tcp import TcpDriver
 
 HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
@@ -22,8 +23,25 @@ HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
 
 def test_what_is_in_order_runs_once_to_its_end(bench, program):
     assert bench.run(program()) == 1000
+    bench.close()
     assert (bench.controller.starts, bench.controller.stops) == (1, 0)
     assert bench.warned == []
+
+
+def test_a_program_that_leaves_frames_open_does_not_run_where_nobody_can_read_them(bench, program):
+    with pytest.raises(InputError, match=r"does not set \$TOOL"):
+        bench.run(replace(program(), frames={"$TOOL": np.eye(4)}))
+    assert bench.controller.starts == 0
+
+
+def test_what_a_driver_asks_is_answered_before_the_next_run(bench):
+    class Asking(TcpDriver):
+        def connect(self):
+            raise DriverError("nobody answers; is the port right?")
+
+    bench.driver = Asking
+    with pytest.raises(DriverError, match=r"is the port right\? Put that right, then run the command again$"):
+        bench.open()
 
 
 def test_readiness_is_looked_at_right_before_the_start(bench, program):

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from agent.core.errors import ControllerError, InputError
-from agent.motion.program import Delay, JointTarget, MotionSettings, Move, MoveType
+from agent.motion.program import Delay, JointTarget, MotionSettings, Move, MoveType, stop_to_stop
 from agent.safety.checked import CheckedPrograms
-from agent.safety.first_run import FIRST_SPEED, slow_version, stop_to_stop
+from agent.safety.first_run import FIRST_SPEED, slow_version
 from agent.safety.motion import PlannedProgram
 from drivers.errors import DriverError
 
@@ -120,6 +120,18 @@ def test_every_way_is_gone_slowly_also_from_the_same_place(bench):
     interpolator = FlyInterpolator(bench.robot, period=0.002)
     slow = slow_version(PlannedProgram("ways", text, ()), bench.robot, interpolator, HOME)
     assert len(slow.chains) == 4
+
+
+def test_a_speed_that_is_no_number_is_not_slow(bench, program):
+    from agent.motion.pdl2 import write_program
+
+    class Blind:
+        def plan(self, moves, start):
+            return replace(program().chains[0], path_speed=np.full(500, np.nan))
+
+    text = write_program("swing", [Move(MoveType.JOINT, JointTarget(HOME + 0.1), MotionSettings())], bench.robot)
+    with pytest.raises(InputError, match="it still reaches nan m/s"):
+        slow_version(PlannedProgram("swing", text, ()), bench.robot, Blind(), HOME)
 
 
 def test_a_program_is_cut_where_the_arm_stops():

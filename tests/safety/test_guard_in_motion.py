@@ -259,9 +259,24 @@ def test_what_came_of_a_start_that_failed_is_handed_out(bench, program):
     guard = bench.open()
     guard.send(program())
     with pytest.raises(DriverError, match=r"garbage.*make sure that the arm rests"), guard.motion(program()) as samples:
-        taken.extend(samples)
+        taken.extend((bench.controller.stops, len(block)) for block in samples)
     assert taken
-    assert bench.controller.stops >= 1
+    assert {stops for stops, _ in taken} == {1}, "it was stopped before anybody took a sample"
+
+
+def test_a_start_that_failed_is_told_and_not_how_the_samples_end(bench, program):
+    class Failing(TcpDriver):
+        def start(self, name, checksum):
+            super().start(name, checksum)
+            raise DriverError("the answer was garbage")
+
+        def samples(self):
+            yield next(super().samples())
+            raise DriverError("gone")
+
+    bench.driver = Failing
+    with pytest.raises(DriverError, match="the answer was garbage"):
+        bench.run(program())
 
 
 def test_a_motion_that_does_not_end_is_stopped(bench, program):
@@ -346,6 +361,40 @@ def test_a_taker_who_is_slow_is_no_silence():
     assert not patience.lost
 
 
+def test_who_is_waited_for_no_longer_than_the_limit_is_not_given_up(monkeypatch):
+    monkeypatch.setattr("agent.safety.patience._TURN", 0.001)
+    asked, looked, gone = [], threading.Event(), []
+
+    def clock():
+        asked.append(1)
+        if len(asked) > 5:
+            looked.set()
+        return 0.0
+
+    def items():
+        yield 1
+        assert looked.wait(5.0)
+        yield 2
+
+    waiting = Patience(10.0, clock, lambda: gone.append(1) or looked.set())
+    assert list(waiting.each(items())) == [1, 2]
+    assert not waiting.lost
+    assert gone == []
+
+
+def test_a_clock_that_shows_no_time_is_none_to_wait_by(monkeypatch):
+    monkeypatch.setattr("agent.safety.patience._TURN", 0.001)
+    gone = threading.Event()
+
+    def items():
+        assert gone.wait(5.0)
+        yield 1
+
+    waiting = Patience(10.0, lambda: np.nan, gone.set)
+    assert list(waiting.each(items())) == [1]
+    assert waiting.lost
+
+
 def test_a_stop_that_is_on_its_way_is_waited_for():
     """Or it would meet the next motion."""
     asked, answered, done = threading.Event(), threading.Event(), []
@@ -379,6 +428,17 @@ def test_whatever_goes_wrong_with_the_samples_stops_the_arm(bench, error, progra
     with pytest.raises(error):
         _take_and_raise(guard, program(), error)
     assert (bench.controller.starts, bench.controller.stops) == (1, 1)
+    ended = [f"{bench.address}: the arm was stopped and stands; the log of this motion ends here"]
+    assert bench.warned == ([] if issubclass(error, Exception) else ended), "somebody ended the program, or it failed"
+
+
+def test_what_goes_wrong_after_the_end_stops_nothing(bench, program):
+    guard = bench.open()
+    guard.send(program())
+    with pytest.raises(KeyboardInterrupt):
+        _take_and_raise(guard, program(), KeyboardInterrupt, blocks=11)
+    assert bench.controller.stops == 0
+    assert bench.warned == []
 
 
 def test_a_stop_that_is_not_confirmed_closes_the_link_and_says_so(bench, program):
@@ -393,6 +453,15 @@ def test_a_stop_that_is_not_confirmed_closes_the_link_and_says_so(bench, program
         guard.position()
 
 
+def test_a_link_that_is_closed_in_motion_stops_the_arm_first(bench, program):
+    guard = bench.open()
+    guard.send(program())
+    left = guard.motion(program())
+    next(left.__enter__())
+    guard.close()
+    assert bench.controller.stops == 1
+
+
 def test_a_closed_link_is_closed(bench):
     guard = bench.open()
     guard.close()
@@ -403,7 +472,7 @@ def test_a_closed_link_is_closed(bench):
 def _take_and_raise(guard: GuardedLink, chosen: PlannedProgram, error: type[BaseException], blocks: int = 1) -> None:
     with guard.motion(chosen) as samples:
         for _ in range(blocks):
-            next(samples)
+            next(samples, None)
         raise error("disk full, Ctrl-C, anything")
 
 

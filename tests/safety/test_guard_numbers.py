@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.core.errors import AgentError, InputError
+from agent.core.errors import AgentError, InputError, SafetyError
 from agent.motion.trajectory import Trajectory
 from agent.robot import Box, load_robot
 from agent.safety.authorisation import LONGEST
@@ -29,7 +29,6 @@ NO_NUMBERS = [np.nan, np.inf, -np.inf, 5e-324, -5e-324, 1e308]
 FALSE_STOPS = {
     "adherence.py": {
         "self._path.distance(tool, rows) <= self._margin + allowed.tool": "true is near",
-        "off <= self._path.reach[rows, joint] + allowed.joint": "true is near",
         "speed[:, None] <= self._fastest(allowed, ways)": "true is slow",
     },
     "first_run.py": {"peak <= FIRST_SPEED": "true is slow enough, anything else is planned again or refused"},
@@ -127,16 +126,21 @@ def test_a_speed_of_the_tool_that_is_none_is_not_slow(bench, program, place):
     assert bench.open().needs_slow_run(chosen)
 
 
+def test_a_motion_that_may_last_for_no_number_of_seconds_may_not_last(bench, program):
+    with pytest.raises(SafetyError, match="has lasted"):
+        bench.run(replace(program(), pauses=np.nan))
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_no_authorisation_covers_what_is_no_number(authorisation, program, value):
-    granted = authorisation(program())
+    facts = ("comau_ns16", "NS16-7", program().checksum)
+    authorisation(program()).check(*facts, 0.1, 1.0)
     for speed, duration in ((value, 1.0), (0.1, value)):
         with pytest.raises(InputError, match="does not cover"):
-            granted.check(granted.robot, granted.serial, granted.program, speed, duration)
+            authorisation(program()).check(*facts, speed, duration)
     for limits in ({"speed": np.nan}, {"duration": np.nan}):
-        worthless = replace(granted, **limits)
         with pytest.raises(InputError, match="does not cover"):
-            worthless.check(granted.robot, granted.serial, granted.program, 0.1, 1.0)
+            authorisation(program(), **limits).check(*facts, 0.1, 1.0)
     assert LONGEST.days == 366
 
 
@@ -155,6 +159,7 @@ def test_boxes_and_bodies_that_are_no_numbers_are_refused(monkeypatch):
     with pytest.raises(InputError, match="no motion can keep clear"):
         cell.check_boxes(np.nan)
     cell.check_boxes(0.0)
+    Cell(ROBOT).check_boxes(5.0)  # of the arm itself nothing is so far apart
     for nothing in (replace(table, maximum=(1.6, np.nan, 0.3)), replace(table, minimum=(-np.inf, -1.0, 0.0))):
         with pytest.raises(InputError, match="table is no number"):
             Cell(ROBOT, None, [nothing])

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from datetime import UTC, date, datetime
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
 import pytest
 from hypothesis import assume, given, strategies as st
 
 from agent.core.errors import InputError
-from agent.safety.authorisation import Authorisation, load_authorisation
+from agent.safety.authorisation import Authorisation, AuthorisationDocument, load_authorisation
 
 NOW = datetime(2026, 6, 1, 12, tzinfo=UTC)
 PROGRAM = "ab" * 32
@@ -35,7 +35,8 @@ def _write(folder: Path, mode: int = 0o644, **changes: object) -> Path:
 
 def test_a_file_is_read_in_si(tmp_path: Path):
     allowed = load_authorisation(_write(tmp_path), NOW)
-    assert (allowed.speed, allowed.duration, allowed.expires) == (1.0, 1200.0, date(2026, 12, 31))
+    word = allowed.word
+    assert (word.limits.speed, word.limits.duration, word.expires) == (1.0, 1200.0, date(2026, 12, 31))
     allowed.check("comau_ns16", "NS16-42", PROGRAM, 1.0, 1200.0, NOW)
 
 
@@ -73,12 +74,20 @@ def test_the_last_day_counts_and_the_next_does_not(tmp_path: Path):
     assert allowed.ends_soon(NOW) is None
 
 
+def test_where_no_day_is_given_it_is_today(tmp_path: Path):
+    today = datetime.now(UTC).date()
+    with pytest.raises(InputError, match="more than a year"):
+        load_authorisation(_write(tmp_path, expires=str(today + timedelta(days=400))))
+    assert load_authorisation(_write(tmp_path, expires=str(today + timedelta(days=60)))).ends_soon() is None
+    assert load_authorisation(_write(tmp_path, expires=str(today + timedelta(days=3)))).ends_soon()
+
+
 @given(speed=st.floats(0.01, 2.0), duration=st.floats(1.0, 4000.0))
 def test_it_covers_exactly_what_is_within_its_limits(speed: float, duration: float):
     assume(abs(speed - 1.0) > 1e-6 and abs(duration - 1200.0) > 1e-3)  # round-off is nobody's breach
-    allowed = Authorisation(Path("a"), "r", "s", PROGRAM, PROBLEM, 1.0, 1200.0, date(2026, 12, 31), "me")
+    allowed = Authorisation(Path("a"), AuthorisationDocument.model_validate(SAID))
     if speed <= 1.0 and duration <= 1200.0:
-        allowed.check("r", "s", PROGRAM, speed, duration, NOW)
+        allowed.check("comau_ns16", "NS16-42", PROGRAM, speed, duration, NOW)
     else:
         with pytest.raises(InputError, match="are allowed"):
-            allowed.check("r", "s", PROGRAM, speed, duration, NOW)
+            allowed.check("comau_ns16", "NS16-42", PROGRAM, speed, duration, NOW)
