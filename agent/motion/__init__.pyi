@@ -16,7 +16,7 @@ from .learned import (
 from .learning import Learner as Learner, RecordedMove as RecordedMove
 from .loop import approach_moves as approach_moves, loop_moves as loop_moves
 from .orl_calls import ARM as ARM, CONTROLLER as CONTROLLER, LIBRARY as LIBRARY
-from .path import rotation as rotation
+from .path.rotation import from_euler as from_euler, to_matrix as to_matrix
 from .pdl2.errors import Pdl2Error as Pdl2Error
 from .pdl2.evaluation import Memory as Memory, Value as Value, evaluate as evaluate, subscript as subscript
 from .pdl2.frames import pose_to_pos as pose_to_pos

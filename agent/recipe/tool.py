@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.motion import rotation
+from agent.motion import from_euler, to_matrix
 from agent.recipe.schema import ToolSection
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ def tool_of(section: ToolSection | None) -> Tool | None:
     from agent.robot import Tool
 
     frame = np.eye(4)
-    frame[:3, :3] = rotation.to_matrix(rotation.from_euler(np.array([section.frame[3:]])))[0]
+    frame[:3, :3] = to_matrix(from_euler(np.array([section.frame[3:]])))[0]
     frame[:3, 3] = section.frame[:3]
     # The recipe's centre of mass is in the flange's frame, as on a controller's panel; `Tool` has it in the TCP's.
     flange = np.zeros(3) if section.centre_of_mass is None else np.array(section.centre_of_mass)

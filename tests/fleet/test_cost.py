@@ -20,17 +20,17 @@ import resource, sys
 from agent.core.console import Console
 from agent.core.on_dask import open_engine
 from agent.fleet import job, make_question, run_fleet
-from agent.fleet.work import Answer
+from agent.fleet.work import TaskRow
 
 def made_up(task):
     import hashlib
-    from agent.fleet.work import Answer
+    from agent.fleet.work import TaskRow
     inputs = [{"path": f.path, "size": f.size, "stamp": f.stamp, "sha256": "0" * 64} for f in task.files]
     entry = {"name": "f0_1", "unit": "N·m", "value": 1.0, "standard_deviation": 0.1}
     level = {"joint": "joint_1", "speed": 1.0, "value": 1.0, "standard_deviation": 0.1, "from_run_to_run": 0.1}
     row = {"status": "ok", "exit_code": 0, "reason": "", "joints": ["joint_1"] * 6, "rmse": [0.1] * 6,
            "normalised_rmse": [0.1] * 6, "parameters": [entry] * 60, "friction": [level] * 12}
-    return Answer(row, inputs, hashlib.sha256(task.run.encode()).digest() * 4000, 0.0, 0)
+    return TaskRow(row, inputs, hashlib.sha256(task.run.encode()).digest() * 4000, 0.0, 0)
 
 made_up.__module__ = "__main__"
 if __name__ == "__main__":
