@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from agent.diagnosis.result import Diagnosis
+from agent.robot import ParameterLayout
 
 _WIDTH = 1.645  # standard deviations, 90 %
 
@@ -49,7 +50,8 @@ def ranges(diagnosis: Diagnosis) -> tuple[Range, ...]:
     deviation = np.sqrt(np.diag(covariance) * max(1.0, float(energy)))
     change, effects = fit.fitted()
     moved = np.linalg.lstsq(spread[:p, :count], change, rcond=1e-9)[0] if count else np.zeros(0)
-    standard = np.zeros(11 * robot.dof) if model.standard is None else model.standard
+    layout = ParameterLayout.of(robot)
+    standard = np.zeros(layout.size) if model.standard is None else model.standard
     result, at = [], 0
     for group in found.groups:
         columns, joint, name = group.directions, group.joint, robot.joint_names[group.joint]
@@ -66,11 +68,11 @@ def ranges(diagnosis: Diagnosis) -> tuple[Range, ...]:
                 result.append(_range(f"joint {name}", called, value, least, of))
         elif group.kind == "rotor inertia":
             gear, size = robot.gear_ratios[joint] ** 2, group.scale[0]
-            value = gear * (standard[10 * robot.dof + joint] + size * moved[own][0])
+            value = gear * (standard[layout.rotors][joint] + size * moved[own][0])
             mass = "kg" if robot.joints[joint].prismatic else "kg·m²"
             result.append(_range(f"joint {name}", "armature", value, gear * size * deviation[own][0], mass))
         else:
-            value = standard[10 * joint] + group.scale[0] * moved[own][0]
+            value = standard[layout.link(joint)][0] + group.scale[0] * moved[own][0]
             result.append(_range(f"link of {name}", "mass", value, group.scale[0] * deviation[own][0], "kg"))
     for candidate, values in zip(fit.chosen, effects, strict=True):
         own = slice(at, at + len(values))

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from agent.model import CATALOGUE, IdentifiedModel, Simulator, compiled, mujoco_package
+from agent.robot import ParameterLayout
 
 #: (seconds since the start, q (n,), q̇ (n,)) → torque of the motors (n,) [N·m].
 Drive = Callable[[float, np.ndarray, np.ndarray], np.ndarray]
@@ -74,7 +75,7 @@ class ChainEngine:
     def __init__(self, model: IdentifiedModel, effects: Path | None = None):
         n = model.robot.dof
         assert model.standard is not None
-        self._rotors = model.robot.gear_ratios**2 * model.standard[10 * n :]
+        self._rotors = model.robot.gear_ratios**2 * model.standard[ParameterLayout.of(model.robot).rotors]
         self._links = model.rigid.dynamics
         values = model.values[len(model.independent) :]
         level: dict[str, np.ndarray] = {"coulomb": np.zeros(n), "viscous": np.zeros(n)}

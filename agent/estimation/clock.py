@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.recording import Log, line, parts, sample_numbers, settled
+from agent.recording import Log, line, sample_numbers, settled
 
 _HALO = 100  # samples at either side of a part, beyond which a spline does not feel its knots
 
@@ -91,5 +91,5 @@ class SampleClock:
         return slice(self.start + int(first), self.start + int(stop))
 
     def _roughness(self) -> float:
-        position = (self._on(part, self.log.position) for part in parts(self.size))
+        position = (self._on(part, self.log.position) for part in self.log.scratch.parts(self.size))
         return float(sum(np.sum(np.diff(part, 4, axis=0) ** 2) for part in position))

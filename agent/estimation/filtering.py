@@ -132,7 +132,7 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
         working = clock.rate / every
         margin = int(np.ceil(edge * working))
         step = max(1, int(working / (4 * cutoff))) if reduce else 1
-        for piece in _pieces(-(-clock.size // every), margin, step):
+        for piece in log.scratch.each(_pieces(-(-clock.size // every), margin, step)):
             grid = slice(piece.start * every, min(piece.stop * every, clock.size))
             position, torque, set_points = clock.signals(grid)
             q, qd, qdd = smooth_and_differentiate(position, clock.rate, flat, stop, every)
@@ -163,7 +163,6 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
                 edge=margin,
                 step=step,
             )
-            log.scratch.release()
 
 
 def used_text(log: Log, settings: FilterSettings) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +17,6 @@ from agent.estimation.filtering import FilterSettings, Motion, motions, resolve_
 from agent.model import AxleMotion, FrictionTerm, axle_columns
 from agent.recording import Log, Scratch
 from agent.robot import RigidBodies, RobotDescription
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +36,7 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Segments(Sequence[Segment]):
-    """Segments whose arrays lie in `scratch`: going over them gives the memory of each back."""
+    """Segments whose arrays `scratch` owns: going over them gives the memory of each back."""
 
     items: tuple[Segment, ...]
     scratch: Scratch = field(default_factory=Scratch)
@@ -51,9 +48,7 @@ class Segments(Sequence[Segment]):
         return self.items[index]
 
     def __iter__(self) -> Iterator[Segment]:
-        for segment in self.items:
-            yield segment
-            self.scratch.release()
+        return self.scratch.each(self.items)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,9 +118,7 @@ def observe(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -
     scratch = Scratch()
     segments = []
     for index, log in enumerate(logs):
-        for motion in motions(log, settings):
-            segments.append(filtered(rigid, index, motion, scratch))
-            scratch.release()
+        segments += [filtered(rigid, index, motion, scratch) for motion in motions(log, settings)]
     return Observation(rigid.robot, rigid, Segments(tuple(segments), scratch))
 
 

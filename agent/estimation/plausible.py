@@ -175,7 +175,6 @@ def _samples(logs: Sequence[Log]) -> FitSamples | None:
             signals = (motion.q, motion.qd, motion.qdd, motion.torque, np.tanh(motion.qd / still))
             parts.append(motion.low_pass(np.hstack(signals)))
             independent += 2 * cutoff * float(np.ptp(motion.time[motion.kept]))
-            log.scratch.release()
     rows = np.concatenate(parts) if parts else np.empty((0, 5))
     rows = rows[:: max(1, len(rows) // _SAMPLES)]
     if len(rows) * rows.shape[1] // 5 < 100:

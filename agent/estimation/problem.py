@@ -105,12 +105,7 @@ class Problem:
 
 
 def _kept(observation: Observation, columns: Iterable[np.ndarray]) -> list[np.ndarray]:
-    scratch = observation.segments.scratch
-    kept = []
-    for block in columns:
-        kept.append(scratch.keep(block))
-        scratch.release()
-    return kept
+    return [observation.segments.scratch.keep(block) for block in columns]
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ from agent.estimation.robust import huber
 from agent.estimation.solving import iterate_weights, solve
 from agent.estimation.summary import build_model
 from agent.model import IdentifiedModel, Reversal
-from agent.recording import Log, parts
+from agent.recording import Log
 from agent.robot import RigidBodies, RobotDescription, rigid_bodies
 
 if TYPE_CHECKING:
@@ -192,24 +192,19 @@ def _check_motion(logs: Sequence[Log]) -> None:
 def _check_twice(logs: Sequence[Log]) -> None:
     # Held-out error would be that of rows that were fitted.
     for one, other in combinations(logs, 2):
-        if len(one.t) == len(other.t) and all(_same(one, other, part) for part in parts(len(one.t))):
+        if len(one.t) == len(other.t) and _same(one, other):
             raise InputError(f"{one.path} and {other.path} are the same recording; give each log once")
 
 
 def _differs(log: Log, values: np.ndarray, constant: np.ndarray | float) -> bool:
-    for part in parts(len(values)):
-        if np.any(values[part] != constant):
-            return True
-        log.scratch.release()
-    return False
+    return any(np.any(values[part] != constant) for part in log.scratch.parts(len(values)))
 
 
-def _same(one: Log, other: Log, part: slice) -> bool:
-    if (one.effort is None) != (other.effort is None):
-        return False
-    same = np.array_equal(one.position[part], other.position[part])
+def _same(one: Log, other: Log) -> bool:
+    measured = [(one.position, other.position)]
     if one.effort is not None and other.effort is not None:
-        same = same and np.array_equal(one.effort[part], other.effort[part])
-    one.scratch.release()
-    other.scratch.release()
-    return same
+        measured.append((one.effort, other.effort))
+    elif one.effort is not other.effort:
+        return False
+    rows = one.scratch.parts(len(one.t))
+    return all(np.array_equal(a[part], b[part]) for part in other.scratch.each(rows) for a, b in measured)

@@ -95,23 +95,23 @@ def _nearest(model: IdentifiedModel) -> np.ndarray | None:
     """(11 n,) nearest to the URDF, or None where there is none."""
     layout = ParameterLayout.of(model.robot)
     start = _reference(model)
-    slope = _logarithms(start, layout)
+    slope = log_det_gradient(start, layout)
     # in units of the curvature at the start, and with rows of unit length
-    scale = 1 / np.sqrt(np.diag(_curvature(start, layout)))
+    scale = 1 / np.sqrt(np.diag(log_det_hessian(start, layout)))
     rows = model.projection * scale
     length = np.linalg.norm(rows, axis=1)
     rows, target = rows / length[:, None], model.base_values / length
     unknown, dual = start / scale, np.zeros(len(rows))
 
     def residual(unknown: np.ndarray, dual: np.ndarray) -> np.ndarray:
-        gradient = scale * (slope - _logarithms(scale * unknown, layout))
+        gradient = scale * (slope - log_det_gradient(scale * unknown, layout))
         return np.concatenate([gradient + rows.T @ dual, rows @ unknown - target])
 
     left = residual(unknown, dual)
     size, b = len(unknown), len(rows)
     for _ in range(_ROUNDS):
         kkt = np.zeros((size + b, size + b))
-        kkt[:size, :size] = _curvature(scale * unknown, layout) * np.outer(scale, scale)
+        kkt[:size, :size] = log_det_hessian(scale * unknown, layout) * np.outer(scale, scale)
         kkt[:size, size:], kkt[size:, :size] = rows.T, rows
         step = np.linalg.solve(kkt, -left)
         share = 1.0
@@ -133,13 +133,13 @@ def _nearest(model: IdentifiedModel) -> np.ndarray | None:
     return found if fits and _inside(found, layout) else None
 
 
-def _logarithms(standard: np.ndarray, layout: ParameterLayout) -> np.ndarray:
+def log_det_gradient(standard: np.ndarray, layout: ParameterLayout) -> np.ndarray:
     """(11 n,) gradient of Σ log det S + Σ log J."""
     inverse = [np.linalg.inv(pseudo_inertia(block)) for block in layout.blocks(standard)]
     return np.concatenate([*(np.einsum("kij,ji->k", LOG_DET_BASIS, s) for s in inverse), 1 / standard[layout.rotors]])
 
 
-def _curvature(standard: np.ndarray, layout: ParameterLayout) -> np.ndarray:
+def log_det_hessian(standard: np.ndarray, layout: ParameterLayout) -> np.ndarray:
     """(11 n, 11 n) Hessian of -Σ log det S - Σ log J."""
     hessian = np.zeros((layout.size, layout.size))
     for k, block in enumerate(layout.blocks(standard)):

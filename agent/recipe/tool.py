@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.motion import from_euler, to_matrix
+from agent.motion import pose_of
 from agent.recipe.schema import ToolSection
 
 if TYPE_CHECKING:
@@ -19,9 +19,7 @@ def tool_of(section: ToolSection | None) -> Tool | None:
         return None
     from agent.robot import Tool
 
-    frame = np.eye(4)
-    frame[:3, :3] = to_matrix(from_euler(np.array([section.frame[3:]])))[0]
-    frame[:3, 3] = section.frame[:3]
+    frame = pose_of(section.frame)
     # The recipe's centre of mass is in the flange's frame, as on a controller's panel; `Tool` has it in the TCP's.
     flange = np.zeros(3) if section.centre_of_mass is None else np.array(section.centre_of_mass)
     return Tool(frame=frame, mass=section.mass, centre_of_mass=frame[:3, :3].T @ (flange - frame[:3, 3]))

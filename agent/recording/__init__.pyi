@@ -13,4 +13,4 @@ from .mcap.writer import LogWriter as LogWriter
 from .reading import read_log as read_log
 from .repair.grid import line as line, sample_numbers as sample_numbers, settled as settled
 from .resampling import resampled as resampled
-from .scratch import Scratch as Scratch, parts as parts
+from .scratch import Scratch as Scratch

@@ -17,6 +17,7 @@ from agent.recording.mcap.log_file import nanoseconds, write_log
 from agent.recording.repair.limits import LIMITS, impossible
 from agent.recording.repair.stamps import put_in_order, spacing_of
 from agent.recording.resampling import resampled
+from agent.recording.scratch import Scratch
 from agent.recording.tables import ColumnTable, read_table
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
     whole, torn = np.isfinite(time), np.zeros(rows, bool)
     for name, array in present.items():
         whole &= np.all(np.isfinite(array[:rows]), axis=1)
-        torn |= impossible(array[:rows], name if name in LIMITS else "position")
+        torn |= impossible(array[:rows], name if name in LIMITS else "position", Scratch())
     keep = inside & whole & ~torn
     if np.count_nonzero(inside & whole) >= 2 > np.count_nonzero(keep):
         mapping.fault("position", "nearly every row holds a number that no arm can have: are the units right?")
@@ -151,9 +152,7 @@ def _decimated(log: Log, factor: int, notes: list[str]) -> Log:
     cutoff = 0.4 * log.sample_rate / factor
     sections = butter(8, cutoff, fs=log.sample_rate, output="sos")
 
-    def filtered(values: np.ndarray | None) -> Any:
-        if values is None:
-            return None
+    def filtered(values: np.ndarray) -> np.ndarray:
         parts = [values[first:stop] for first, stop in log.segments]
         return np.concatenate(
             [sosfiltfilt(sections, p, axis=0, padlen=min(20 * factor, len(p) - 1))[::factor] for p in parts]
@@ -162,17 +161,7 @@ def _decimated(log: Log, factor: int, notes: list[str]) -> Log:
     t = np.concatenate([log.t[first:stop:factor] for first, stop in log.segments])
     spacing = spacing_of(nanoseconds(t), log.sample_rate / factor)
     notes.append(f"every {factor}th sample, after a zero-phase filter at {cutoff:.4g} Hz")
-    return replace(
-        log,
-        t=t,
-        position=filtered(log.position),
-        velocity=filtered(log.velocity),
-        effort=filtered(log.effort),
-        reference_position=filtered(log.reference_position),
-        planned_position=filtered(log.planned_position),
-        sample_rate=spacing.rate,
-        segments=spacing.segments,
-    )
+    return log.with_arrays(filtered, t=t, sample_rate=spacing.rate, segments=spacing.segments)
 
 
 class _Source:

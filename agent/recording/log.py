@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +14,8 @@ from agent.recording.scratch import Scratch
 
 #: Keys of `Log.metadata` that say whose motion it is, where that is known.
 MACHINE = ("serial", "tool", "controller")
+#: Attributes of `Log` that are arrays (S, n).
+ARRAYS = ("position", "velocity", "effort", "reference_position", "planned_position")
 #: What to keep beside a cycle that is cut out of a log [s]: more than filters drop at its ends.
 AROUND = 1.0
 
@@ -38,8 +42,7 @@ class Log:
     same stamps (NaN where there is none). `sample_rate` [Hz] is that of intervals without a missing sample. `segments`
     are [start, stop) sample ranges without a gap in them: stretches of at most 10 ms or two samples may be missing, see
     `agent.recording.resampled`; `breaks` [s] are those of their starts at which a position jumps. `stamp` is the first
-    sample's controller time [s], `sha256` of the file that was read. The arrays of a long log lie in `scratch`: who
-    goes over all of them part by part releases it after each.
+    sample's controller time [s], `sha256` of the file that was read. `scratch` owns the arrays of a long log.
     """
 
     path: Path
@@ -65,23 +68,20 @@ class Log:
         """File name, as results report it."""
         return self.path.name
 
+    def with_arrays(self, change: Callable[[np.ndarray], np.ndarray], **others: Any) -> Log:
+        """A copy in which the arrays (S, n) that there are have been changed alike, and `others` are as given."""
+        for name in ARRAYS:
+            if name not in others and (values := getattr(self, name)) is not None:
+                others[name] = change(values)
+        return replace(self, **others)
+
     def between(self, start: float, stop: float) -> Log:
         """The samples from `start` to `stop` [s], a view; times and cycle starts stay those of the whole log."""
         first, last = np.searchsorted(self.t, (start, stop))
-        chosen = slice(first, last)
-
-        def part(values: np.ndarray | None) -> np.ndarray | None:
-            return None if values is None else values[chosen]
-
         clipped = [(max(a, first) - first, min(b, last) - first) for a, b in self.segments]
-        return replace(
-            self,
-            t=self.t[chosen],
-            position=self.position[chosen],
-            velocity=part(self.velocity),
-            effort=part(self.effort),
-            reference_position=part(self.reference_position),
-            planned_position=part(self.planned_position),
+        return self.with_arrays(
+            lambda values: values[first:last],
+            t=self.t[first:last],
             segments=tuple((int(a), int(b)) for a, b in clipped if a < b),
             cycle_starts=tuple(cycle for cycle in self.cycle_starts if start <= cycle < stop),
         )

@@ -20,7 +20,7 @@ from agent.recording.repair.jumps import Mended, mend_jumps
 from agent.recording.repair.limits import impossible
 from agent.recording.repair.spikes import find_spikes
 from agent.recording.repair.stamps import BRIDGED, far_off, match, put_in_order, spacing_of
-from agent.recording.scratch import Scratch, parts
+from agent.recording.scratch import Scratch
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -80,11 +80,10 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
     stamp, arrays, cuts, mended = _mended(stamp, arrays, robot, found.scratch)
     position, velocity, effort = arrays
     assert position is not None
-    if velocity is not None and _never_filled(velocity, position):
+    if velocity is not None and _never_filled(velocity, position, found.scratch):
         velocity = None
         kind = "samples with a velocity of zero though the arm moves, so all velocity left out"
         mended.append(_repair(kind, stamp, int(stamp[0])))
-    found.scratch.release()
     spacing = spacing_of(stamp, _nominal_rate(run))
     duration = (int(stamp[-1]) - int(stamp[0])) / _NANO
     repairs = [*_file_repairs(found, topic, duration), *_run_repairs(run, spacing.repairs)]
@@ -133,13 +132,13 @@ def _mended(
     return stamp, arrays, cuts, repairs
 
 
-def _never_filled(velocity: np.ndarray, position: np.ndarray) -> bool:
+def _never_filled(velocity: np.ndarray, position: np.ndarray, scratch: Scratch) -> bool:
     """Whether a recorder has left the velocity (S, n) at zero from end to end while a joint moved."""
-    if any(velocity[part].any() for part in parts(len(velocity))):
+    if any(velocity[part].any() for part in scratch.parts(len(velocity))):
         return False
-    lowest = np.min([position[part].min(axis=0) for part in parts(len(position))], axis=0)
-    highest = np.max([position[part].max(axis=0) for part in parts(len(position))], axis=0)
-    return bool(np.any(highest - lowest > _MOVED))
+    ends = [(position[part].min(axis=0), position[part].max(axis=0)) for part in scratch.parts(len(position))]
+    lowest, highest = zip(*ends, strict=True)
+    return bool(np.any(np.max(highest, axis=0) - np.min(lowest, axis=0) > _MOVED))
 
 
 def _take(scratch: Scratch, values: np.ndarray | None, rows: np.ndarray) -> np.ndarray | None:
@@ -213,8 +212,7 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
     arrays: list[np.ndarray | None] = []
     for field in ("position", "velocity", "effort"):
         values = _column(usable, field, names, scratch)
-        unknown = np.concatenate([~np.all(np.isfinite(values[part]), axis=1) for part in parts(len(values))])
-        scratch.release()
+        unknown = np.concatenate([~np.all(np.isfinite(values[part]), axis=1) for part in scratch.parts(len(values))])
         if field != "position" and np.count_nonzero(unknown) > 0.5 * len(stamp):
             if any(getattr(group, field) is not None for group in usable):
                 kind = f"samples without a finite {field}, so all {field} left out"
@@ -243,7 +241,7 @@ def _column(groups: list[Messages], field: str, names: tuple[str, ...], scratch:
     """(S, n) values of the named joints, NaN where a message has none."""
     result = scratch.empty((sum(len(group.stamp) for group in groups), len(names)))
     start = 0
-    for group in groups:
+    for group in scratch.each(groups):
         stop = start + len(group.stamp)
         values = getattr(group, field)
         if values is None:
@@ -253,7 +251,6 @@ def _column(groups: list[Messages], field: str, names: tuple[str, ...], scratch:
         else:
             result[start:stop] = values[:, [group.layout.names.index(name) for name in names]]
         start = stop
-        scratch.release()
     return result
 
 

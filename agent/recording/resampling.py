@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import overload
-
 import numpy as np
 
 from agent.core import InputError
@@ -35,14 +32,10 @@ def resampled(log: Log, rate: float | None = None) -> Log:
     if not grids:
         raise InputError(f"{log.path}: {log.t[-1]:.3f} s in {len(log.segments)} parts: too short for {rate:g} Hz")
     t = np.concatenate([grid for _, _, grid in grids])
-    return replace(
-        log,
+    return log.with_arrays(
+        lambda values: _on(log.t, values, grids),
+        effort=None if log.effort is None else _on(log.t, log.effort, grids, monotone=True),
         t=t - t[0],
-        position=_on(log, log.position, grids),
-        velocity=_on(log, log.velocity, grids),
-        effort=_on(log, log.effort, grids, monotone=True),
-        reference_position=_on(log, log.reference_position, grids),
-        planned_position=_on(log, log.planned_position, grids),
         sample_rate=rate,
         stamp=log.stamp + t[0],
         segments=tuple(segments),
@@ -52,23 +45,13 @@ def resampled(log: Log, rate: float | None = None) -> Log:
     )
 
 
-@overload
-def _on(log: Log, values: np.ndarray, grids: _Grids) -> np.ndarray: ...
-
-
-@overload
-def _on(log: Log, values: np.ndarray | None, grids: _Grids, monotone: bool = False) -> np.ndarray | None: ...
-
-
-def _on(log: Log, values: np.ndarray | None, grids: _Grids, monotone: bool = False) -> np.ndarray | None:
-    """(S', n) on the grids from (S, n); not a number wherever a neighbour is not."""
-    if values is None:
-        return None
+def _on(time: np.ndarray, values: np.ndarray, grids: _Grids, monotone: bool = False) -> np.ndarray:
+    """(S', n) on the grids from (S, n) at times (S,); not a number wherever a neighbour is not."""
     from scipy.interpolate import CubicSpline, PchipInterpolator
 
     parts = []
     for first, stop, grid in grids:
-        t, known = log.t[first:stop], values[first:stop]
+        t, known = time[first:stop], values[first:stop]
         finite = np.all(np.isfinite(known), axis=1)
         part = np.full((len(grid), values.shape[1]), np.nan)
         # set-points are known in stretches: each is interpolated on its own

@@ -1,7 +1,8 @@
 """Arrays of long logs on disk instead of in memory.
 
-They lie in temporary files without a name, mapped: the same arrays for whoever reads them, while `Scratch.release`
-gives their pages back. What is small stays in memory, so a log of some minutes never touches the disk.
+They lie in temporary files without a name, mapped: the same arrays for whoever reads them. Whoever goes over them by
+`Scratch.each` or `Scratch.parts` holds one part of them in memory at a time. What is small stays in memory, so a log of
+some minutes never touches the disk.
 """
 
 from __future__ import annotations
@@ -9,17 +10,22 @@ from __future__ import annotations
 import mmap
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
 
 import numpy as np
 
 _IN_MEMORY = 2**26  # bytes handed out before the disk is used
 _EXTENT = 2**26  # bytes of a file
 _ROWS = 2**15  # worked on at a time
+_Item = TypeVar("_Item")
 
 
 class Scratch:
-    """Room for arrays. A full disk is an OSError when room is asked for, not a bus error when it is written to."""
+    """Owner of arrays and of their memory.
+
+    A full disk is an OSError when room is asked for, not a bus error when it is written to.
+    """
 
     def __init__(self) -> None:
         self._left = _IN_MEMORY
@@ -46,25 +52,34 @@ class Scratch:
         turned = values.ndim > 1 and values.flags.f_contiguous
         moved = self.empty(values.T.shape if turned else values.shape)
         moved[...] = values.T if turned else values
+        self._release()
         return moved.T if turned else moved
 
     def take(self, values: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """(len(rows), n) of (S, n), in the order of `rows` (indices)."""
         taken = self.empty((len(rows), *values.shape[1:]))
-        for part in parts(len(rows)):
+        for part in self.parts(len(rows)):
             taken[part] = values[rows[part]]
-            self.release()
         return taken
 
-    def release(self) -> None:
-        """Give the memory of what lies on disk back; the values stay, and come again when they are looked at."""
+    def each(self, items: Iterable[_Item]) -> Iterator[_Item]:
+        """The items one after the other; after each, the memory of what lies on disk is given back.
+
+        The values stay, and come again when they are looked at.
+        """
+        for item in items:
+            try:
+                yield item
+            finally:  # also where whoever goes over them stops early
+                self._release()
+
+    def parts(self, size: int) -> Iterator[slice]:
+        """`each` of the parts that `size` rows are cut into, small beside a long log."""
+        return self.each(slice(first, min(first + _ROWS, size)) for first in range(0, size, _ROWS))
+
+    def _release(self) -> None:
         for extent in self._extents:
             extent.madvise(mmap.MADV_DONTNEED)
-
-
-def parts(size: int) -> Iterator[slice]:
-    """Cut `size` rows into parts that are small beside a long log."""
-    return (slice(first, min(first + _ROWS, size)) for first in range(0, size, _ROWS))
 
 
 def _extent(size: int) -> mmap.mmap:

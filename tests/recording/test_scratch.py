@@ -23,7 +23,7 @@ def test_values_stay_when_their_memory_is_given_back(on_disk):
     kept = [room.keep(each) for each in values]
     order = rng.permutation(4000)
     taken = room.take(kept[2], order)
-    room.release()
+    assert list(room.each("ab")) == ["a", "b"]
     for before, after in zip(values, kept, strict=True):
         assert np.array_equal(before, after)
         assert before.flags.f_contiguous == after.flags.f_contiguous

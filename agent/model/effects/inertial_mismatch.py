@@ -9,9 +9,7 @@ import numpy as np
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import POSTURES
 from agent.model.signals import MotionSignals
-from agent.robot import RobotDescription
-
-_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+from agent.robot import LINK_PARAMETERS, ParameterLayout, RobotDescription
 
 
 class InertialMismatch(Effect):
@@ -40,17 +38,18 @@ class InertialMismatch(Effect):
         return self.special_cases if settings.get("link") == robot.dof else ()
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
-        return tuple(f"{name}{int(settings['link'])}" for name in _NAMES)
+        return tuple(f"{name}{int(settings['link'])}" for name in LINK_PARAMETERS)
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         last = int(settings["link"])
-        return {joint: signals.standard[:, joint, 10 * (last - 1) : 10 * last] for joint in range(last)}
+        link = ParameterLayout.of(signals.reference.robot).link(last - 1)
+        return {joint: signals.standard[:, joint, link] for joint in range(last)}
 
     def prior_std(
         self, survey: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
     ) -> np.ndarray | None:
-        last = int(settings["link"])
-        return np.asarray(survey.reference.prior_std[10 * (last - 1) : 10 * last])
+        layout = ParameterLayout.of(survey.reference.robot)
+        return np.asarray(survey.reference.prior_std[layout.link(int(settings["link"]) - 1)])
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
-        return 10
+        return len(LINK_PARAMETERS)

@@ -9,6 +9,7 @@ import numpy as np
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import POSTURES
 from agent.model.signals import MotionSignals
+from agent.robot import ParameterLayout
 
 _ROUNDS = 6
 _LESS, _NEAR = 0.1, 0.05  # of m r², r at least 0.05 m: an inertia that is estimated below nought by no more is none
@@ -54,7 +55,7 @@ class Payload(Effect):
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         n = signals.q.shape[1]
-        link = signals.standard[:, :, 10 * (n - 1) :]
+        link = signals.standard[:, :, ParameterLayout.of(signals.reference.robot).link(n - 1)]
         if settings:
             link = link @ ball(settings)
         return {joint: link[:, joint] for joint in range(n)}

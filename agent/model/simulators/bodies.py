@@ -10,7 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.model.standard_parameters import LOG_DET_BASIS, from_pseudo_inertia, nearby_body, pseudo_inertia
+from agent.model.standard_parameters import (
+    from_pseudo_inertia,
+    log_det_gradient,
+    log_det_hessian,
+    nearby_body,
+    pseudo_inertia,
+)
+from agent.robot import ParameterLayout
 
 _ROUNDS, _PULLS = 60, (1.0, 1e-2, 1e-4, 1e-6)  # Newton steps for each weight of the distance from the file
 _STEP = 1e-10  # relative, at which a minimum counts as found
@@ -76,25 +83,24 @@ def nearest(
     """
     mass = max(sum(max(block[0], 0.0) for block in blocks), 1e-3)
     bodies = [block if is_body(block) else nearby_body(block, 0.02 * mass, reach) for block in blocks]
-    count = len(bodies)
+    layout = ParameterLayout(len(bodies), len(rotors))
     start = np.concatenate([*bodies, rotors])
-    inverse = [np.linalg.inv(pseudo_inertia(block)) for block in bodies]
-    slope = np.concatenate([*(np.einsum("kij,ji->k", LOG_DET_BASIS, s) for s in inverse), 1 / start[10 * count :]])
+    slope = log_det_gradient(start, layout)
     hessian, linear = columns.T @ weight @ columns, columns.T @ weight @ target
-    scale = 1 / np.sqrt(np.diag(_bend(start, count)))
+    scale = 1 / np.sqrt(np.diag(log_det_hessian(start, layout)))
 
     def value(unknown: np.ndarray, pull: float) -> float:
-        return float((0.5 * hessian @ unknown - linear) @ unknown + pull * (slope @ unknown - _logs(unknown, count)))
+        return float((0.5 * hessian @ unknown - linear) @ unknown + pull * (slope @ unknown - _logs(unknown, layout)))
 
     found = start
     for pull in _PULLS:
         for _ in range(_ROUNDS):
-            gradient = hessian @ found - linear + pull * (slope - _pull(found, count))
-            bend = (hessian + pull * _bend(found, count)) * np.outer(scale, scale)
+            gradient = hessian @ found - linear + pull * (slope - log_det_gradient(found, layout))
+            bend = (hessian + pull * log_det_hessian(found, layout)) * np.outer(scale, scale)
             step = -scale * np.linalg.solve(bend, scale * gradient)
             share, now, falls = 1.0, value(found, pull), float(gradient @ step)
             while share > _STEP and not (
-                _inside(found + share * step, count)
+                _inside(found + share * step, layout)
                 and value(found + share * step, pull) <= now + 0.1 * share * falls + 1e-12 * abs(now)
             ):
                 share *= 0.5
@@ -103,36 +109,14 @@ def nearest(
             found = found + share * step
             if np.linalg.norm(step / scale) < _STEP * np.linalg.norm(found / scale):
                 break
-    return found[: 10 * count].reshape(count, 10), found[10 * count :]
+    return layout.blocks(found), found[layout.rotors]
 
 
-def _logs(unknown: np.ndarray, count: int) -> float:
+def _logs(unknown: np.ndarray, layout: ParameterLayout) -> float:
     """Σ log det S + Σ log J."""
-    bodies = unknown[: 10 * count].reshape(count, 10)
-    return float(
-        sum(np.linalg.slogdet(pseudo_inertia(block))[1] for block in bodies) + np.log(unknown[10 * count :]).sum()
-    )
+    logs = [np.linalg.slogdet(pseudo_inertia(block))[1] for block in layout.blocks(unknown)]
+    return float(sum(logs) + np.log(unknown[layout.rotors]).sum())
 
 
-def _pull(unknown: np.ndarray, count: int) -> np.ndarray:
-    """Gradient of Σ log det S + Σ log J."""
-    inverse = [np.linalg.inv(pseudo_inertia(block)) for block in unknown[: 10 * count].reshape(count, 10)]
-    return np.concatenate([*(np.einsum("kij,ji->k", LOG_DET_BASIS, s) for s in inverse), 1 / unknown[10 * count :]])
-
-
-def _bend(unknown: np.ndarray, count: int) -> np.ndarray:
-    """Hessian of −Σ log det S − Σ log J."""
-    result = np.zeros((len(unknown), len(unknown)))
-    for k, block in enumerate(unknown[: 10 * count].reshape(count, 10)):
-        turned = np.linalg.inv(pseudo_inertia(block)) @ LOG_DET_BASIS
-        here = slice(10 * k, 10 * k + 10)
-        result[here, here] = np.einsum("aij,bji->ab", turned, turned)
-    rest = np.arange(10 * count, len(unknown))
-    result[rest, rest] = unknown[rest] ** -2
-    return result
-
-
-def _inside(unknown: np.ndarray, count: int) -> bool:
-    return bool(np.all(unknown[10 * count :] > 0)) and all(
-        is_body(block) for block in unknown[: 10 * count].reshape(count, 10)
-    )
+def _inside(unknown: np.ndarray, layout: ParameterLayout) -> bool:
+    return bool(np.all(unknown[layout.rotors] > 0)) and all(map(is_body, layout.blocks(unknown)))

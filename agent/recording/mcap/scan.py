@@ -255,7 +255,6 @@ class _Scanner:
         self._before += self._size
         self._located.clear()
         self._parts, self._size = [], 0
-        self._found.scratch.release()
 
     def _decode_alike(self, topic: str, channel: int, records: np.ndarray, order: np.ndarray) -> None:
         """Decode messages of one channel and length, layout by layout."""

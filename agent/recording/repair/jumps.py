@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.recording.log import Repair
-from agent.recording.scratch import Scratch, parts
+from agent.recording.scratch import Scratch
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -85,20 +85,18 @@ def _find(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Of every jump: the sample before it, the joint, how far, and what would have been possible."""
     found = []
-    for part in parts(len(stamp) - 1):
+    for part in scratch.parts(len(stamp) - 1):
         after = slice(part.start + 1, part.stop + 1)
         step = position[after] - position[part]
         limit = fastest * (_TIMES * (stamp[after] - stamp[part])[:, None] / _NANO + _LATE)
         rows, joints = np.nonzero(np.abs(step) > limit)
         found.append((rows + part.start, joints, step[rows, joints], limit[rows, joints]))
-        scratch.release()
     places, joints, steps, limits = (np.concatenate(values) for values in zip(*found, strict=True))
     return places, joints, steps, limits
 
 
 def _unwrap(position: np.ndarray, joint: int, places: np.ndarray, turns: np.ndarray, scratch: Scratch) -> None:
-    for part in parts(len(position)):
+    for part in scratch.parts(len(position)):
         rows = np.arange(part.start, part.stop)
         before = np.searchsorted(places, rows)  # jumps that lie before each sample
         position[part, joint] -= _TURN * np.append(0.0, np.cumsum(turns))[before]
-        scratch.release()

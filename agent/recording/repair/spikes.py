@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.recording.scratch import Scratch, parts
+from agent.recording.scratch import Scratch
 
 _TIMES = 12.0  # the usual step from sample to sample
 _SHARE = 1.5  # of the range that 98 % of the samples keep: no friction comes back that far
@@ -20,7 +20,7 @@ _MOST = 0.01
 def find_spikes(effort: np.ndarray, scratch: Scratch) -> np.ndarray:
     """(K,) indices of such samples in effort (S, n)."""
     found: list[int] = []
-    for part in parts(len(effort)):
+    for part in scratch.parts(len(effort)):
         first = max(part.start - 2, 0)
         values = effort[first : part.stop + 2]
         step = np.abs(np.diff(values, axis=0))
@@ -32,5 +32,4 @@ def find_spikes(effort: np.ndarray, scratch: Scratch) -> np.ndarray:
             inside = part.start <= first + place < part.stop
             if inside and len(window) == 5 and np.any(np.abs(values[place] - np.median(window, axis=0)) > limit):
                 found.append(first + int(place))
-        scratch.release()
     return np.array(found if len(found) <= _MOST * len(effort) else [], dtype=int)
