@@ -28,8 +28,8 @@ _FINAL = (FileNotFoundError, PermissionError, IsADirectoryError)
 Answer = TypeVar("Answer")
 
 
-class StoreError(AgentError):
-    """A store did not give what it has; it may another time."""
+class StoreError(InputError):
+    """A store did not give or take a file; it may another time."""
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,7 @@ def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
     """All tasks of a source.
 
     Raises:
-        InputError: there is no folder with logs.
+        InputError: there is no folder with logs, or none of them has the model that was named.
     """
     wanted = {_STATE, _ROBOT, _PAGE, question.model}
     folders: dict[str, dict[str, StoredFile]] = {}
@@ -148,6 +148,12 @@ def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
     tasks = [task for folder in folders for task in _task(store, question, folders, folder)]
     if not tasks:
         raise InputError(f"{store.url}: no folder in it has logs (*.mcap) for {question.kind}")
+    model = question.model
+    if model and all(task.model is None for task in tasks) and model not in (one.name for one in question.given):
+        raise InputError(
+            f"{store.url}: {model} is in or above none of its {len(tasks)} runs; name a model file with --model, or "
+            "the name that it has there"
+        )
     tasks.sort(key=lambda task: (task.robot, task.run))
     return SourceTasks(tuple(tasks), listing)
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.core import AgentError, InputError, read_yaml
-from agent.fleet.store import Store, StoredFile
+from agent.fleet.store import Store, StoredFile, StoreError
 from agent.fleet.tasks import Task
 
 #: Statuses of rows that another try may mend; a rerun tries them again.
@@ -75,6 +75,7 @@ def run_task(task: Task) -> TaskRow:
                 row, model = _work(task, inputs, Path(folder))
         except AgentError as error:
             status = {2: "unreadable", 3: "rejected"}.get(error.exit_code, "unavailable")
+            status = "unavailable" if isinstance(error, StoreError) else status
             row = {"status": status, "exit_code": error.exit_code, "reason": str(error)}
         except OSError as error:
             reason = f"{error.filename or task.run}: {error.strerror or error}"

@@ -85,6 +85,9 @@ def check_plausible(
     from agent.estimation import doubts
 
     found = doubts(robot, logs)
+    others = sorted({log.metadata.get("robot", "") for log in logs} - {"", robot.name})
+    if found and others:
+        found = [f"the logs say that they are of robot {' and '.join(others)}, not of {robot.name}", *found]
     if found and not force:
         names = ", ".join(log.name for log in logs)
         raise RejectedError(f"{names}: {'; '.join(found)}. {advice}")

@@ -66,11 +66,11 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
     topic = _topic(found, STATES)
     if topic is None:
         raise InputError(f"{path}: {_no_joint_states(found)}")
-    names = _joint_names(path, found.topics[topic], robot)
+    run = found.metadata.get(RUN, {})
+    names = _joint_names(path, found.topics[topic], robot, run.get("robot"))
     table = _table(found.topics.pop(topic), names, found.scratch)
     if table is None:
         raise InputError(f"{path}: {topic}: no message holds a finite position of every joint ({', '.join(names)})")
-    run = found.metadata.get(RUN, {})
     order = put_in_order(table.stamp, table.measured, str(path))
     stamp, rows = order.stamp, order.rows
     in_order = len(rows) == len(table.stamp) and not np.any(np.diff(rows) != 1)
@@ -169,7 +169,10 @@ def _no_joint_states(found: Scan) -> str:
     return f"no readable {STATES} of type {_STATES_TYPE} in it; it has {topics}"
 
 
-def _joint_names(path: Path, groups: Sequence[Messages], robot: RobotDescription | None) -> tuple[str, ...]:
+def _joint_names(
+    path: Path, groups: Sequence[Messages], robot: RobotDescription | None, named: str | None
+) -> tuple[str, ...]:
+    """Of the robot, or of the log without one; `named` is the robot that the log says it is of."""
     counts: Counter[tuple[str, ...]] = Counter()
     for group in groups:
         counts[group.layout.names] += len(group.stamp)
@@ -182,7 +185,8 @@ def _joint_names(path: Path, groups: Sequence[Messages], robot: RobotDescription
         closest = max(counts, key=lambda names: len(set(names) & set(robot.joint_names)))
         missing = [name for name in robot.joint_names if name not in closest]
         raise InputError(
-            f"{path}: the log is not of robot {robot.name!r}: {', '.join(missing)} missing, its joints are "
+            f"{path}: the log is {f'of robot {named!r}, ' if named else ''}not of robot {robot.name!r}: "
+            f"{', '.join(missing)} missing, its joints are "
             f"{', '.join(closest) or 'without names'}. Name the robot description that belongs to the log"
         )
     return robot.joint_names

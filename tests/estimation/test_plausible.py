@@ -109,8 +109,8 @@ def test_nothing_is_written_unless_forced(healthy, shared_data, tmp_path):
     _, log = healthy
     robot, out, quiet = str(shared_data / "gap-dev/robot.yaml"), tmp_path / "model.json", Console(-1)
     flipped = tmp_path / "flipped.mcap"
-    write_log(flipped, replace(log, effort=-log.effort))
-    with pytest.raises(RejectedError, match=r"opposite signs.*--force"):
+    write_log(flipped, replace(log, effort=-log.effort, metadata={**log.metadata, "robot": "panda"}))
+    with pytest.raises(RejectedError, match=r"robot panda, not of blind_ns16.*opposite signs.*--force"):
         estimate_files(robot, [flipped], out, 10.0, "weighted", quiet)
     assert not out.exists()
     estimate_files(robot, [flipped], out, 10.0, "weighted", quiet, force=True)

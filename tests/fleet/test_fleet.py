@@ -135,6 +135,13 @@ def test_a_source_without_logs_is_usage(command, tmp_path: Path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("kind", ["validate", "diagnose"])
+def test_a_model_that_no_run_has_is_usage(command, plant: Path, tmp_path: Path, kind: str):
+    with pytest.raises(InputError, match=r"nowhere.json is in or above none of its 13 runs"):
+        command("fleet", kind, plant, "-o", tmp_path / "out", "--model", "nowhere.json")
+    assert not (tmp_path / "out" / "rows.parquet").exists()
+
+
 def test_a_result_of_another_kind_is_left_alone(command, plant: Path, estimated: Path):
     before = (estimated / "rows.parquet").read_bytes()
     with pytest.raises(InputError, match="holds a result of `fleet estimate`"):

@@ -71,6 +71,15 @@ def test_a_store_that_never_gives_a_file_is_a_row_that_is_tried_again(s3, plant,
     assert (estimate().done, estimate().failed) == (2, [])
 
 
+def test_a_store_that_does_not_answer_is_usage(s3: FlakyProxy, tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(store, "TRIES", 1)
+    s3.fault = lambda *_: "500"
+    question = make_question("estimate", None, None)
+    for source, out in (("s3://plant/hall", str(tmp_path)), (str(tmp_path), "s3://plant/out")):
+        with pytest.raises(InputError, match=r"s3://plant/(hall|out.*): cannot be (listed|found), tried 1 times"):
+            run_fleet(source, question, out, lambda _: InProcess(), Console(-1))
+
+
 def test_half_a_file_is_not_taken_for_a_whole_one(tmp_path: Path, s3: FlakyProxy):
     there = Store("s3://plant/x")
     there.put("a/b.bin", b"0123456789")
