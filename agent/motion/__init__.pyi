@@ -14,9 +14,9 @@ from .learned import (
     robot_digest as robot_digest,
 )
 from .learning import Learner as Learner, RecordedMove as RecordedMove
-from .loop import approach_moves as approach_moves, loop_moves as loop_moves
+from .loop import loop_moves as loop_moves
 from .orl_calls import ARM as ARM, CONTROLLER as CONTROLLER, LIBRARY as LIBRARY
-from .path.rotation import from_euler as from_euler, to_matrix as to_matrix
+from .path.rotation import pose_of as pose_of
 from .pdl2.errors import Pdl2Error as Pdl2Error
 from .pdl2.evaluation import Memory as Memory, Value as Value, evaluate as evaluate, subscript as subscript
 from .pdl2.frames import pose_to_pos as pose_to_pos
@@ -56,7 +56,7 @@ from .program import (
     stop_to_stop as stop_to_stop,
     way_key as way_key,
 )
-from .regions import ViaRegions as ViaRegions, pose_of as pose_of
+from .regions import ViaRegions as ViaRegions
 from .registry import (
     ENTRY_POINTS as ENTRY_POINTS,
     create_interpolator as create_interpolator,

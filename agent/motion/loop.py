@@ -21,12 +21,3 @@ def loop_moves(poses: np.ndarray, settings: MotionSettings, joints: np.ndarray |
     ]
     closing = settings.changed(termination=Termination.FINE)
     return (*flying, Move(MoveType.LINEAR, targets[0], closing, name="p1"))
-
-
-def approach_moves(target: Target, speed: float = 0.1, settings: MotionSettings | None = None) -> tuple[Move, ...]:
-    """From wherever the arm stands at rest to the first point of a program, joint by joint, ending with FINE.
-
-    `speed` is the part of the joint speed limits that it may take; frames and tool are those of `settings`.
-    """
-    calm = (settings or MotionSettings()).changed(speed_override=speed, termination=Termination.FINE)
-    return (Move(MoveType.JOINT, target, calm, name="p1"),)

@@ -31,7 +31,7 @@ from agent.motion.orl_calls import (
 )
 from agent.motion.orl_shim import ShimCalls
 from agent.motion.orl_vendor import vendor_calls
-from agent.motion.path import rotation
+from agent.motion.pdl2.frames import pose_to_pos
 from agent.motion.program import Delay, JointTarget, Move, Statement, Target
 from agent.motion.trajectory import Trajectory
 from agent.robot import RobotDescription, kinematics_for
@@ -134,7 +134,7 @@ class OrlInterpolator:
         raise _refusal(chain[-1][0], f"the move has not ended after {_LONGEST:g} s")
 
     def _announce(self, index: int, move: Move, start: np.ndarray, first: bool) -> None:
-        base, tool, uframe = (_coordinates(frame) for frame in self._frames(move))
+        base, tool, uframe = (tuple(pose_to_pos(frame).tolist()) for frame in self._frames(move))
         via = () if move.via is None else self._coordinates(move.via)
         told = Told(move, self._to_controller(start), self._coordinates(move.target), via, base, tool, uframe)
         try:
@@ -184,7 +184,9 @@ class OrlInterpolator:
         return base, tool, np.eye(4) if settings.uframe is None else np.array(settings.uframe)
 
     def _coordinates(self, target: Target) -> tuple[float, ...]:
-        return self._to_controller(target.position) if isinstance(target, JointTarget) else _coordinates(target.pose)
+        if isinstance(target, JointTarget):
+            return self._to_controller(target.position)
+        return tuple(pose_to_pos(target.pose).tolist())
 
     def _to_controller(self, q: np.ndarray) -> tuple[float, ...]:
         return tuple(np.where(self._sliding, 1e3 * np.asarray(q), np.degrees(q)).tolist())
@@ -222,7 +224,3 @@ def _loaded(library: str | Path | None) -> Calls:
 
 def _refusal(index: int, message: str) -> MotionError:
     return MotionError(f"statement {index + 1}: {message}", index, "orl", 1.0)
-
-
-def _coordinates(pose: np.ndarray) -> tuple[float, ...]:
-    return (*(1e3 * pose[:3, 3]).tolist(), *np.degrees(rotation.to_euler(pose[:3, :3])).tolist())

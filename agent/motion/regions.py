@@ -15,21 +15,10 @@ import numpy as np
 
 from agent.core import InputError
 from agent.motion.path import rotation
+from agent.motion.path.rotation import pose_of
 
-#: Slack of `contains`, in genes.
-_SLACK = 1e-6
-#: [rad] how far the tool may turn around a task where nothing else is said.
+#: [rad] how far the tool may turn around a task.
 _TASK_CONE = np.radians(10.0)
-
-
-def pose_of(coordinates: Sequence[float] | np.ndarray) -> np.ndarray:
-    """(..., 4, 4) poses [m] from coordinates (..., 6): x, y, z [m] and Euler ZYZ a, e, r [rad]."""
-    values = np.asarray(coordinates, dtype=float)
-    poses = np.zeros((*values.shape[:-1], 4, 4))
-    poses[..., :3, :3] = rotation.to_matrix(rotation.from_euler(values[..., 3:]))
-    poses[..., :3, 3] = values[..., :3]
-    poses[..., 3, 3] = 1.0
-    return poses
 
 
 class Region(Protocol):
@@ -37,10 +26,6 @@ class Region(Protocol):
 
     def pose(self, genes: np.ndarray) -> np.ndarray:
         """(4, 4) from six genes in [0, 1]."""
-        ...
-
-    def contains(self, pose: np.ndarray) -> bool:
-        """Whether some genes give this pose (4, 4)."""
         ...
 
 
@@ -54,25 +39,6 @@ class PointRegion:
     def pose(self, genes: np.ndarray) -> np.ndarray:
         """(4, 4) from six genes in [0, 1]."""
         return pose_of(self.middle + (2.0 * genes - 1.0) * self.spread)
-
-    def contains(self, pose: np.ndarray) -> bool:
-        """Whether some genes give this pose (4, 4)."""
-        a, e, r = rotation.to_euler(pose[:3, :3])
-        others = [(a, e, r), (a + np.pi, -e, r + np.pi)]
-        if np.sin(e) < 1e-7:
-            # Only a + r (a - r where e is π) is defined: the a of the region's middle leaves most to r.
-            side = np.sign(np.cos(e))
-            others = [(self.middle[3], sign * e, r + side * (a - self.middle[3])) for sign in (1.0, -1.0)]
-        slack = _SLACK * (1.0 + self.spread)
-        return any(
-            bool(np.all(np.abs(self._away(np.concatenate((pose[:3, 3], angles)))) <= self.spread + slack))
-            for angles in others
-        )
-
-    def _away(self, coordinates: np.ndarray) -> np.ndarray:
-        away = coordinates - self.middle
-        away[3:] = (away[3:] + np.pi) % (2.0 * np.pi) - np.pi
-        return away
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,13 +66,6 @@ class BoxRegion:
         pose[:3, :3] = self.middle[:3, :3] @ rotation.to_matrix(turn)
         return pose
 
-    def contains(self, pose: np.ndarray) -> bool:
-        """Whether some genes give this pose (4, 4)."""
-        away = np.abs(pose[:3, 3] - self.middle[:3, 3])
-        turn = rotation.rotation_vector(rotation.from_matrix(self.middle[:3, :3].T @ pose[:3, :3]))
-        inside = np.all(away <= self.half + _SLACK) and np.all(np.abs(turn) <= self._turn + _SLACK)
-        return bool(inside)
-
 
 @dataclass(frozen=True, eq=False)
 class TubeRegion:
@@ -129,33 +88,15 @@ class TubeRegion:
         middle[:3, 3] += np.sqrt(0.5) * self.radius * (2.0 * genes[1:3] - 1.0) @ across
         return BoxRegion(middle, np.zeros(3), self.cone).pose(np.concatenate((np.full(3, 0.5), genes[3:])))
 
-    def contains(self, pose: np.ndarray) -> bool:
-        """Whether the TCP is within the radius of this stretch, and the tool within the cone there."""
-        inside = [length for length in self.along if self.begin < length < self.end]
-        knots = np.array([self.begin, *inside, self.end])
-        points = np.array([np.interp(knots, self.along, self.points[:, axis]) for axis in range(3)]).T
-        chords = np.diff(points, axis=0)
-        squares = np.maximum(np.einsum("ij,ij->i", chords, chords), 1e-300)
-        part = np.clip(np.einsum("ij,ij->i", pose[:3, 3] - points[:-1], chords) / squares, 0.0, 1.0)
-        distance = np.linalg.norm(points[:-1] + part[:, None] * chords - pose[:3, 3], axis=1)
-        # Near a bend a pose may belong to the chord before or after it: each is asked for its own orientation.
-        for k in np.flatnonzero(distance <= self.radius + _SLACK):
-            middle, _ = self._at(float(knots[k] + part[k] * (knots[k + 1] - knots[k])))
-            middle[:3, 3] = pose[:3, 3]
-            if BoxRegion(middle, np.zeros(3), self.cone).contains(pose):
-                return True
-        return False
-
     def _at(self, length: float) -> tuple[np.ndarray, np.ndarray]:
         """The path's pose (4, 4) at an arc length [m], and two unit vectors (2, 3) across it."""
         k = int(np.clip(np.searchsorted(self.along, length, side="right") - 1, 0, len(self.along) - 2))
         part = (length - self.along[k]) / max(self.along[k + 1] - self.along[k], 1e-300)
         between = rotation.multiply(self.turns[k + 1], rotation.conjugate(self.turns[k]))
         turned = rotation.from_rotation_vector(np.clip(part, 0.0, 1.0) * rotation.rotation_vector(between))
-        pose = np.eye(4)
-        pose[:3, :3] = rotation.to_matrix(rotation.multiply(turned, self.turns[k]))
         chord = self.points[k + 1] - self.points[k]
-        pose[:3, 3] = self.points[k] + np.clip(part, 0.0, 1.0) * chord
+        place = self.points[k] + np.clip(part, 0.0, 1.0) * chord
+        pose = rotation.to_pose(place, rotation.multiply(turned, self.turns[k]))
         tangent = chord / max(float(np.linalg.norm(chord)), 1e-300)
         first = np.cross(tangent, np.eye(3)[int(np.argmin(np.abs(tangent)))])
         first /= np.linalg.norm(first)
@@ -188,16 +129,6 @@ class ViaRegions:
         if genes.shape != (self.genes,) or not (genes >= 0.0).all() or not (genes <= 1.0).all():
             raise InputError(f"a genome of {self.genes} numbers from 0 to 1 is needed for {self.count} via-points")
         return np.array([region.pose(part) for region, part in zip(self.regions, genes.reshape(-1, 6), strict=True)])
-
-    def contains(self, poses: np.ndarray) -> np.ndarray:
-        """(K,) whether each pose (4, 4) of (K, 4, 4) lies in its region."""
-        if len(poses) != self.count:
-            raise InputError(f"{self.count} poses are needed, one a via-point, not {len(poses)}")
-        return np.array([region.contains(pose) for region, pose in zip(self.regions, poses, strict=True)])
-
-    def random_genome(self, rng: np.random.Generator) -> np.ndarray:
-        """(6K,) uniform in [0, 1]."""
-        return rng.uniform(size=self.genes)
 
     @classmethod
     def from_points(
@@ -242,13 +173,11 @@ class ViaRegions:
         )
 
     @classmethod
-    def from_envelope(
-        cls, count: int, poses: Sequence[np.ndarray] | np.ndarray, around: float, cone: float = _TASK_CONE
-    ) -> ViaRegions:
+    def from_envelope(cls, count: int, poses: Sequence[np.ndarray] | np.ndarray, around: float) -> ViaRegions:
         """Regions around a task: where poses (S, 4, 4) of a program or a log go, plus or minus `around` [m].
 
         Each via-point has its own, equally long stretch of the task: the box around the stretch grown by `around`, and
-        the stretch's mean orientation, with the tilt that occurs there and `cone` [rad] more.
+        the stretch's mean orientation, with the tilt that occurs there and 10° more.
         """
         task = np.asarray(poses, dtype=float)
         travel = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(task[:, :3, 3], axis=0), axis=1))))
@@ -261,19 +190,17 @@ class ViaRegions:
             ends = np.array([np.interp([begin, end], travel, task[:, axis, 3]) for axis in range(3)]).T
             stretch = task[max(first - 1, 0) : last + 1]
             points = np.concatenate((ends, task[first:last, :3, 3]))
-            regions.append(_box_around(points, rotation.from_matrices(stretch[:, :3, :3]), around, cone))
+            regions.append(_box_around(points, rotation.from_matrices(stretch[:, :3, :3]), around))
         return cls(tuple(regions))
 
 
-def _box_around(points: np.ndarray, turns: np.ndarray, around: float, cone: float) -> BoxRegion:
+def _box_around(points: np.ndarray, turns: np.ndarray, around: float) -> BoxRegion:
     # The mean of rotations: the quaternion that the sum of q qᵀ stretches most, whatever the signs of the q.
     mean = np.linalg.eigh(turns.T @ turns)[1][:, -1]
-    middle = np.eye(4)
-    middle[:3, :3] = rotation.to_matrix(mean)
-    middle[:3, 3] = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    middle = rotation.to_pose(0.5 * (points.min(axis=0) + points.max(axis=0)), mean)
     axes = rotation.to_matrix(turns)[:, :, 2]
     tilt = float(np.max(np.arccos(np.clip(axes @ middle[:3, 2], -1.0, 1.0))))
-    return BoxRegion(middle, 0.5 * np.ptp(points, axis=0) + around, min(tilt + cone, np.pi))
+    return BoxRegion(middle, 0.5 * np.ptp(points, axis=0) + around, min(tilt + _TASK_CONE, np.pi))
 
 
 def _distinct(poses: np.ndarray) -> np.ndarray:

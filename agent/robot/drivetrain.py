@@ -17,11 +17,6 @@ def axle_motion(robot: RobotDescription, motion: np.ndarray) -> np.ndarray:
     return motion @ robot.coupling.T
 
 
-def joint_torque(robot: RobotDescription, axle_torque: np.ndarray) -> np.ndarray:
-    """(S, n) on the joints [N·m], from (S, n) on the axles."""
-    return axle_torque @ robot.coupling
-
-
 def torque_per_ampere(robot: RobotDescription) -> np.ndarray:
     """(n, n) Cᵀ diag(g k): torque on the joints per motor current [N·m/A], k the motors' torque constants.
 

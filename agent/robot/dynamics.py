@@ -102,16 +102,6 @@ class Dynamics:
         upper = pin.crba(self._model, self._data, q)
         return np.triu(upper) + np.triu(upper, 1).T
 
-    def forward_dynamics(
-        self, q: np.ndarray, qd: np.ndarray, torque: np.ndarray, armature: np.ndarray | None = None
-    ) -> np.ndarray:
-        """(n,) q̈ at one state under joint torque (n,); `armature` (n,) adds reflected rotor inertia [kg·m²]."""
-        self._model.armature = np.zeros(self.dof) if armature is None else armature
-        try:
-            return pin.aba(self._model, self._data, q, qd, torque).copy()
-        finally:
-            self._model.armature = np.zeros(self.dof)
-
     def acceleration_function(self, axle_inertia: np.ndarray) -> Callable[..., np.ndarray]:
         """A function (q, q̇, joint torque, added=None) → q̈, all (n,), for stepping many times; it owns its own data.
 

@@ -11,19 +11,9 @@ from agent.robot.drivetrain import axle_motion, joint_columns
 PAPER_TERMS = ("f0", "f1", "f2")
 
 
-def smooth_sign(velocity: np.ndarray, transition: np.ndarray | float) -> np.ndarray:
-    """tanh(v / transition), or the sign where the transition speed [rad/s] is 0."""
-    transition = np.broadcast_to(np.asarray(transition, dtype=float), np.shape(velocity))
-    scaled = np.divide(velocity, transition, out=np.copysign(np.inf, velocity), where=transition > 0)
-    return np.tanh(np.where(velocity == 0, 0.0, scaled))
-
-
-def friction_regressor(robot: RobotDescription, qd: np.ndarray, transition: np.ndarray | float = 0.0) -> np.ndarray:
-    """(S, n, 3 n) columns of the paper's friction terms: f0 of every axle, then f1, then f2 (AIM 2013, eq. 2).
-
-    `transition` (n,) [rad/s] smooths the sign: 0 gives the paper's own form.
-    """
+def friction_regressor(robot: RobotDescription, qd: np.ndarray) -> np.ndarray:
+    """(S, n, 3 n) columns of the paper's friction terms: f0 of every axle, then f1, then f2 (AIM 2013, eq. 2)."""
     speed = axle_motion(robot, qd)
-    sign = smooth_sign(speed, transition)
+    sign = np.sign(speed)
     blocks = [joint_columns(robot, columns) for columns in (sign, speed, sign * speed**2)]
     return np.concatenate(blocks, axis=2)

@@ -1,4 +1,4 @@
-"""The loop's moves, settling, and interpolators by name."""
+"""The loop's moves, and interpolators by name."""
 
 from __future__ import annotations
 
@@ -6,16 +6,8 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.motion import (
-    FlyInterpolator,
-    ViaRegions,
-    approach_moves,
-    create_interpolator,
-    interpolator_names,
-    loop_moves,
-)
-from agent.motion.program import FlyTrajectory, FlyType, JointTarget, MotionSettings, MoveType, Termination
-from agent.motion.settling import settling_condition
+from agent.motion import FlyInterpolator, ViaRegions, create_interpolator, interpolator_names, loop_moves
+from agent.motion.program import FlyTrajectory, FlyType, MotionSettings, MoveType, Termination
 
 SETTINGS = MotionSettings(
     fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02, linear_speed=0.6
@@ -47,39 +39,6 @@ def test_two_cycles_in_one_program_repeat_sample_by_sample(fly, kinematics, home
     once, twice = fly.plan(moves, start), fly.plan([*moves, *moves], start)
     assert len(twice.q) == 2 * len(once.q) - 1
     assert np.max(np.abs(twice.q[len(once.q) - 1 :] - once.q)) < 1e-9
-
-
-def test_the_approach_is_slow_and_stops(fly, home, ns16, kinematics, poses):
-    target = JointTarget(kinematics.solve(poses[0], home))
-    trajectory = fly.plan(approach_moves(target, speed=0.1), home)
-    assert np.max(np.abs(trajectory.qd) / ns16.max_velocity) <= 0.1001
-    assert np.allclose(trajectory.q[-1], target.position)
-
-
-def test_settling_waits_for_its_tolerance(kinematics, home):
-    t = np.arange(200)
-    measured = home + 0.01 * np.exp(-t / 20)[:, None]
-    expected = {
-        Termination.FINE: lambda away, joints: away <= 0.0005,
-        Termination.COARSE: lambda away, joints: away <= 0.001,
-        Termination.JNT_FINE: lambda away, joints: joints <= 5e-4,
-        Termination.JNT_COARSE: lambda away, joints: joints <= 2e-3,
-    }
-    away = np.linalg.norm(kinematics.forward(measured)[:, :3, 3] - kinematics.forward(home[None])[0, :3, 3], axis=1)
-    joints = np.abs(measured - home).max(axis=1)
-    for termination, near in expected.items():
-        condition = settling_condition(SETTINGS.changed(termination=termination))
-        first = int(np.flatnonzero(near(away, joints))[0])
-        assert condition.settled_at(home, measured, kinematics.forward) == first
-        assert condition.settled_at(home, measured, kinematics.forward, hold=10) == first + 9
-        assert condition.settled_at(home, measured[: first - 1], kinematics.forward) is None
-    assert settling_condition(SETTINGS.changed(termination=Termination.NOSETTLE)) is None
-
-
-def test_settling_does_not_count_a_swing_through(kinematics, home):
-    measured = home + 0.01 * np.array([1, 0, -1, 0, 0, 0, 0.0])[:, None]
-    condition = settling_condition(SETTINGS.changed(termination=Termination.JNT_FINE))
-    assert condition.settled_at(home, measured, kinematics.forward, hold=3) == 5
 
 
 def test_interpolators_have_names(ns16):

@@ -1,4 +1,4 @@
-"""Sub-regions: linear maps from genes to poses, and whether a pose lies inside."""
+"""Sub-regions: linear maps from genes to poses, all of them inside."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
-from agent.motion import ViaRegions
-from agent.motion.regions import pose_of
+from agent.motion import ViaRegions, pose_of
+from agent.motion.regions import BoxRegion, PointRegion
 
 PATH = [
     pose_of([1.0, -0.2, 0.8, 0.0, np.pi, 0.0]),
@@ -31,6 +31,23 @@ REGIONS = {
     "envelope": ViaRegions.from_envelope(4, TASK, 0.05),
 }
 KINDS = st.sampled_from(sorted(REGIONS))
+
+
+def inside(region, pose):
+    """Whether the TCP is where the region's own numbers allow it, and its axis within the cone."""
+    if isinstance(region, PointRegion):
+        return bool(np.all(np.abs(pose[:3, 3] - region.middle[:3]) <= region.spread[:3] + 1e-9))
+    if isinstance(region, BoxRegion):
+        away, axis = np.abs(pose[:3, 3] - region.middle[:3, 3]) - region.half, region.middle[:3, 2]
+    else:
+        lengths = np.linspace(region.begin, region.end, 500)
+        way = np.stack([np.interp(lengths, region.along, column) for column in region.points.T], axis=1)
+        nearest = np.linalg.norm(way - pose[:3, 3], axis=1).min()
+        away, axis = nearest - region.radius - 1e-4, None
+    tilted = axis is not None and np.arccos(min(axis @ pose[:3, 2], 1.0)) > region.cone + 1e-6
+    return bool(np.all(away <= 1e-9)) and not tilted
+
+
 QUICK = settings(max_examples=100, deadline=None, derandomize=True)
 
 
@@ -38,10 +55,11 @@ QUICK = settings(max_examples=100, deadline=None, derandomize=True)
 @given(kind=KINDS, seed=st.integers(0, 2**32 - 1))
 def test_every_genome_gives_poses_of_its_own_regions(kind, seed):
     regions = REGIONS[kind]
-    poses = regions.poses(regions.random_genome(np.random.default_rng(seed)))
+    poses = regions.poses(np.random.default_rng(seed).random(regions.genes))
     assert poses.shape == (regions.count, 4, 4)
     assert np.allclose(poses[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1), np.eye(3))
-    assert regions.contains(poses).all()
+    for region, pose in zip(regions.regions, poses, strict=True):
+        assert inside(region, pose)
 
 
 @QUICK
@@ -56,17 +74,18 @@ def test_position_genes_are_linear_and_their_ends_are_the_borders(kind, point, a
 
     low, middle, high = at(0.0), at(0.5), at(1.0)
     assert np.allclose(0.5 * (low + high)[point], middle[point])
-    outside = high.copy()
-    outside[point, axis, 3] += 1e-3
-    assert regions.contains(high)[point]
-    assert not regions.contains(outside)[point]
+    region = regions.regions[point]
+    border = region.spread[axis] if kind == "points" else region.half[axis]
+    moved = (high - middle)[point]
+    assert np.isclose(moved[axis, 3], border)
+    assert np.allclose(np.delete(moved.ravel(), 4 * axis + 3), 0.0)
 
 
 @QUICK
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_cone_bounds_the_tilt_of_the_tool_axis(seed):
     regions = REGIONS["box"]
-    genome = np.round(regions.random_genome(np.random.default_rng(seed)))  # the corners are the worst
+    genome = np.random.default_rng(seed).integers(0, 2, regions.genes)  # the corners are the worst
     tilt = np.arccos(np.clip(-regions.poses(genome)[:, 2, 2], -1, 1))
     assert np.max(tilt) <= np.radians(30) + 1e-9
 
@@ -85,9 +104,6 @@ def test_the_tube_follows_its_path():
     last = regions.poses(np.tile([1.0, 0.5, 0.5, 0.5, 0.5, 0.5], 4))[-1]
     assert np.allclose(first, PATH[0])
     assert np.allclose(last, PATH[2])
-    aside = first.copy()
-    aside[2, 3] += 0.06
-    assert not regions.contains(np.array([aside] * 4))[0]
 
 
 def test_the_envelope_holds_the_task_and_a_margin():
@@ -95,16 +111,8 @@ def test_the_envelope_holds_the_task_and_a_margin():
     travel = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(TASK[:, :3, 3], axis=0), axis=1))))
     part = np.minimum((4 * travel / travel[-1]).astype(int), 3)
     for pose, own in zip(TASK, part, strict=True):
-        assert regions.contains(np.array([pose] * 4))[own]
-    far = TASK[0].copy()
-    far[2, 3] += 0.051
-    assert not regions.contains(np.array([far] * 4))[0]
-
-
-def test_euler_angles_may_come_back_in_their_other_form():
-    regions = ViaRegions.from_points([[1, 0, 0.8, 0.0, np.pi - 0.1, 0.0]], [[0.0, 0.0, 0.0, 0.0, 0.3, 0.0]])
-    beyond = pose_of([1, 0, 0.8, 0.0, np.pi + 0.15, 0.0])  # to be read as a = π, e = π − 0.15, r = π
-    assert regions.contains(beyond[None])[0]
+        assert inside(regions.regions[own], pose)
+    assert np.isclose(regions.poses(np.ones(regions.genes))[0, 2, 3], TASK[0, 2, 3] + 0.05)
 
 
 def test_regions_travel_and_bad_input_is_named():

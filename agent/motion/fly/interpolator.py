@@ -18,8 +18,8 @@ from agent.motion.fly.setpoints import Run
 from agent.motion.fly.time_law import samples_in
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.interpolator import MotionError
+from agent.motion.path import rotation
 from agent.motion.path.segments import Segment
-from agent.motion.path.solve import matrices
 from agent.motion.program import Delay, Statement
 from agent.motion.trajectory import BindingLimit, Trajectory
 from agent.robot import RobotDescription
@@ -170,7 +170,7 @@ class _Planned(Trajectory):
     @cached_property
     def tcp(self) -> np.ndarray:
         pose: np.ndarray = self.__dict__["_pose"]
-        return matrices(pose[:, :3], pose[:, 3:])
+        return rotation.to_pose(pose[:, :3], pose[:, 3:])
 
     @cached_property
     def binding(self) -> tuple[BindingLimit, ...]:

@@ -156,8 +156,7 @@ class SegmentMaker:
     ) -> Segment | None:
         if self.robot.dof != 6:
             raise InputError(f"{label}: $ORNT_TYPE WRIST_JNT needs an arm of 6 joints; {self.robot.name} has another")
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = rotation.to_matrix(end_turn), end
+        pose = rotation.to_pose(end, end_turn)
         flags = move.target.configuration if isinstance(move.target, CartesianTarget) else ""
         try:
             target = kinematics.solve_configuration(pose, flags) if flags else kinematics.solve(pose, start)
@@ -170,9 +169,7 @@ class SegmentMaker:
     def _joints(self, index: int, label: str, move: Move, kinematics: Kinematics, start: np.ndarray) -> np.ndarray:
         if isinstance(move.target, JointTarget):
             return self._joint_target(label, move.target)
-        pose = np.eye(4)
-        position, turn = self._pose(label, move.target, move.settings, kinematics)
-        pose[:3, :3], pose[:3, 3] = rotation.to_matrix(turn), position
+        pose = rotation.to_pose(*self._pose(label, move.target, move.settings, kinematics))
         try:
             if move.target.configuration:
                 return kinematics.solve_configuration(pose, move.target.configuration)

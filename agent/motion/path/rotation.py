@@ -1,6 +1,8 @@
-"""Unit quaternions (S, 4), scalar first, and COMAU's Euler ZYZ angles, over many samples at once."""
+"""Unit quaternions (S, 4), scalar first, COMAU's Euler ZYZ angles, and poses of both, over many samples at once."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -108,10 +110,31 @@ def from_euler(angles: np.ndarray) -> np.ndarray:
     return multiply(multiply(about(z, a), about(y, e)), about(z, r))
 
 
-def to_euler(rotation: np.ndarray) -> np.ndarray:
-    """(3,) Euler ZYZ angles a, e, r [rad] of one rotation matrix (3, 3), e in [0, π]; r is 0 where e is 0 or π."""
-    sine = np.hypot(rotation[0, 2], rotation[1, 2])
-    e = np.arctan2(sine, rotation[2, 2])
-    if sine < 1e-9:
-        return np.array([np.arctan2(-rotation[0, 1], rotation[1, 1]), e, 0.0])
-    return np.array([np.arctan2(rotation[1, 2], rotation[0, 2]), e, np.arctan2(rotation[2, 1], -rotation[2, 0])])
+def to_euler(matrix: np.ndarray) -> np.ndarray:
+    """(..., 3) Euler ZYZ angles of rotation matrices (..., 3, 3): a, r in (-π, π], e in [0, π] [rad].
+
+    a = atan2(r12, r02); e and r are read after turning back by a, which equals acos(r22) and atan2(r21, -r20) and
+    stays exact where those lose their digits. Where e is 0 or π the angles a and r are not both determined: a is 0.
+    """
+    along, across = matrix[..., 0, 2], matrix[..., 1, 2]
+    degenerate = np.hypot(along, across) < 1e-12
+    a = np.where(degenerate, 0.0, np.arctan2(across, along))
+    ca, sa = np.cos(a), np.sin(a)
+    e = np.arctan2(np.where(degenerate, 0.0, ca * along + sa * across), matrix[..., 2, 2])
+    r = np.arctan2(ca * matrix[..., 1, 0] - sa * matrix[..., 0, 0], ca * matrix[..., 1, 1] - sa * matrix[..., 0, 1])
+    return np.stack([a, e, r], axis=-1)
+
+
+def to_pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    """(S, 4, 4) poses from positions (S, 3) and unit quaternions (S, 4); (4, 4) of one."""
+    pose = np.zeros((*np.shape(position)[:-1], 4, 4))
+    pose[..., :3, :3] = to_matrix(quaternion)
+    pose[..., :3, 3] = position
+    pose[..., 3, 3] = 1.0
+    return pose
+
+
+def pose_of(coordinates: Sequence[float] | np.ndarray) -> np.ndarray:
+    """(S, 4, 4) poses [m] from coordinates (S, 6): x, y, z [m] and Euler ZYZ a, e, r [rad]; (4, 4) of one."""
+    values = np.asarray(coordinates, dtype=float)
+    return to_pose(values[..., :3], from_euler(values[..., 3:]))

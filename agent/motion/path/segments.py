@@ -132,7 +132,7 @@ def euler_angles(start: np.ndarray, end: np.ndarray, world: np.ndarray) -> Euler
     # Where the middle angle is 0 or π only the sum (difference) of the others is defined: the other end says which.
     for one, other in ((a, b), (b, a)):
         if np.sin(one[1]) < 1e-9:
-            one[2] = (other[0] - one[0]) * (-1.0 if np.cos(one[1]) > 0 else 1.0)
+            one[2] += (one[0] - other[0]) * np.sign(np.cos(one[1]))
             one[0] = other[0]
     change = b - a
     change[[0, 2]] = (change[[0, 2]] + np.pi) % (2.0 * np.pi) - np.pi

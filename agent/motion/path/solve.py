@@ -26,15 +26,6 @@ def motion_error(error: KinematicsError, move: int, label: str) -> MotionError:
     return MotionError(f"{label}: {place}", move, _LIMITS.get(error.reason, error.reason), error.excess)
 
 
-def matrices(position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
-    """(S, 4, 4) poses from positions (S, 3) and unit quaternions (S, 4)."""
-    poses = np.zeros((len(position), 4, 4))
-    poses[:, :3, :3] = rotation.to_matrix(orientation)
-    poses[:, :3, 3] = position
-    poses[:, 3, 3] = 1.0
-    return poses
-
-
 def solve_cartesian(
     segments: Sequence[Segment],
     move: np.ndarray,
@@ -52,7 +43,7 @@ def solve_cartesian(
     """
     kinematics: Kinematics = segments[0].kinematics
     try:
-        return kinematics.follow(matrices(position, orientation), start, near)
+        return kinematics.follow(rotation.to_pose(position, orientation), start, near)
     except KinematicsError as error:
         culprit = int(move[min(error.index, len(move) - 1)])
         label = next((segment.label for segment in segments if segment.move == culprit), segments[0].label)
