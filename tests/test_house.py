@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from itertools import pairwise
 from pathlib import Path
 
 import grimp
@@ -52,3 +53,27 @@ def test_a_room_is_entered_by_its_door():
                 if room[:1] == ["agent"] and len(room) > 2 and tuple(room[:2]) != own:
                     inside.append(f"{path.relative_to(ROOT).as_posix()}:{node.lineno}: {node.module}")
     assert inside == []
+
+
+def test_no_import_hides_in_a_string():
+    """Where a module is named as text no tool sees the import: registries may, and so may a process that is started."""
+    hidden = []
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            if path.name == "registry.py":
+                continue
+            tree = ast.parse(path.read_text("utf-8"))
+            lists = [node.elts for node in ast.walk(tree) if isinstance(node, ast.List | ast.Tuple)]
+            started = {id(b) for entries in lists for a, b in pairwise(entries) if getattr(a, "value", None) == "-m"}
+            own = ".".join(path.relative_to(ROOT).parent.parts)  # whose data files a module may open
+            for node in ast.walk(tree):
+                text = node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else ""
+                if names_a_module(text) and id(node) not in started and not f"{own}.".startswith(f"{text}."):
+                    hidden.append(f"{path.relative_to(ROOT).as_posix()}:{node.lineno}: {text}")
+    assert hidden == []
+
+
+def names_a_module(text: str) -> bool:
+    first, *parts = text.partition(":")[0].split(".")
+    place = ROOT.joinpath(first, *parts)
+    return first in PACKAGES and bool(parts) and all(parts) and (place.is_dir() or place.with_suffix(".py").is_file())

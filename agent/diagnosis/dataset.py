@@ -23,7 +23,7 @@ from agent.estimation import (
     observe,
     physical_prior,
 )
-from agent.model import IdentifiedModel, MotionSignals, NominalModel, torque_of
+from agent.model import IdentifiedModel, MotionSignals, NominalModel, effect_torque
 from agent.recording import Log
 from agent.robot import RobotDescription
 
@@ -191,7 +191,7 @@ def _known_effects(model: IdentifiedModel, signals: MotionSignals) -> np.ndarray
     total = np.zeros(signals.q.shape)
     motion = {"time": signals.time, "q": signals.q, "qd": signals.qd, "qdd": signals.qdd}
     for entry in model.effects:
-        total = total + torque_of(entry)(model, entry, motion, signals.predicted + total)
+        total = total + effect_torque(model, entry, motion)
     return signals.low_pass(total)
 
 

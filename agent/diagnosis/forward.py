@@ -18,7 +18,7 @@ import numpy as np
 
 from agent.diagnosis.extension import extended_model
 from agent.estimation import FilterSettings, Motion, motions, smooth_and_differentiate
-from agent.model import CATALOGUE, AxleMotion, IdentifiedModel, NominalModel, axle_columns, effect_torque
+from agent.model import CATALOGUE, IdentifiedModel, NominalModel, effect_torque
 from agent.simulation import ForwardSimulation, RigidActuation, ServoGains
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def _follow(model: IdentifiedModel, motion: Motion, number: int) -> tuple[np.nda
         position, torque = arm.run(extra)
         extra = arm.beyond(position)
     for entry in reading:
-        torque = torque + effect_torque(model, entry, arm.motion_of(position), torque)
+        torque = torque + effect_torque(model, entry, arm.motion_of(position))
     return position, motion.low_pass(torque)
 
 
@@ -137,7 +137,7 @@ class _Arm:
         self._coupling = robot.coupling
         self._rotors = np.maximum(self._reference.rotors, 0.0)
         friction = {form: np.zeros(robot.dof) for form in ("coulomb", "viscous", "quadratic")}
-        for term, value in zip(model.terms, model.values[len(model.independent) :], strict=True):
+        for term, value in zip(model.terms, model.friction_values, strict=True):
             if term.form in friction:
                 friction[term.form][term.axle] = max(value, 0.0)
         speed = np.abs(np.gradient(self.set_points, 1 / motion.rate, axis=0) @ self._coupling.T)
@@ -169,13 +169,9 @@ class _Arm:
         """(S, n) torque that the model predicts along positions (S, n), less bodies and plain friction."""
         moved, robot = self.motion_of(position), self._model.robot
         q, qd, qdd = moved["q"], moved["qd"], moved["qdd"]
-        axles = AxleMotion.of(robot, q, qd, self._model.rigid.torque(q, qd, qdd, self._model.base_values))
-        columns = axle_columns(self._model.terms, axles)
-        torque = self._model.rigid.torque(q, qd, qdd, self._model.base_values)
-        values = self._model.values[len(self._model.independent) :]
-        torque = torque + columns * values @ self._coupling[[term.axle for term in self._model.terms]]
+        torque = np.sum(self._model.rigid_and_friction(q, qd, qdd), axis=0)
         for entry in self._model.effects:
-            torque = torque + effect_torque(self._model, entry, moved, torque)
+            torque = torque + effect_torque(self._model, entry, moved)
         speed, f = qd @ self._coupling.T, self._friction
         plain = f["coulomb"] * np.tanh(speed / f["transition"]) + f["viscous"] * speed
         plain = plain + f["quadratic"] * np.abs(speed) * speed

@@ -77,7 +77,7 @@ class ChainEngine:
         assert model.standard is not None
         self._rotors = model.robot.gear_ratios**2 * model.standard[ParameterLayout.of(model.robot).rotors]
         self._links = model.rigid.dynamics
-        values = model.values[len(model.independent) :]
+        values = model.friction_values
         level: dict[str, np.ndarray] = {"coulomb": np.zeros(n), "viscous": np.zeros(n)}
         self._reversal = np.ones(n)
         for term, value in zip(model.terms, values, strict=True):

@@ -1,4 +1,4 @@
-"""None"""
+"""The identified model: data, prediction, friction terms, effects, export, and simulators read as a model."""
 
 import lazy_loader
 

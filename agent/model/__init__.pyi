@@ -1,4 +1,3 @@
-from .data import ModelEffect as ModelEffect
 from .effects import CATALOGUE as CATALOGUE
 from .effects.effect import Columns as Columns, Effect as Effect, FitContext as FitContext
 from .effects.friction_change import FrictionChange as FrictionChange
@@ -13,12 +12,11 @@ from .friction_terms import (
     axle_columns as axle_columns,
 )
 from .identified import (
-    EFFECTS as EFFECTS,
     IdentifiedModel as IdentifiedModel,
     condition_text as condition_text,
-    torque_of as torque_of,
 )
 from .regimes import REGIMES as REGIMES, regime_masks as regime_masks, standstill_speed as standstill_speed
+from .rigid_friction import ModelEffect as ModelEffect
 from .signals import MotionSignals as MotionSignals, NominalModel as NominalModel
 from .simulators.arm import SIMULATOR as SIMULATOR
 from .simulators.corrected_file import write_corrected as write_corrected, written_files as written_files

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.model.data import ModelData
 from agent.model.friction_terms import FORMS, FrictionTerm
+from agent.model.rigid_friction import RigidFrictionModel
 from agent.robot import ParameterLayout, RobotDescription
 
 _REVERSING = ("coulomb", "stribeck", "load")
 
 
-def check_model(model: ModelData) -> None:
+def check_model(model: RigidFrictionModel) -> None:
     """Raise ValueError where a model read from a file cannot be used."""
     robot = model.robot
     check_robot(robot)

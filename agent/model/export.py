@@ -163,7 +163,7 @@ def friction_data(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarra
     robot = model.robot
     layout = ParameterLayout.of(robot)
     rotors = standard[layout.rotors]
-    values = model.values[len(model.independent) :]
+    values = model.friction_values
     reflected = robot.coupling.T @ np.diag(robot.gear_ratios**2 * rotors) @ robot.coupling
     axles = []
     for k, joint in enumerate(robot.joints):
@@ -222,7 +222,7 @@ def _friction_lines(model: IdentifiedModel) -> np.ndarray:
     from scipy.optimize import nnls
 
     robot = model.robot
-    values = model.values[len(model.independent) :]
+    values = model.friction_values
     highest = np.abs(robot.coupling) @ robot.max_velocity
     lines = np.zeros((robot.dof, 2))
     for k in range(robot.dof):

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from functools import cached_property
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -14,20 +11,16 @@ import numpy as np
 
 from agent.core import InputError
 from agent.model.checks import check_model
-from agent.model.data import ModelData, ModelEffect
-from agent.model.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns
-from agent.robot import RigidBodies, RobotDescription
+from agent.model.friction_terms import FrictionTerm, Reversal
+from agent.model.rigid_friction import ModelEffect, RigidFrictionModel
+from agent.model.with_effects import effect_torque
+from agent.robot import RobotDescription
 
 SCHEMA = "model/1"
 
 
-#: Torque (S, n) an effect adds: (model, entry, motion with keys time, q, qd, qdd, torque predicted so far) → (S, n).
-EffectTorque = Callable[["IdentifiedModel", ModelEffect, dict[str, Any], np.ndarray], np.ndarray]
-EFFECTS: dict[str, EffectTorque] = {}
-
-
 @dataclass(frozen=True, eq=False)
-class IdentifiedModel(ModelData):
+class IdentifiedModel(RigidFrictionModel):
     """A fitted model of one robot, self-contained: its data, and what can be asked of them."""
 
     @property
@@ -39,24 +32,6 @@ class IdentifiedModel(ModelData):
     def standard_deviations(self) -> np.ndarray:
         """(p,)."""
         return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def base_values(self) -> np.ndarray:
-        """(b,) base parameters."""
-        return self.values[: len(self.independent)]
-
-    @cached_property
-    def rigid(self) -> RigidBodies:
-        """The regressor of the base parameters."""
-        from agent.robot import Dynamics
-
-        return RigidBodies(Dynamics(self.robot), self.independent, self.projection)
-
-    def columns(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-        """(S, n, p) regressor of all parameters for joint motion (S, n)."""
-        rigid = self.rigid.columns(q, qd, qdd)
-        friction = self._friction_columns(q, qd, rigid @ self.base_values)
-        return np.concatenate([rigid, friction], axis=2)
 
     def predict(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, time: np.ndarray | None = None) -> np.ndarray:
         """(S, n) joint torque [N·m] of consecutive samples (S, n) at `time` (S,) [s], which only effects may need.
@@ -74,13 +49,10 @@ class IdentifiedModel(ModelData):
         Raises:
             InputError: the model has an effect that is not known here.
         """
-        rigid = self.rigid.torque(q, qd, qdd, self.base_values)
-        columns = axle_columns(self.terms, AxleMotion.of(self.robot, q, qd, rigid))
-        friction = columns * self.values[len(self.independent) :] @ self._friction_share
+        rigid, friction = self.rigid_and_friction(q, qd, qdd)
         torque = rigid + friction
-        motion = {"time": time, "q": q, "qd": qd, "qdd": qdd}
         for entry in self.effects:
-            torque = torque + torque_of(entry)(self, entry, motion, torque)
+            torque = torque + effect_torque(self, entry, {"time": time, "q": q, "qd": qd, "qdd": qdd})
         return torque, friction
 
     def prediction_interval(
@@ -98,15 +70,6 @@ class IdentifiedModel(ModelData):
         if speed is not None and self.group_rmse is not None:
             rest = np.where(np.abs(speed) > self.standstill_speed, *self.group_rmse)
         return NormalDist().inv_cdf(0.5 + probability / 2) * np.sqrt(variance + rest**2)
-
-    @property
-    def _friction_share(self) -> np.ndarray:
-        """(T, n): what each term's axle torque is on each joint."""
-        return self.robot.coupling[[term.axle for term in self.terms]]
-
-    def _friction_columns(self, q: np.ndarray, qd: np.ndarray, rigid_torque: np.ndarray) -> np.ndarray:
-        columns = axle_columns(self.terms, AxleMotion.of(self.robot, q, qd, rigid_torque))
-        return self._friction_share.T[None] * columns[:, None, :]
 
     def _term_unit(self, term: FrictionTerm) -> str:
         return term.unit(self.robot.joints[term.axle].prismatic)
@@ -273,19 +236,6 @@ def _axle(robot: RobotDescription, joint: str) -> int:
     if joint not in robot.joint_names:
         raise ValueError(f"{joint!r} is no joint of the robot")
     return robot.joint_names.index(joint)
-
-
-def torque_of(entry: ModelEffect) -> EffectTorque:
-    """The form of an effect.
-
-    Raises:
-        InputError: an effect that is neither built in nor installed.
-    """
-    if entry.effect not in EFFECTS:
-        import_module("agent.model.with_effects").register()
-    if entry.effect not in EFFECTS:
-        raise InputError(f"the model has an effect {entry.effect!r} that this version cannot evaluate")
-    return EFFECTS[entry.effect]
 
 
 def condition_text(number: float) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.model.friction_terms import AxleMotion, Reversal, axle_columns
-from agent.model.identified import IdentifiedModel
+from agent.model.rigid_friction import RigidFrictionModel
 from agent.model.standard_parameters import from_pseudo_inertia, pseudo_inertia
 from agent.robot import ParameterLayout, RobotDescription
 
@@ -28,7 +28,7 @@ class NominalModel:
     π = π₀ + D² Pᵀ (P D² Pᵀ)⁻¹ (β − P π₀).
     """
 
-    def __init__(self, model: IdentifiedModel):
+    def __init__(self, model: RigidFrictionModel):
         from agent.robot import Dynamics
 
         self.model, self.robot = model, model.robot
@@ -141,7 +141,7 @@ class MotionSignals:
         """(S, n) friction torque of the model, on the axles."""
         model = self.reference.model
         columns = axle_columns(model.terms, self.axles)
-        values = model.values[len(model.independent) :]
+        values = model.friction_values
         torque = np.zeros(self.q.shape)
         for k, term in enumerate(model.terms):
             torque[:, term.axle] += columns[:, k] * values[k]

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from agent.core import RejectedError
-from agent.model.identified import IdentifiedModel
+from agent.model.rigid_friction import RigidFrictionModel
 from agent.robot import ParameterLayout, RobotDescription
 
 _ROUNDS = 200
@@ -30,7 +30,7 @@ _LEAST_RADIUS = 0.001  # of the reach: the size of any other link, along its thi
 _USUAL_ROTOR = 0.5  # of the mean inertia about the joint, where the description has none
 
 
-def full_parameters(model: IdentifiedModel) -> np.ndarray:
+def full_parameters(model: RigidFrictionModel) -> np.ndarray:
     """(11 n,) physical standard parameters, links base to tip, then rotor inertias [motor side], with P π = β.
 
     Raises:
@@ -91,7 +91,7 @@ def from_pseudo_inertia(matrix: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(LOG_DET_BASIS.reshape(10, 16).T, matrix.ravel(), rcond=None)[0]
 
 
-def _nearest(model: IdentifiedModel) -> np.ndarray | None:
+def _nearest(model: RigidFrictionModel) -> np.ndarray | None:
     """(11 n,) nearest to the URDF, or None where there is none."""
     layout = ParameterLayout.of(model.robot)
     start = _reference(model)
@@ -161,7 +161,7 @@ def _inside(standard: np.ndarray, layout: ParameterLayout) -> bool:
     return True
 
 
-def _reference(model: IdentifiedModel) -> np.ndarray:
+def _reference(model: RigidFrictionModel) -> np.ndarray:
     """(11 n,) of the URDF and the description, made physical where they are not."""
     robot, dynamics = model.robot, model.rigid.dynamics
     n = robot.dof

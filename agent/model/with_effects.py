@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from agent.core import InputError
-from agent.model.data import ModelEffect
 from agent.model.effects import CATALOGUE
-from agent.model.identified import EFFECTS, IdentifiedModel
+from agent.model.rigid_friction import ModelEffect, RigidFrictionModel
 from agent.model.signals import MotionSignals, NominalModel
 
 
-def effect_torque(model: IdentifiedModel, entry: ModelEffect, motion: dict[str, Any], torque: np.ndarray) -> np.ndarray:
+def effect_torque(model: RigidFrictionModel, entry: ModelEffect, motion: Mapping[str, Any]) -> np.ndarray:
     """(S, n) joint torque [N·m] of one effect on a motion (time, q, qd, qdd as arrays; `log` counts the logs of a fit).
 
     Raises:
-        InputError: parameters or joints that the effect does not have, or a motion without times.
+        InputError: an effect that is neither built in nor installed, parameters or joints that it does not have, or a
+            motion without times.
     """
+    if entry.effect not in CATALOGUE:
+        raise InputError(f"the model has an effect {entry.effect!r} that this version cannot evaluate")
     effect = CATALOGUE[entry.effect]
     names_of = model.robot.joint_names
     try:
@@ -33,12 +36,7 @@ def effect_torque(model: IdentifiedModel, entry: ModelEffect, motion: dict[str, 
     signals = MotionSignals(
         NominalModel(model), motion["time"], motion["q"], motion["qd"], motion["qdd"], motion.get("log", -1)
     )
-    total = np.zeros_like(torque)
+    total = np.zeros(signals.q.shape)
     for joint, columns in effect.columns(signals, joints, settings).items():
         total[:, joint] += columns @ values
     return total
-
-
-def register() -> None:
-    """Let models evaluate every effect of the catalogue."""
-    EFFECTS.update(dict.fromkeys(CATALOGUE, effect_torque))

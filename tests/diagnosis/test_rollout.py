@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from agent.diagnosis.rollout import at_motors
-from agent.model.data import ModelEffect
+from agent.model.rigid_friction import ModelEffect
 
 
 def test_the_motors_torque_is_what_was_reported_without_what_measuring_made_of_it():

@@ -11,7 +11,7 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.estimation import EstimationSettings, estimate
-from agent.model import EFFECTS, IdentifiedModel, ModelEffect
+from agent.model import IdentifiedModel, ModelEffect
 from agent.robot.bodies import rigid_bodies
 
 
@@ -110,16 +110,11 @@ def test_a_model_with_parts_that_do_not_fit_says_which(model, tmp_path, damage, 
         IdentifiedModel.load(path)
 
 
-def test_effects_add_torque_and_unknown_ones_are_refused(model, motion, monkeypatch, tmp_path):
-    def torque_offset(model, entry, motion, torque):
-        return (
-            np.where(np.array(model.robot.joint_names) == entry.joints[0], entry.parameters["offset"], 0.0) + 0 * torque
-        )
-
-    monkeypatch.setitem(EFFECTS, "some_offset", torque_offset)
-    shifted = replace(model, effects=(ModelEffect("some_offset", ("joint_2",), {"offset": 3.0}),))
+def test_effects_add_torque_and_unknown_ones_are_refused(model, motion, tmp_path):
+    shifted = replace(model, effects=(ModelEffect("torque_offset", ("joint_2",), {"offset": 3.0}),))
     shifted.save(tmp_path / "model.json")
-    added = IdentifiedModel.load(tmp_path / "model.json").predict(*motion) - model.predict(*motion)
+    time = 0.01 * np.arange(len(motion[0]))
+    added = IdentifiedModel.load(tmp_path / "model.json").predict(*motion, time) - model.predict(*motion)
     assert np.allclose(added, [0, 3, 0])
     unknown = replace(model, effects=(ModelEffect("gremlins", (), {}),))
     with pytest.raises(InputError, match="'gremlins'"):

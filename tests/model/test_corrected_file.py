@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.model.data import ModelEffect
+from agent.model.rigid_friction import ModelEffect
 from agent.model.simulators import load_simulator
 from agent.model.simulators.corrected_file import write_corrected
 from agent.model.simulators.correction import Released, correct

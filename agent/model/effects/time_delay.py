@@ -83,7 +83,7 @@ def _turning_faster(signals: MotionSignals, part: float) -> np.ndarray:
         else replace(term, reversal=replace(term.reversal, scale=part * term.reversal.scale))
         for term in model.terms
     )
-    columns = axle_columns(terms, signals.axles) * model.values[len(model.independent) :]
+    columns = axle_columns(terms, signals.axles) * model.friction_values
     axles = [
         [k for k, term in enumerate(terms) if term.axle == axle] for axle in range(len(signals.reference.coupling))
     ]

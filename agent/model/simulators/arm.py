@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from agent.core import InputError
-from agent.model.data import ModelEffect
 from agent.model.friction_terms import FrictionTerm, Reversal
 from agent.model.identified import IdentifiedModel
+from agent.model.rigid_friction import ModelEffect
 from agent.model.simulators.bodies import CarryingBody
 from agent.robot import Joint, ParameterLayout, RobotDescription
 

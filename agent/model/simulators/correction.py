@@ -14,10 +14,10 @@ from xml.etree.ElementTree import SubElement
 
 import numpy as np
 
-from agent.model.data import ModelEffect
 from agent.model.effects.base_tilt import across
 from agent.model.effects.payload import Payload, ball
 from agent.model.identified import IdentifiedModel
+from agent.model.rigid_friction import ModelEffect
 from agent.model.simulators.arm import SimulatedArm, described, model_of
 from agent.model.simulators.bodies import about_centre, is_body, nearest, seen_from
 from agent.model.simulators.load import Simulator

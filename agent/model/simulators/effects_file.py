@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from agent.model.data import ModelEffect
 from agent.model.effects import CATALOGUE
 from agent.model.effects.dress_pack import N_NODES
+from agent.model.rigid_friction import ModelEffect
 from agent.model.simulators import standalone_effects
 from agent.model.simulators.correction import Correction
 
