@@ -6,10 +6,12 @@ from .effects.payload import Payload as Payload
 from .export import export_model as export_model
 from .friction_terms import (
     FORMS as FORMS,
+    ODD as ODD,
     AxleMotion as AxleMotion,
     FrictionTerm as FrictionTerm,
     Reversal as Reversal,
     axle_columns as axle_columns,
+    steady_columns as steady_columns,
 )
 from .identified import (
     IdentifiedModel as IdentifiedModel,

@@ -25,6 +25,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from agent.core import RejectedError
+from agent.model.friction_terms import ODD, steady_columns
 from agent.model.identified import IdentifiedModel
 from agent.model.sdf import sdf_text
 from agent.model.standard_parameters import check_physical, full_parameters
@@ -34,7 +35,6 @@ from agent.robot import ParameterLayout, about_centre
 _STATES = 50
 _TOLERANCE = 1e-9  # of the largest torque
 _SPEEDS = np.linspace(0.02, 1.0, 50)  # of the highest: where the line through a friction curve is laid
-_ODD = ("coulomb", "viscous", "quadratic", "stribeck")
 
 
 def export_model(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
@@ -227,12 +227,9 @@ def _friction_lines(model: IdentifiedModel) -> np.ndarray:
     lines = np.zeros((robot.dof, 2))
     for k in range(robot.dof):
         speed = _SPEEDS * highest[k]
-        shapes = {"coulomb": np.ones_like(speed), "viscous": speed, "quadratic": speed**2}
-        own = [(t, v) for t, v in zip(model.terms, values, strict=True) if t.axle == k and t.form in _ODD]
-        curve = sum(
-            (v * (np.exp(-speed / t.fading) if t.form == "stribeck" else shapes[t.form]) for t, v in own),
-            np.zeros_like(speed),
-        )
+        own = [(t, v) for t, v in zip(model.terms, values, strict=True) if t.axle == k and t.form in ODD]
+        columns = steady_columns([term for term, _ in own], speed, sharp=True)
+        curve = np.sum(columns * [value for _, value in own], axis=1)
         forms = {term.form: value for term, value in own}
         if set(forms) <= {"coulomb", "viscous"} and min(forms.values(), default=0.0) >= 0:
             lines[k] = forms.get("viscous", 0.0), forms.get("coulomb", 0.0)

@@ -17,6 +17,7 @@ sliding, between -1 and 1, which a `Reversal` makes of the motion. With s = sign
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -34,6 +35,8 @@ FORMS = {
     "stribeck": ("stribeck", 0),
     "load": ("load", 0),
 }
+#: Forms that change sign with the speed and nothing else.
+ODD = ("coulomb", "viscous", "quadratic", "stribeck")
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,10 @@ class Reversal:
 
     kind: str = "speed"
     scale: float = 0.0
+
+    def following(self, speed: np.ndarray) -> np.ndarray:
+        """(S,) s at speeds (S,); of a travel, once it is left behind."""
+        return np.tanh(speed / self.scale) if self.kind == "speed" and self.scale else np.sign(speed)
 
     def __str__(self) -> str:
         if self.scale == 0:
@@ -114,9 +121,7 @@ class AxleMotion:
             if reversal.kind == "travel":
                 self.directions(axle, [reversal])
             else:
-                speed = self.speed[:, axle]
-                sign = np.sign(speed) if reversal.scale == 0 else np.tanh(speed / reversal.scale)
-                self._known[axle, reversal] = sign
+                self._known[axle, reversal] = reversal.following(self.speed[:, axle])
         return self._known[axle, reversal]
 
     @cached_property
@@ -131,12 +136,28 @@ def axle_columns(terms: tuple[FrictionTerm, ...], motion: AxleMotion) -> np.ndar
         motion.directions(axle, list(dict.fromkeys(t.reversal for t in terms if t.axle == axle and t.reversal)))
     columns = np.empty((len(terms), len(motion.speed))).T
     for k, term in enumerate(terms):
-        columns[:, k] = _column(term, motion)
+        own = term.axle
+        direction = None if term.reversal is None else motion.direction(own, term.reversal)
+        load = None if motion.load is None else motion.load[:, own]
+        columns[:, k] = _column(term, motion.speed[:, own], motion.magnitude[:, own], direction, load)
     return columns
 
 
-def _column(term: FrictionTerm, motion: AxleMotion) -> np.ndarray | float:
-    speed, magnitude = motion.speed[:, term.axle], motion.magnitude[:, term.axle]
+def steady_columns(terms: Sequence[FrictionTerm], speed: np.ndarray, sharp: bool = False) -> np.ndarray:
+    """(S, T): the same at held speeds (S,) of the axles, long after a reversal and without load; at rest 0.
+
+    A direction that follows the speed does so here; `sharp`: it is that of full sliding at the slowest speed already.
+    """
+    columns, magnitude = np.zeros((len(speed), len(terms))), np.abs(speed)
+    for k, term in enumerate(terms):
+        direction = (Reversal() if sharp else term.reversal or Reversal()).following(speed)
+        columns[:, k] = _column(term, speed, magnitude, direction, np.zeros_like(speed))
+    return np.where(magnitude[:, None] > 0, columns, 0.0)
+
+
+def _column(
+    term: FrictionTerm, speed: np.ndarray, magnitude: np.ndarray, direction: np.ndarray | None, load: np.ndarray | None
+) -> np.ndarray | float:
     match term.form:
         case "viscous":
             return speed
@@ -146,8 +167,7 @@ def _column(term: FrictionTerm, motion: AxleMotion) -> np.ndarray | float:
             return 1.0
         case "viscous_asymmetry":
             return magnitude
-    assert term.reversal is not None
-    direction = motion.direction(term.axle, term.reversal)
+    assert direction is not None
     match term.form:
         case "coulomb":
             return direction
@@ -155,8 +175,8 @@ def _column(term: FrictionTerm, motion: AxleMotion) -> np.ndarray | float:
             assert term.fading is not None
             return direction * np.exp(-magnitude / term.fading)
         case "load":
-            assert motion.load is not None
-            return direction * np.abs(motion.load[:, term.axle])
+            assert load is not None
+            return direction * np.abs(load)
     raise ValueError(f"no friction form {term.form!r}")
 
 

@@ -48,17 +48,21 @@ def friction_levels(model: IdentifiedModel, top_speed: np.ndarray) -> list[Level
     Single friction parameters lean on each other; friction at a speed the axle had does not.
     """
     from agent.estimation import conditional_covariance
+    from agent.model import ODD, steady_columns
 
     base = len(model.independent)
     between = conditional_covariance(model)
     levels = []
     for axle, joint in enumerate(model.robot.joint_names):
-        for share in SHARES:
-            speed = share * float(top_speed[axle])
-            row = np.array([_steady(term, speed) if term.axle == axle else 0.0 for term in model.terms])
+        # an offset and an asymmetry are no friction level; load friction counts from no load
+        own = np.array([term.axle == axle and term.form in ODD for term in model.terms], dtype=bool)
+        speeds = np.array(SHARES) * float(top_speed[axle])
+        turning = np.maximum(speeds, np.finfo(float).tiny)
+        for speed, row in zip(speeds, steady_columns(model.terms, turning, sharp=True) * own, strict=True):
             deviation = np.sqrt(max(row @ model.covariance[base:, base:] @ row, 0.0))
-            own = np.sqrt(max(row @ between @ row, 0.0))
-            levels.append(Level(joint, speed, float(row @ model.values[base:]), float(deviation), float(own)))
+            between_runs = np.sqrt(max(row @ between @ row, 0.0))
+            level = float(row @ model.friction_values)
+            levels.append(Level(joint, float(speed), level, float(deviation), float(between_runs)))
     return levels
 
 
@@ -68,20 +72,6 @@ def top_speed(log: Log, model: IdentifiedModel) -> np.ndarray:
 
     speed = np.gradient(log.position, log.t, axis=0) if log.velocity is None else log.velocity
     return np.quantile(np.abs(axle_motion(model.robot, speed)), 0.99, axis=0)
-
-
-def _steady(term: Any, speed: float) -> float:
-    """Torque of a term per unit of its parameter while its axle turns forward at `speed`, without load."""
-    match term.form:
-        case "coulomb":
-            return 1.0
-        case "viscous":
-            return speed
-        case "quadratic":
-            return speed**2
-        case "stribeck":
-            return float(np.exp(-speed / term.fading))
-    return 0.0  # an offset and an asymmetry are no friction level; load friction counts from no load
 
 
 def warm_up(log: Log, prediction: Prediction) -> WarmUp:

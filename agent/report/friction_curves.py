@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.model import AxleMotion, axle_columns
+from agent.model import steady_columns
 from agent.report.page import Section
 from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series
 from agent.report.torque_section import worst_first
@@ -67,15 +67,7 @@ def friction_curve(model: IdentifiedModel, axle: int, speed: np.ndarray) -> tupl
     Each point is that of long sliding one way: what a reversal does along a path has no place over speed.
     """
     own = [k for k, term in enumerate(model.terms) if term.axle == axle and term.form != "load"]
-    columns = np.zeros((len(speed), len(own)))
-    for sign in (-1.0, 1.0):
-        there = speed * sign > 0
-        motion = np.zeros((int(there.sum()), model.robot.dof))
-        motion[:, axle] = speed[there]
-        travel = np.zeros_like(motion)
-        travel[:, axle] = sign * np.arange(1, len(motion) + 1) * 100.0  # far beyond any presliding
-        found = axle_columns(tuple(model.terms[k] for k in own), AxleMotion(travel, motion))
-        columns[there] = found
+    columns = steady_columns([model.terms[k] for k in own], speed)
     places = len(model.independent) + np.array(own, dtype=int)
     covariance = model.covariance[np.ix_(places, places)]
     variance = np.einsum("sk,kl,sl->s", columns, covariance, columns)

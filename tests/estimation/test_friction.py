@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 from agent.estimation import EstimationSettings, estimate
 from agent.estimation.friction_selection import paper_terms
-from agent.model.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns, dahl
+from agent.model.friction_terms import AxleMotion, FrictionTerm, Reversal, axle_columns, dahl, steady_columns
 from agent.robot.bodies import rigid_bodies
 from agent.validation import predict_log
 
@@ -53,6 +53,18 @@ def test_terms_of_the_ladder():
     )
     columns = axle_columns(terms, AxleMotion(speed, speed, load))
     assert np.allclose(columns, [[1, 0.5, -np.exp(-1), -3], [1, 2.0, np.exp(-4), 4]])
+
+
+@pytest.mark.parametrize("reversal", [Reversal(), Reversal("speed", 0.4), Reversal("travel", 1e-3)])
+@pytest.mark.parametrize("speed", [-1.5, -0.2, 0.3, 2.0])
+def test_steady_friction_is_that_after_a_long_way_at_one_speed(reversal, speed):
+    terms = (*paper_terms([reversal]), FrictionTerm(0, "offset"), FrictionTerm(0, "stribeck", reversal, 0.5))
+    terms = (*terms, FrictionTerm(0, "viscous_asymmetry"), FrictionTerm(0, "load", reversal))
+    way = speed * np.arange(100.0)[:, None]
+    long_after = axle_columns(terms, AxleMotion(way, np.full_like(way, speed), np.zeros_like(way)))[-1]
+    assert np.allclose(steady_columns(terms, np.array([speed, 0.0])), [long_after, np.zeros(len(terms))], rtol=1e-12)
+    full = steady_columns(terms, np.array([speed]), sharp=True)
+    assert full[0, 0] == np.sign(speed)
 
 
 @pytest.fixture(scope="module")
