@@ -56,10 +56,12 @@ class Store:
     """The files below one folder or URL (`s3://bucket/logs`, and whatever else fsspec knows)."""
 
     def __init__(self, url: str):
+        self.url = str(url)
         needed("fsspec", "a fleet")
+        if self.url.startswith(("s3:", "s3a:")):
+            needed("s3fs", self.url)
         from fsspec.core import url_to_fs
 
-        self.url = str(url)
         try:
             self._fs, root = url_to_fs(self.url)
         except (ValueError, ImportError) as error:

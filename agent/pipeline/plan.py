@@ -12,7 +12,7 @@ import numpy as np
 from agent.core import AgentError, Console, InputError, finite
 from agent.link import check_cell
 from agent.pipeline.planning import PlannedMotion, program_text, search_loop
-from agent.recipe import Recipe, ViaBox, ViaPointList
+from agent.recipe import Recipe
 from agent.runs import write_atomically
 
 if TYPE_CHECKING:
@@ -152,13 +152,12 @@ def _boxes(recipe: Recipe) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Opposite corners of what surrounds the loop: where via-points may lie, and where the arm must not be."""
     via = recipe.motion.via_points
     boxes = {f"keep-out: {box.name}": (np.array(box.minimum), np.array(box.maximum)) for box in recipe.cell.keep_out}
-    if isinstance(via, ViaBox):
-        half = np.array(via.size) / 2
-        boxes["sub-region"] = (np.array(via.centre) - half, np.array(via.centre) + half)
-    elif isinstance(via, ViaPointList):
-        for k, point in enumerate(via.points):
-            middle, spread = np.array(point.pose[:3]), np.array(point.range[:3])
-            boxes[f"region {k + 1}"] = (middle - spread, middle + spread)
+    if via.box is not None:
+        half = np.array(via.box.size) / 2
+        boxes["sub-region"] = (np.array(via.box.centre) - half, np.array(via.box.centre) + half)
+    for k, point in enumerate(via.points or ()):
+        middle, spread = np.array(point.pose[:3]), np.array(point.range[:3])
+        boxes[f"region {k + 1}"] = (middle - spread, middle + spread)
     return boxes
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from agent.core import Console, InputError, read_json
 from agent.link import check_cell, plan_statements
-from agent.recipe import Recipe, ViaLike
+from agent.recipe import Recipe
 from agent.runs import RunFolder, sha256_file, sha256_text
 
 if TYPE_CHECKING:
@@ -173,25 +173,22 @@ def programs(
 def via_regions(recipe: Recipe) -> Any:
     """The recipe's sub-region as the search needs it."""
     from agent.motion import ViaRegions, pose_of
-    from agent.recipe import ViaBox, ViaPointList, ViaTube
 
     via = recipe.motion.via_points
-    if isinstance(via, ViaBox):
-        return ViaRegions.from_box(via.count, via.centre, via.size, via.orientation, via.cone)
-    if isinstance(via, ViaPointList):
+    count = via.count or 0  # never: the section requires one of the four, and their number
+    if via.box is not None:
+        return ViaRegions.from_box(count, via.box.centre, via.box.size, via.box.orientation, via.box.cone)
+    if via.points is not None:
         return ViaRegions.from_points([point.pose for point in via.points], [point.range for point in via.points])
-    if isinstance(via, ViaTube):
-        return ViaRegions.from_tube(via.count, [pose_of(pose) for pose in via.path], via.radius, via.cone)
-    return ViaRegions.from_envelope(via.count, _task_poses(recipe), via.around)
+    if via.tube is not None:
+        return ViaRegions.from_tube(count, [pose_of(pose) for pose in via.tube.path], via.tube.radius, via.tube.cone)
+    return ViaRegions.from_envelope(count, _task_poses(recipe, Path(via.like or "")), via.around or 0.0)
 
 
-def _task_poses(recipe: Recipe) -> np.ndarray:
+def _task_poses(recipe: Recipe, path: Path) -> np.ndarray:
     """(S, 4, 4) poses of the job that the recipe's `like` names: a program or a log."""
     from agent.robot import Dynamics
 
-    via = recipe.motion.via_points
-    assert isinstance(via, ViaLike)
-    path = via.path
     if path.suffix.lower() == ".mcap":
         from agent.recording import read_log
 
@@ -222,12 +219,12 @@ def _job(recipe: Recipe, path: Path) -> tuple[str, dict[str, int]]:
 
 def _tell_passed_over(recipe: Recipe, console: Console) -> None:
     """What of the job's program was passed over, because it does not move."""
-    via = recipe.motion.via_points
-    if isinstance(via, ViaLike) and via.path.suffix.lower() != ".mcap":
-        passed = _job(recipe, via.path)[1]
+    like = recipe.motion.via_points.like
+    if like is not None and Path(like).suffix.lower() != ".mcap":
+        passed = _job(recipe, Path(like))[1]
         words = ", ".join(f"{word} {count}" for word, count in sorted(passed.items(), key=lambda item: -item[1])[:8])
         if passed:
-            console.step(f"{via.path}: {sum(passed.values())} lines that do not move are passed over ({words})")
+            console.step(f"{like}: {sum(passed.values())} lines that do not move are passed over ({words})")
 
 
 def replan(recipe: Recipe, path: Path) -> Plan:

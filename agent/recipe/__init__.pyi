@@ -8,8 +8,6 @@ from .quantities import (
     Time as Time,
 )
 from .recipe import (
-    CellDescription as CellDescription,
-    MotionPlan as MotionPlan,
     Recipe as Recipe,
     examine_recipe as examine_recipe,
     load_recipe as load_recipe,
@@ -17,10 +15,3 @@ from .recipe import (
 )
 from .recipe_text import template as template
 from .schema import GateSection as GateSection
-from .via_points import (
-    ViaBox as ViaBox,
-    ViaLike as ViaLike,
-    ViaPointList as ViaPointList,
-    ViaPointRegion as ViaPointRegion,
-    ViaTube as ViaTube,
-)

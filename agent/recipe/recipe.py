@@ -21,9 +21,9 @@ from agent.recipe.schema import (
     RecordSection,
     SearchSection,
     ValidateSection,
+    ViaPointsSection,
 )
 from agent.recipe.tool import tool_of
-from agent.recipe.via_points import ViaPoints, via_points_of
 from agent.robot import Box, RobotDescription, builtin_robots, load_robot
 
 if TYPE_CHECKING:
@@ -43,10 +43,10 @@ class CellDescription:
 
 @dataclass(frozen=True)
 class MotionPlan:
-    """The loop's FLY settings at the recipe's speed, and its sub-region."""
+    """The loop's FLY settings at the recipe's speed, and its sub-region, `like` a path from here."""
 
     settings: MotionSettings
-    via_points: ViaPoints
+    via_points: ViaPointsSection
 
     @property
     def speed(self) -> float:
@@ -62,7 +62,8 @@ class MotionPlan:
 class Recipe:
     """One recipe file. `text` is what it said, `sha256` (hex) of that text, `path` where it was.
 
-    `robot_source` is what `--robot` takes for the same robot: a built-in name, or a path from here.
+    `robot_source` is what `--robot` takes for the same robot: a built-in name, or a path from here. Sections that no
+    stage needs in another form are as they were written.
     """
 
     path: Path
@@ -192,6 +193,8 @@ def _contradictions(
 
 
 def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Recipe:
+    from agent.motion import is_file_name
+
     text = path.read_text(encoding="utf-8")
     fly = document.motion.fly
     settings = MotionSettings(
@@ -204,35 +207,27 @@ def _recipe(path: Path, document: RecipeDocument, robot: RobotDescription) -> Re
     )
     if robot.cartesian_limits is not None:
         settings = settings.changed(rotational_speed=robot.cartesian_limits.rotational_speed)
-    return Recipe(
-        path=path,
-        text=text,
-        sha256=hashlib.sha256(text.encode("utf-8")).hexdigest(),
-        robot=robot,
-        robot_source=document.robot if document.robot in builtin_robots() else str(path.parent / document.robot),
-        tool=tool_of(document.tool),
-        controller=document.controller,
-        cell=CellDescription(
+    via_points, search = document.motion.via_points, document.search
+    if via_points.like is not None:
+        via_points = via_points.model_copy(update={"like": str(path.parent / via_points.like)})
+    if is_file_name(search.interpolator):
+        search = search.model_copy(update={"interpolator": str(path.parent / search.interpolator)})
+    written = {field.alias or name: getattr(document, name) for name, field in RecipeDocument.model_fields.items()}
+    resolved = {
+        "path": path,
+        "text": text,
+        "sha256": hashlib.sha256(text.encode("utf-8")).hexdigest(),
+        "robot": robot,
+        "robot_source": document.robot if document.robot in builtin_robots() else str(path.parent / document.robot),
+        "tool": tool_of(document.tool),
+        "cell": CellDescription(
             tuple(Box(entry.name, entry.box.min, entry.box.max) for entry in document.cell.keep_out),
             {name: _joint_range(name, document, robot) for name in document.cell.joint_ranges},
         ),
-        motion=MotionPlan(settings, via_points_of(path, document.motion.via_points)),
-        search=_search(path, document),
-        record=document.record,
-        estimate=document.estimate,
-        validate=document.validate_,
-        gate=document.gate,
-        recalibrate=document.recalibrate,
-    )
-
-
-def _search(path: Path, document: RecipeDocument) -> SearchSection:
-    """With the file of a learned interpolator as a path from here."""
-    from agent.motion import is_file_name
-
-    name = document.search.interpolator
-    file = str(path.parent / name) if is_file_name(name) else name
-    return document.search.model_copy(update={"interpolator": file})
+        "motion": MotionPlan(settings, via_points),
+        "search": search,
+    }
+    return Recipe(**written | resolved)
 
 
 def _joint_range(name: str, document: RecipeDocument, robot: RobotDescription) -> tuple[float, float]:

@@ -192,7 +192,8 @@ class ViaPointsSection(RecipeSection):
             raise ValidationError.from_exception_data(cls.__name__, [*_details(error), *faults]) from None
         if faults:
             raise ValidationError.from_exception_data(cls.__name__, faults)
-        return section
+        # points are counted by themselves
+        return section if section.points is None else section.model_copy(update={"count": len(section.points)})
 
 
 class MotionSection(RecipeSection):

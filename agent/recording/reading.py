@@ -36,20 +36,18 @@ _STATES_TYPE = "sensor_msgs/msg/JointState (cdr)"
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """Samples of one topic in the order of the file: stamp (S,) [ns]; arrays (S, n) or None; `first`: earliest stamp
-    [ns] of these joints, also of a sample that was left out."""
+    """Samples of one topic in the order of the file: stamp (S,) [ns]; `arrays` (S, n): position and, where there are,
+    velocity and effort; `first`: earliest stamp [ns] of these joints, also of a sample that was left out."""
 
     first: int
     stamp: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray | None
-    effort: np.ndarray | None
+    arrays: dict[str, np.ndarray]
     repairs: tuple[Repair, ...]
 
     @property
     def measured(self) -> list[np.ndarray]:
         """What tells one sample from another."""
-        return [self.position] if self.effort is None else [self.position, self.effort]
+        return [values for field, values in self.arrays.items() if field != "velocity"]
 
 
 def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
@@ -72,16 +70,12 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
     if table is None:
         raise InputError(f"{path}: {topic}: no message holds a finite position of every joint ({', '.join(names)})")
     order = put_in_order(table.stamp, table.measured, str(path))
-    stamp, rows = order.stamp, order.rows
-    in_order = len(rows) == len(table.stamp) and not np.any(np.diff(rows) != 1)
-    arrays: list[np.ndarray | None] = [table.position, table.velocity, table.effort]
-    if not in_order:
-        arrays = [_take(found.scratch, values, rows) for values in arrays]
-    stamp, arrays, cuts, mended = _mended(stamp, arrays, robot, found.scratch)
-    position, velocity, effort = arrays
-    assert position is not None
-    if velocity is not None and _never_filled(velocity, position, found.scratch):
-        velocity = None
+    arrays, rows = table.arrays, order.rows
+    if len(rows) < len(table.stamp) or np.any(np.diff(rows) != 1):
+        arrays = _taken(found.scratch, arrays, rows)
+    stamp, arrays, cuts, mended = _mended(order.stamp, arrays, robot, found.scratch)
+    if "velocity" in arrays and _never_filled(arrays["velocity"], arrays["position"], found.scratch):
+        del arrays["velocity"]
         kind = "samples with a velocity of zero though the arm moves, so all velocity left out"
         mended.append(_repair(kind, stamp, int(stamp[0])))
     spacing = spacing_of(stamp, _nominal_rate(run))
@@ -95,9 +89,9 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
         path=path,
         joint_names=names,
         t=t,
-        position=position,
-        velocity=velocity,
-        effort=effort,
+        position=arrays["position"],
+        velocity=arrays.get("velocity"),
+        effort=arrays.get("effort"),
         reference_position=references,
         planned_position=planned,
         sample_rate=spacing.rate,
@@ -113,13 +107,11 @@ def read_log(path: str | Path, robot: RobotDescription | None = None) -> Log:
 
 
 def _mended(
-    stamp: np.ndarray, arrays: list[np.ndarray | None], robot: RobotDescription | None, scratch: Scratch
-) -> tuple[np.ndarray, list[np.ndarray | None], tuple[int, ...], list[Repair]]:
+    stamp: np.ndarray, arrays: dict[str, np.ndarray], robot: RobotDescription | None, scratch: Scratch
+) -> tuple[np.ndarray, dict[str, np.ndarray], tuple[int, ...], list[Repair]]:
     """Stamps (S,) and arrays without samples that cannot be, where to cut them, and what there is to say."""
-    position, _, effort = arrays
-    assert position is not None
-    jumps = Mended() if robot is None else mend_jumps(stamp, position, robot, scratch)
-    spikes = np.array([], int) if effort is None else find_spikes(effort, scratch)
+    jumps = Mended() if robot is None else mend_jumps(stamp, arrays["position"], robot, scratch)
+    spikes = find_spikes(arrays["effort"], scratch) if "effort" in arrays else np.array([], int)
     repairs = list(jumps.repairs)
     if len(spikes):
         kind = "samples whose torque stands out alone, dropped"
@@ -128,7 +120,7 @@ def _mended(
     cuts = tuple(int(cut - np.searchsorted(dropped, cut)) for cut in jumps.cuts)
     if len(dropped):
         keep = np.delete(np.arange(len(stamp)), dropped)
-        stamp, arrays = stamp[keep], [_take(scratch, values, keep) for values in arrays]
+        stamp, arrays = stamp[keep], _taken(scratch, arrays, keep)
     return stamp, arrays, cuts, repairs
 
 
@@ -141,8 +133,8 @@ def _never_filled(velocity: np.ndarray, position: np.ndarray, scratch: Scratch) 
     return bool(np.any(np.max(highest, axis=0) - np.min(lowest, axis=0) > _MOVED))
 
 
-def _take(scratch: Scratch, values: np.ndarray | None, rows: np.ndarray) -> np.ndarray | None:
-    return None if values is None else scratch.take(values, rows)
+def _taken(scratch: Scratch, arrays: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
+    return {field: scratch.take(values, rows) for field, values in arrays.items()}
 
 
 def _cut(segments: Sequence[tuple[int, int]], cuts: Sequence[int]) -> tuple[tuple[int, int], ...]:
@@ -162,10 +154,12 @@ def _topic(found: Scan, wanted: str) -> str | None:
 
 
 def _no_joint_states(found: Scan) -> str:
-    cut = not found.closed and found.types.get(STATES) == _STATES_TYPE and not found.unreadable
-    if not found.types or cut:
+    empty = found.types.get(STATES) == _STATES_TYPE and not found.unreadable
+    if not found.types or (empty and not found.closed):
         return "no messages in it" + ("" if found.closed else "; its writer stopped before it had written any")
     topics = ", ".join(f"{topic}: {kind}" for topic, kind in sorted(found.types.items()))
+    if empty:
+        return f"the topic {STATES} is in it without a single message: was it published while this was recorded?"
     return f"no readable {STATES} of type {_STATES_TYPE} in it; it has {topics}"
 
 
@@ -194,26 +188,18 @@ def _joint_names(
 
 def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> _Table | None:
     """Whole, finite samples of the named joints, and what was left out."""
-    if not any(set(names) <= set(group.layout.names) for group in groups):
-        return None
-    stamps = np.concatenate([group.stamp for group in groups if set(names) <= set(group.layout.names)])
-    first = int(stamps[~far_off(stamps)].min())
-    left_out: dict[str, list[np.ndarray]] = {}
-    usable: list[Messages] = []
-    for group in groups:
-        if not set(names) <= set(group.layout.names):
-            left_out.setdefault("messages of other joints, left out", []).append(group.stamp)
-        elif not group.layout.whole:
-            left_out.setdefault("samples with arrays of wrong length, dropped", []).append(group.stamp)
-        else:
-            usable.append(group)
+    others = [group for group in groups if not set(names) <= set(group.layout.names)]
+    ours = [group for group in groups if set(names) <= set(group.layout.names)]
+    usable = [group for group in ours if group.layout.whole]
     if not usable:
         return None
+    stamps = np.concatenate([group.stamp for group in ours])
+    first = int(stamps[~far_off(stamps)].min())
     stamp = np.concatenate([group.stamp for group in usable])
     order = np.concatenate([group.order for group in usable])
     keep = np.ones(len(stamp), bool)
     repairs: list[Repair] = []
-    arrays: list[np.ndarray | None] = []
+    arrays: dict[str, np.ndarray] = {}
     for field in ("position", "velocity", "effort"):
         values = _column(usable, field, names, scratch)
         unknown = np.concatenate([~np.all(np.isfinite(values[part]), axis=1) for part in scratch.parts(len(values))])
@@ -221,24 +207,28 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
             if any(getattr(group, field) is not None for group in usable):
                 kind = f"samples without a finite {field}, so all {field} left out"
                 repairs.append(_repair(kind, stamp[unknown], first))
-            arrays.append(None)
             continue
         torn = impossible(values, field, scratch) & ~unknown
         for rows, kind in ((unknown, f"without a finite {field}"), (torn, f"with a {field} that no arm can have")):
             if (rows & keep).any():
                 repairs.append(_repair(f"samples {kind}, dropped", stamp[rows & keep], first))
             keep &= ~rows
-        arrays.append(values)
+        arrays[field] = values
     if not keep.any():
         return None
     if not keep.all() or np.any(np.diff(order) < 0):
         rows = np.argsort(order, kind="stable")
         rows = rows[keep[rows]]
         stamp = stamp[rows]
-        arrays = [_take(scratch, values, rows) for values in arrays]
-    repairs += [_repair(kind, np.concatenate(stamps), first) for kind, stamps in left_out.items()]
-    assert arrays[0] is not None  # positions are never left out
-    return _Table(first, stamp, arrays[0], arrays[1], arrays[2], tuple(repairs))
+        arrays = _taken(scratch, arrays, rows)
+    torn_up = [group for group in ours if not group.layout.whole]
+    for kind, left_out in (
+        ("messages of other joints, left out", others),
+        ("samples with arrays of wrong length, dropped", torn_up),
+    ):
+        if left_out:
+            repairs.append(_repair(kind, np.concatenate([group.stamp for group in left_out]), first))
+    return _Table(first, stamp, arrays, tuple(repairs))
 
 
 def _column(groups: list[Messages], field: str, names: tuple[str, ...], scratch: Scratch) -> np.ndarray:
@@ -281,7 +271,7 @@ def _set_points(
         where = (int(order.stamp[0]) - int(stamp[0])) / _NANO
         repairs.append(Repair(f"{topic}: messages without a sample at their stamps, left out", where, total))
         return None
-    values = found.scratch.take(table.position, order.rows[nearest])
+    values = found.scratch.take(table.arrays["position"], order.rows[nearest])
     values[~same] = np.nan
     return values
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import InputError
+from agent.core import InputError, needed
 
 #: Columns that one matrix of a MAT file may hold; a wider one is no table of samples.
 _MAX_COLUMNS = 256
@@ -158,12 +158,9 @@ def _flatten(name: str, value: Any, columns: dict[str, np.ndarray], constants: d
 
 
 def _read_parquet(path: Path) -> ColumnTable:
-    try:
-        from pyarrow import ArrowException, parquet
-    except ImportError:
-        raise InputError(
-            f"{path}: reading Parquet needs pyarrow, which is not installed: pip install 'calibration-agent[parquet]'"
-        ) from None
+    needed("pyarrow", f"{path}: reading Parquet", "parquet")
+    from pyarrow import ArrowException, parquet
+
     try:
         content = parquet.read_table(path)
     except ArrowException as error:

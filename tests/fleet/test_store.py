@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -112,3 +113,9 @@ def test_a_store_that_cannot_be_reached_is_usage(monkeypatch):
     monkeypatch.setattr(fsspec.core, "url_to_fs", refused)
     with pytest.raises(InputError, match="no store answers there: Connection refused"):
         Store("ftp://nobody/logs")
+
+
+def test_a_store_whose_package_is_missing_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "s3fs", None)
+    with pytest.raises(InputError, match=r"needs s3fs, .*: pip install 'calibration-agent\[fleet\]'"):
+        Store("s3://bucket/logs")

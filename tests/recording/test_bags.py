@@ -82,6 +82,15 @@ def test_a_database_is_a_log_alone_and_in_its_folder(whole: Path, tmp_path: Path
         np.testing.assert_array_equal(log.velocity, expected.velocity)
 
 
+def test_a_topic_that_was_never_published_is_named(whole: Path, tmp_path: Path):
+    _database(tmp_path / "bag_0.db3", whole)
+    with sqlite3.connect(tmp_path / "bag_0.db3") as bag:
+        bag.execute("DELETE FROM messages WHERE topic_id = 1")
+    bag.close()
+    with pytest.raises(InputError, match="the topic /joint_states is in it without a single message"):
+        read_log(tmp_path / "bag_0.db3")
+
+
 def test_what_is_no_bag_is_told(tmp_path: Path):
     with pytest.raises(InputError, match=r"folder without metadata\.yaml"):
         read_log(tmp_path)

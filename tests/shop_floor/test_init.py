@@ -31,7 +31,7 @@ def test_flags_say_everything(tmp_path: Path):
     assert run.returncode == 0, run.stderr
     recipe = load_recipe(tmp_path / "cell.yaml")
     assert recipe.controller.address == "10.0.0.5:9100"
-    via = recipe.motion.via_points
+    via = recipe.motion.via_points.box
     assert via.centre == pytest.approx((0.9, 0.1, 0.7))
     assert via.size == pytest.approx((0.3, 0.3, 0.2))
     assert via.orientation == pytest.approx((0, np.deg2rad(170), 0))
@@ -80,7 +80,7 @@ def test_on_a_terminal_it_asks_and_asks_again(tmp_path: Path):
     assert "three quantities with commas between are expected, not 2" in said
     recipe = load_recipe(tmp_path / "cell.yaml")
     assert recipe.controller.address == "10.0.0.9:9100"
-    assert recipe.motion.via_points.centre == (1.1, 0.0, 0.9)
+    assert recipe.motion.via_points.box.centre == (1.1, 0.0, 0.9)
     assert recipe.robot.name == "comau_ns16"
 
 

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from agent.core import InputError
+from agent.core import InputError, needed
 from agent.model.simulators.arm import SimulatedArm, described, model_of
 from agent.model.simulators.bodies import CarryingBody, parameters
 
@@ -26,14 +26,7 @@ def mujoco_package() -> Any:
     Raises:
         InputError: it is not installed.
     """
-    try:
-        import mujoco
-    except ImportError:
-        raise InputError(
-            "an MJCF is read through the mujoco package, which is not installed: "
-            "pip install 'calibration-agent[mujoco]'"
-        ) from None
-    return mujoco
+    return needed("mujoco", "an MJCF", "mujoco")
 
 
 def compiled(path: Path) -> Any:
