@@ -10,7 +10,7 @@ import numpy as np
 from agent.core import InputError
 from agent.motion import Trajectory
 from agent.robot import Box, Capsule, RobotDescription
-from agent.safety.clearance import CellReport, PairClearance, Violation
+from agent.safety.clearance import CellReport, Violation
 from agent.safety.clearance_search import ClearanceSearch
 
 if TYPE_CHECKING:
@@ -98,18 +98,17 @@ class Cell:
         found = self._range_violations(q, times, stopping=False)
         if stop is not None:
             found += self._range_violations(q + stop, times, stopping=True)
-        pairs: tuple[PairClearance, ...] = ()
+        clearances: dict[tuple[str, str], float] = {}
         depth = 0.0
         if self._model.pairs:
             search = ClearanceSearch(self._model, q, stop, np.minimum(margin, self._largest_margins), self.tolerance)
             search.run()
-            pairs = search.clearances()
+            clearances = search.clearances()
             found += search.first_violation(times)
             depth = max(depth, search.depth())
-        clearance = min((pair.clearance for pair in pairs), default=np.inf)
         depth = max([depth, *(violation.depth for violation in found)])
         first = min(found, key=lambda violation: violation.index, default=None)
-        return CellReport(pairs, clearance, first, depth)
+        return CellReport(clearances, first, depth)
 
     def _range_violations(self, q: np.ndarray, times: np.ndarray | None, stopping: bool) -> list[Violation]:
         beyond = np.maximum(self.lower - q, q - self.upper)

@@ -2,21 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-
-
-@dataclass(frozen=True)
-class PairClearance:
-    """The smallest distance found between two bodies [m], negative where they overlap, and the sample it is at.
-
-    `at_least`: no posture of the motion is nearer than this.
-    """
-
-    first: str
-    second: str
-    clearance: float
-    at_least: float
-    index: int
 
 
 @dataclass(frozen=True)
@@ -52,12 +39,10 @@ class Violation:
 class CellReport:
     """What a check found.
 
-    `pairs`: the smallest clearance of each pair; `clearance` the smallest of all [m], infinite where there is nothing
-    to check; `collision`: the first violation in time, or None; `depth`: the deepest of all violations [m, rad], to
-    rank motions by.
+    `clearances`: the smallest distance of each pair of bodies [m], negative where they overlap; `collision`: the first
+    violation in time, or None; `depth`: the deepest of all violations [m, rad], to rank motions by.
     """
 
-    pairs: tuple[PairClearance, ...]
-    clearance: float
+    clearances: Mapping[tuple[str, str], float]
     collision: Violation | None
     depth: float

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core import InputError
-from agent.safety.clearance import PairClearance, Violation
+from agent.safety.clearance import Violation
 
 if TYPE_CHECKING:
     from agent.robot import CollisionModel
@@ -39,10 +39,7 @@ class ClearanceSearch:
         self.travelled = _cumulated(q)
         #: Of the way to a stop: how much it has changed up to each sample, and how long it is there.
         self.stopping = None if stop is None else (_cumulated(stop), np.abs(stop))
-        count = len(model.pairs)
-        self.smallest = np.full(count, np.inf)
-        self.smallest_at = np.zeros(count)
-        self.at_least = np.full(count, np.inf)
+        self.smallest = np.full(len(model.pairs), np.inf)
         self.first: tuple[float, int, bool] | None = None  # u, pair, on the way to a stop
 
     def run(self) -> None:
@@ -60,21 +57,15 @@ class ClearanceSearch:
                 raise InputError("the distance of two bodies is no number; look at the robot's bodies and at the boxes")
             self._note(middle, distances)
             bounds = distances - along - aside
-            was_open, is_open = is_open, is_open & self._undecided(stretches, bounds)
-            decided = np.where(was_open & ~is_open, bounds, np.inf)
-            self.at_least = np.minimum(self.at_least, decided.min(axis=0))
+            is_open &= self._undecided(stretches, bounds)
             going_on = is_open.any(axis=1)
             across_u = np.where(is_open, along, 0.0).max(axis=1) >= np.where(is_open, aside, 0.0).max(axis=1)
             stretches = _halves(stretches[going_on], across_u[going_on])
             is_open = np.concatenate([is_open[going_on]] * 2)
 
-    def clearances(self) -> tuple[PairClearance, ...]:
-        return tuple(
-            PairClearance(pair.first, pair.second, float(distance), float(min(bound, distance)), int(u))
-            for pair, distance, bound, u in zip(
-                self.model.pairs, self.smallest, self.at_least, self.smallest_at, strict=True
-            )
-        )
+    def clearances(self) -> dict[tuple[str, str], float]:
+        smallest = self.smallest.tolist()
+        return {(pair.first, pair.second): found for pair, found in zip(self.model.pairs, smallest, strict=True)}
 
     def first_violation(self, times: np.ndarray | None) -> Sequence[Violation]:
         if self.first is None:
@@ -111,11 +102,7 @@ class ClearanceSearch:
         return along, (s1 - s0)[:, None] / 2 * (_at(length, middle) @ self.reach)
 
     def _note(self, middle: np.ndarray, distances: np.ndarray) -> None:
-        nearest = distances.argmin(axis=0)
-        found = distances[nearest, np.arange(distances.shape[1])]
-        better = found < self.smallest
-        self.smallest = np.where(better, found, self.smallest)
-        self.smallest_at = np.where(better, middle[nearest, 0], self.smallest_at)
+        self.smallest = np.minimum(self.smallest, distances.min(axis=0))
         short = distances - self.margin
         violating = np.flatnonzero(~(short.min(axis=1) >= 0))
         if len(violating):

@@ -27,9 +27,7 @@ from agent.safety.preconditions import (
     check_period,
     check_plan,
     check_ready,
-    needs_person,
-    not_confirmed,
-    question,
+    have_word,
     standing,
 )
 from agent.safety.watch import MotionWatch
@@ -136,9 +134,8 @@ class GuardedLink:
             raise ControllerError(f"{self.address}: {identity.unguarded}; till then, somebody has to stand by")
         if identity.unguarded:
             self._warn(f"{self.address}: {identity.unguarded}; till then, stay at the emergency stop")
-        unasked = self._authorisation is None and not self._yes and needs_person(status, self.address)
-        if unasked and not self._ask(question(identity, status, self.address)):
-            raise not_confirmed(self.address)
+        if self._authorisation is None and not self._yes:
+            have_word(identity, status, self.address, self._ask)
         self._identity, self._emulator = identity, status.emulator
 
     def position(self) -> np.ndarray:

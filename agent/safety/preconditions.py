@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from ipaddress import ip_address
 
 import numpy as np
@@ -154,22 +154,19 @@ def is_loopback(address: str) -> bool:
         return host == "localhost"
 
 
-def question(identity: Identity, status: Status, address: str) -> str:
-    """What somebody has to say yes to before anything moves."""
-    who = f"{identity.robot} (serial {identity.serial}) at {address}"
+def have_word(identity: Identity, status: Status, address: str, ask: Callable[[str], bool]) -> None:
+    """A person's word that the cell is clear: always asked for, but for the emulator on loopback.
+
+    Raises:
+        InputError: nobody said yes.
+    """
+    if status.emulator and is_loopback(address):
+        return
+    clear = "This link cannot read the override. Is the cell clear, and the override at 100 %?"
     if status.override_known:
-        return f"{who} is about to move. Is the cell clear?"
-    return f"{who} is about to move. This link cannot read the override. Is the cell clear, and the override at 100 %?"
-
-
-def needs_person(status: Status, address: str) -> bool:
-    """Whether somebody has to say that the cell is clear: always, but for the emulator on loopback."""
-    return not (status.emulator and is_loopback(address))
-
-
-def not_confirmed(address: str) -> InputError:
-    """The error when nobody said yes."""
-    return InputError(
-        f"{address}: nobody confirmed that the cell is clear, so nothing was moved; answer the question on a terminal, "
-        "or give --yes"
-    )
+        clear = "Is the cell clear?"
+    if not ask(f"{identity.robot} (serial {identity.serial}) at {address} is about to move. {clear}"):
+        raise InputError(
+            f"{address}: nobody confirmed that the cell is clear, so nothing was moved; answer the question on a "
+            "terminal, or give --yes"
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -14,8 +15,8 @@ from hypothesis import given, strategies as st
 from agent.core.errors import AgentError, ControllerError, InputError, SafetyError
 from agent.link.alignment import moving_stretches
 from agent.runs.folder import RunFolder, sha256_text, write_atomically
-from agent.safety.preconditions import check_ready, is_loopback, needs_person
-from drivers.protocol import Status
+from agent.safety.preconditions import check_ready, have_word
+from drivers.protocol import Identity, Status
 
 READY = Status(
     drives_on=True,
@@ -141,6 +142,14 @@ def test_every_condition_stops_the_start(change: dict, error: type[AgentError], 
     [("127.0.0.1:9100", True), ("localhost:1", True), ("[::1]:1", True), ("10.0.0.3:9100", False), ("robot:1", False)],
 )
 def test_only_an_emulator_on_this_machine_moves_unasked(address: str, local: bool):
-    assert is_loopback(address) is local
-    assert needs_person(READY, address)
-    assert needs_person(replace(READY, emulator=True), address) is not local
+    who, asked = Identity("arm", "1", "c", "v", ("a",), 0.002), []
+
+    def nobody(question: str) -> bool:
+        asked.append(question)
+        return False
+
+    with contextlib.nullcontext() if local else pytest.raises(AgentError, match="nobody confirmed"):
+        have_word(who, replace(READY, emulator=True), address, nobody)
+    assert len(asked) == (not local)
+    with pytest.raises(AgentError, match="nobody confirmed"):
+        have_word(who, READY, address, nobody)

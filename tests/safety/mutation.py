@@ -82,7 +82,6 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     "clearance.py": {"self.margin > 0": "a margin that was found to be a number"},
     "clearance_search.py": {
         "np.where(is_open, along, 0.0).max(axis=1) >= np.where(is_open, aside, 0.0).max(axis=1)": "finite positions",
-        "found < self.smallest": "of distances that were found to be numbers",
         "middle[row, 0] < self.first[0]": "indices",
         "middle[row, 1] > 0": "indices",
         "stretches[:, :1] < (np.inf if self.first is None else self.first[0] - 1.0)": "indices",

@@ -11,6 +11,7 @@ from agent.robot import Box
 from agent.robot.description import Capsule, load_robot
 from agent.robot.dynamics import Dynamics, Tool
 from agent.safety.cell import Cell
+from agent.safety.clearance import CellReport
 
 ROBOT = load_robot("comau_ns16")
 REACHING = np.radians([0.0, 20.0, -90.0, 0.0, 70.0, 0.0])
@@ -32,6 +33,10 @@ def brute_force(cell: Cell, q: np.ndarray, fine: int = 4) -> np.ndarray:
     return cell._model.distances(dense)
 
 
+def smallest(report: CellReport) -> float:
+    return min(report.clearances.values())
+
+
 def test_a_clear_motion_is_clear_and_its_clearance_is_found(trajectory_through):
     cell = Cell(ROBOT, tool(), [TABLE])
     motion = trajectory_through([REACHING, REACHING + 0.2, REACHING - [0.5, 0, 0, 0, 0.3, 0]])
@@ -39,11 +44,10 @@ def test_a_clear_motion_is_clear_and_its_clearance_is_found(trajectory_through):
     assert report.collision is None
     assert report.depth == 0
     everything = brute_force(cell, motion.q)
-    assert report.clearance == pytest.approx(everything.min(), abs=1e-3)
-    for pair, column in zip(report.pairs, everything.T, strict=True):
-        assert pair.at_least <= column.min() + 1e-5
-        assert column.min() - 1e-5 <= pair.clearance
-        assert pair.clearance - pair.at_least <= max(0.001, 0.25 * abs(pair.clearance - 0.02)) + 1e-9
+    assert smallest(report) == pytest.approx(everything.min(), abs=1e-3)
+    for clearance, column in zip(report.clearances.values(), everything.T, strict=True):
+        assert column.min() - 1e-5 <= clearance
+        assert clearance <= column.min() + max(0.001, 0.25 * abs(clearance - 0.02)) + 1e-5
 
 
 def test_the_first_collision_is_named_with_its_time_and_depth(trajectory_through):
@@ -99,8 +103,7 @@ def test_depth_grows_with_the_table(trajectory_through):
 def test_the_margin_is_added(trajectory_through):
     motion = trajectory_through([REACHING, REACHING + np.radians([0, 10, 0, 0, 0, 0])])
     cell = Cell(ROBOT, tool(), [TABLE])
-    free = cell.check(motion).pairs
-    gap = next(pair.clearance for pair in free if (pair.first, pair.second) == ("tool", "keep-out table"))
+    gap = cell.check(motion).clearances["tool", "keep-out table"]
     table_only = Cell(replace(ROBOT, bodies={"link_6": ROBOT.bodies["link_6"]}), tool(), [TABLE])
     assert table_only.check(motion, margin=0.8 * gap).collision is None
     report = table_only.check(motion, margin=gap + 0.03)
@@ -161,10 +164,10 @@ def check_against(report, distances, margin, fine):
         assert report.collision is not None
         assert report.collision.index <= np.argmax(violated.any(axis=1)) / fine + 1
     if report.collision is not None:
-        assert report.clearance < margin + 1e-9
-        assert report.depth == pytest.approx(margin - report.clearance)
-    for pair, column in zip(report.pairs, distances.T, strict=True):
-        assert pair.at_least <= column.min() + 2e-5
+        assert smallest(report) < margin + 1e-9
+        assert report.depth == pytest.approx(margin - smallest(report))
+    for clearance, column in zip(report.clearances.values(), distances.T, strict=True):
+        assert clearance <= column.min() + max(0.001, 0.25 * abs(clearance - margin)) + 2e-5
 
 
 def test_joint_ranges_narrower_than_the_joints_own(trajectory_through):
@@ -199,9 +202,9 @@ def test_impossible_joint_ranges_are_refused(ranges, reason):
 def test_a_wide_margin_counts_for_the_cell_and_not_between_neighbours(trajectory_through):
     motion = trajectory_through([REACHING, REACHING + np.radians([20, 0, 0, 0, 0, 0])])
     both = Cell(ROBOT, tool(), [TABLE])
-    assert both.check(motion).clearance < 0.1  # neighbours but one in the arm are always as near as that
+    assert smallest(both.check(motion)) < 0.1  # neighbours but one in the arm are always as near as that
     assert Cell(ROBOT, tool()).check(motion, 0.2).collision is None
-    above = min(pair.clearance for pair in both.check(motion).pairs if pair.second == "keep-out table")
+    above = min(far for (_, box), far in both.check(motion).clearances.items() if box == "keep-out table")
     higher = Box("table", TABLE.minimum, (*TABLE.maximum[:2], TABLE.maximum[2] + above - 0.15))
     report = Cell(ROBOT, tool(), [higher]).check(motion, 0.2)
     assert (report.collision.second, report.collision.margin) == ("keep-out table", 0.2)
@@ -220,7 +223,7 @@ def test_bodies_that_touch_in_every_posture_are_left_out_and_named():
 def test_an_arm_without_bodies_is_checked_against_boxes_by_its_skeleton():
     bare = replace(ROBOT, bodies={})
     assert Cell(bare).pairs == ()
-    assert Cell(bare).check(REACHING[None]).clearance == np.inf
+    assert Cell(bare).check(REACHING[None]).clearances == {}
     cell = Cell(bare, tool(), [TABLE])
     assert all(second == "keep-out table" for _, second in cell.pairs)
     assert {"link of joint_4", "tool"} <= {first for first, _ in cell.pairs}
