@@ -11,7 +11,7 @@ def cubic_spline(knots: np.ndarray, values: np.ndarray, places: np.ndarray, natu
     Not-a-knot at the ends (one cubic over the first two intervals, and one over the last two): the outer cubics go on
     beyond them. `natural`: no bending at the ends, and straight on beyond them.
     """
-    slope = _slopes(knots, values, natural)
+    slope = spline_slopes(knots, values.T, natural).T
     width = np.diff(knots)[:, None]
     secant = np.diff(values, axis=0) / width
     bend = (slope[:-1] + slope[1:] - 2 * secant) / width
@@ -25,24 +25,22 @@ def cubic_spline(knots: np.ndarray, values: np.ndarray, places: np.ndarray, natu
     return np.asarray(found)
 
 
-def _slopes(knots: np.ndarray, values: np.ndarray, natural: bool) -> np.ndarray:
-    """(K, m) at the knots, from a tridiagonal system (de Boor, A Practical Guide to Splines, 1978, chapter IV)."""
-    from scipy.linalg import solve_banded
+def spline_slopes(knots: np.ndarray, rows: np.ndarray, natural: bool = False) -> np.ndarray:
+    """(m, K) slopes at ascending knots (K,), four or more, of the cubic splines through rows (m, K).
 
-    step = np.diff(knots)
-    width = step[:, None]
-    secant = np.diff(values, axis=0) / width
-    bands, right = np.empty((3, len(knots))), np.empty(values.shape)
-    bands[0, 2:], bands[1, 1:-1], bands[2, :-2] = step[:-1], 2 * (step[:-1] + step[1:]), step[1:]
-    right[1:-1] = 3 * (width[1:] * secant[:-1] + width[:-1] * secant[1:])
+    From a tridiagonal system (de Boor, A Practical Guide to Splines, 1978, chapter IV); ends as in `cubic_spline`.
+    """
+    from scipy.linalg.lapack import dgtsv  # heavy to import, needed only once there is something to fit
+
+    h = np.diff(knots)
+    chord = np.diff(rows, axis=1) / h
+    diagonal = np.concatenate(([h[1]], 2.0 * (h[:-1] + h[1:]), [h[-2]]))
+    above, below = np.concatenate(([knots[2] - knots[0]], h[:-1])), np.concatenate((h[1:], [knots[-1] - knots[-3]]))
+    right = np.empty_like(rows)
+    right[:, 1:-1] = 3.0 * (h[1:] * chord[:, :-1] + h[:-1] * chord[:, 1:])
+    for end, inner, wide in ((0, 1, above[0]), (-1, -2, below[-1])):
+        bent = (h[end] + 2.0 * wide) * h[inner] * chord[:, end] + h[end] ** 2 * chord[:, inner]
+        right[:, end] = 3.0 * chord[:, end] if natural else bent / wide
     if natural:
-        bands[1, 0], bands[0, 1], right[0] = 2, 1, 3 * secant[0]
-        bands[1, -1], bands[2, -2], right[-1] = 2, 1, 3 * secant[-1]
-    else:
-        first, last = knots[2] - knots[0], knots[-1] - knots[-3]
-        bands[1, 0], bands[0, 1] = step[1], first
-        bands[1, -1], bands[2, -2] = step[-2], last
-        right[0] = ((step[0] + 2 * first) * step[1] * secant[0] + step[0] ** 2 * secant[1]) / first
-        right[-1] = (step[-1] ** 2 * secant[-2] + (2 * last + step[-1]) * step[-2] * secant[-1]) / last
-    bands[0, 0] = bands[2, -1] = 0.0  # outside of the matrix
-    return np.asarray(solve_banded((1, 1), bands, right, overwrite_ab=True, overwrite_b=True, check_finite=False))
+        diagonal[[0, -1]], above[0], below[-1] = 2.0, 1.0, 1.0
+    return np.asarray(dgtsv(below, diagonal, above, right.T, overwrite_b=True)[3].T)

@@ -77,7 +77,7 @@ def _point(
         raise InputError(_cannot(name, move, "FLY_CART with FLY_TOL"))
     if isinstance(move.target, CartesianTarget):
         near = chain.q[np.flatnonzero(chain.move == index)[-1]]
-        position = kinematics_for(robot, tool).solve(pose_in_robot_base(move), near)
+        position = kinematics_for(robot, tool).solve(pose_in_robot_base(move.target, move.settings), near)
     else:
         position = np.asarray(move.target.position, dtype=float)
     speed = settings.linear_speed * settings.speed_override * settings.arm_override
@@ -105,7 +105,7 @@ def _is_plan_of(chain: Trajectory, moves: list[Move]) -> bool:
         return False
     target = moves[-1].target
     if isinstance(target, CartesianTarget):
-        return bool(np.abs(chain.tcp[-1] - pose_in_robot_base(moves[-1])).max() < _SAME)
+        return bool(np.abs(chain.tcp[-1] - pose_in_robot_base(moves[-1].target, moves[-1].settings)).max() < _SAME)
     return bool(np.abs(chain.q[-1] - target.position).max() < _SAME)
 
 

@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.motion.program import NO_FRAME, CartesianTarget, Frame, MotionSettings, Move, MoveType, Statement
+from agent.motion.program import (
+    NO_FRAME,
+    CartesianTarget,
+    MotionSettings,
+    Move,
+    MoveType,
+    Statement,
+    Target,
+    frame_of,
+    matrix_of,
+)
 
 if TYPE_CHECKING:
     from agent.robot import Tool
@@ -24,18 +34,17 @@ def tool_frame(tool: Tool | None) -> np.ndarray:
 
 def with_frames(settings: MotionSettings, tool: Tool | None) -> MotionSettings:
     """The settings for poses of this tool's centre point in the robot's base."""
-    frame = tuple(tuple(float(x) for x in row) for row in tool_frame(tool))
-    return settings.changed(base=NO_FRAME, tool=frame, uframe=NO_FRAME)
+    return settings.changed(base=NO_FRAME, tool=frame_of(tool_frame(tool)), uframe=NO_FRAME)
 
 
-def pose_in_robot_base(move: Move) -> np.ndarray:
+def pose_in_robot_base(target: Target, settings: MotionSettings) -> np.ndarray:
     """(4, 4) where a Cartesian target is [m]: base⁻¹ · uframe · pose.
 
     `$BASE` is where the robot stands in the world, `$UFRAME` where the work is in it; a pose is given in `$UFRAME`.
     """
-    assert isinstance(move.target, CartesianTarget)
-    base, uframe = _matrix(move.settings.base), _matrix(move.settings.uframe)
-    return np.linalg.solve(base, uframe @ np.asarray(move.target.pose, dtype=float))
+    assert isinstance(target, CartesianTarget)
+    pose = matrix_of(settings.uframe) @ np.asarray(target.pose, dtype=float)
+    return np.linalg.solve(matrix_of(settings.base), pose)
 
 
 def left_open(statements: Iterable[Statement], tool: Tool | None) -> Mapping[str, np.ndarray]:
@@ -55,7 +64,3 @@ def left_open(statements: Iterable[Statement], tool: Tool | None) -> Mapping[str
         needed |= {name for name in names if getattr(move.settings, FRAMES[name]) is None}
     taken = {"$BASE": np.eye(4), "$TOOL": tool_frame(tool), "$UFRAME": np.eye(4)}
     return {name: taken[name] for name in FRAMES if name in needed}
-
-
-def _matrix(frame: Frame | None) -> np.ndarray:
-    return np.eye(4) if frame is None else np.array(frame, dtype=float)

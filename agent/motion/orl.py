@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core import InputError
+from agent.motion.frames import pose_in_robot_base, tool_frame
 from agent.motion.interpolator import MotionError
 from agent.motion.orl_calls import (
     ARM,
@@ -32,7 +33,7 @@ from agent.motion.orl_calls import (
 from agent.motion.orl_shim import ShimCalls
 from agent.motion.orl_vendor import vendor_calls
 from agent.motion.pdl2.frames import pose_to_pos
-from agent.motion.program import Delay, JointTarget, Move, Statement, Target
+from agent.motion.program import Delay, JointTarget, Move, Statement, Target, matrix_of
 from agent.motion.trajectory import Trajectory
 from agent.robot import RobotDescription, kinematics_for
 
@@ -65,7 +66,7 @@ class OrlInterpolator:
         self.robot = robot
         self.period = period
         self._kinematics = kinematics_for(robot, tool)
-        self._tool = np.eye(4) if tool is None else np.asarray(tool.frame, dtype=float)
+        self._tool = tool_frame(tool)
         self._sliding = np.array([joint.prismatic for joint in robot.joints])
         if robot.dof > MOST_JOINTS:
             raise InputError(f"the robot has {robot.dof} joints, the ORL library takes {MOST_JOINTS}")
@@ -162,9 +163,9 @@ class OrlInterpolator:
         """How far (N,) [rad or m] joint positions (N, n) are from the move's target."""
         if isinstance(move.target, JointTarget):
             return np.asarray(np.abs(q - move.target.position).max(axis=1))
-        base, tool, uframe = self._frames(move)
+        tool = self._frames(move)[1]
         flange = self._kinematics.forward(q) @ np.linalg.inv(self._tool)
-        target = np.linalg.solve(base, uframe @ move.target.pose)[:3, 3]
+        target = pose_in_robot_base(move.target, move.settings)[:3, 3]
         return np.asarray(np.linalg.norm((flange @ tool)[:, :3, 3] - target, axis=1))
 
     def _statements(self, chain: list[tuple[int, Move]], q: np.ndarray) -> np.ndarray:
@@ -179,9 +180,8 @@ class OrlInterpolator:
 
     def _frames(self, move: Move) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         settings = move.settings
-        base = np.eye(4) if settings.base is None else np.array(settings.base)
-        tool = self._tool if settings.tool is None else np.array(settings.tool)
-        return base, tool, np.eye(4) if settings.uframe is None else np.array(settings.uframe)
+        tool = self._tool if settings.tool is None else matrix_of(settings.tool)
+        return matrix_of(settings.base), tool, matrix_of(settings.uframe)
 
     def _coordinates(self, target: Target) -> tuple[float, ...]:
         if isinstance(target, JointTarget):

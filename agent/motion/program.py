@@ -69,6 +69,16 @@ Frame = tuple[tuple[float, ...], ...]
 NO_FRAME: Frame = tuple(tuple(float(row == column) for column in range(4)) for row in range(4))
 
 
+def matrix_of(frame: Frame | None) -> np.ndarray:
+    """(4, 4) of a frame, the identity where a program does not say."""
+    return np.array(NO_FRAME if frame is None else frame, dtype=float)
+
+
+def frame_of(matrix: np.ndarray) -> Frame:
+    """A matrix (4, 4) as settings hold it."""
+    return tuple(tuple(row) for row in np.asarray(matrix, dtype=float).tolist())
+
+
 @dataclass(frozen=True)
 class MotionSettings:
     """The system variables in force for one move.

@@ -7,8 +7,7 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.link.via_points import JOINT_STEP, JOINT_TOLERANCE, via_points
-from agent.motion import create_interpolator
-from agent.motion.pdl2 import parse_program, write_loop_program, write_program
+from agent.motion import create_interpolator, parse_program, write_loop_program, write_program
 from agent.motion.program import (
     CartesianTarget,
     FlyTrajectory,
@@ -20,8 +19,7 @@ from agent.motion.program import (
     Termination,
     stop_to_stop,
 )
-from agent.robot import load_robot
-from agent.robot.kinematics import kinematics_for
+from agent.robot import kinematics_for, load_robot
 from agent.safety.motion import PlannedProgram
 
 ROBOT = load_robot("comau_ns16")

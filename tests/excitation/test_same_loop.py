@@ -26,8 +26,7 @@ from agent.motion.program import (
     OrientationType,
     SpeedOption,
 )
-from agent.robot import load_robot
-from agent.robot.kinematics import kinematics_for
+from agent.robot import kinematics_for, load_robot
 
 STORED = Path(__file__).with_name("same_loop.json")
 CART = MotionSettings(

@@ -16,8 +16,7 @@ from agent.experiment.pieces import Pieces
 from agent.motion import ViaRegions
 from agent.motion.program import FlyTrajectory, FlyType, MotionSettings
 from agent.motion.regions import BoxRegion
-from agent.robot import RobotDescription
-from agent.robot.kinematics import kinematics_for
+from agent.robot import RobotDescription, kinematics_for
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record
 

@@ -7,7 +7,7 @@ import json
 import numpy as np
 
 from agent.recording import Log, read_log
-from agent.robot.kinematics import kinematics_for
+from agent.robot import kinematics_for
 from fake_controller.controller import PERIOD, Controller
 from fake_controller.faults import Fault
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.motion.pdl2 import parse_program
+from agent.motion import parse_program
 from agent.motion.pdl2.tree import Pos
 from agent.robot import load_robot
 from fake_controller.interpolation import build_interpolator

@@ -7,8 +7,8 @@ import pinocchio
 import pytest
 from hypothesis import Phase, given, settings, strategies as st
 
-from agent.motion import FlyInterpolator
-from agent.motion.pdl2 import parse_program, pos_to_pose, pose_to_pos, write_program
+from agent.motion import FlyInterpolator, parse_program, pose_to_pos, write_program
+from agent.motion.pdl2.frames import pos_to_pose
 from agent.motion.pdl2.variables import SYSTEM_VARIABLES
 from agent.motion.program import (
     NO_FRAME,
@@ -21,8 +21,7 @@ from agent.motion.program import (
     MoveType,
     Termination,
 )
-from agent.robot import load_robot
-from agent.robot.kinematics import kinematics_for
+from agent.robot import kinematics_for, load_robot
 from fake_controller.execution import Planner
 from fake_controller.frames import Transform, tool_point
 from fake_controller.interpolation import PARAMETERS

@@ -23,8 +23,7 @@ from agent.motion.program import (
     Termination,
 )
 from agent.motion.regions import pose_of
-from agent.robot import RobotDescription, load_robot
-from agent.robot.kinematics import Kinematics, kinematics_for
+from agent.robot import Kinematics, RobotDescription, kinematics_for, load_robot
 
 CENTRE = np.array([1.0, 0.0, 0.8])
 SIZE = np.array([0.5, 0.6, 0.4])

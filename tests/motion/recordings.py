@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from agent.motion import parse_program, write_loop_program
 from agent.motion.interpolator import Interpolator
-from agent.motion.pdl2 import parse_program, write_loop_program
 from agent.motion.program import (
     NO_FRAME,
     CartesianTarget,
@@ -18,8 +18,7 @@ from agent.motion.program import (
     Move,
 )
 from agent.recording import LogWriter
-from agent.robot import RobotDescription
-from agent.robot.kinematics import kinematics_for
+from agent.robot import RobotDescription, kinematics_for
 from drivers.protocol import SampleBlock
 
 START = np.radians([0.0, 20.0, -90.0, 0.0, 60.0, 0.0])

@@ -70,7 +70,7 @@ def check_limits(fly: FlyInterpolator, trajectory: Trajectory, start: np.ndarray
 
 def check_tcp(fly: FlyInterpolator, trajectory: Trajectory, program: list) -> None:
     """Poses are those of the joints, and keep the Cartesian limits in Cartesian moves."""
-    from agent.robot.kinematics import kinematics_for
+    from agent.robot import kinematics_for
 
     tcp = trajectory.tcp
     assert np.max(np.abs(kinematics_for(fly.robot).forward(trajectory.q) - tcp)) < 1e-5
@@ -90,7 +90,7 @@ def check_tcp(fly: FlyInterpolator, trajectory: Trajectory, program: list) -> No
 
 def check_corners(fly: FlyInterpolator, trajectory: Trajectory, program: list, start: np.ndarray) -> None:
     """FLY_TOL, lines alone: within $FLY_DIST of the points and of the lines, and through every line's middle."""
-    from agent.robot.kinematics import kinematics_for
+    from agent.robot import kinematics_for
 
     first = kinematics_for(fly.robot).forward(start[None])[0]
     points = np.array([first[:3, 3]] + [move.target.pose[:3, 3] for move in program])
@@ -107,7 +107,7 @@ def check_corners(fly: FlyInterpolator, trajectory: Trajectory, program: list, s
 
 def check_flight(fly: FlyInterpolator, trajectory: Trajectory, program: list, start: np.ndarray) -> None:
     """FLY_CART over lines: never at rest between the ends but where the path turns back, never on another branch."""
-    from agent.robot.kinematics import kinematics_for
+    from agent.robot import kinematics_for
 
     kinematics = kinematics_for(fly.robot)
     points = np.array([kinematics.forward(start[None])[0, :3, 3]] + [m.target.pose[:3, 3] for m in program])

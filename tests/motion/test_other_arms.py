@@ -8,8 +8,7 @@ import pytest
 from agent.core.errors import InputError
 from agent.motion import FlyInterpolator
 from agent.motion.program import CartesianTarget, JointTarget, MotionSettings, Move, MoveType, OrientationType
-from agent.robot import Joint, RobotDescription
-from agent.robot.kinematics import kinematics_for
+from agent.robot import Joint, RobotDescription, kinematics_for
 
 #: Kind, origin and axis of each joint; and a second posture to go to from the first.
 ARMS = {

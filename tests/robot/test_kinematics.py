@@ -13,7 +13,7 @@ from hypothesis import given, settings, strategies as st
 from agent.core.errors import InputError
 from agent.robot import KinematicsError, RobotDescription, kinematics_for, load_robot
 from agent.robot.dynamics import Dynamics, Tool
-from agent.robot.kinematics import SINGULAR_DISTANCE, pose_error
+from agent.robot.kinematics.base import SINGULAR_DISTANCE, pose_error
 from agent.robot.kinematics.configuration import Configuration, parse_configuration
 from agent.robot.kinematics.numerical import NumericalKinematics
 from agent.robot.kinematics.spherical_wrist import SphericalWristKinematics

@@ -93,8 +93,7 @@ def test_the_list_of_checked_programs(tmp_path: Path):
 
 
 def test_the_slow_version_is_one_turn_at_no_more_than_the_first_speed(bench):
-    from agent.motion import FlyInterpolator
-    from agent.motion.pdl2 import parse_program, write_program
+    from agent.motion import FlyInterpolator, parse_program, write_program
 
     settings = MotionSettings().changed(linear_speed=1.0)
     targets = [JointTarget(HOME + np.radians([angle, 0, 0, 0, 0, 0])) for angle in (20.0, -20.0)]
@@ -111,8 +110,7 @@ def test_the_slow_version_is_one_turn_at_no_more_than_the_first_speed(bench):
 
 
 def test_every_way_is_gone_slowly_also_from_the_same_place(bench):
-    from agent.motion import FlyInterpolator
-    from agent.motion.pdl2 import write_program
+    from agent.motion import FlyInterpolator, write_program
 
     goals = [HOME + np.radians([angle, 0, 0, 0, 0, 0]) for angle in (5.0, 0.0, -5.0, 0.0)]
     moves = [Move(MoveType.JOINT, JointTarget(goal), MotionSettings()) for goal in goals]
@@ -123,7 +121,7 @@ def test_every_way_is_gone_slowly_also_from_the_same_place(bench):
 
 
 def test_a_speed_that_is_no_number_is_not_slow(bench, program):
-    from agent.motion.pdl2 import write_program
+    from agent.motion import write_program
 
     class Blind:
         def plan(self, moves, start):

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.motion.fly.profile import ArmLimits, PathShape
+from agent.motion.fly.profile import ArmLimits, PathShape, allowed_speed
 from agent.motion.fly.setpoints import Run, SetPoints, refuse_crawling, refuse_long, sampled, stretch_needed
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.path import rules
@@ -121,7 +121,7 @@ class _Blocks:
         """Of a path, by the limits at its knots."""
         borders = path.borders
         corner = path.block[borders[1:]] % 2 == 1
-        asked, ramp = _asked(path, shape, limits), _ramp(path, shape, limits)
+        asked, ramp = allowed_speed(path, shape, limits), _ramp(path, shape, limits)
         in_cells = _bent_joints(path, shape, limits)
         share = parameters.curve_share / parameters.acceleration
         speed, up, down = np.empty((3, len(corner)))
@@ -236,16 +236,6 @@ def _ramp_phases(
     even = [((flat, peak, 0.0), start + 0.5 * peak * rise)] if flat > 0.0 else []
     late = [((rise, peak, -bent), end - 0.5 * peak * rise)] if rise > 0.0 else []
     return [*early, *even, *late]
-
-
-def _asked(path: Path, shape: PathShape, limits: ArmLimits) -> np.ndarray:
-    """(K,) speed that program and speed limits allow at each knot."""
-    rule, tcp = path.rules, limits.cartesian
-    linear = np.minimum(rule[:, rules.LINEAR], tcp.linear_speed * rule[:, rules.CARTESIAN])
-    turning = np.minimum(rule[:, rules.ROTATIONAL], tcp.rotational_speed * rule[:, rules.CARTESIAN])
-    joint = np.min(limits.speed[:, None] / np.maximum(np.abs(shape.q1), _SMALL), axis=0) * rule[:, rules.JOINT]
-    tool = np.minimum(linear / np.maximum(shape.travel, _SMALL), turning / np.maximum(shape.turn, _SMALL))
-    return np.minimum(tool, joint)
 
 
 def _bent_joints(path: Path, shape: PathShape, limits: ArmLimits) -> np.ndarray:

@@ -14,6 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from agent.core import spline_slopes
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.path import rotation, rules
 from agent.motion.path.geometry import Path
@@ -136,21 +137,10 @@ def _piece(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
 def not_a_knot(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """(4, m, K - 1) coefficients, highest power first, of the cubic splines through rows (m, K) at K > 3 knots x (K,).
 
-    Their third derivatives do not jump at the second knot nor at the last but one (de Boor, A practical guide to
-    splines, chapter IV); SciPy's CubicSpline by itself, without its checks.
+    Their third derivatives do not jump at the second knot nor at the last but one.
     """
-    from scipy.linalg.lapack import dgtsv  # heavy to import, needed only once something is planned
-
-    h = np.diff(x)
+    h, slope = np.diff(x), spline_slopes(x, rows)
     chord = np.diff(rows, axis=1) / h
-    above, below = np.concatenate(([x[2] - x[0]], h[:-1])), np.concatenate((h[1:], [x[-1] - x[-3]]))
-    diagonal = np.concatenate(([h[1]], 2.0 * (h[:-1] + h[1:]), [h[-2]]))
-    right = np.empty_like(rows)
-    right[:, 1:-1] = 3.0 * (h[1:] * chord[:, :-1] + h[:-1] * chord[:, 1:])
-    for end, one, two, wide in ((0, 0, 1, x[2] - x[0]), (-1, -1, -2, x[-1] - x[-3])):
-        outer, inner = chord[:, one], chord[:, two]
-        right[:, end] = ((h[one] + 2.0 * wide) * h[two] * outer + h[one] ** 2 * inner) / wide
-    slope = dgtsv(below, diagonal, above, right.T, overwrite_b=True)[3].T
     coefficients = np.empty((4, len(rows), len(h)))
     bent = (slope[:, :-1] + slope[:, 1:] - 2.0 * chord) / h
     np.divide(bent, h, out=coefficients[0])
@@ -165,15 +155,21 @@ def _along_and_across(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray
     return size, np.sqrt(np.maximum(np.einsum("ki,ki->k", second, second) - along**2, 0.0))
 
 
+def allowed_speed(path: Path, shape: PathShape, limits: ArmLimits) -> np.ndarray:
+    """(K,) speed that program and speed limits allow at each knot."""
+    rule, tcp = path.rules, limits.cartesian
+    linear = np.minimum(rule[:, rules.LINEAR], tcp.linear_speed * rule[:, rules.CARTESIAN])
+    turning = np.minimum(rule[:, rules.ROTATIONAL], tcp.rotational_speed * rule[:, rules.CARTESIAN])
+    joint = np.min(limits.speed[:, None] / np.maximum(np.abs(shape.q1), 1e-12), axis=0) * rule[:, rules.JOINT]
+    tool = np.minimum(linear / np.maximum(shape.travel, 1e-12), turning / np.maximum(shape.turn, 1e-12))
+    return np.minimum(tool, joint)
+
+
 def speed_ceiling(path: Path, shape: PathShape, limits: ArmLimits, parameters: FlyParameters) -> np.ndarray:
     """(K,) largest z = ṡ² that each knot allows by itself [1/s² times the square of s's unit]."""
     rule = path.rules
     with np.errstate(divide="ignore"):
-        linear = np.minimum(rule[:, rules.LINEAR], limits.cartesian.linear_speed * rule[:, rules.CARTESIAN])
-        rotational = np.minimum(rule[:, rules.ROTATIONAL], limits.cartesian.rotational_speed * rule[:, rules.CARTESIAN])
-        speed = np.minimum(linear / np.maximum(shape.travel, 1e-12), rotational / np.maximum(shape.turn, 1e-12))
-        joint = np.min(limits.speed[:, None] / np.maximum(np.abs(shape.q1), 1e-12), axis=0)
-        speed = np.minimum(speed, joint * rule[:, rules.JOINT]) * path.overlap
+        speed = allowed_speed(path, shape, limits) * path.overlap
         jerk = np.min(parameters.curve_share * limits.jerk[:, None] / np.maximum(np.abs(shape.q3), 1e-12), axis=0)
         ceiling = np.minimum(speed**2, jerk ** (2.0 / 3.0))
         bend = np.min(limits.acceleration[:, None] / np.maximum(np.abs(shape.q2), 1e-12), axis=0)

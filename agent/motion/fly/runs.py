@@ -15,7 +15,7 @@ from agent.motion.fly_parameters import FlyParameters
 from agent.motion.interpolator import MotionError
 from agent.motion.path.blend import Corner, corner_between
 from agent.motion.path.geometry import Path, build_path
-from agent.motion.path.segments import CartesianSegment, JointSegment, Segment
+from agent.motion.path.segments import CartesianSegment, JointSegment, Segment, label_of
 from agent.robot import Configuration, RobotDescription, parse_configuration
 
 #: A path is built anew at most so often: with smaller joint-space blends, or with more knots, up to so many times.
@@ -97,7 +97,7 @@ class RunPlanner:
         if roughness > _ROUGHEST:
             move = int(path.move[shape.roughest(path)])
             raise MotionError(
-                f"{_label(segments, move)}: joints turn too fast along the path: it all but touches a singularity; "
+                f"{label_of(segments, move)}: joints turn too fast along the path: it all but touches a singularity; "
                 "move the point or turn the tool",
                 move,
                 "singularity",
@@ -113,7 +113,7 @@ class RunPlanner:
         if amount <= _SLACK:
             return
         move, name = int(path.move[knot]), self.robot.joint_names[joint]
-        label = _label(segments, move)
+        label = label_of(segments, move)
         shown = f"{1e3 * amount:.3g} mm" if self.robot.joints[joint].prismatic else f"{np.degrees(amount):.3g} degrees"
         raise MotionError(
             f"{label}: {name} would go {shown} beyond its limit; move the point or choose another configuration",
@@ -155,10 +155,6 @@ def _check_configuration(segment: Segment, wanted: Configuration, found: Configu
             "configuration",
             1.0,
         )
-
-
-def _label(segments: Sequence[Segment], move: int) -> str:
-    return next((segment.label for segment in segments if segment.move == move), segments[0].label)
 
 
 def _parts(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.core import InputError
-from agent.motion.frames import tool_frame
+from agent.motion.frames import pose_in_robot_base, tool_frame
 from agent.motion.interpolator import MotionError
 from agent.motion.path import rotation
 from agent.motion.path.segments import (
@@ -31,6 +31,7 @@ from agent.motion.program import (
     MoveType,
     OrientationType,
     Target,
+    matrix_of,
 )
 from agent.robot import Kinematics, KinematicsError, RobotDescription, kinematics_for
 
@@ -109,7 +110,7 @@ class SegmentMaker:
         if style is OrientationType.WRIST_JNT:
             return self._wrist(index, label, move, kinematics, curve, _end_joints(pending, rest), end, end_turn)
         if style is OrientationType.EUL_WORLD:
-            turn: Any = euler_angles(start_turn, end_turn, rotation.from_matrix(_matrix(move.settings.base)[:3, :3]))
+            turn: Any = euler_angles(start_turn, end_turn, rotation.from_matrix(matrix_of(move.settings.base)[:3, :3]))
         else:
             along = isinstance(curve, Arc) and style is OrientationType.RS_TRAJ
             turn = single_axis(start_turn, end_turn, curve if along else None)
@@ -198,17 +199,16 @@ class SegmentMaker:
             turn = given[:3, :3]
             if np.max(np.abs(turn @ turn.T - np.eye(3))) > 1e-6 or np.linalg.det(turn) < 0:
                 raise InputError(f"{label}: the target's orientation is not a rotation")
-            pose = given
-            if settings.base is not None or settings.uframe is not None:
-                pose = np.linalg.solve(_matrix(settings.base), _matrix(settings.uframe) @ given)
+            pose = pose_in_robot_base(target, settings)
         return pose[:3, 3].copy(), rotation.from_matrix(pose[:3, :3])
 
     def _with_tool(self, settings: MotionSettings) -> Kinematics:
-        key = None if settings.tool is None else _key(np.array(settings.tool, dtype=float))
+        frame = matrix_of(settings.tool)
+        key = None if settings.tool is None else _key(frame)
         if key not in self._of_tool:
             from agent.robot import Tool  # loads Pinocchio
 
-            self._of_tool[key] = kinematics_for(self.robot, Tool(frame=np.array(settings.tool, dtype=float)))
+            self._of_tool[key] = kinematics_for(self.robot, Tool(frame=frame))
         return self._of_tool[key]
 
 
@@ -273,7 +273,3 @@ def _check(settings: MotionSettings, label: str) -> None:
 def _key(frame: np.ndarray) -> tuple[float, ...]:
     """A frame but for the digits that are lost between millimetres and metres."""
     return tuple((np.asarray(frame, dtype=float).round(10) + 0.0).ravel())
-
-
-def _matrix(frame: tuple[tuple[float, ...], ...] | None) -> np.ndarray:
-    return np.eye(4) if frame is None else np.array(frame, dtype=float)

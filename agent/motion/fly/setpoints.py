@@ -19,7 +19,7 @@ from agent.motion.fly_parameters import FlyParameters
 from agent.motion.interpolator import MotionError
 from agent.motion.path import rules
 from agent.motion.path.geometry import Path
-from agent.motion.path.segments import Segment
+from agent.motion.path.segments import Segment, label_of
 
 _REPAIRS, _STRETCHES = 7, 6
 #: Repairs look at every so many samples, until those are right; then at all of them.
@@ -150,8 +150,8 @@ def refuse_crawling(
     move = int(path.move[knot])
     x, y, z = 1e3 * path.position[knot]
     raise MotionError(
-        f"{_label(segments, move)}: joint {joint + 1} would have to turn {turns[joint, knot]:.0f} times faster than it "
-        f"can at x {x:.0f}, y {y:.0f}, z {z:.0f} mm: the path passes a singularity; move the point or turn the tool",
+        f"{label_of(segments, move)}: joint {joint + 1} would have to turn {turns[joint, knot]:.0f} times faster than "
+        f"it can at x {x:.0f}, y {y:.0f}, z {z:.0f} mm: the path passes a singularity; move the point or turn the tool",
         move,
         "singularity",
         float(np.log10(slowdown)),
@@ -165,16 +165,12 @@ def refuse_long(path: Path, law: PathTiming, segments: Sequence[Segment], parame
     slowest = int(np.argmax(np.diff(law.t, append=law.duration)))
     move = int(path.move[np.searchsorted(path.s[:-1], path.s[0] + law.s[slowest])])
     raise MotionError(
-        f"{_label(segments, move)}: the motion would take {law.duration:.3g} s, and {parameters.longest:g} s are "
+        f"{label_of(segments, move)}: the motion would take {law.duration:.3g} s, and {parameters.longest:g} s are "
         "allowed; raise the speed or the overrides",
         move,
         "duration",
         float(np.log10(law.duration / parameters.longest)),
     )
-
-
-def _label(segments: Sequence[Segment], move: int) -> str:
-    return next((segment.label for segment in segments if segment.move == move), segments[0].label)
 
 
 def sampled(path: Path, shape: PathShape, law: PathTiming, period: float) -> SetPoints:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -254,3 +255,8 @@ def _turning(length: float, angle: float) -> float:
 
 
 Segment = CartesianSegment | WristSegment | JointSegment
+
+
+def label_of(segments: Sequence[Segment], move: int) -> str:
+    """How messages name a statement, by its index."""
+    return next((segment.label for segment in segments if segment.move == move), segments[0].label)

@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.motion.interpolator import MotionError
 from agent.motion.path import rotation
-from agent.motion.path.segments import Arc, Line, Segment, WristSegment
+from agent.motion.path.segments import Arc, Line, Segment, WristSegment, label_of
 from agent.motion.program import MotionSettings
 from agent.robot import Kinematics, KinematicsError
 
@@ -46,8 +46,7 @@ def solve_cartesian(
         return kinematics.follow(rotation.to_pose(position, orientation), start, near)
     except KinematicsError as error:
         culprit = int(move[min(error.index, len(move) - 1)])
-        label = next((segment.label for segment in segments if segment.move == culprit), segments[0].label)
-        raise motion_error(error, culprit, label) from None
+        raise motion_error(error, culprit, label_of(segments, culprit)) from None
 
 
 def wrist_segment(

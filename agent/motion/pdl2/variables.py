@@ -19,6 +19,8 @@ from agent.motion.program import (
     OrientationType,
     SpeedOption,
     Termination,
+    frame_of,
+    matrix_of,
 )
 
 Value = bool | int | float | str | Constant | Pos
@@ -66,8 +68,7 @@ class SystemVariable:
             return Constant(MoveType.JOINT.name)  # the controller's own default
         value = getattr(settings, self.field)
         if self.kind == "POS":
-            pose = np.eye(4) if value is None else np.array(value)
-            return Pos(tuple(float(x) for x in pose_to_pos(pose)), "")
+            return Pos(tuple(pose_to_pos(matrix_of(value)).tolist()), "")
         if isinstance(value, Enum):
             return Constant(value.name)
         if isinstance(value, bool):
@@ -81,7 +82,7 @@ class SystemVariable:
         if isinstance(value, Constant):
             return self.choices[value.name] if self.choices else value.name
         if isinstance(value, Pos):
-            return tuple(tuple(float(x) for x in row) for row in pos_to_pose(np.array(value.fields)))
+            return frame_of(pos_to_pose(np.array(value.fields)))
         return value if isinstance(value, bool) else float(value) / self.scale
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.core import InputError
+from agent.motion.frames import FRAMES
 from agent.motion.pdl2.frames import pose_to_pos
 from agent.motion.pdl2.reader import parse_program
 from agent.motion.pdl2.tree import Constant, Pos
@@ -40,33 +41,12 @@ _FLY_STATEMENT = (
     "$TERM_TYPE",
     "$TOL_COARSE",
 )
-#: Set before the first move, so that nothing is left to what ran on the controller before.
-_ALWAYS_SET = (
-    "$FLY_TYPE",
-    "$FLY_TRAJ",
-    "$FLY_DIST",
-    "$FLY_PER",
-    "$STRESS_PER",
-    "$SPD_OPT",
-    "$LIN_SPD",
-    "$ROT_SPD",
-    "$ORNT_TYPE",
-    "$TERM_TYPE",
-    "$TOL_FINE",
-    "$TOL_COARSE",
-    "$CNFG_CARE",
-    "$TURN_CARE",
-    "$SING_CARE",
-    "$JNT_MTURN",
-    "$PROG_SPD_OVR",
-    "$PROG_ACC_OVR",
-    "$PROG_DEC_OVR",
-)
 #: As published programs spell the arm's own overrides. Those but the first are multiplied with the program's.
 _ARM_DATA = "$ARM_DATA[1]."
-_MULTIPLIED = ("ARM_SPD_OVR", "ARM_ACC_OVR", "ARM_DEC_OVR")
-#: Of these a move need not say anything; then neither does the text.
-_FRAMES = ("$BASE", "$TOOL", "$UFRAME")
+_MULTIPLIED = ("$ARM_SPD_OVR", "$ARM_ACC_OVR", "$ARM_DEC_OVR")
+#: All are set before the first move, so that nothing is left to what ran on the controller before; but of the frames a
+#: move need not say anything, and then neither does the text. $ARM_OVR is the last.
+_STATED = (*FRAMES, *(name for name in SYSTEM_VARIABLES if name not in {"$MOVE_TYPE", *FRAMES, *_MULTIPLIED}))
 _PROGRAM_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}", re.ASCII)
 _WIDTH = 110
 
@@ -139,9 +119,8 @@ class _Writer:
         moves = [statement for statement in statements if isinstance(statement, Move)]
         self.globals = globals_of or (moves[0].settings if moves else MotionSettings())
         used = [move.settings for move in moves]
-        self.variables = [SYSTEM_VARIABLES[name] for name in (*_FRAMES, *_ALWAYS_SET, "$ARM_OVR")]
-        for name in _FRAMES:
-            field = str(SYSTEM_VARIABLES[name].field)
+        self.variables = [SYSTEM_VARIABLES[name] for name in _STATED]
+        for field in FRAMES.values():
             if any(getattr(settings, field) is None for settings in used):  # the others say it themselves
                 self.globals = self.globals.changed(**{field: None})
 
@@ -198,7 +177,7 @@ class _Writer:
         said = [variable for variable in self.variables if getattr(self.globals, str(variable.field)) is not None]
         start += [f"  {variable.name} := {_value(variable, self.globals)}" for variable in said]
         start[-1] = start[-1].replace("$", _ARM_DATA)
-        start += [f"  {_ARM_DATA}{override} := 100" for override in _MULTIPLIED]
+        start += [f"  {override.replace('$', _ARM_DATA)} := 100" for override in _MULTIPLIED]
         text = "\n".join([f"PROGRAM {name} HOLD, PROG_ARM=1", *declared, "BEGIN", *start, *lines, f"END {name}", ""])
         parse_program(text, "the program to be written", self.robot)
         return text

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.motion.pdl2 import Pdl2Error, parse_program
+from agent.motion import Pdl2Error, parse_program
 from agent.motion.program import (
     NO_FRAME,
     CartesianTarget,

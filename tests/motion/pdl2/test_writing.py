@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
-from agent.motion.pdl2 import parse_program, pos_to_pose, write_loop_program, write_program
+from agent.motion import parse_program, write_loop_program, write_program
+from agent.motion.pdl2.frames import pos_to_pose
 from agent.motion.program import (
     NO_FRAME,
     CartesianTarget,
