@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +14,6 @@ from agent.core import InputError, load_document
 from agent.motion.fly_parameters import FlyParameters
 from agent.robot import RobotDescription
 
-SCHEMA = "interpolator/1"
 #: File name endings that tell a learned interpolator from the name of an installed one.
 SUFFIXES = (".yaml", ".yml")
 
@@ -39,32 +37,27 @@ class _Parameters(BaseModel):
     norm_acceleration: float = Field(gt=0, le=100)
 
 
-class _Document(BaseModel):
+class LearnedLaw(BaseModel):
+    """The content of a law's file: its parameters, and what is known of how they came about.
+
+    `settling_s` [s] by `$TERM_TYPE`, what a stop takes beyond its set-points. `figures`: path error [mm] and time error
+    [%], `before` and `after`. `logs`: name and SHA-256 of each.
+    """
+
     model_config = ConfigDict(extra="forbid")
 
     schema_: Literal["interpolator/1"] = Field(alias="schema")
     robot: str
     robot_digest: str
-    parameters: _Parameters
+    learned: _Parameters = Field(alias="parameters")
     settling_s: dict[str, float] = {}
     figures: dict[str, dict[str, float]] = {}
     logs: list[dict[str, str]] = []
 
-
-@dataclass(frozen=True)
-class LearnedLaw:
-    """Parameters, and what is known of how they came about.
-
-    `settling` [s] by `$TERM_TYPE`, what a stop takes beyond its set-points. `figures`: path error [mm] and time error
-    [%], `before` and `after`. `logs`: name and SHA-256 of each.
-    """
-
-    robot: str
-    robot_digest: str
-    parameters: FlyParameters
-    settling: dict[str, float]
-    figures: dict[str, dict[str, float]]
-    logs: tuple[Mapping[str, str], ...]
+    @property
+    def parameters(self) -> FlyParameters:
+        """As the interpolator takes them."""
+        return FlyParameters(**self.learned.model_dump())
 
     def text(self) -> str:
         """The file's content."""
@@ -72,19 +65,10 @@ class LearnedLaw:
 
         from ruamel.yaml import YAML
 
-        data = {
-            "schema": SCHEMA,
-            "robot": self.robot,
-            "robot_digest": self.robot_digest,
-            "parameters": {key: getattr(self.parameters, key) for key in _Parameters.model_fields},
-            "settling_s": self.settling,
-            "figures": self.figures,
-            "logs": [dict(log) for log in self.logs],
-        }
         out = io.StringIO()
         yaml = YAML()
         yaml.default_flow_style = False
-        yaml.dump(data, out)
+        yaml.dump(self.model_dump(by_alias=True), out)
         return f"# Written by agent learn-interpolator, for search.interpolator of a recipe.\n{out.getvalue()}"
 
 
@@ -94,21 +78,14 @@ def load_law(path: Path, robot: RobotDescription) -> LearnedLaw:
     Raises:
         InputError: no such file, another schema, values out of range, another robot, or other limits of it.
     """
-    document = load_document(path, _Document)
+    document = load_document(path, LearnedLaw)
     if document.robot != robot.name:
         raise InputError(f"{path}: was learned from {document.robot}, and the robot is {robot.name}; learn it anew")
     if document.robot_digest != robot_digest(robot):
         raise InputError(
             f"{path}: was learned with other limits of {robot.name} than its robot.yaml has now; learn it anew"
         )
-    return LearnedLaw(
-        document.robot,
-        document.robot_digest,
-        FlyParameters(**document.parameters.model_dump()),
-        document.settling_s,
-        document.figures,
-        tuple(document.logs),
-    )
+    return document
 
 
 def is_file_name(interpolator: str) -> bool:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -50,9 +49,9 @@ class Errors:
 class Learner:
     """Compares laws with stretches of one robot; `period` [s] of its set-points."""
 
-    def __init__(self, robot: RobotDescription, stretches: Sequence[RecordedMove], period: float, tool: Any = None):
-        self._interpolator = FlyInterpolator(robot, tool, period)
-        self._forward = kinematics_for(robot, tool).forward
+    def __init__(self, robot: RobotDescription, stretches: Sequence[RecordedMove], period: float):
+        self._interpolator = FlyInterpolator(robot, period=period)
+        self._forward = kinematics_for(robot).forward
         self._all = [(stretch, _Way.of(stretch.t, stretch.q)) for stretch in stretches]
         # Where something flies, a lone move from stop to stop teaches nothing more, and is judged all the same.
         self._taught = [one for one in self._all if any(move.fly for move in one[0].moves)] or self._all

@@ -14,6 +14,7 @@ LIBRARY = "CALIBRATION_ORL_LIBRARY"
 CONTROLLER = "CALIBRATION_ORL_CONTROLLER"
 ARM = "CALIBRATION_ORL_ARM"
 
+OK = 0
 #: What a step answers; anything else below zero is an error. NEED_DATA: on the way, and the next move may be announced.
 MOVING, NEED_DATA, FINAL, IDLE = 0, 1, 2, -42
 #: One move is active and one more is scheduled; a third has to wait for NEED_DATA.
@@ -44,6 +45,12 @@ class Calls(Protocol):
     def announce(self, told: Told, first: bool) -> None: ...
     def step(self, count: int) -> tuple[int, list[float]]: ...
     def cancel(self) -> None: ...
+
+
+def check_status(call: str, status: int) -> None:
+    """Raises CallRefused where a call answers anything but OK."""
+    if status != OK:
+        raise CallRefused(f"{call}: status {status}")
 
 
 def configuration_flags(target: CartesianTarget) -> bytes:

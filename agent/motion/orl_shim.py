@@ -3,55 +3,27 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from enum import Enum
 
-from agent.motion.orl_calls import MOST_JOINTS, CallRefused, Told, configuration_flags
-from agent.motion.program import (
-    CartesianTarget,
-    FlyTrajectory,
-    FlyType,
-    JointTarget,
-    Move,
-    MoveType,
-    OrientationType,
-    SpeedOption,
-    Termination,
-)
+from agent.motion.orl_calls import MOST_JOINTS, Told, check_status, configuration_flags
+from agent.motion.program import CartesianTarget, JointTarget
 
-# Constants number from 0 in the order of our enumerations.
-_ORDERS: tuple[tuple[str, Callable[[Move], object], type], ...] = (
-    ("movement", lambda move: move.type, MoveType),
-    ("fly_type", lambda move: move.settings.fly_type, FlyType),
-    ("fly_trajectory", lambda move: move.settings.fly_trajectory, FlyTrajectory),
-    ("speed_option", lambda move: move.settings.speed_option, SpeedOption),
-    ("orientation", lambda move: move.settings.orientation, OrientationType),
-    ("termination", lambda move: move.settings.termination, Termination),
-)
+#: Settings by their own names: words number from 0 in the order of our enumerations, overrides are in percent.
+_WORDS = ("fly_type", "fly_trajectory", "speed_option", "orientation", "termination")
+_NUMBERS = ("fly_percent", "stress_percent", "linear_speed", "rotational_speed")
+_OVERRIDES = ("speed_override", "acceleration_override", "deceleration_override", "arm_override")
+_POINTS, _FRAMES = ("start", "target", "via"), ("base", "tool", "uframe")
 
 
 class ShimMove(ctypes.Structure):
     """`calibration_move` of docs/orl_shim.h."""
 
     _fields_ = (
-        *[(name, ctypes.c_int) for name in ("size", "joints", "first", "fly")],
-        *[(name, ctypes.c_int) for name, _, _ in _ORDERS],
+        *[(name, ctypes.c_int) for name in ("size", "joints", "first", "fly", "movement", *_WORDS)],
         *[(name, ctypes.c_int) for name in ("target_is_joints", "via_is_joints")],
-        *[
-            (name, ctypes.c_double)
-            for name in (
-                "fly_distance",
-                "fly_percent",
-                "stress_percent",
-                "linear_speed",
-                "rotational_speed",
-                "speed_override",
-                "acceleration_override",
-                "deceleration_override",
-                "arm_override",
-            )
-        ],
-        *[(name, ctypes.c_double * MOST_JOINTS) for name in ("start", "target", "via")],
-        *[(name, ctypes.c_double * 6) for name in ("base", "tool", "uframe")],
+        *[(name, ctypes.c_double) for name in ("fly_distance", *_NUMBERS, *_OVERRIDES)],
+        *[(name, ctypes.c_double * MOST_JOINTS) for name in _POINTS],
+        *[(name, ctypes.c_double * 6) for name in _FRAMES],
         ("configuration", ctypes.c_char * 80),
     )
 
@@ -67,7 +39,7 @@ class ShimCalls:
         library.calibration_interpolator_cancel.argtypes = []
 
     def set_period(self, milliseconds: float) -> None:
-        self._check("calibration_interpolator_period", self._library.calibration_interpolator_period(milliseconds))
+        check_status("calibration_interpolator_period", self._library.calibration_interpolator_period(milliseconds))
 
     def announce(self, told: Told, first: bool) -> None:
         move, settings = told.move, told.move.settings
@@ -76,24 +48,19 @@ class ShimCalls:
             joints=len(told.start),
             first=first,
             fly=move.fly,
-            **{name: list(kind).index(get(move)) for name, get, kind in _ORDERS},  # type: ignore[call-overload]
+            movement=_number(move.type),
+            **{name: _number(getattr(settings, name)) for name in _WORDS},
             target_is_joints=isinstance(move.target, JointTarget),
             via_is_joints=isinstance(move.via, JointTarget),
             fly_distance=1e3 * settings.fly_distance,
-            fly_percent=settings.fly_percent,
-            stress_percent=settings.stress_percent,
-            linear_speed=settings.linear_speed,
-            rotational_speed=settings.rotational_speed,
-            speed_override=100.0 * settings.speed_override,
-            acceleration_override=100.0 * settings.acceleration_override,
-            deceleration_override=100.0 * settings.deceleration_override,
-            arm_override=100.0 * settings.arm_override,
-            **{name: getattr(told, name) for name in ("start", "target", "via", "base", "tool", "uframe")},
+            **{name: getattr(settings, name) for name in _NUMBERS},
+            **{name: 100.0 * getattr(settings, name) for name in _OVERRIDES},
+            **{name: getattr(told, name) for name in (*_POINTS, *_FRAMES)},
         )
         if isinstance(move.target, CartesianTarget):
             data.configuration = configuration_flags(move.target)
         status = self._library.calibration_interpolator_move(ctypes.byref(data))
-        self._check("calibration_interpolator_move", status)
+        check_status("calibration_interpolator_move", status)
 
     def step(self, count: int) -> tuple[int, list[float]]:
         joints = (ctypes.c_double * MOST_JOINTS)()
@@ -102,7 +69,6 @@ class ShimCalls:
     def cancel(self) -> None:
         self._library.calibration_interpolator_cancel()
 
-    @staticmethod
-    def _check(name: str, status: int) -> None:
-        if status != 0:
-            raise CallRefused(f"{name}: status {status}")
+
+def _number(word: Enum) -> int:
+    return list(type(word)).index(word)

@@ -13,7 +13,7 @@ from functools import cache
 from typing import Any
 
 from agent.core import InputError
-from agent.motion.orl_calls import ARM, CONTROLLER, MOST_JOINTS, CallRefused, Told, configuration_flags
+from agent.motion.orl_calls import ARM, CONTROLLER, MOST_JOINTS, OK, Told, check_status, configuration_flags
 from agent.motion.program import (
     CartesianTarget,
     FlyTrajectory,
@@ -25,7 +25,7 @@ from agent.motion.program import (
     Termination,
 )
 
-_OK, _SILENT, _FIRST_CONTROLLER = 0, 0, 0
+_SILENT, _FIRST_CONTROLLER = 0, 0
 _LINK_DEGREE, _CARTESIAN = 3, 50
 _INTEGER, _REAL = 1, 3
 _FLY_PERCENT, _FLY_DISTANCE = 7, 8
@@ -124,7 +124,7 @@ def vendor_calls(path: str, controller: str, arm: str) -> VendorCalls:
     folder, name = os.path.split(os.path.abspath(controller))
     folder = os.path.join(folder, "")  # the separator at the end, as public programs give it
     status = library.ORL_initialize_controller(os.fsencode(name), os.fsencode(folder), _SILENT, _FIRST_CONTROLLER)
-    if status != _OK:
+    if status != OK:
         raise InputError(f"ORL_initialize_controller refuses {controller}: status {status}")
     atexit.register(library.ORL_terminate_controller, _SILENT, _FIRST_CONTROLLER)
     return VendorCalls(library, int(arm))
@@ -181,9 +181,7 @@ class VendorCalls:
         self._library.ORL_cancel_motion(*self._place)
 
     def _call(self, name: str, *arguments: object) -> None:
-        status = getattr(self._library, name)(*arguments, *self._place)
-        if status != _OK:
-            raise CallRefused(f"{name}: status {status}")
+        check_status(name, getattr(self._library, name)(*arguments, *self._place))
 
     def _percent(self, name: str, fraction: float) -> None:
         self._set(name, ctype=_INTEGER, iv=round(100.0 * fraction))
@@ -194,9 +192,7 @@ class VendorCalls:
     def _set(self, name: str, **value: float) -> None:
         full = f"$ARM_DATA[{self._arm}].{name}"
         variable = OrlSystemVariable(sysvar_name=full.encode(), **value)
-        status = self._library.ORL_set_data(variable, _SILENT, _FIRST_CONTROLLER)
-        if status != _OK:
-            raise CallRefused(f"ORL_set_data of {full}: status {status}")
+        check_status(f"ORL_set_data of {full}", self._library.ORL_set_data(variable, _SILENT, _FIRST_CONTROLLER))
 
 
 def _pose(values: tuple[float, ...], flags: bytes = b"") -> CartesianPosition:

@@ -46,7 +46,7 @@ class Learned:
             f"{law.robot}: blends {p.blend}, {ramps}{rise}, {100 * p.acceleration:.1f} % of the acceleration limits",
             f"path error {before['path_mm']:.3f} mm before, {after['path_mm']:.3f} mm after",
             f"time error {before['time_percent']:.3f} % before, {after['time_percent']:.3f} % after",
-            *(f"a stop with {word} takes {1e3 * seconds:.0f} ms to settle" for word, seconds in law.settling.items()),
+            *(f"a stop with {word} takes {1e3 * seconds:.0f} ms to settle" for word, seconds in law.settling_s.items()),
             f"learned from {self.stretches} stretches between stops, and judged on the same; in a recipe: "
             f"search: {{interpolator: {self.path.name}}}",
         ]
@@ -61,7 +61,7 @@ class Learned:
             "robot": self.law.robot,
             "file": str(self.path),
             "parameters": asdict(self.law.parameters),
-            "settling_s": self.law.settling,
+            "settling_s": self.law.settling_s,
             "stretches": self.stretches,
             **self.law.figures,
         }
@@ -99,17 +99,19 @@ def learn_files(robot: str, paths: Sequence[Path], out: Path, console: Console) 
         before, after = learner.errors(FlyParameters()), learner.errors(parameters)
     except MotionError as error:
         raise InputError(f"{logs[0].path}: the program cannot be planned: {error}") from None
-    law = LearnedLaw(
-        description.name,
-        robot_digest(description),
-        parameters,
-        {word: round(float(np.median(seconds)), 4) for word, seconds in sorted(rests.items())},
-        {
+    content = {
+        "schema": "interpolator/1",
+        "robot": description.name,
+        "robot_digest": robot_digest(description),
+        "parameters": parameters,
+        "settling_s": {word: round(float(np.median(seconds)), 4) for word, seconds in sorted(rests.items())},
+        "figures": {
             name: {"path_mm": round(one.path, 4), "time_percent": round(one.time, 4)}
             for name, one in (("before", before), ("after", after))
         },
-        tuple({"log": log.name, "sha256": log.sha256} for log in logs),
-    )
+        "logs": [{"log": log.name, "sha256": log.sha256} for log in logs],
+    }
+    law = LearnedLaw.model_validate(content, from_attributes=True)
     write_atomically(out, law.text())
     return Learned(law, out, len(chosen))
 

@@ -63,8 +63,8 @@ def test_the_file_is_an_interpolator(learned):
     interpolator = create_interpolator(str(path), ROBOT, None, period=0.004)
     assert isinstance(interpolator, FlyInterpolator)
     assert interpolator.parameters == load_law(path, ROBOT).parameters != FlyParameters()
-    assert list(load_law(path, ROBOT).settling) == ["FINE"]
-    assert load_law(path, ROBOT).settling["FINE"] == pytest.approx(0.08, abs=0.01)
+    assert list(load_law(path, ROBOT).settling_s) == ["FINE"]
+    assert load_law(path, ROBOT).settling_s["FINE"] == pytest.approx(0.08, abs=0.01)
 
 
 def test_stops_of_a_few_samples_are_stops(tmp_path):
