@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from agent.blind_check.cases import draw_effect
 from agent.core.errors import AgentError
-from agent.core.on_dask import open_engine
+from agent.core.on_dask import DaskEngine
 from agent.core.parallel import InProcess
 from agent.diagnosis import diagnose
 from agent.estimation import estimate
@@ -194,7 +194,7 @@ def main() -> None:
     ]
     found: dict[int, tuple[str, str]] = {}
     alone = arguments.workers == 1 and arguments.scheduler is None
-    with InProcess() if alone else open_engine(arguments.scheduler, arguments.workers) as engine:
+    with InProcess() if alone else DaskEngine(arguments.scheduler, arguments.workers) as engine:
         for done in engine.map(try_case, cases):
             if done.answer is None:
                 print(done.lost)

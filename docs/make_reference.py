@@ -49,7 +49,7 @@ def _metavar(argument: Any) -> str:
 
 
 def _option(option: Any) -> str:
-    flags = ", ".join(option.opts)
+    flags = " / ".join(", ".join(names) for names in (option.opts, option.secondary_opts) if names)
     value = "" if option.is_flag else f" {option.metavar or option.name.upper()}"
     default = "" if option.is_flag or option.default in (None, ()) else f"`{option.default}`"
     need = "required" if option.required else default

@@ -9,24 +9,7 @@ from typing import Annotated
 
 import typer
 
-from agent.cli import fleet, shop_floor
-from agent.cli.options import (
-    AllowMixed,
-    AsJson,
-    Budget,
-    Cutoff,
-    Force,
-    Logs,
-    NextRecipe,
-    Quiet,
-    RecipePath,
-    RobotOption,
-    RunsFolder,
-    UntilSure,
-    Verbose,
-    Yes,
-    console_for,
-)
+from agent.cli import fleet, options as opt, shop_floor
 from agent.core import InputError
 
 app = typer.Typer(
@@ -59,7 +42,7 @@ def agent(
 @app.command()
 def init(
     recipe: Annotated[Path, typer.Argument(metavar="[RECIPE]", help="file to write")] = Path("recipe.yaml"),
-    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")] = None,
+    robot: opt.AnyRobot = None,
     driver: Annotated[str | None, typer.Option("--driver", metavar="NAME", help="driver of the link")] = None,
     controller: Annotated[str | None, typer.Option("--controller", metavar="ADDRESS", help="of the controller")] = None,
     centre: Annotated[str | None, typer.Option("--centre", metavar="X,Y,Z", help="of the sub-region")] = None,
@@ -76,51 +59,41 @@ def init(
 
 
 @app.command()
-def check(recipe: RecipePath, as_json: AsJson = False, verbose: Verbose = False, quiet: Quiet = False) -> None:
+def check(recipe: opt.RecipePath, as_json: opt.AsJson = False, messages: opt.Messages = None) -> None:
     """Validate recipe, reach, limits and cell, and ping the controller. Moves nothing."""
-    from agent.core import print_json
     from agent.pipeline import check_recipe
 
-    findings = check_recipe(recipe, console_for(verbose, quiet))
-    if as_json:
-        print_json(findings.to_dict())
-    else:
-        print(findings.text())
+    findings = check_recipe(recipe, opt.console_for(messages))
+    opt.print_found(as_json, findings)
     raise typer.Exit(findings.exit_code)
 
 
 @app.command()
 def plan(
-    recipe: RecipePath,
+    recipe: opt.RecipePath,
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="folder for the plan")] = None,
-    as_json: AsJson = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    as_json: opt.AsJson = False,
+    messages: opt.Messages = None,
 ) -> None:
     """Search for the via-points only: trajectory, margins to every limit, the .pdl. Opens no port."""
-    from agent.core import print_json
     from agent.pipeline import plan_recipe
     from agent.recipe import load_recipe
 
     loaded = load_recipe(recipe)
-    result = plan_recipe(loaded, out or Path(f"{recipe.stem}_plan"), console_for(verbose, quiet))
-    if as_json:
-        print_json(result.to_dict())
-    else:
-        print(result.text())
+    result = plan_recipe(loaded, out or Path(f"{recipe.stem}_plan"), opt.console_for(messages))
+    opt.print_found(as_json, result)
 
 
 @app.command()
 def calibrate(
-    recipe: RecipePath,
+    recipe: opt.RecipePath,
     resume: Annotated[
         str | None, typer.Option("--resume", metavar="RUN", help="go on with a stopped run: its folder, or its name")
     ] = None,
-    logs: RunsFolder = Path("logs"),
-    yes: Yes = False,
-    as_json: AsJson = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    logs: opt.RunsFolder = Path("logs"),
+    yes: opt.Yes = False,
+    as_json: opt.AsJson = False,
+    messages: opt.Messages = None,
 ) -> None:
     """The whole job: plan, program, send, record, filter, estimate, validate, report. Prints the run folder."""
     from agent.core import print_json, print_path
@@ -128,7 +101,7 @@ def calibrate(
     from agent.recipe import load_recipe
     from agent.runs import find_run
 
-    console = console_for(verbose, quiet)
+    console = opt.console_for(messages)
     stopped = None if resume is None else find_run(logs, resume)
     outcome = run_calibration(load_recipe(recipe), console, logs=logs, resume=stopped, yes=yes)
     if as_json:
@@ -141,80 +114,67 @@ def calibrate(
 
 @app.command()
 def record(
-    recipe: RecipePath,
+    recipe: opt.RecipePath,
     program: Annotated[Path, typer.Option("--program", metavar="P", help="PDL2 program to run")],
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="LOG", help="log to write")] = None,
-    yes: Yes = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    yes: opt.Yes = False,
+    messages: opt.Messages = None,
 ) -> None:
     """Send a program, run it and record the motion."""
     from agent.link import record_program_file
     from agent.recipe import load_recipe
 
     log = out or program.with_suffix(".mcap")
-    recorded = record_program_file(load_recipe(recipe), program, log, console_for(verbose, quiet), yes=yes)
+    recorded = record_program_file(load_recipe(recipe), program, log, opt.console_for(messages), yes=yes)
     print(recorded.path)
 
 
 @app.command()
 def estimate(
-    logs: Logs,
-    robot: RobotOption,
+    logs: opt.Logs,
+    robot: opt.RobotOption,
     out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL", help="model file to write")],
-    cutoff: Cutoff = None,
-    method: Annotated[str | None, typer.Option("--method", help="estimator; chosen on held-out data if absent")] = None,
+    cutoff: opt.Cutoff = None,
+    method: opt.Method = None,
     export: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="also write URDF, MuJoCo model and friction file (of a consistent fit)"),
     ] = None,
-    structure: Annotated[
-        str, typer.Option(help="rigid, or auto: also springs, hoses and the like that these logs clearly show")
-    ] = "rigid",
-    allow_mixed: AllowMixed = False,
-    force: Force = False,
-    as_json: AsJson = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    structure: opt.Structure = "rigid",
+    allow_mixed: opt.AllowMixed = False,
+    force: opt.Force = False,
+    as_json: opt.AsJson = False,
+    messages: opt.Messages = None,
 ) -> None:
     """Filter and estimate from logs. Writes the model file."""
-    from agent.core import print_json
     from agent.pipeline import estimate_files
 
     model, text = estimate_files(
-        robot, logs, out, cutoff, method, console_for(verbose, quiet), export, allow_mixed, force, structure
+        robot, logs, out, cutoff, method, opt.console_for(messages), export, allow_mixed, force, structure
     )
-    if as_json:
-        print_json(model)
-    else:
-        print(text)
+    opt.print_found(as_json, model, text)
 
 
 @app.command()
 def validate(
-    logs: Logs,
-    model: Annotated[Path, typer.Option("--model", metavar="MODEL", help="model file")],
-    cutoff: Cutoff = None,
-    allow_mixed: AllowMixed = False,
-    as_json: AsJson = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    logs: opt.Logs,
+    model: opt.ModelFile,
+    cutoff: opt.Cutoff = None,
+    allow_mixed: opt.AllowMixed = False,
+    as_json: opt.AsJson = False,
+    messages: opt.Messages = None,
 ) -> None:
     """Predict the torque of logs that were not used in the fit."""
-    from agent.core import print_json
     from agent.pipeline import validate_files, validation_text
 
-    result = validate_files(model, logs, cutoff, console_for(verbose, quiet), allow_mixed)
-    if as_json:
-        print_json(result)
-    else:
-        print(validation_text(result))
+    result = validate_files(model, logs, cutoff, opt.console_for(messages), allow_mixed)
+    opt.print_found(as_json, result, validation_text(result))
 
 
 @app.command()
 def diagnose(
     logs: Annotated[list[Path] | None, typer.Argument(metavar="LOG...", help="MCAP logs")] = None,
-    robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")] = None,
+    robot: opt.AnyRobot = None,
     model: Annotated[
         Path | None,
         typer.Option("--model", metavar="MODEL", help="the simulator: a model file, an MJCF (arm.xml) or a URDF"),
@@ -225,14 +185,12 @@ def diagnose(
     record: Annotated[
         Path | None, typer.Option("--record", metavar="RECIPE", help="record first: the recipe's motions, no logs")
     ] = None,
-    cutoff: Cutoff = None,
-    without: Annotated[
-        list[str] | None, typer.Option("--without", metavar="EFFECT", help="leave an effect out of the catalogue")
-    ] = None,
-    allow_mixed: AllowMixed = False,
-    force: Force = False,
-    as_json: AsJson = False,
-    report: Annotated[Path | None, typer.Option("--report", metavar="OUT.html", help="page to write")] = None,
+    cutoff: opt.Cutoff = None,
+    without: opt.Without = None,
+    allow_mixed: opt.AllowMixed = False,
+    force: opt.Force = False,
+    as_json: opt.AsJson = False,
+    report: opt.Page = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -242,20 +200,18 @@ def diagnose(
             help="model file, MJCF or URDF to write, with what was found; folder of --next",
         ),
     ] = None,
-    next_recipe: NextRecipe = None,
-    until_sure: UntilSure = False,
-    budget: Budget = "10 min",
-    runs: Annotated[Path, typer.Option("--logs", metavar="DIR", help="where a recorded run is kept")] = Path("logs"),
-    yes: Yes = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    next_recipe: opt.NextRecipe = None,
+    until_sure: opt.UntilSure = False,
+    budget: opt.Budget = "10 min",
+    runs: opt.RunsFolder = Path("logs"),
+    yes: opt.Yes = False,
+    messages: opt.Messages = None,
 ) -> None:
     """The gap between model and robot: where it lies, which effect causes it, how far it shrinks."""
-    from agent.core import print_json
     from agent.pipeline import GapQuestion, budget_of, diagnose_files, diagnose_recording, diagnosis_text
 
     question = GapQuestion(model, joint_map, cutoff, tuple(without or ()), report, out, allow_mixed, force, next_recipe)
-    console = console_for(verbose, quiet)
+    console = opt.console_for(messages)
     if record is not None:
         if logs or robot:
             raise InputError("diagnose: --record records its own logs of the recipe's robot: leave out LOG and --robot")
@@ -270,37 +226,29 @@ def diagnose(
         )
     else:
         result = diagnose_files(robot, logs, question, console)
-    if as_json:
-        print_json(result)
-    else:
-        print(diagnosis_text(result))
+    opt.print_found(as_json, result, diagnosis_text(result))
 
 
 @app.command("blind-check")
 def blind_check(
     cases: Annotated[int, typer.Option("--cases", metavar="N", help="runs to make")] = 400,
-    seed: Annotated[int, typer.Option("--seed", metavar="S", help="of everything that is drawn")] = 1,
+    seed: opt.Seed = 1,
     world: Annotated[
         str, typer.Option("--world", metavar="WORLD", help="emulator (the fake controller) or mujoco (arms in MuJoCo)")
     ] = "emulator",
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="folder, gone on with")] = Path("blind_check"),
-    as_json: AsJson = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    as_json: opt.AsJson = False,
+    messages: opt.Messages = None,
 ) -> None:
     """Simulated runs with a withheld effect, diagnosed without the key, then scored."""
     from agent.blind_check import BlindCheck, summary_text
-    from agent.core import print_json
 
-    scores = BlindCheck(cases, seed, out, world=world).run(console_for(verbose, quiet))
-    if as_json:
-        print_json(scores)
-    else:
-        print(summary_text(scores))
+    scores = BlindCheck(cases, seed, out, world=world).run(opt.console_for(messages))
+    opt.print_found(as_json, scores, summary_text(scores))
 
 
 @app.command()
-def trajectories(as_json: AsJson = False) -> None:
+def trajectories(as_json: opt.AsJson = False) -> None:
     """Stored loops, by robot, tool, sub-region and checksum."""
     from agent.core import print_json
     from agent.runs import stored_loops
@@ -321,10 +269,9 @@ def trajectories(as_json: AsJson = False) -> None:
 @app.command("import")
 def import_(
     files: Annotated[list[Path], typer.Argument(metavar="IN... OUT.mcap", help="tables, then the log to write")],
-    robot: RobotOption,
+    robot: opt.RobotOption,
     mapping: Annotated[Path, typer.Option("--map", metavar="MAP.yaml", help="which column is what")],
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    messages: opt.Messages = None,
 ) -> None:
     """Turn columns of CSV, MAT or Parquet files into a log."""
     from agent.pipeline import import_files
@@ -332,7 +279,7 @@ def import_(
     if len(files) < 2:
         raise InputError("import: name at least one table and the log to write: agent import … IN OUT.mcap")
     for note in import_files(robot, mapping, files[:-1], files[-1]):
-        console_for(verbose, quiet).say(note)
+        opt.console_for(messages).say(note)
     print(files[-1])
 
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from agent.cli.options import AllowMixed, AsJson, Cutoff, Force, Quiet, Verbose, console_for
+from agent.cli import options as opt
 from agent.core import InputError
+
+if TYPE_CHECKING:
+    from agent.core import DaskEngine
+    from agent.fleet import Summary
 
 app = typer.Typer(no_args_is_help=True, help="The same over many robots, on local cores or a Dask scheduler.")
 
@@ -23,6 +28,9 @@ Scheduler = Annotated[
 ]
 Workers = Annotated[int | None, typer.Option("--workers", metavar="N", min=1, help="local processes; one a core")]
 Memory = Annotated[str | None, typer.Option("--memory", metavar="SIZE", help="limit of a local process, as in 2GiB")]
+ModelName = Annotated[
+    str | None, typer.Option("--model", metavar="MODEL", help="of all: a file; or its name in or above every run")
+]
 Columns = Annotated[
     list[Path] | None,
     typer.Option("--columns", metavar="TABLE", help="CSV or Parquet with a column robot: cell, batch, and the like"),
@@ -34,42 +42,39 @@ def estimate(
     source: Source,
     out: Out,
     robot: Robot = None,
-    cutoff: Cutoff = None,
-    method: Annotated[str | None, typer.Option("--method", help="estimator; chosen on held-out data if absent")] = None,
-    structure: Annotated[str, typer.Option(help="rigid, or auto: also effects that the logs clearly show")] = "rigid",
-    allow_mixed: AllowMixed = False,
-    force: Force = False,
+    cutoff: opt.Cutoff = None,
+    method: opt.Method = None,
+    structure: opt.Structure = "rigid",
+    allow_mixed: opt.AllowMixed = False,
+    force: opt.Force = False,
     scheduler: Scheduler = None,
     workers: Workers = None,
     memory: Memory = None,
-    as_json: AsJson = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    as_json: opt.AsJson = False,
+    messages: opt.Messages = None,
 ) -> None:
     """`agent estimate` for every run of every robot: a row and a model each. Only what is new is done."""
     asked = {"cutoff": cutoff, "method": method, "structure": structure, "allow_mixed": allow_mixed, "force": force}
-    _run("estimate", source, out, robot, None, asked, (scheduler, workers, memory), as_json, verbose, quiet)
+    work = _up_to_date(scheduler, workers, memory, messages)
+    opt.print_found(as_json, work("estimate", source, out, robot, None, **asked))
 
 
 @app.command()
 def validate(
     source: Source,
     out: Out,
-    model: Annotated[
-        str, typer.Option("--model", metavar="MODEL", help="of all: a file; or its name in or above every run")
-    ] = "model.json",
-    cutoff: Cutoff = None,
-    allow_mixed: AllowMixed = False,
+    model: ModelName = "model.json",
+    cutoff: opt.Cutoff = None,
+    allow_mixed: opt.AllowMixed = False,
     scheduler: Scheduler = None,
     workers: Workers = None,
     memory: Memory = None,
-    as_json: AsJson = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    as_json: opt.AsJson = False,
+    messages: opt.Messages = None,
 ) -> None:
     """`agent validate` for every run of every robot."""
-    asked = {"cutoff": cutoff, "allow_mixed": allow_mixed}
-    _run("validate", source, out, None, model, asked, (scheduler, workers, memory), as_json, verbose, quiet)
+    work = _up_to_date(scheduler, workers, memory, messages)
+    opt.print_found(as_json, work("validate", source, out, None, model, cutoff=cutoff, allow_mixed=allow_mixed))
 
 
 @app.command()
@@ -77,67 +82,39 @@ def diagnose(
     source: Source,
     out: Out,
     robot: Robot = None,
-    model: Annotated[
-        str | None, typer.Option("--model", metavar="MODEL", help="of all: a file; or its name in or above every run")
-    ] = None,
-    cutoff: Cutoff = None,
-    without: Annotated[
-        list[str] | None, typer.Option("--without", metavar="EFFECT", help="leave an effect out of the catalogue")
-    ] = None,
-    allow_mixed: AllowMixed = False,
-    force: Force = False,
+    model: ModelName = None,
+    cutoff: opt.Cutoff = None,
+    without: opt.Without = None,
+    allow_mixed: opt.AllowMixed = False,
+    force: opt.Force = False,
     scheduler: Scheduler = None,
     workers: Workers = None,
     memory: Memory = None,
-    as_json: AsJson = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    as_json: opt.AsJson = False,
+    messages: opt.Messages = None,
 ) -> None:
     """`agent diagnose` for every run of every robot."""
     asked = {"cutoff": cutoff, "without": tuple(without or ()), "allow_mixed": allow_mixed, "force": force}
-    _run("diagnose", source, out, robot, model, asked, (scheduler, workers, memory), as_json, verbose, quiet)
+    work = _up_to_date(scheduler, workers, memory, messages)
+    opt.print_found(as_json, work("diagnose", source, out, robot, model, **asked))
 
 
-def _run(
-    kind: str,
-    source: str,
-    out: str,
-    robot: str | None,
-    model: str | None,
-    asked: dict[str, Any],
-    where: tuple[str | None, int | None, str | None],
-    as_json: bool,
-    verbose: bool,
-    quiet: bool,
-) -> None:
-    from agent.core import print_json
-
-    summary = _do(kind, source, out, robot, model, asked, where, console_for(verbose, quiet))
-    if as_json:
-        print_json(summary.to_dict())
-    else:
-        print(summary.text())
-
-
-def _do(
-    kind: str,
-    source: str,
-    out: str,
-    robot: str | None,
-    model: str | None,
-    asked: dict[str, Any],
-    where: tuple[str | None, int | None, str | None],
-    console: Any,
-) -> Any:
-    from agent.core import available_cores, open_engine
+def _up_to_date(
+    scheduler: str | None, workers: int | None, memory: str | None, messages: bool | None
+) -> Callable[..., Summary]:
+    """What brings a result up to date on these workers: of a kind, source, result, robot, model and options."""
+    from agent.core import DaskEngine, available_cores
     from agent.fleet import make_question, run_fleet
 
-    scheduler, workers, memory = where
+    console = opt.console_for(messages)
 
-    def engine(tasks: int) -> Any:
-        return open_engine(scheduler, min(tasks, workers or available_cores()), memory, console.detail)
+    def engine(tasks: int) -> DaskEngine:
+        return DaskEngine(scheduler, min(tasks, workers or available_cores()), memory, console.detail)
 
-    return run_fleet(source, make_question(kind, robot, model, **asked), out, engine, console)
+    def work(kind: str, source: str, out: str, robot: str | None, model: str | None, **asked: Any) -> Summary:
+        return run_fleet(source, make_question(kind, robot, model, **asked), out, engine, console)
+
+    return work
 
 
 @app.command()
@@ -145,7 +122,7 @@ def simulate(
     machines: Annotated[int, typer.Option("-n", "--machines", metavar="N", min=1, help="robots of the fleet")],
     out: Annotated[str, typer.Option("-o", "--out", metavar="FOLDER", help="new folder or URL to write to")],
     weeks: Annotated[int, typer.Option("--weeks", metavar="W", min=1, help="runs of each robot, a week apart")] = 1,
-    seed: Annotated[int, typer.Option("--seed", metavar="S", help="of everything that is drawn")] = 1,
+    seed: opt.Seed = 1,
     robot: Annotated[
         str, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml of all of them")
     ] = "comau_ns16",
@@ -172,12 +149,10 @@ def trends(
     scheduler: Scheduler = None,
     workers: Workers = None,
     memory: Memory = None,
-    as_json: AsJson = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    as_json: opt.AsJson = False,
+    messages: opt.Messages = None,
 ) -> None:
     """What drifts or has stepped in a fleet, at a controlled rate of false discoveries; families that share a cause."""
-    from agent.core import print_json
     from agent.fleet import fleet_trends, is_result, write_trends
 
     result = source
@@ -185,15 +160,11 @@ def trends(
         if out is None:
             raise InputError(f"{source}: no result of a fleet; name one, or a folder for the result with -o")
         result = f"{out.rstrip('/')}/_estimates"
-        where = (scheduler, workers, memory)
-        _do("estimate", source, result, robot, None, {}, where, console_for(verbose, quiet))
+        _up_to_date(scheduler, workers, memory, messages)("estimate", source, result, robot, None)
     found = fleet_trends(result, columns or ())
     if out is not None:
         write_trends(found, out)
-    if as_json:
-        print_json(found.to_dict())
-    else:
-        print(found.text())
+    opt.print_found(as_json, found)
 
 
 @app.command()

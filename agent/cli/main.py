@@ -63,7 +63,8 @@ def _unexpected(error: Exception) -> None:
 
 
 def _fail(message: str, code: int) -> None:
-    from agent.core import fit_to_show
+    from agent.core import end_progress, fit_to_show
 
+    end_progress()
     print(f"agent: {fit_to_show(message)}", file=sys.stderr)
     sys.exit(code)

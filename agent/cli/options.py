@@ -8,32 +8,54 @@ from typing import Annotated, Any
 import typer
 
 RecipePath = Annotated[Path, typer.Argument(metavar="RECIPE", help="recipe file (YAML)")]
-Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="more messages")]
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="warnings and the result only")]
+Messages = Annotated[
+    bool | None,
+    typer.Option("-v/-q", "--verbose/--quiet", help="more messages / warnings and the result only", show_default=False),
+]
 Yes = Annotated[bool, typer.Option("--yes", help="the cell is clear: move without asking")]
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on stdout")]
 RobotOption = Annotated[str, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")]
 Cutoff = Annotated[float | None, typer.Option("--cutoff", metavar="HZ", help="cut-off of the torque filter")]
 RunsFolder = Annotated[Path, typer.Option("--logs", metavar="DIR", help="where runs are kept")]
+AnyRobot = Annotated[str | None, typer.Option("--robot", metavar="R", help="built-in robot or robot.yaml")]
 Serial = Annotated[str | None, typer.Option("--serial", metavar="S", help="serial of one machine")]
 Authorised = Annotated[
     Path | None, typer.Option("--authorisation", metavar="FILE", help="a person's word that allows unattended motion")
 ]
 AllowMixed = Annotated[bool, typer.Option("--allow-mixed", help="logs may be of several machines or tools")]
 Force = Annotated[bool, typer.Option("--force", help="go on although a log is implausible")]
+Method = Annotated[str | None, typer.Option("--method", help="estimator; chosen on held-out data if absent")]
+Structure = Annotated[
+    str, typer.Option(help="rigid, or auto: also springs, hoses and the like that these logs clearly show")
+]
+Without = Annotated[
+    list[str] | None, typer.Option("--without", metavar="EFFECT", help="leave an effect out of the catalogue")
+]
+Seed = Annotated[int, typer.Option("--seed", metavar="S", help="of everything that is drawn")]
+Page = Annotated[Path | None, typer.Option("--report", metavar="OUT.html", help="page to write")]
+RunName = Annotated[str | None, typer.Argument(metavar="[RUN]", help="run folder, or its name")]
+ModelFile = Annotated[Path, typer.Option("--model", metavar="MODEL", help="model file")]
 Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="MCAP logs")]
-
-
-def console_for(verbose: bool, quiet: bool) -> Any:
-    """What a person sees while a command works."""
-    from agent.core import Console
-
-    return Console(verbosity=1 if verbose else -1 if quiet else 0)
-
-
 NextRecipe = Annotated[
     Path | None,
     typer.Option("--next", metavar="RECIPE", help="plan the motion in its sub-region that tells what is open"),
 ]
 UntilSure = Annotated[bool, typer.Option("--until-sure", help="with --record: further motions until it is settled")]
 Budget = Annotated[str, typer.Option("--budget", metavar="TIME", help="of motion for --until-sure, as '10 min'")]
+
+
+def console_for(messages: bool | None) -> Any:
+    """What a person sees while a command works."""
+    from agent.core import Console
+
+    return Console(verbosity=0 if messages is None else 1 if messages else -1)
+
+
+def print_found(as_json: bool, found: Any, text: str | None = None) -> None:
+    """What a command found, on stdout: one JSON object, or for people `text`, or what `found` itself says."""
+    from agent.core import print_json, print_text
+
+    if as_json:
+        print_json(found if isinstance(found, dict) else found.to_dict())
+    else:
+        print_text(found.text() if text is None else text)

@@ -8,19 +8,7 @@ from typing import Annotated
 
 import typer
 
-from agent.cli.options import (
-    AsJson,
-    Authorised,
-    Logs,
-    Quiet,
-    RecipePath,
-    RobotOption,
-    RunsFolder,
-    Serial,
-    Verbose,
-    Yes,
-    console_for,
-)
+from agent.cli import options as opt
 from agent.core import InputError
 
 app = typer.Typer()
@@ -28,13 +16,12 @@ app = typer.Typer()
 
 @app.command()
 def recalibrate(
-    recipe: RecipePath,
-    logs: RunsFolder = Path("logs"),
-    authorisation: Authorised = None,
-    yes: Yes = False,
-    as_json: AsJson = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    recipe: opt.RecipePath,
+    logs: opt.RunsFolder = Path("logs"),
+    authorisation: opt.Authorised = None,
+    yes: opt.Yes = False,
+    as_json: opt.AsJson = False,
+    messages: opt.Messages = None,
 ) -> None:
     """For cron and timers: run the stored loop again, re-estimate, judge, and keep what is accepted. No search."""
     from agent.core import print_json, print_path
@@ -43,7 +30,7 @@ def recalibrate(
     from agent.safety import load_authorisation
 
     allowed = None if authorisation is None else load_authorisation(authorisation)
-    outcome = run_recalibration(load_recipe(recipe), console_for(verbose, quiet), logs, yes, allowed)
+    outcome = run_recalibration(load_recipe(recipe), opt.console_for(messages), logs, yes, allowed)
     if as_json:
         print_json(outcome.result or {"schema": "recalibration/1", "skipped": outcome.skipped})
     else:
@@ -58,10 +45,10 @@ def recalibrate(
 
 @app.command()
 def schedule(
-    recipe: RecipePath,
-    logs: RunsFolder = Path("logs"),
+    recipe: opt.RecipePath,
+    logs: opt.RunsFolder = Path("logs"),
     at: Annotated[str, typer.Option("--at", metavar="HH:MM", help="time of day")] = "02:00",
-    authorisation: Authorised = None,
+    authorisation: opt.Authorised = None,
     install: Annotated[bool, typer.Option("--install", help="write the systemd units of this user")] = False,
 ) -> None:
     """Print (or install) a systemd service and timer, and a crontab line, that recalibrate by the clock."""
@@ -84,10 +71,10 @@ def schedule(
 
 @app.command()
 def history(
-    logs: RunsFolder = Path("logs"),
+    logs: opt.RunsFolder = Path("logs"),
     robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="runs of this robot only")] = None,
-    serial: Serial = None,
-    as_json: AsJson = False,
+    serial: opt.Serial = None,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Past runs: what they found, and what the gate said."""
     from agent.runs import current_runs, history_json, history_table, open_history
@@ -114,11 +101,10 @@ def history(
 @app.command()
 def compare(
     runs: Annotated[list[str], typer.Argument(metavar="RUN RUN...", help="run folders, or their names")],
-    logs: RunsFolder = Path("logs"),
-    report: Annotated[Path | None, typer.Option("--report", metavar="OUT.html", help="page to write")] = None,
-    as_json: AsJson = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    logs: opt.RunsFolder = Path("logs"),
+    report: opt.Page = None,
+    as_json: opt.AsJson = False,
+    messages: opt.Messages = None,
 ) -> None:
     """Which parameters moved from the first run to the others by more than their uncertainty, and what that does."""
     from agent.core import print_json
@@ -127,7 +113,7 @@ def compare(
 
     if len(runs) < 2:
         raise InputError("compare: name two runs or more: agent compare RUN RUN")
-    found = compare_runs([find_run(logs, run) for run in runs], console_for(verbose, quiet), report)
+    found = compare_runs([find_run(logs, run) for run in runs], opt.console_for(messages), report)
     if as_json:
         pairs = [comparison.to_dict() for comparison in found]
         print_json(pairs[0] if len(pairs) == 1 else {"schema": "comparisons/1", "comparisons": pairs})
@@ -137,14 +123,13 @@ def compare(
 
 @app.command()
 def report(
-    run: Annotated[str | None, typer.Argument(metavar="[RUN]", help="run folder, or its name")] = None,
+    run: opt.RunName = None,
     index: Annotated[bool, typer.Option("--index", help="a page over all runs, with the trends")] = False,
-    logs: RunsFolder = Path("logs"),
+    logs: opt.RunsFolder = Path("logs"),
     robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="with --index: of this robot only")] = None,
-    serial: Serial = None,
+    serial: opt.Serial = None,
     show: Annotated[bool, typer.Option("--open", help="open it in the browser")] = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    messages: opt.Messages = None,
 ) -> None:
     """Make the HTML page of a run again, or the page over all runs. Prints its path."""
     from agent.core import print_path
@@ -156,7 +141,7 @@ def report(
     if run is None:
         page = write_index(logs, robot, serial)
     else:
-        page = report_again(find_run(logs, run), console_for(verbose, quiet))
+        page = report_again(find_run(logs, run), opt.console_for(messages))
     print_path(page)
     if show:
         import webbrowser
@@ -180,32 +165,27 @@ def export(
 
 @app.command("learn-interpolator")
 def learn_interpolator(
-    logs: Logs,
-    robot: RobotOption,
+    logs: opt.Logs,
+    robot: opt.RobotOption,
     out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE", help="YAML file to write")],
-    as_json: AsJson = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    as_json: opt.AsJson = False,
+    messages: opt.Messages = None,
 ) -> None:
     """The controller's interpolation law from recorded set-points, for `search.interpolator` of a recipe."""
-    from agent.core import print_json
     from agent.pipeline import learn_files
 
-    learned = learn_files(robot, logs, out, console_for(verbose, quiet))
-    if as_json:
-        print_json(learned.to_dict())
-    else:
-        print(learned.text())
+    learned = learn_files(robot, logs, out, opt.console_for(messages))
+    opt.print_found(as_json, learned)
 
 
 @app.command()
 def apply(
-    run: Annotated[str | None, typer.Argument(metavar="[RUN]", help="run folder, or its name")] = None,
+    run: opt.RunName = None,
     previous: Annotated[bool, typer.Option("--previous", help="back to the model before")] = False,
-    logs: RunsFolder = Path("logs"),
+    logs: opt.RunsFolder = Path("logs"),
     robot: Annotated[str | None, typer.Option("--robot", metavar="R", help="with --previous: of this robot")] = None,
-    serial: Serial = None,
-    as_json: AsJson = False,
+    serial: opt.Serial = None,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Make a run's model the robot's current one. Writes to no controller."""
     from agent.core import print_json

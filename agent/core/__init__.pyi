@@ -1,9 +1,11 @@
 from .console import (
     Console as Console,
+    end_progress as end_progress,
     finite as finite,
     fit_to_show as fit_to_show,
     print_json as print_json,
     print_path as print_path,
+    print_text as print_text,
 )
 from .documents import (
     find_faults as find_faults,
@@ -24,7 +26,7 @@ from .errors import (
 )
 from .figures import error_text as error_text, plus_minus as plus_minus
 from .memory import keep_freed_memory as keep_freed_memory
-from .on_dask import open_engine as open_engine
+from .on_dask import DaskEngine as DaskEngine
 from .output import (
     flush_results as flush_results,
     open_standard_descriptors as open_standard_descriptors,

@@ -2,33 +2,41 @@
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from agent.core.output import PatientStream, patient
+from agent.core.output import patient
 from drivers.texts import hide, hide_all, printable
+
+if TYPE_CHECKING:
+    from rich.console import Console as RichConsole
+    from rich.progress import Progress
 
 #: Characters of one message; a recipe with many faults has some thousands.
 LONGEST = 20_000
 _SOON = 2.0  # s
+_FRAME = 0.1  # s, between two pictures of the progress on a terminal
+_BAR = 20  # characters
 
 
 class Console:
     """Progress and messages. Nobody who tells something waits for whoever reads it; `agent.core.output` says how.
 
-    On a terminal a running step rewrites its line; elsewhere it prints a line at most every `interval` seconds, so
-    a log file stays readable and a waiting person still sees that something moves.
+    On a terminal a running step has a line with a bar below the messages, gone at its end; elsewhere it prints a line
+    at most every `interval` seconds, so a log file stays readable and a waiting person still sees that something moves.
 
     Args:
         verbosity: -1 quiet (warnings and results only), 0 normal, 1 verbose.
     """
 
     def __init__(self, verbosity: int = 0, interval: float = 5.0, clock: Callable[[], float] = time.monotonic):
+        import rich.progress  # noqa: F401  not in the midst of a motion
         from rich.console import Console as RichConsole
 
         self.verbosity = verbosity
@@ -38,10 +46,10 @@ class Console:
         self._begin = clock()
         self._last = -float("inf")
         self._stage = self._begin
-        self._open_line = False
 
     def step(self, title: str) -> None:
         """A stage begins."""
+        end_progress()
         self._last = -float("inf")
         self._stage = self._clock()
         self.say(title)
@@ -53,22 +61,18 @@ class Console:
         """
         if self.verbosity < 0:
             return
-        now = self._clock()
-        spent = now - self._stage
-        if done and spent > _SOON:
-            text += f", about {max(1.0, spent * (1 - done) / done):.0f} s left" if done < 1 else ""
-        if self._rich.is_terminal:
-            if now - self._last > 0.1:
-                stream, line = patient(sys.stderr), f"\r\033[K{self._stamp()}   {fit_to_show(text)}"
-                if isinstance(stream, PatientStream):
-                    stream.progress(line)
-                else:
-                    stream.write(line)
-                self._open_line = True
-                self._last = now
-        elif now - self._last >= self._interval:
+        now, terminal = self._clock(), self._rich.is_interactive
+        if now - self._last < (_FRAME if terminal else self._interval):
+            return
+        if terminal and getattr(patient(sys.stderr), "behind", False):
+            return
+        self._last, spent = now, now - self._stage
+        if done and done < 1 and spent > _SOON:
+            text += f", about {max(1.0, spent * (1 - done) / done):.0f} s left"
+        if terminal:
+            _picture(self._rich, f"{self._stamp()}   {fit_to_show(text)}", done)
+        else:
             self._print(f"  {text}")
-            self._last = now
 
     def say(self, text: str) -> None:
         """A message; left out with -q."""
@@ -88,15 +92,15 @@ class Console:
         """Ask a person; without a terminal nobody can answer, which is no."""
         if not (sys.stdin.isatty() and patient(sys.stderr).isatty()):
             return False
+        end_progress()
         self._rich.print(f"{fit_to_show(question)} [y/N] ", end="", markup=False)
         patient(sys.stderr).drain()
         return sys.stdin.readline().strip().lower() in ("y", "yes")
 
-    def _print(self, text: str, style: str | None = None) -> None:
-        if self._open_line:
-            self._rich.file.write("\r\033[K")
-            self._open_line = False
-        self._rich.print(f"{self._stamp()} {fit_to_show(text)}", style=style, markup=False)
+    def _print(self, text: str, style: str = "") -> None:
+        from rich.text import Text
+
+        self._rich.print(Text(f"{self._stamp()} {fit_to_show(text)}", style))
 
     def _stamp(self) -> str:
         return f"[{self._clock() - self._begin:6.1f} s]"
@@ -109,8 +113,44 @@ class _Messages:
         return getattr(patient(sys.stderr), name)
 
 
+_shown: Progress | None = None
+
+
+def _picture(rich: RichConsole, text: str, done: float | None) -> None:
+    """Draw the progress of the stage anew."""
+    global _shown
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn
+    from rich.table import Column
+
+    if _shown is None:
+        columns = (TextColumn("{task.description}", markup=False, table_column=Column()), BarColumn(_BAR))
+        _shown = Progress(
+            *columns, console=rich, auto_refresh=False, transient=True, redirect_stdout=False, redirect_stderr=False
+        )
+        _shown.add_task(text, total=None)
+        atexit.register(end_progress)
+        _shown.start()
+    _shown.update(TaskID(0), description=text, completed=done or 0.0, total=1.0 if done else None, refresh=True)
+
+
+def end_progress() -> None:
+    """Take the progress of a stage off the terminal: something else is to be shown, or the program ends."""
+    global _shown
+    shown, _shown = _shown, None
+    if shown is not None:
+        shown.stop()
+        atexit.unregister(end_progress)
+
+
+def print_text(text: str) -> None:
+    """A result for people on stdout."""
+    end_progress()
+    print(text)
+
+
 def print_path(path: Path) -> None:
     """A result's path on stdout; on a terminal it is a link that can be clicked (OSC 8)."""
+    end_progress()
     shown = fit_to_show(str(path))
     if sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb":
         shown = f"\033]8;;{path.resolve().as_uri()}\033\\{shown}\033]8;;\033\\"
@@ -119,6 +159,7 @@ def print_path(path: Path) -> None:
 
 def print_json(data: Any) -> None:
     """One JSON object on stdout; a number that is not finite becomes null."""
+    end_progress()
     sys.stdout.write(hide(json.dumps(finite(data), indent=2)) + "\n")
 
 

@@ -14,11 +14,10 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import AbstractContextManager
 from typing import Any
 
 from agent.core.errors import AgentError, InputError
-from agent.core.parallel import Answer, Task, TaskDone, TaskEngine, available_cores, needed
+from agent.core.parallel import Answer, Task, TaskDone, available_cores, needed
 
 #: So long a scheduler may be gone before the run gives up [s]; what is done stays done.
 PATIENCE = 300.0
@@ -32,32 +31,30 @@ _AHEAD = 2
 _TRIES = 2
 
 
-def open_engine(
-    scheduler: str | None = None,
-    workers: int | None = None,
-    memory: str | None = None,
-    say: Callable[[str], None] = lambda text: None,
-) -> AbstractContextManager[TaskEngine]:
+class DaskEngine:
     """Processes of this machine, one a core, or the workers of a Dask scheduler.
+
+    A context. Leaving it ends the processes it started; a scheduler of others is left as it is.
 
     Args:
         scheduler: address, `tcp://host:8786`; without one, processes of this machine are started.
         workers: how many of those; one a core if None.
         memory: of each of those, as in `2GiB`; their share of the machine's if None.
-        say: is told what a person should know.
+        say: called with what a person should know.
 
     Raises:
-        InputError: Dask is not installed, or nobody answers at the address.
+        InputError: on entering it: Dask is not installed, or nobody answers at the address.
     """
-    return DaskEngine(scheduler, workers or available_cores(), memory, say)
 
-
-class DaskEngine:
-    """A context. Leaving it ends the processes it started; a scheduler of others is left as it is."""
-
-    def __init__(self, scheduler: str | None, workers: int, memory: str | None, say: Callable[[str], None]):
+    def __init__(
+        self,
+        scheduler: str | None = None,
+        workers: int | None = None,
+        memory: str | None = None,
+        say: Callable[[str], None] = lambda text: None,
+    ):
         self._scheduler = scheduler
-        self._workers = workers
+        self._workers = workers or available_cores()
         self._memory = memory
         self._say = say
         self._cluster: Any = None

@@ -28,7 +28,6 @@ LOOK = 0.2
 PATIENCE = 2.0
 _PIECE = 1024  # bytes of a write: a slow line shows that it goes on
 _GONE = (errno.EPIPE, errno.EIO, errno.EBADF, errno.ENXIO)
-_LATEST = object()  # in the queue: here goes the newest progress
 
 
 class PatientStream(io.TextIOBase):
@@ -48,7 +47,6 @@ class PatientStream(io.TextIOBase):
         self._encoding = encoding
         self._limit = limit
         self._queue: queue.SimpleQueue[Any] = queue.SimpleQueue()  # may be used where a signal or the collector strikes
-        self._progress: str | None = None
         self._left_out = 0
         self._written = 0
         self._gone = False
@@ -94,11 +92,10 @@ class PatientStream(io.TextIOBase):
             self._hand_over(text)
         return len(text)
 
-    def progress(self, text: str) -> None:
-        """Hand over a text that the next one replaces, where it has not been written by then."""
-        waiting, self._progress = self._progress is not None, hide(text)
-        if not waiting:
-            self._hand_over(_LATEST)
+    @property
+    def behind(self) -> bool:
+        """Whether texts wait for the far end: what can be left out is not worth to wait as well."""
+        return not self._queue.empty()
 
     def drain(self, patience: float = PATIENCE) -> bool:
         """Wait until all is written; False where the far end took nothing for `patience` seconds."""
@@ -154,8 +151,6 @@ class PatientStream(io.TextIOBase):
         if isinstance(item, threading.Event):
             item.set()
             return
-        if item is _LATEST:
-            item, self._progress = self._progress, None
         if self._left_out and self._queue.qsize() < self._limit // 2:
             item = f"\n[{self._left_out} messages were left out: nobody read them]\n{item}"
             self._left_out = 0

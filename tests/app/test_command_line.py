@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import re
+import select
 import subprocess
 import sys
 from pathlib import Path
@@ -113,6 +115,44 @@ def test_the_shell_completes_commands():
     words = {"_AGENT_COMPLETE": "complete_bash", "COMP_WORDS": "agent recal", "COMP_CWORD": "1"}
     run = subprocess.run([program], env={**os.environ, **words}, capture_output=True, text=True, check=False)
     assert run.stdout.split() == ["recalibrate"], run.stderr
+
+
+def test_progress_on_a_terminal_stands_below_the_messages_and_goes(monkeypatch):
+    from agent.core.console import Console, print_text
+    from agent.core.output import patient
+
+    here, there = pty.openpty()
+    with open(there, "w", encoding="utf-8") as terminal:
+        monkeypatch.setattr("sys.stderr", terminal)
+        monkeypatch.setenv("TERM", "xterm")
+        monkeypatch.setenv("COLUMNS", "60")
+        now = [0.0]
+        console = Console(clock=lambda: now[0])
+        shown = []
+        for call in (
+            lambda: console.step("search"),
+            lambda: console.progress("generation 1 of 4: " + "and so on " * 5, 0.25),
+            lambda: console.progress("too early for another picture"),
+            lambda: console.warn("[beware]"),
+            lambda: print_text("found"),
+        ):
+            call()
+            assert patient(terminal).drain()
+            read = b""
+            while select.select([here], [], [], 0)[0]:
+                read += os.read(here, 10_000)
+            shown.append(read.decode())
+            now[0] += 0.06
+    os.close(here)
+    search, picture, nothing, warning, end = shown
+    assert search == "[   0.0 s] search\r\n"
+    assert "generation 1 of 4" in picture
+    assert "━" in picture
+    assert max(map(len, re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", picture).split("\r"))) <= 61  # wrapped, not cut
+    assert nothing == ""
+    assert warning.index("[beware]") < warning.index("generation 1 of 4")
+    assert "\x1b[?25h" in end  # the cursor is back
+    assert end.endswith("\x1b[2K")  # on an empty line
 
 
 def test_progress_tells_the_time_left_and_paths_are_links_on_a_terminal(monkeypatch, capsys, tmp_path: Path):

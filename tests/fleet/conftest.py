@@ -26,7 +26,7 @@ def command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch)
     from agent.cli.app import app
     from agent.core import on_dask, parallel
 
-    monkeypatch.setattr(on_dask, "open_engine", lambda *_: parallel.InProcess())
+    monkeypatch.setattr(on_dask, "DaskEngine", lambda *_: parallel.InProcess())
 
     def run(*arguments: object) -> Any:
         capsys.readouterr()

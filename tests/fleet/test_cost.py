@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from agent.core.console import Console
-from agent.core.on_dask import open_engine
+from agent.core.on_dask import DaskEngine
 from agent.fleet import make_question, run_fleet
 from agent.fleet.simulate import simulate_fleet
 
@@ -18,7 +18,7 @@ from agent.fleet.simulate import simulate_fleet
 SCRIPT = """
 import resource, sys
 from agent.core.console import Console
-from agent.core.on_dask import open_engine
+from agent.core.on_dask import DaskEngine
 from agent.fleet import job, make_question, run_fleet
 from agent.fleet.work import TaskRow
 
@@ -36,7 +36,7 @@ made_up.__module__ = "__main__"
 if __name__ == "__main__":
     job.run_task = made_up
     run_fleet(sys.argv[1], make_question("estimate", "comau_ns16", None), sys.argv[2],
-              lambda _: open_engine(workers=2), Console(-1))
+              lambda _: DaskEngine(workers=2), Console(-1))
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10)
 """
 
@@ -68,7 +68,7 @@ def test_two_workers_against_one(arm: str, tmp_path: Path, measured):
     simulate_fleet(arm, 4, 1, 2, str(tmp_path / "warm"), rows=False)
     seconds, work = {}, {}
     for workers in (1, 2):
-        with open_engine(workers=workers) as engine:
+        with DaskEngine(workers=workers) as engine:
             question = make_question("estimate", None, None)
             for place in ("warm", "plant"):
                 began = time.monotonic()

@@ -15,7 +15,7 @@ import pytest
 from agent.core import on_dask
 from agent.core.console import Console
 from agent.core.errors import InputError
-from agent.core.on_dask import open_engine
+from agent.core.on_dask import DaskEngine
 from agent.core.parallel import InProcess
 from agent.fleet import make_question, run_fleet
 from tests.fleet.conftest import DaskProcesses, rows_of
@@ -51,7 +51,7 @@ def test_a_killed_worker_changes_no_row(plant: Path, estimated: Path, tmp_path: 
                 killed.append(random.Random(1).choice(sorted(engine._client.run(os.getpid).values())))
                 os.kill(killed[0], signal.SIGKILL)
 
-    engine = open_engine(workers=2)
+    engine = DaskEngine(workers=2)
     run_fleet(str(plant), make_question("estimate", None, None), str(tmp_path), lambda _: engine, Killing(-1))
     assert killed
     assert rows_of(tmp_path) == rows_of(estimated)
@@ -61,7 +61,7 @@ def test_a_killed_worker_changes_no_row(plant: Path, estimated: Path, tmp_path: 
 
 
 def test_a_scheduler_that_is_killed_and_comes_back(cluster: DaskProcesses):
-    with open_engine(cluster.address) as engine:
+    with DaskEngine(cluster.address) as engine:
 
         def disturb(done: int) -> None:
             if done == 15:
@@ -91,13 +91,13 @@ def test_a_run_that_is_ended_is_continued_by_the_same_command(plant: Path, estim
 
 def test_nobody_at_the_address_is_usage(monkeypatch):
     monkeypatch.setattr(on_dask, "_CONNECT", 0.2)
-    with pytest.raises(InputError, match="no Dask scheduler answers there"), open_engine("tcp://127.0.0.1:1"):
+    with pytest.raises(InputError, match="no Dask scheduler answers there"), DaskEngine("tcp://127.0.0.1:1"):
         pass
 
 
 def test_an_address_that_is_none_is_usage_and_leaves_no_thread():
     before = set(threading.enumerate())
-    with pytest.raises(InputError, match="missing port"), open_engine("nonsense"):
+    with pytest.raises(InputError, match="missing port"), DaskEngine("nonsense"):
         pass
     assert set(threading.enumerate()) == before, "the process would not end"
 
@@ -112,7 +112,7 @@ def test_a_task_that_kills_its_workers_is_told_and_the_others_are_done():
             os.kill(os.getpid(), signal.SIGKILL)  # as the limit of memory does
         return number
 
-    with open_engine(workers=1, memory="1GiB") as engine:
+    with DaskEngine(workers=1, memory="1GiB") as engine:
         found = {done.number: done for done in engine.map(hog, range(6))}
     assert [found[k].answer for k in range(6)] == [0, 1, 2, None, 4, 5]
     assert "memory" in found[3].lost
@@ -130,7 +130,7 @@ def test_memory_beyond_the_limit_is_contained_to_its_task(measured):
             time.sleep(0.01)
         return number
 
-    with open_engine(workers=2, memory="600MiB") as engine:
+    with DaskEngine(workers=2, memory="600MiB") as engine:
         found = {done.number: done for done in engine.map(hog, range(10))}
     assert [found[k].answer for k in range(10)] == [0, 1, 2, None, *range(4, 10)]
     measured("a task that takes 4 GB under a limit of 600 MiB: others done", 9, "of 9", "9", True)
@@ -141,7 +141,7 @@ def test_twenty_kills_of_a_worker_change_no_row(plant: Path, estimated: Path, tm
     draw, right = random.Random(time.time()), 0
     for moment in range(20):
         out = tmp_path / str(moment)
-        with open_engine(workers=2) as engine:
+        with DaskEngine(workers=2) as engine:
             delay = draw.uniform(0.0, 4.0)
 
             def kill(engine=engine) -> None:
@@ -173,7 +173,7 @@ def test_five_kills_of_the_scheduler_change_no_row(cluster, plant: Path, estimat
             out = tmp_path / str(moment)
             killed = supervisor.submit(kill_after, draw.uniform(0.0, 4.0))
             question = make_question("estimate", None, None)
-            run_fleet(str(plant), question, str(out), lambda _: open_engine(cluster.address), Console(-1))
+            run_fleet(str(plant), question, str(out), lambda _: DaskEngine(cluster.address), Console(-1))
             killed.result()
             right += rows_of(out) == rows_of(estimated)
     measured("kill -9 of the scheduler at random moments: results equal row by row", right, "of 5", "5", right == 5)

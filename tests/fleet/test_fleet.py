@@ -152,10 +152,10 @@ def test_a_result_of_another_kind_is_left_alone(command, plant: Path, estimated:
 def test_without_dask_it_says_what_to_install(plant: Path, tmp_path: Path, monkeypatch):
     import sys
 
-    from agent.core.on_dask import open_engine
+    from agent.core.on_dask import DaskEngine
 
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(InputError, match=r"pip install 'calibration-agent\[fleet\]'"), open_engine():
+    with pytest.raises(InputError, match=r"pip install 'calibration-agent\[fleet\]'"), DaskEngine():
         pass
 
 
