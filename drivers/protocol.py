@@ -6,8 +6,8 @@ Units are SI on the joint side: rad, rad/s, N·m (m, m/s, N on a prismatic joint
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -91,7 +91,7 @@ class SampleBlock:
     torque: np.ndarray
     reference_position: np.ndarray | None
     reference_velocity: np.ndarray | None
-    received: float = field(default=0.0)
+    received: float = 0.0
     current: np.ndarray | None = None
 
     def __len__(self) -> int:
@@ -100,22 +100,9 @@ class SampleBlock:
 
     def part(self, start: int, stop: int | None = None) -> SampleBlock:
         """Samples `start` to `stop` of this block (views, no copies)."""
-        chosen = slice(start, stop)
-        return SampleBlock(
-            self.sequence[chosen],
-            self.time[chosen],
-            self.position[chosen],
-            _part(self.velocity, chosen),
-            self.torque[chosen],
-            _part(self.reference_position, chosen),
-            _part(self.reference_velocity, chosen),
-            self.received,
-            _part(self.current, chosen),
-        )
-
-
-def _part(values: np.ndarray | None, chosen: slice) -> np.ndarray | None:
-    return None if values is None else values[chosen]
+        arrays = [name for name, values in vars(self).items() if isinstance(values, np.ndarray)]
+        parts: dict[str, Any] = {name: getattr(self, name)[start:stop] for name in arrays}
+        return replace(self, **parts)
 
 
 @dataclass(frozen=True)

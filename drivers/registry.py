@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 import logging
 from collections.abc import Callable
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 
 from drivers.errors import ConfigurationError
 from drivers.protocol import Driver
@@ -55,15 +55,8 @@ def _load(name: str) -> Callable[..., Driver] | None:
         module, _, attribute = _BUILT_IN[name].partition(":")
         return getattr(importlib.import_module(module), attribute)
     for point in entry_points(group=GROUP, name=name):
-        factory = _load_plug_in(point)
-        if factory is not None:
-            return factory
+        try:
+            return point.load()
+        except Exception as error:  # whatever a stranger's module does when it is imported
+            _log.warning("driver %r (%s) cannot be loaded and is left out: %s", point.name, point.value, error)
     return None
-
-
-def _load_plug_in(point: EntryPoint) -> Callable[..., Driver] | None:
-    try:
-        return point.load()
-    except Exception as error:  # whatever a stranger's module does when it is imported
-        _log.warning("driver %r (%s) cannot be loaded and is left out: %s", point.name, point.value, error)
-        return None

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core import AgentError, InputError
+from agent.core import AgentError, InputError, read_json
 from fake_controller.servers import WIRES
 
 if TYPE_CHECKING:
@@ -107,10 +107,7 @@ def _controller(options: argparse.Namespace) -> Controller:
 
 
 def _effects(path: Path) -> list[dict[str, Any]]:
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as JSON: {error}") from None
+    data = read_json(path)
     if not isinstance(data, list) or not all(isinstance(entry, dict) for entry in data):
         raise InputError(f"{path}: a list of effects is expected, each with the keys effect, joints, parameters")
     return data
@@ -125,14 +122,23 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--driver", choices=WIRES, default="tcp", help="which driver's wire to speak; rtu is serial's")
     parser.add_argument("--port", type=_port, default=9100, help="TCP port; 0 takes a free one and prints it")
     parser.add_argument("--address", default="127.0.0.1", help="where to listen; others cannot connect by default")
-    parser.add_argument("--baud", type=_baud, default=115_200, help="of a serial line, bits per second")
+    parser.add_argument(
+        "--baud",
+        type=_between(int, 1200, 4_000_000, "baud rate"),
+        default=115_200,
+        help="of a serial line, bits per second",
+    )
     parser.add_argument("--serial-port", help="a port of this machine; if none is named, a pseudo-terminal is made")
     parser.add_argument(
         "--broker", type=_broker, default="127.0.0.1:1883", help="MQTT broker that cnr_comau's samples go by"
     )
     parser.add_argument("--seed", type=int, help="of the arm's true parameters and its noise; 0 if none is given")
     parser.add_argument("--clock", choices=("fast", "real"), help="as fast as it goes, or real time (if none is given)")
-    parser.add_argument("--watchdog", type=_watchdog, help="shortest [s] that a client is granted, 0.05 to 5")
+    parser.add_argument(
+        "--watchdog",
+        type=_between(float, 0.05, 5.0, "watchdog here"),
+        help="shortest [s] that a client is granted, 0.05 to 5",
+    )
     parser.add_argument("--scenario", type=Path, help="what is set up and what goes wrong; docs/scenarios.md")
     parser.add_argument("--effects", type=Path, help="JSON list of effects to build into the arm")
     parser.add_argument("--model", type=Path, help="model file that the arm is to be like, effects included")
@@ -146,32 +152,27 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _port(text: str) -> int:
-    port = int(text)
-    if not 0 <= port < 65536:
-        raise argparse.ArgumentTypeError(f"{port} is not a port; 0 to 65535 are")
-    return port
+def _between(number: Callable[[str], float], low: float, high: float, what: str) -> Callable[[str], float]:
+    """A type of argparse: a number from `low` to `high`."""
+
+    def parse(text: str) -> float:
+        value = number(text)
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text} is no {what}; {low:g} to {high:.7g} are")
+        return value
+
+    parse.__name__ = what  # for argparse's own message
+    return parse
 
 
-def _baud(text: str) -> int:
-    baud = int(text)
-    if not 1200 <= baud <= 4_000_000:
-        raise argparse.ArgumentTypeError(f"{baud} baud are none; 1200 to 4000000 are")
-    return baud
+_port = _between(int, 0, 65535, "port")
 
 
-def _broker(text: str) -> tuple[str, int]:
+def _broker(text: str) -> tuple[str, float]:
     host, colon, port = text.rpartition(":")
     if not colon or not port.isdigit():
         raise argparse.ArgumentTypeError(f"{text!r} is no broker; host:port is")
     return host.strip("[]"), _port(port)
-
-
-def _watchdog(text: str) -> float:
-    seconds = float(text)
-    if not 0.05 <= seconds <= 5.0:
-        raise argparse.ArgumentTypeError(f"{text} s is no watchdog here; 0.05 to 5 are")
-    return seconds
 
 
 def _write_whole(path: Path, text: str) -> None:

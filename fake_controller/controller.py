@@ -22,7 +22,7 @@ from fake_controller.frames import tool_point
 from fake_controller.interpreter import FACTORY, Interpreter
 from fake_controller.plant import Plant
 from fake_controller.programs import ProgramMemory, RefusedRequest, check_program
-from fake_controller.ring import Recorded, Ring, part_of
+from fake_controller.ring import Recorded, Ring
 from fake_controller.state import State, home
 
 CONTROLLER = "fake controller"
@@ -53,6 +53,9 @@ class Controller:
         serial: of the arm.
         faults: what goes wrong, and when.
         system: system variables by name, as an earlier program has left them; as the controller comes if not given.
+
+    `position` [rad] and `torque` [N·m] (n,) were measured last, joint side; `reference` (n,) [rad] is the set-point
+    that was given last.
     """
 
     def __init__(
@@ -76,7 +79,7 @@ class Controller:
         self.forward = forward
         self.motions_started = 0
         self.ends: list[EndReason] = []
-        self.when_restarting: list[Callable[[], None]] = []
+        self.when_restarting: list[Callable[[], object]] = []
         self._slowness = 1.0
         self._counter_zero = 0
         self._count = 0
@@ -91,10 +94,10 @@ class Controller:
         self._thread: threading.Thread | None = None
         self._rests = threading.Event()
         self._rests.set()
-        self._reference = home(robot)
-        plant.rest(self._reference)
-        self._position = plant.position
-        self._torque = plant.resting.torque[-1]
+        self.reference = home(robot)
+        plant.rest(self.reference)
+        self.position = plant.position
+        self.torque = plant.resting.torque[-1]
 
     @property
     def moving(self) -> bool:
@@ -102,24 +105,9 @@ class Controller:
         return self._switch is not None
 
     @property
-    def position(self) -> np.ndarray:
-        """(n,) measured, joint side [rad]."""
-        return self._position
-
-    @property
-    def torque(self) -> np.ndarray:
-        """(n,) measured, joint side [N·m]."""
-        return self._torque
-
-    @property
     def temperatures(self) -> tuple[float, ...]:
         """(n,) of the motors [°C], or none where nothing on this machine warms up."""
         return self._machine.temperatures
-
-    @property
-    def reference(self) -> np.ndarray:
-        """(n,) the set-point that was given last [rad]."""
-        return self._reference
 
     @property
     def frames(self) -> tuple[tuple[float, ...], ...]:
@@ -209,7 +197,7 @@ class Controller:
             if stored.checksum != checksum.lower():
                 raise RefusedRequest(Refusal.CHECKSUM, f"the stored {name} is another text than the checksum's")
             statements = Interpreter(stored.program, self.robot, self._system).run()
-            chains = self._planner.chains(statements, self._reference)
+            chains = self._planner.chains(statements, self.reference)
             try:
                 first = next(chains, None)
             except (CannotMove, Pdl2Error) as error:
@@ -249,7 +237,7 @@ class Controller:
             raise RefusedRequest(Refusal.NOT_AVAILABLE, f"there are no samples from {first} on")
         begin = max(first - part.first, 0)
         chosen = slice(begin, begin + count)
-        return part.first + begin, part.time_ns[chosen], part_of(part.samples, chosen)
+        return part.first + begin, part.time_ns[chosen], part.samples.part(chosen)
 
     def wait(self, timeout: float) -> bool:
         """Wait until the arm rests and its client has heard of it; False if that takes longer [s]."""
@@ -315,7 +303,7 @@ class Controller:
         origin = self.clock.now() + period_ns
         reason, message = EndReason.DONE, ""
         try:
-            for samples in self._execution.run(chains, self._reference, switch):
+            for samples in self._execution.run(chains, self.reference, switch):
                 count = self._count
                 time_ns = origin + period_ns * np.arange(count, count + len(samples), dtype=np.int64)
                 self.clock.wait_until(int(time_ns[-1]))
@@ -324,8 +312,8 @@ class Controller:
                 first = count - self._counter_zero
                 with self._lock:
                     self._ring.append(Recorded(first, time_ns, samples))
-                    self._position, self._torque = samples.position[-1], samples.torque[-1]
-                    self._reference = samples.reference_position[-1]
+                    self.position, self.torque = samples.position[-1], samples.torque[-1]
+                    self.reference = samples.reference_position[-1]
                 listener.on_samples(first, time_ns, samples)
                 self._count = count + len(samples)
                 self.reach("streaming", self._count * PERIOD)

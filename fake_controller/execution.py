@@ -38,6 +38,15 @@ class Slice:
     def __len__(self) -> int:
         return len(self.position)
 
+    @property
+    def columns(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """All five, in the order in which every wire has them."""
+        return self.position, self.velocity, self.torque, self.reference_position, self.reference_velocity
+
+    def part(self, chosen: slice) -> Slice:
+        """Some of them (views, no copies)."""
+        return Slice(*(column[chosen] for column in self.columns))
+
 
 def _end_of(chain: Chain) -> np.ndarray:
     assert chain.trajectory is not None
@@ -53,25 +62,23 @@ class CannotMove(Exception):
 
 
 class StopSwitch:
-    """Asks a running motion to stop; the first reason counts. `speed` is the override it runs at."""
+    """Asks a running motion to stop; the first reason counts, None as long as nobody asked.
+
+    `speed` is the override it runs at.
+    """
 
     def __init__(self, speed: float = 1.0) -> None:
         self.speed = speed
         self._lock = threading.Lock()
-        self._reason: EndReason | None = None
+        self.reason: EndReason | None = None
         self.message = ""
-
-    @property
-    def reason(self) -> EndReason | None:
-        """Why to stop; None as long as nobody asked."""
-        return self._reason
 
     def request(self, reason: EndReason, message: str) -> None:
         """Ask for a stop."""
         with self._lock:
-            if self._reason is None:
+            if self.reason is None:
                 self.message = message
-                self._reason = reason
+                self.reason = reason
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Measured", "Plant", "Truth"]
 
 _SETTLING = 0.5  # s
-_HIGHEST_RATE = 20_000.0  # Hz
+_INNER_RATE, _HIGHEST_RATE = 2000.0, 20_000.0  # Hz, of servo and integration; gears that give way raise it
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,6 @@ class Plant:
         seed: of the individual and of its measurement noise; the same seed gives the same samples.
         effects: plain mappings as `fake_controller.actuation.load_effect` takes them.
         period: of set-points and samples [s].
-        inner_rate: of servo and integration [Hz]; gears that give way raise it.
         model: the machine is what this model says, instead of one drawn from `seed`.
 
     Raises:
@@ -61,7 +60,6 @@ class Plant:
         seed: int = 0,
         effects: Sequence[Mapping[str, Any]] = (),
         period: float = 0.002,
-        inner_rate: float = 2000.0,
         model: IdentifiedModel | None = None,
     ):
         self.robot = robot
@@ -69,7 +67,10 @@ class Plant:
         if model is None:
             self.machine = draw_machine(robot, seed)
         else:
-            self.machine, self._beyond = _like(model)
+            from fake_controller.modelled import BeyondMachine, modelled_machine  # estimation is not needed without
+
+            self.machine = modelled_machine(model)
+            self._beyond = BeyondMachine(model, self.machine)
         self._beyond_series, self._beyond_start = np.zeros((1, robot.dof)), 0.0
         for effect in effects:
             load_effect(effect).install(self.machine)
@@ -81,7 +82,7 @@ class Plant:
             Drive(self.machine),
             gains,
             period,
-            max(inner_rate, _rate_for_gears(self.machine, dynamics, gains)),
+            max(_INNER_RATE, _rate_for_gears(self.machine, dynamics, gains)),
             self._external(dynamics, period),
         )
         self._sensors = Sensors(self.machine, seed, period)
@@ -92,11 +93,6 @@ class Plant:
     def position(self) -> np.ndarray:
         """(n,) where the controller believes the joints to be, without quantisation."""
         return self._simulation.motor_position @ self._to_joints + self.machine.encoder_offset
-
-    @property
-    def time(self) -> float:
-        """Seconds of motion since the arm was put to rest."""
-        return self._simulation.time
 
     def rest(self, q: np.ndarray) -> None:
         """Put the arm at the set-point q (n,), at rest and settled; time starts again.
@@ -122,19 +118,20 @@ class Plant:
         slow = np.abs(self._simulation.velocity) * 0.1 < tolerance
         return bool(np.all(error < tolerance) and np.all(slow))
 
-    def run(
-        self, reference: np.ndarray, reference_velocity: np.ndarray, period: float | None = None, chunk: int = 250
-    ) -> Iterator[Measured]:
+    def run(self, reference: np.ndarray, reference_velocity: np.ndarray, chunk: int = 250) -> Iterator[Measured]:
         """Follow set-points (S, n) and their velocities, one a period; yields what was measured at their moments.
 
         At most `chunk` samples are computed ahead of what the caller has taken; the next call goes on from there.
-
-        Raises:
-            ValueError: a `period` that is not the plant's.
         """
-        if period is not None and abs(period - self._period) > 1e-9:
-            raise ValueError(f"this plant runs at {self._period} s, not {period} s")
-        return self._chunks(np.asarray(reference, float), np.asarray(reference_velocity, float), chunk)
+        reference, reference_velocity = np.asarray(reference, float), np.asarray(reference_velocity, float)
+        if self._beyond is not None and len(reference):
+            self._beyond_start = self._simulation.time
+            self._beyond_series = self._beyond.torque(self._beyond_start, reference, reference_velocity, self._period)
+        for at in range(0, len(reference), chunk):
+            part = slice(at, at + chunk)
+            motion = self._simulation.run(reference[part] - self.machine.encoder_offset, reference_velocity[part])
+            self._reference = reference[part][-1]
+            yield self._sensors.measure(motion)
 
     def executed_path(self, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The set-points that this machine's interpolator makes of planned ones (S, n), rest to rest.
@@ -185,24 +182,6 @@ class Plant:
             return total
 
         return torque
-
-    def _chunks(self, reference: np.ndarray, reference_velocity: np.ndarray, chunk: int) -> Iterator[Measured]:
-        if self._beyond is not None and len(reference):
-            self._beyond_start = self.time
-            self._beyond_series = self._beyond.torque(self.time, reference, reference_velocity, self._period)
-        for at in range(0, len(reference), chunk):
-            part = slice(at, at + chunk)
-            motion = self._simulation.run(reference[part] - self.machine.encoder_offset, reference_velocity[part])
-            self._reference = reference[part][-1]
-            yield self._sensors.measure(motion)
-
-
-def _like(model: IdentifiedModel) -> tuple[Machine, BeyondMachine]:
-    """A machine like a model, and what the model has beyond it; estimation is not needed without."""
-    from fake_controller.modelled import BeyondMachine, modelled_machine
-
-    machine = modelled_machine(model)
-    return machine, BeyondMachine(model, machine)
 
 
 def _rate_for_gears(machine: Machine, dynamics: Dynamics, gains: ServoGains) -> float:

@@ -38,14 +38,3 @@ class Ring:
     def find(self, first: int) -> Recorded | None:
         """The part that has sample `first`, or the earliest after it."""
         return next((part for part in self.parts if part.first + len(part.samples) > first), None)
-
-
-def part_of(samples: Slice, chosen: slice) -> Slice:
-    """Some of them (views, no copies)."""
-    return Slice(
-        samples.position[chosen],
-        samples.velocity[chosen],
-        samples.torque[chosen],
-        samples.reference_position[chosen],
-        samples.reference_velocity[chosen],
-    )

@@ -31,8 +31,6 @@ class RecorderFaults:
     """Neutral until told otherwise; arrays are (n,), one entry a joint."""
 
     bristles: np.ndarray
-    coulomb: np.ndarray
-    viscous: np.ndarray
     by_direction: np.ndarray
     viscous_by_direction: np.ndarray
     rise: np.ndarray
@@ -69,7 +67,7 @@ def build_in(arm: Arm, effects: Sequence[Mapping[str, Any]]) -> RecorderFaults:
     zero, one, never = np.zeros(n), np.ones(n), np.full(n, np.inf)
     faults = RecorderFaults(
         np.full(n, not arm.by_engine),
-        *(one.copy(), one.copy(), zero.copy(), zero.copy(), zero.copy(), one.copy(), zero.copy()),
+        *(zero.copy(), zero.copy(), zero.copy(), one.copy(), zero.copy()),
         *(never.copy(), zero.copy(), zero.copy(), zero.copy(), one.copy(), zero.copy(), one.copy()),
         *(one.copy(), zero.copy(), zero.copy(), never.copy()),
     )

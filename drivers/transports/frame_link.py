@@ -16,6 +16,7 @@ from socket import SHUT_RDWR
 from typing import Any, Protocol, TypeVar
 
 from drivers.errors import DriverError, ProtocolError
+from drivers.transports.base import LinkThread, dropped
 from drivers.wire.reasons import refusal_error
 from drivers.wire.tcp import Frame, FrameDecoder, Heartbeat, Refused, encode
 
@@ -44,7 +45,7 @@ class Channel(Protocol):
         """Give the handle back."""
 
 
-class FrameLink:
+class FrameLink(LinkThread):
     """A channel and its reader thread.
 
     `decoder` and `decode` turn bytes into frames and frames into messages. `on_message(message, request)` gets, in the
@@ -64,22 +65,18 @@ class FrameLink:
         on_turn: Callable[[], None],
         watchdog: float,
     ) -> None:
-        self.peer = peer
+        super().__init__(peer, on_failure)
         self.watchdog = watchdog
         self.guarded = False
-        self.failure: DriverError | None = None
         self._channel = channel
         self._decoder = decoder
         self._decode = decode
         self._on_message = on_message
-        self._on_failure = on_failure
         self._on_turn = on_turn
         self._waiting: dict[int, queue.SimpleQueue[Any]] = {}
         self._ids = itertools.count(1)
         self._lock = threading.Lock()
-        self._closing = threading.Event()
         self._heard = False
-        self._thread = threading.Thread(target=self._run, name=f"link {peer}", daemon=True)
         self._thread.start()
 
     def post(self, message: Any) -> int:
@@ -124,15 +121,14 @@ class FrameLink:
         """End the link and its thread; never raises."""
         self._closing.set()
         self._hang_up()
-        if threading.current_thread() is not self._thread:
-            self._thread.join(5.0)
+        self._join(5.0)
         self._channel.close()
 
     def _checked(self, answer: Any, reply: type[Reply], timeout: float, what: str) -> Reply:
         if answer is None:
             raise self._silent(what, timeout)
         if isinstance(answer, DriverError):
-            raise self._ended()
+            self.check()
         if isinstance(answer, Refused):
             raise refusal_error(self.peer, what, answer.code, answer.line, answer.column, answer.message)
         if not isinstance(answer, reply):
@@ -173,40 +169,24 @@ class FrameLink:
         with contextlib.suppress(OSError):
             self._channel.shutdown(SHUT_RDWR)
 
-    def _ended(self) -> DriverError:
-        assert self.failure is not None
-        return type(self.failure)(str(self.failure))
-
     def _send(self, message: Any, request: int = 0) -> None:
-        if self.failure is not None:
-            raise self._ended()
+        self.check()
         try:
             with self._lock:
                 self._channel.sendall(encode(message, request))
         except TimeoutError:
             raise DriverError(f"the controller at {self.peer} takes no data any more; the link is dead") from None
         except OSError as error:
-            if self.failure is not None:
-                raise self._ended() from None
-            raise DriverError(f"the link to {self.peer} dropped: {error.strerror or error}") from None
+            self.check()
+            raise dropped(self.peer, error) from None
 
-    def _run(self) -> None:
-        try:
-            self._read()
-            failure = DriverError(f"the link to {self.peer} was closed by this end")
-        except DriverError as error:
-            failure = error
-        except OSError as error:
-            failure = DriverError(f"the link to {self.peer} dropped: {error.strerror or error}")
-        except Exception as error:  # whoever waits must hear of it, whatever it is
-            failure = ProtocolError(f"what {self.peer} sent cannot be handled: {type(error).__name__}: {error}")
+    def _end(self, failure: DriverError) -> None:
         self.failure = failure
         self._hang_up()
         for answers in list(self._waiting.values()):
             answers.put(failure)
-        self._on_failure(failure)
 
-    def _read(self) -> None:
+    def _work(self) -> None:
         silence, beaten = 0.0, time.monotonic()
         with selectors.DefaultSelector() as selector:
             selector.register(self._channel, selectors.EVENT_READ)

@@ -5,14 +5,15 @@ from __future__ import annotations
 import hashlib
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from drivers.errors import DriverError, ProtocolError, RefusedError
-from drivers.protocol import Gap, Identity, SampleBlock, Status
-from drivers.transports.frame_link import FrameLink
+from drivers.errors import ProtocolError, RefusedError
+from drivers.protocol import Identity, SampleBlock, Status
+from drivers.transports.base import LinkDriver
+from drivers.transports.frame_link import Channel, FrameLink, Reply
 from drivers.transports.motion import MotionStream
 from drivers.wire.tcp import (
     MAX_BATCH,
@@ -23,6 +24,8 @@ from drivers.wire.tcp import (
     Done,
     End,
     Fetch,
+    Frame,
+    FrameDecoder,
     Hello,
     Identify,
     IdentityReply,
@@ -41,43 +44,22 @@ from drivers.wire.tcp import (
 )
 
 
-class FrameDriver:
+class FrameDriver(LinkDriver[FrameLink, MotionStream]):
     """`drivers.protocol.Driver` over frames; a subclass says how the link is opened.
 
     Args:
         address: in the notation of the subclass.
         watchdog: silence [s] after which either end takes the other for gone; the controller may answer another one.
-        timeout: how long [s] to wait for an answer.
-        start_timeout: the same for `start`, where the controller plans first, and for the arm to rest after `stop`.
-        buffer_limit: bytes of samples kept for a consumer that is behind (the default: over an hour at 500 Hz and six
-            joints). Beyond it the motion is stopped; the link itself never waits for the consumer.
+        options: of `LinkDriver`.
     """
 
     READ_ATTEMPTS = 1  # of requests that change nothing
     UPLOAD_BLOCK = UPLOAD_BLOCK
 
-    def __init__(
-        self,
-        address: str,
-        *,
-        watchdog: float = 0.2,
-        timeout: float = 5.0,
-        start_timeout: float = 60.0,
-        buffer_limit: int = 512 * 1024 * 1024,
-    ) -> None:
-        self.address = address
+    def __init__(self, address: str, *, watchdog: float = 0.2, **options: Any) -> None:
+        super().__init__(address, **options)
         self._watchdog = watchdog
-        self._timeout = timeout
-        self._start_timeout = start_timeout
-        self._buffer_limit = buffer_limit
-        self._link: FrameLink | None = None
-        self._motion: MotionStream | None = None
         self._measures_temperatures = True
-
-    @property
-    def gaps(self) -> tuple[Gap, ...]:
-        """What is missing from the samples of the last motion although it was asked for again."""
-        return () if self._motion is None else self._motion.sequencer.gaps
 
     @property
     def duplicates(self) -> int:
@@ -112,26 +94,20 @@ class FrameDriver:
 
     def identify(self) -> Identity:
         """Ask the controller who it is."""
-        reply = self._connected().request(Identify(), IdentityReply, self._timeout, "identify", self.READ_ATTEMPTS)
-        return Identity(
-            reply.robot, reply.serial, reply.controller, reply.version, tuple(reply.joint_names), reply.period
-        )
+        reply = self._read(Identify(), IdentityReply, "identify")
+        return Identity(**vars(reply))
 
     def status(self) -> Status:
         """Ask for the state."""
-        reply = self._connected().request(AskStatus(), StatusReply, self._timeout, "status", self.READ_ATTEMPTS)
-        values = {name: getattr(reply, name) for name, _ in StatusReply.LAYOUT}
-        return Status(**{**values, "position": np.array(reply.position)})
+        reply = self._read(AskStatus(), StatusReply, "status")
+        return Status(**{**vars(reply), "position": np.array(reply.position)})
 
     def temperatures(self) -> np.ndarray | None:
         """(n,) of the motors [°C], or None where this controller measures none; it is asked again only if it does."""
         if not self._measures_temperatures:
             return None
-        request = AskTemperatures()
         try:
-            reply = self._connected().request(
-                request, TemperaturesReply, self._timeout, "temperatures", self.READ_ATTEMPTS
-            )
+            reply = self._read(AskTemperatures(), TemperaturesReply, "temperatures")
         except RefusedError:
             self._measures_temperatures = False
             return None
@@ -156,8 +132,7 @@ class FrameDriver:
     def start(self, name: str, checksum: str) -> None:
         """Run the stored program once. Where the answer is lost the link is closed, so that the arm cannot go on."""
         link = self._connected()
-        if self._motion is not None and not self._motion.over:
-            raise DriverError("the last motion is not over yet; read its samples to the end, or stop it")
+        self._check_over()
         motion = MotionStream(self._buffer_limit)
         motion_id = uuid.uuid4().bytes
         self._motion = motion
@@ -176,26 +151,16 @@ class FrameDriver:
             self.close()
             raise
 
-    def samples(self) -> Iterator[SampleBlock]:
-        """Samples of the motion, in order, each once; what arrived before an error is yielded before it is raised."""
-        motion = self._motion
-        if motion is None:
-            raise DriverError("there are no samples: nothing was started")
-        return motion.blocks()
-
     def stop(self) -> None:
         """Ask for a stop on the path and wait until the arm rests; nothing to do where nothing was started."""
         link, motion = self._link, self._motion
-        if link is None or (link.failure is not None and (motion is None or motion.over)):
+        if link is None or self._nothing_to_stop(link, motion):
             return
         if motion is not None:
             motion.stopping = True
         link.request(Stop(), Done, self._timeout, "stop")
         if motion is not None and not self._rests(motion):
-            raise DriverError(
-                f"the controller at {self.address} took the stop command, but does not report the arm at rest; "
-                "use the emergency stop"
-            )
+            raise self._still_moves()
 
     def close(self) -> None:
         """Close the link; a controller that still moves comes to rest by itself. Never raises."""
@@ -204,13 +169,19 @@ class FrameDriver:
             link.close()
 
     def _open(self) -> FrameLink:
-        """A link whose messages, failure and turns come to the methods below."""
+        """A link by `_link_over`."""
         raise NotImplementedError
 
-    def _connected(self) -> FrameLink:
-        if self._link is None:
-            raise DriverError(f"the link to {self.address} is not open; connect first")
-        return self._link
+    def _link_over(
+        self, channel: Channel, peer: str, decoder: FrameDecoder, decode: Callable[[Frame], Any]
+    ) -> FrameLink:
+        """A link whose messages, failure and turns come to the methods below."""
+        return FrameLink(
+            channel, peer, decoder, decode, self._on_message, self._on_failure, self._on_turn, self._watchdog
+        )
+
+    def _read(self, question: Any, reply: type[Reply], what: str) -> Reply:
+        return self._connected().request(question, reply, self._timeout, what, self.READ_ATTEMPTS)
 
     def _rests(self, motion: MotionStream) -> bool:
         """Wait until the arm rests; False if it takes too long."""
@@ -231,34 +202,18 @@ class FrameDriver:
             motion.ended(message.reason, message.samples, message.message)
         elif isinstance(message, Refused):
             motion.refetch_refused(request)
-        if motion.too_full:
+        if (full := motion.too_full()) is not None:
             link.post(Stop())
-            motion.finish(
-                DriverError(
-                    f"{motion.size >> 20} MiB of samples wait to be read; the motion was stopped: is the disk full?"
-                )
-            )
+            motion.finish(full)
         missing = motion.wanted()
         if missing is not None:
             first, count = missing
             motion.fetching = link.post(Fetch(first, min(count, MAX_BATCH))), first
         link.guarded = not motion.over
 
-    def _on_failure(self, error: DriverError) -> None:
-        if self._motion is not None:
-            self._motion.finish(error)
-
 
 def to_block(samples: Samples) -> SampleBlock:
     """A message's samples, received now."""
     count = len(samples.time_ns)
-    return SampleBlock(
-        sequence=np.arange(samples.first, samples.first + count),
-        time=samples.time_ns * 1e-9,
-        position=samples.position,
-        velocity=samples.velocity,
-        torque=samples.torque,
-        reference_position=samples.reference_position,
-        reference_velocity=samples.reference_velocity,
-        received=time.time(),
-    )
+    sequence = np.arange(samples.first, samples.first + count)
+    return SampleBlock(sequence, samples.time_ns * 1e-9, *samples.columns, received=time.time())

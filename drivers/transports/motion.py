@@ -25,7 +25,7 @@ class MotionStream:
     """What arrived of one motion and was not read yet. One thread gives, another takes.
 
     Args:
-        limit: bytes that may wait for the consumer before `too_full` says so.
+        limit: bytes that may wait for the consumer before it is `too_full`.
     """
 
     def __init__(self, limit: int) -> None:
@@ -40,10 +40,13 @@ class MotionStream:
         self._changed = threading.Condition()
         self.over = False
 
-    @property
-    def too_full(self) -> bool:
-        """The consumer is too far behind."""
-        return self.size > self._limit
+    def too_full(self) -> DriverError | None:
+        """Where the consumer is too far behind: the error that the motion is to end with, once it is stopped."""
+        if self.size <= self._limit:
+            return None
+        return DriverError(
+            f"{self.size >> 20} MiB of samples wait to be read; the motion was stopped: is the disk full?"
+        )
 
     def has_begun(self) -> bool:
         """Whether samples have come, or the end."""

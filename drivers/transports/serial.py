@@ -78,16 +78,8 @@ class SerialDriver(FrameDriver):
             self._starting = False
 
     def _open(self) -> FrameLink:
-        return FrameLink(
-            SerialChannel(open_port(self._line, self._timeout)),
-            self._line.port,
-            HuntingDecoder(),
-            decode,
-            self._on_message,
-            self._on_failure,
-            self._on_turn,
-            self._watchdog,
-        )
+        channel = SerialChannel(open_port(self._line, self._timeout))
+        return self._link_over(channel, self._line.port, HuntingDecoder(), decode)
 
     def _rests(self, motion: MotionStream) -> bool:
         """Not until all samples have come, which may take much longer."""

@@ -25,16 +25,7 @@ class TcpDriver(FrameDriver):
     def _open(self) -> FrameLink:
         connection = open_socket(self.address, self._timeout)
         connection.settimeout(self._timeout)
-        return FrameLink(
-            connection,
-            self.address,
-            FrameDecoder(MAX_REPLY_PAYLOAD),
-            decode,
-            self._on_message,
-            self._on_failure,
-            self._on_turn,
-            self._watchdog,
-        )
+        return self._link_over(connection, self.address, FrameDecoder(MAX_REPLY_PAYLOAD), decode)
 
 
 def parse_address(address: str) -> tuple[str, int]:

@@ -11,14 +11,16 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from enum import IntEnum
 from operator import itemgetter
 from typing import Any, ClassVar
 
 from drivers.errors import ProtocolError
+from drivers.wire.stream import StreamDecoder
 
 TRAJECTORY_PORT, FEEDBACK_PORT, STATUS_PORT = 1212, 1213, 1214
 AXES = 10  # of every array of joints, whatever the arm has
@@ -114,7 +116,7 @@ class Feedback:
 class StatusMessage:
     """State of the controller: 1 is yes, 0 no, -1 not known; `mode` is a `Mode`."""
 
-    FIELDS: ClassVar[str] = "7i"
+    FIELDS: ClassVar[str] = "iiiiiii"
 
     drives_powered: int
     e_stopped: int
@@ -141,10 +143,10 @@ class Message:
 _HEADER = "iiii"
 _LARGEST = 4096  # bytes; a length beyond is no length
 _RECORDS: dict[int, type[Record]] = {MessageType.STATUS: StatusMessage, MessageType.FEEDBACK: Feedback}
-_SHAPES: dict[type[Record], tuple[int, ...]] = {
-    Point: (1, 1, 1, 1, 1, AXES, 1),
-    Feedback: (1, 6, 6, 6, AXES, AXES, 6, 1, 1, 1),
-    StatusMessage: (1,) * 7,
+#: Values of each field.
+_SHAPES = {
+    record: tuple(int(count or 1) for count in re.findall(r"(\d*)[if]", record.FIELDS))
+    for record in (Point, Feedback, StatusMessage)
 }
 _STRUCTS = {(record, order): struct.Struct(order + record.FIELDS) for record in _SHAPES for order in (LITTLE, BIG)}
 _HEADERS = {order: struct.Struct(order + _HEADER) for order in (LITTLE, BIG)}
@@ -171,38 +173,12 @@ def encode(message: Message, order: str = LITTLE) -> bytes:
     return _HEADERS[order].pack(length, message.type, message.comm, message.reply) + body
 
 
-class MessageDecoder:
-    """Turns a byte stream, cut anywhere, into messages; `order` is None until the first length told it.
-
-    A damaged stream cannot be trusted any further: after its first `ProtocolError` a decoder only repeats it.
-    """
+class MessageDecoder(StreamDecoder[Message]):
+    """Messages of the socket programs; `order` is None until the first length told it."""
 
     def __init__(self, order: str | None = None) -> None:
+        super().__init__()
         self.order = order
-        self._buffer = bytearray()
-        self._broken = ""
-
-    @property
-    def pending(self) -> int:
-        """Bytes of a message that is not complete yet."""
-        return len(self._buffer)
-
-    def feed(self, data: bytes) -> Iterator[Message]:
-        """The messages that are complete now; run through all of them before feeding again.
-
-        Raises:
-            ProtocolError: not these programs, after the whole messages that came before.
-        """
-        if self._broken:
-            raise ProtocolError(self._broken)
-        self._buffer += data
-        try:
-            while (message := self._next()) is not None:
-                yield message
-        except ProtocolError as error:
-            self._broken = str(error)
-            self._buffer.clear()
-            raise
 
     def _next(self) -> Message | None:
         if len(self._buffer) < 4:

@@ -1,9 +1,12 @@
-"""The kinds of field that a message is made of. Little-endian, packed without padding."""
+"""The kinds of field that a message or a block of registers is made of, and how a message is packed of them.
+
+Messages are little-endian, registers big-endian; neither has padding between fields.
+"""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, Protocol, TypeVar, dataclass_transform, get_type_hints
 
@@ -50,16 +53,18 @@ class FieldKind(Protocol):
 
 
 class Number:
-    """A fixed-size number in `struct` notation."""
+    """A fixed-size number in `struct` notation, byte order included."""
 
-    def __init__(self, code: str) -> None:
-        self._struct = struct.Struct("<" + code)
+    def __init__(self, code: str, name: str = "") -> None:
+        self.name = name
+        self._struct = struct.Struct(code)
+        self.size = self._struct.size
 
     def pack(self, value: Any) -> bytes:
         return self._struct.pack(value)
 
     def unpack(self, cursor: Cursor) -> Any:
-        return self._struct.unpack(cursor.take(self._struct.size))[0]
+        return self._struct.unpack(cursor.take(self.size))[0]
 
 
 class Boolean:
@@ -79,18 +84,14 @@ class Utf8:
     """Length (2 bytes), then UTF-8. Longer text is cut at a character when it is packed."""
 
     def pack(self, value: str) -> bytes:
-        data = value.encode("utf-8")[:MAX_TEXT]
-        data = data.decode("utf-8", "ignore").encode("utf-8")
+        data = _cut(value, MAX_TEXT)
         return struct.pack("<H", len(data)) + data
 
     def unpack(self, cursor: Cursor) -> str:
         (size,) = struct.unpack("<H", cursor.take(2))
         if size > MAX_TEXT:
             raise ProtocolError(f"a text of {size} bytes; at most {MAX_TEXT} are allowed")
-        try:
-            return cursor.take(size).decode("utf-8")
-        except UnicodeDecodeError as error:
-            raise ProtocolError(f"a text is not UTF-8: {error.reason}") from None
+        return _decoded(cursor.take(size))
 
 
 class Blob:
@@ -104,19 +105,34 @@ class Blob:
         return cursor.take(size)
 
 
-class Fixed:
-    """Exactly `size` bytes."""
+class Padded:
+    """`size` bytes; fewer are filled up with zeros, which stay."""
 
     def __init__(self, size: int) -> None:
-        self._size = size
+        self.name = f"{size} bytes"
+        self.size = size
 
     def pack(self, value: bytes) -> bytes:
-        if len(value) != self._size:
-            raise ValueError(f"{self._size} bytes are expected, not {len(value)}")
-        return value
+        if len(value) > self.size:
+            raise ValueError(f"at most {self.size} bytes are expected, not {len(value)}")
+        return value.ljust(self.size, b"\0")
 
     def unpack(self, cursor: Cursor) -> bytes:
-        return cursor.take(self._size)
+        return cursor.take(self.size)
+
+
+class PaddedText:
+    """UTF-8 in `size` bytes, filled up with zeros; cut at a character where it is too long."""
+
+    def __init__(self, size: int) -> None:
+        self.name = f"text of {size} bytes"
+        self.size = size
+
+    def pack(self, value: str) -> bytes:
+        return _cut(value, self.size).ljust(self.size, b"\0")
+
+    def unpack(self, cursor: Cursor) -> str:
+        return _decoded(cursor.take(self.size).rstrip(b"\0"))
 
 
 class Many:
@@ -133,16 +149,52 @@ class Many:
         return tuple(self._kind.unpack(cursor) for _ in range(count))
 
 
-U16 = Annotated[int, Number("H")]
-U32 = Annotated[int, Number("I")]
-U64 = Annotated[int, Number("Q")]
-F64 = Annotated[float, Number("d")]
+class FixedKind(FieldKind, Protocol):
+    """A kind that always has the same `size` [bytes]; `name` is for people."""
+
+    name: str
+    size: int
+
+
+class Repeated:
+    """`count` of one kind; a tuple in Python, filled up with zeros."""
+
+    def __init__(self, kind: FixedKind, count: int) -> None:
+        self.name = f"{count} × {kind.name}"
+        self.size = count * kind.size
+        self._kind = kind
+        self._count = count
+
+    def pack(self, value: Sequence[Any]) -> bytes:
+        if len(value) > self._count:
+            raise ValueError(f"{len(value)} items, where {self._count} fit")
+        return b"".join(map(self._kind.pack, value)).ljust(self.size, b"\0")
+
+    def unpack(self, cursor: Cursor) -> tuple[Any, ...]:
+        return tuple(self._kind.unpack(cursor) for _ in range(self._count))
+
+
+def _cut(text: str, size: int) -> bytes:
+    return text.encode("utf-8")[:size].decode("utf-8", "ignore").encode("utf-8")
+
+
+def _decoded(data: bytes) -> str:
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ProtocolError(f"a text is not UTF-8: {error.reason}") from None
+
+
+U16 = Annotated[int, Number("<H")]
+U32 = Annotated[int, Number("<I")]
+U64 = Annotated[int, Number("<Q")]
+F64 = Annotated[float, Number("<d")]
 Flag = Annotated[bool, Boolean()]
 Text = Annotated[str, Utf8()]
 Texts = Annotated[tuple[str, ...], Many(Utf8())]
-Floats = Annotated[tuple[float, ...], Many(Number("d"))]
+Floats = Annotated[tuple[float, ...], Many(Number("<d"))]
 Bytes = Annotated[bytes, Blob()]
-Bytes16 = Annotated[bytes, Fixed(16)]
+Bytes16 = Annotated[bytes, Padded(16)]
 
 
 _Message = TypeVar("_Message")

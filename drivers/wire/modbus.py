@@ -14,7 +14,8 @@ from enum import IntEnum, IntFlag
 
 import numpy as np
 
-from drivers.wire.registers import F32, F64, U16, U32, Block, ManyFields, Raw, Text
+from drivers.wire.fields import Padded, PaddedText as Text, Repeated
+from drivers.wire.registers import F32, F64, U16, U32, Block
 
 MAGIC = 0x43414C4B  # "CALK"
 VERSION = 1
@@ -84,7 +85,7 @@ NAMES = tuple(
     Block(
         f"joint names {first + 1} to {first + NAMES_PER_BLOCK}", 120 * (1 + first // NAMES_PER_BLOCK) + 8, "read",
         "In order; empty beyond n.",
-        ("names", ManyFields(Text(38), NAMES_PER_BLOCK), "one a joint"),
+        ("names", Repeated(Text(38), NAMES_PER_BLOCK), "one a joint"),
     )
     for first in range(0, MAX_JOINTS, NAMES_PER_BLOCK)
 )  # fmt: skip
@@ -94,9 +95,9 @@ STATUS = Block(
     ("mode", U16, "1 auto, 2 teach"),
     ("alarms", U16, "how many are active"),
     ("override", F32, "1 is 100 %"),
-    ("position", ManyFields(F64, MAX_JOINTS), "measured, joint side, rad (m)"),
+    ("position", Repeated(F64, MAX_JOINTS), "measured, joint side, rad (m)"),
     ("program", Text(32), "stored last; empty: none"),
-    ("checksum", Raw(32), "SHA-256 of its text as stored"),
+    ("checksum", Padded(32), "SHA-256 of its text as stored"),
 )  # fmt: skip
 ALARMS = Block(
     "alarms", 500, "read", "The active alarms.",
@@ -111,7 +112,7 @@ ANSWER = Block(
     ("line", U32, "of the program; 0: none"),
     ("column", U32, "of the program; 0: none"),
     ("message", Text(140), "for people"),
-    ("checksum", Raw(32), "upload end: SHA-256 of the text as stored"),
+    ("checksum", Padded(32), "upload end: SHA-256 of the text as stored"),
     ("watchdog", U32, "open: the one in force, ms"),
 )  # fmt: skip
 PROGRESS = Block(
@@ -119,7 +120,7 @@ PROGRESS = Block(
     ("heartbeat", U16, "goes on counting four times a watchdog or oftener"),
     ("session", U32, "who holds the controller; 0: nobody"),
     ("state", U16, "0 no motion yet, 1 running, 2 ended"),
-    ("motion", Raw(16), "id of the motion"),
+    ("motion", Padded(16), "id of the motion"),
     ("samples", U32, "recorded so far"),
     ("oldest", U32, "sequence number of the first that is still kept"),
     ("reason", U16, "why it ended"),
@@ -136,15 +137,15 @@ COMMAND = Block(
     ("watchdog", U32, "open: the one asked for, ms"),
     ("name", Text(32), "of the program"),
     ("size", U32, "upload begin: bytes"),
-    ("checksum", Raw(32), "upload begin, start: SHA-256 of the text"),
-    ("motion", Raw(16), "start: id of the motion, good for one start ever"),
+    ("checksum", Padded(32), "upload begin, start: SHA-256 of the text"),
+    ("motion", Padded(16), "start: id of the motion, good for one start ever"),
 )  # fmt: skip
 UPLOAD = Block(
     "upload", 1100, "write", "The bytes of a program from an offset on, in order.",
     ("session", U32, ""),
     ("offset", U32, "bytes"),
     ("count", U16, "bytes, 1 to 216"),
-    ("data", Raw(UPLOAD_BYTES), "what is beyond `count` does not matter"),
+    ("data", Padded(UPLOAD_BYTES), "what is beyond `count` does not matter"),
 )  # fmt: skip
 HEARTBEAT = Block(
     "heartbeat", 1240, "write", "The client is there; to be written four times a watchdog.",

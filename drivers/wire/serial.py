@@ -6,21 +6,18 @@ The frames are those of docs/wire-tcp.md, kept short, because a line is slow and
 from __future__ import annotations
 
 import contextlib
-import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 from drivers.errors import ProtocolError
 from drivers.wire import tcp
-from drivers.wire.tcp import MAX_JOINTS, MAX_SEQUENCE, Frame, FrameDecoder
+from drivers.wire.tcp import Frame, FrameDecoder
 
 UPLOAD_BLOCK = 512
 LONGEST_FRAME = 1024  # bytes: of samples and upload blocks; the watchdog is reckoned with it
 MAX_PAYLOAD = 16 * 1024  # of any other frame
 BITS_PER_BYTE = 10  # start bit, eight, stop bit
+_AROUND = tcp.HEADER.size + tcp.TRAILER.size  # bytes of a frame around its payload
 
 
 def frame_time(baud: int, size: int = LONGEST_FRAME) -> float:
@@ -31,72 +28,20 @@ def frame_time(baud: int, size: int = LONGEST_FRAME) -> float:
 def samples_per_second(baud: int, joints: int) -> float:
     """Samples that a line carries with frames as full as they may be."""
     count = samples_per_frame(joints)
-    return count / frame_time(baud, len(tcp.HEADER.pack(b"", 0, 0, 0, 0, 0)) + 4 + LeanSamples.size(count, joints))
+    return count / frame_time(baud, _AROUND + LeanSamples.size(count, joints))
 
 
 def samples_per_frame(joints: int) -> int:
     """How many samples fit into the longest frame."""
-    room = LONGEST_FRAME - tcp.HEADER.size - tcp.TRAILER.size - LeanSamples.size(0, joints)
+    room = LONGEST_FRAME - _AROUND - LeanSamples.size(0, joints)
     return max(1, room // (LeanSamples.size(1, joints) - LeanSamples.size(0, joints)))
 
 
-@dataclass(frozen=True, eq=False)
-class LeanSamples:
-    """`tcp.Samples` in half the bytes: values in single precision.
-
-    Payload: ``first(8) count(2) joints(1) time_ns(8·K)``, then the five arrays, each K × n × f32.
-    """
+class LeanSamples(tcp.Samples):
+    """`tcp.Samples` in half the bytes: values in single precision."""
 
     TYPE = 0x92
-    _HEAD = struct.Struct("<QHB")
-
-    first: int
-    time_ns: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    torque: np.ndarray
-    reference_position: np.ndarray
-    reference_velocity: np.ndarray
-
-    @classmethod
-    def size(cls, count: int, joints: int) -> int:
-        """Bytes of the payload."""
-        return cls._HEAD.size + count * (8 + 20 * joints)
-
-    def pack(self) -> bytes:
-        """The payload."""
-        count, joints = self.position.shape
-        columns = (self.position, self.velocity, self.torque, self.reference_position, self.reference_velocity)
-        return b"".join(
-            (
-                self._HEAD.pack(self.first, count, joints),
-                self.time_ns.astype("<i8").tobytes(),
-                *(column.astype("<f4").tobytes() for column in columns),
-            )
-        )
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> tcp.Samples:
-        """The samples, in double precision again.
-
-        Raises:
-            ProtocolError: the payload does not fit its own head.
-        """
-        if len(payload) < cls._HEAD.size:
-            raise ProtocolError("a sample message is shorter than its head")
-        first, count, joints = cls._HEAD.unpack_from(payload)
-        if (
-            not 1 <= joints <= MAX_JOINTS
-            or count < 1
-            or first > MAX_SEQUENCE
-            or len(payload) != cls.size(count, joints)
-        ):
-            raise ProtocolError(
-                f"a sample message of {len(payload)} bytes announces {count} samples of {joints} joints"
-            )
-        time_ns = np.frombuffer(payload, "<i8", count, cls._HEAD.size)
-        values = np.frombuffer(payload, "<f4", 5 * count * joints, cls._HEAD.size + 8 * count).astype(float)
-        return tcp.Samples(first, time_ns, *values.reshape(5, count, joints))
+    VALUE = "<f4"
 
 
 def decode(frame: Frame) -> Any:

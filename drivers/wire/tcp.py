@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -31,6 +30,7 @@ from drivers.wire.fields import (
     Texts,
     message,
 )
+from drivers.wire.stream import StreamDecoder
 
 MAGIC = b"CALK"
 VERSION = 1
@@ -209,8 +209,9 @@ class Samples:
     Payload: ``first(8) count(2) joints(1) time_ns(8·K)``, then the five arrays in that order, sample by sample.
     """
 
-    TYPE = 0x90
-    _HEAD = struct.Struct("<QHB")
+    TYPE: ClassVar[int] = 0x90
+    VALUE: ClassVar[str] = "<f8"  # of the arrays, in NumPy's notation
+    _HEAD: ClassVar[struct.Struct] = struct.Struct("<QHB")
 
     first: int
     time_ns: np.ndarray
@@ -220,30 +221,40 @@ class Samples:
     reference_position: np.ndarray
     reference_velocity: np.ndarray
 
+    @classmethod
+    def size(cls, count: int, joints: int) -> int:
+        """Bytes of the payload."""
+        return cls._HEAD.size + count * (8 + 5 * joints * np.dtype(cls.VALUE).itemsize)
+
+    @property
+    def columns(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The five arrays (K, n), in the order of the payload."""
+        return self.position, self.velocity, self.torque, self.reference_position, self.reference_velocity
+
     def pack(self) -> bytes:
         count, joints = self.position.shape
-        columns = (self.position, self.velocity, self.torque, self.reference_position, self.reference_velocity)
-        return b"".join(
-            (
-                self._HEAD.pack(self.first, count, joints),
-                self.time_ns.astype("<i8").tobytes(),
-                *(column.astype("<f8").tobytes() for column in columns),
-            )
-        )
+        arrays = (self.time_ns.astype("<i8"), *(column.astype(self.VALUE) for column in self.columns))
+        return b"".join((self._HEAD.pack(self.first, count, joints), *(array.tobytes() for array in arrays)))
 
     @classmethod
-    def unpack(cls, payload: bytes) -> Samples:
+    def unpack(cls, payload: bytes) -> Self:
+        """In double precision.
+
+        Raises:
+            ProtocolError: the payload does not fit its own head.
+        """
         if len(payload) < cls._HEAD.size:
             raise ProtocolError("a sample message is shorter than its head")
         first, count, joints = cls._HEAD.unpack_from(payload)
         if not 1 <= count <= MAX_BATCH or not 1 <= joints <= MAX_JOINTS or first > MAX_SEQUENCE:
             raise ProtocolError(f"a sample message announces {count} samples of {joints} joints from {first}")
-        expected = cls._HEAD.size + count * 8 * (1 + 5 * joints)
-        if len(payload) != expected:
-            raise ProtocolError(f"a sample message of {len(payload)} bytes, where its head announces {expected}")
+        if len(payload) != cls.size(count, joints):
+            raise ProtocolError(
+                f"a sample message of {len(payload)} bytes, where its head announces {cls.size(count, joints)}"
+            )
         time_ns = np.frombuffer(payload, "<i8", count, cls._HEAD.size)
-        values = np.frombuffer(payload, "<f8", 5 * count * joints, cls._HEAD.size + 8 * count)
-        return cls(first, time_ns, *values.reshape(5, count, joints))
+        values = np.frombuffer(payload, cls.VALUE, 5 * count * joints, cls._HEAD.size + 8 * count)
+        return cls(first, time_ns, *values.astype(float, copy=False).reshape(5, count, joints))
 
 
 MESSAGES[Samples.TYPE] = Samples
@@ -277,41 +288,14 @@ def decode(frame: Frame) -> Any:
     return codec.unpack(frame.payload)
 
 
-class FrameDecoder:
-    """Turns a byte stream, cut anywhere, into frames. It never holds more than one frame and what was fed last.
-
-    A damaged stream cannot be trusted any further: after its first `ProtocolError` a decoder only repeats it.
-    """
+class FrameDecoder(StreamDecoder[Frame]):
+    """Frames of at most `max_payload` bytes."""
 
     rejected = 0  # bytes that were in no frame; this decoder gives up at the first
 
     def __init__(self, max_payload: int) -> None:
+        super().__init__()
         self._max_payload = max_payload
-        self._buffer = bytearray()
-        self._broken: str = ""
-
-    @property
-    def pending(self) -> int:
-        """Bytes of a frame that is not complete yet."""
-        return len(self._buffer)
-
-    def feed(self, data: bytes) -> Iterator[Frame]:
-        """The frames that are complete now; run through all of them before feeding again.
-
-        Raises:
-            ProtocolError: not this protocol, another version, too long, or a wrong checksum; after the whole frames
-                that came before the damage.
-        """
-        if self._broken:
-            raise ProtocolError(self._broken)
-        self._buffer += data
-        try:
-            while (frame := self._next()) is not None:
-                yield frame
-        except ProtocolError as error:
-            self._broken = str(error)
-            self._buffer.clear()
-            raise
 
     def _next(self) -> Frame | None:
         buffer = self._buffer

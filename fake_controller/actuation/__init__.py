@@ -6,67 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from agent.core import InputError
-from fake_controller.actuation.bodies import (
-    SimulatedBaseTilt,
-    SimulatedInertialMismatch,
-    SimulatedPayload,
-    SimulatedWristCoupling,
-)
-from fake_controller.actuation.effect import SimulatedEffect
-from fake_controller.actuation.friction_effects import (
-    SimulatedAsymmetricFriction,
-    SimulatedFrictionChange,
-    SimulatedLoadDependentFriction,
-    SimulatedStribeck,
-    SimulatedViscousNonlinearity,
-)
-from fake_controller.actuation.friction_states import SimulatedPresliding, SimulatedThermalFriction
-from fake_controller.actuation.gears import SimulatedBacklash, SimulatedJointElasticity
-from fake_controller.actuation.loads import (
-    ContactForce,
-    SimulatedDressPack,
-    SimulatedGravitySpring,
-    SimulatedTorqueRipple,
-)
-from fake_controller.actuation.measurement import (
-    SimulatedEncoderOffset,
-    SimulatedInterpolatorMismatch,
-    SimulatedTimeDelay,
-    SimulatedTorqueConstant,
-    SimulatedTorqueOffset,
-)
-from fake_controller.actuation.outside import RoughBearing, RubbingBrake, WanderingTorque
 
-_FORMS: tuple[type[SimulatedEffect], ...] = (
-    SimulatedStribeck,
-    SimulatedAsymmetricFriction,
-    SimulatedLoadDependentFriction,
-    SimulatedViscousNonlinearity,
-    SimulatedThermalFriction,
-    SimulatedPresliding,
-    SimulatedFrictionChange,
-    SimulatedJointElasticity,
-    SimulatedBacklash,
-    SimulatedTorqueRipple,
-    SimulatedWristCoupling,
-    SimulatedPayload,
-    SimulatedGravitySpring,
-    SimulatedDressPack,
-    SimulatedBaseTilt,
-    SimulatedInertialMismatch,
-    ContactForce,
-    SimulatedTorqueConstant,
-    SimulatedTorqueOffset,
-    SimulatedTimeDelay,
-    SimulatedEncoderOffset,
-    SimulatedInterpolatorMismatch,
-)
-
-#: Simulated forms by the name of the effect.
-EFFECTS: dict[str, type[SimulatedEffect]] = {form.name: form for form in _FORMS}
-
-#: Those that the vocabulary has no name for: what a diagnosis must call unknown.
-OUTSIDE: dict[str, type[SimulatedEffect]] = {form.name: form for form in (RoughBearing, WanderingTorque, RubbingBrake)}
+# Each module enters its forms.
+from fake_controller.actuation import bodies, friction_effects, friction_states, gears, loads, measurement, outside  # noqa: F401
+from fake_controller.actuation.effect import EFFECTS, OUTSIDE, SimulatedEffect
 
 
 def load_effect(data: Mapping[str, Any]) -> SimulatedEffect:

@@ -2,58 +2,51 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
-
 import numpy as np
 
 from agent.robot import Dynamics, Tool
-from fake_controller.actuation.effect import ArmEffect, SimulatedEffect
+from fake_controller.actuation.effect import ArmEffect, SimulatedEffect, effect
 from fake_controller.actuation.machine import Machine
 
 _SECOND_MOMENTS = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("payload")
 class SimulatedPayload(ArmEffect):
     """A ball of `mass` [kg] and `radius` [m] at `centre` (3,) [m] of the tip frame."""
 
-    name: ClassVar[str] = "payload"
+    POSITIVE = ("mass",)
     mass: float
     centre: tuple[float, ...] = (0.0, 0.0, 0.1)
     radius: float = 0.08
 
-    def install(self, machine: Machine) -> None:
-        self.need_positive("mass")
+    def build_into(self, machine: Machine) -> None:
         self.need(len(self.centre) == 3, "centre", "three numbers")
-        self.check_no_joints()
         point = Tool(np.eye(4), self.mass, np.array(self.centre))
         machine.parameters += Dynamics(machine.robot, point).standard_parameters()
         machine.parameters -= Dynamics(machine.robot).standard_parameters()
         machine.parameters[-10:] += 0.4 * self.mass * self.radius**2 * _SECOND_MOMENTS
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("inertial_mismatch")
 class SimulatedInertialMismatch(ArmEffect):
     """Link number `link` (from 1) is `scale` times as dense and has `points` ((mass, x, y, z), …) bolted to it.
 
     kg and m in the frame of the link's joint: whatever is drawn is a body.
     """
 
-    name: ClassVar[str] = "inertial_mismatch"
+    POSITIVE = ("scale",)
     link: float
     scale: float = 1.0
     points: tuple[tuple[float, ...], ...] = ()
 
-    def install(self, machine: Machine) -> None:
-        self.need_positive("scale")
+    def build_into(self, machine: Machine) -> None:
         self.need(self.link in range(1, machine.robot.dof + 1), "link", f"a whole number from 1 to {machine.robot.dof}")
         self.need(
             all(isinstance(p, tuple) and len(p) == 4 and p[0] > 0 for p in self.points),
             "points",
             "a list of [mass, x, y, z] with positive masses",
         )
-        self.check_no_joints()
         block = machine.parameters[10 * (int(self.link) - 1) : 10 * int(self.link)]
         block *= self.scale
         for mass, x, y, z in self.points:
@@ -61,30 +54,27 @@ class SimulatedInertialMismatch(ArmEffect):
             block += mass * np.array([1.0, x, y, z, *square])
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("base_tilt")
 class SimulatedBaseTilt(ArmEffect):
     """The base leans by `roll` about its x axis, then `pitch` about its y axis [rad]."""
 
-    name: ClassVar[str] = "base_tilt"
     roll: float = 0.0
     pitch: float = 0.0
 
-    def install(self, machine: Machine) -> None:
-        self.check_no_joints()
+    def build_into(self, machine: Machine) -> None:
         sr, cr, sp, cp = np.sin(self.roll), np.cos(self.roll), np.sin(self.pitch), np.cos(self.pitch)
         roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
         pitch = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
         machine.gravity = (pitch @ roll).T @ machine.gravity
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("wrist_coupling")
 class SimulatedWristCoupling(SimulatedEffect):
     """The motor of the second joint named also turns with the first: C[second, first] grows by `factor`.
 
     The controller moves the joints as they should; the torque it reports knows nothing of the coupling.
     """
 
-    name: ClassVar[str] = "wrist_coupling"
     factor: float
 
     def install(self, machine: Machine) -> None:

@@ -6,22 +6,44 @@ import dataclasses
 import difflib
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any, ClassVar, Self
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Self, TypeVar, dataclass_transform
 
 from agent.core import InputError
 from agent.robot import RobotDescription
+from fake_controller.actuation.friction import FrictionModifier
 from fake_controller.actuation.machine import Machine
+
+Form = TypeVar("Form", bound="type[SimulatedEffect]")
+
+#: Simulated forms by the name of the effect.
+EFFECTS: dict[str, type[SimulatedEffect]] = {}
+#: Those that the vocabulary has no name for: what a diagnosis must call unknown.
+OUTSIDE: dict[str, type[SimulatedEffect]] = {}
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+def effect(name: str, forms: dict[str, type[SimulatedEffect]] = EFFECTS) -> Callable[[Form], Form]:
+    """Class decorator: a frozen dataclass whose fields are the effect's parameters, under this name among `forms`."""
+
+    def decorate(form: Form) -> Form:
+        dataclasses.dataclass(frozen=True, kw_only=True)(form)  # changes the class it is given
+        form.name = name
+        forms[name] = form
+        return form
+
+    return decorate
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SimulatedEffect(ABC):
-    """One effect of the vocabulary with its parameters, which are the further fields of the subclass.
+    """One effect with its parameters, which are the further fields of the subclass; those in `POSITIVE` are above 0.
 
     `joints` are the names it sits on; an effect of the whole arm or base has none.
     """
 
     name: ClassVar[str]
+    POSITIVE: ClassVar[tuple[str, ...]] = ()
     joints: tuple[str, ...] = ()
 
     @abstractmethod
@@ -29,7 +51,8 @@ class SimulatedEffect(ABC):
         """Build the effect into a machine; several may be built into one.
 
         Raises:
-            InputError: joints that the machine does not have, or that the effect cannot sit on.
+            InputError: joints that the machine does not have, or that the effect cannot sit on, or a parameter that
+                makes no sense.
         """
 
     def indices(self, robot: RobotDescription) -> list[int]:
@@ -83,11 +106,11 @@ class SimulatedEffect(ABC):
         if not holds:
             raise InputError(f"effect {self.name}: {key}: must be {what}, not {getattr(self, key)}")
 
-    def need_positive(self, *keys: str) -> None:
+    def check(self) -> None:
         """Raises:
-        InputError: a parameter is not above zero.
+        InputError: a parameter is not above zero that must be.
         """
-        for key in keys:
+        for key in self.POSITIVE:
             self.need(getattr(self, key) > 0, key, "above 0")
 
 
@@ -95,7 +118,9 @@ class JointEffect(SimulatedEffect):
     """An effect that sits on every one of its joints in the same way."""
 
     def install(self, machine: Machine) -> None:
-        for k in self.indices(machine.robot):
+        joints = self.indices(machine.robot)
+        self.check()
+        for k in joints:
             self.install_on(machine, k)
 
     @abstractmethod
@@ -103,15 +128,25 @@ class JointEffect(SimulatedEffect):
         """Build it into axle or joint `k`."""
 
 
+class FrictionEffect(JointEffect, FrictionModifier):
+    """An effect that alters the friction of its axles and has no state of its own."""
+
+    def install_on(self, machine: Machine, k: int) -> None:
+        machine.terms[k].append(self)
+
+
 class ArmEffect(SimulatedEffect):
     """An effect of the whole arm or its base."""
 
-    def check_no_joints(self) -> None:
-        """Raises:
-        InputError: joints are named.
-        """
+    def install(self, machine: Machine) -> None:
+        self.check()
         if self.joints:
             raise InputError(f"effect {self.name}: joints: it acts on the whole arm; leave them out")
+        self.build_into(machine)
+
+    @abstractmethod
+    def build_into(self, machine: Machine) -> None:
+        """Build it in."""
 
 
 def _plain(effect: str, key: str, value: Any) -> Any:

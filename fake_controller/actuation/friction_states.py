@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import exp
-from typing import ClassVar
 
-from fake_controller.actuation.effect import JointEffect
+from fake_controller.actuation.effect import JointEffect, effect
 from fake_controller.actuation.friction import FrictionModifier
 from fake_controller.actuation.machine import Machine
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("thermal_friction")
 class SimulatedThermalFriction(JointEffect):
     """One thermal mass: time_constant · Ṫ = equilibrium + resistance · (friction power) − T, starting at `start`.
 
@@ -20,7 +18,7 @@ class SimulatedThermalFriction(JointEffect):
     `resistance` [K/W], `time_constant` [s].
     """
 
-    name: ClassVar[str] = "thermal_friction"
+    POSITIVE = ("time_constant",)
     start: float = 0.0
     equilibrium: float = 0.0
     resistance: float = 0.0
@@ -29,8 +27,7 @@ class SimulatedThermalFriction(JointEffect):
     viscous_rate: float = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
-        self.need_positive("time_constant")
-        machine.terms.setdefault(k, []).append(_ThermalMass(self))
+        machine.terms[k].append(_ThermalMass(self))
 
 
 class _ThermalMass(FrictionModifier):
@@ -50,7 +47,7 @@ class _ThermalMass(FrictionModifier):
         self.temperature += (steady - self.temperature) * dt / effect.time_constant
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("presliding")
 class SimulatedPresliding(JointEffect):
     """A `share` (0 to 0.9) of the Coulomb level builds up over `travel` [rad] after each reversal.
 
@@ -58,14 +55,13 @@ class SimulatedPresliding(JointEffect):
     of inner loops. The level in steady sliding stays what it was.
     """
 
-    name: ClassVar[str] = "presliding"
+    POSITIVE = ("travel",)
     share: float
     travel: float
 
     def install_on(self, machine: Machine, k: int) -> None:
-        self.need_positive("travel")
         self.need(0.0 <= self.share <= 0.9, "share", "between 0 and 0.9")
-        machine.terms.setdefault(k, []).append(_SlipChain(self, machine.friction[k].coulomb))
+        machine.terms[k].append(_SlipChain(self, machine.friction[k].coulomb))
 
 
 class _SlipChain(FrictionModifier):

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
-from typing import ClassVar
 
 import numpy as np
 
 from agent.core import InputError
-from fake_controller.actuation.effect import JointEffect
+from fake_controller.actuation.effect import JointEffect, effect
 from fake_controller.actuation.machine import Gear, Machine
 
 _USUAL_TOOTH_FREQUENCY = 60.0  # Hz, of rotor against link
@@ -28,16 +27,15 @@ def _mount(machine: Machine, k: int, name: str, gear: Gear) -> None:
     machine.gears[k] = gear
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("joint_elasticity")
 class SimulatedJointElasticity(JointEffect):
     """The gear is a spring of `stiffness` [N·m/rad] between rotor and link, with a damper of `damping_ratio`."""
 
-    name: ClassVar[str] = "joint_elasticity"
+    POSITIVE = ("stiffness",)
     stiffness: float
     damping_ratio: float = 0.03
 
     def install_on(self, machine: Machine, k: int) -> None:
-        self.need_positive("stiffness")
         damping = 2.0 * self.damping_ratio * sqrt(self.stiffness * _reduced_inertia(machine, k))
         _mount(machine, k, self.name, _Spring(self.stiffness, damping))
 
@@ -54,20 +52,19 @@ class _Spring:
         return torque / self.stiffness
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("backlash")
 class SimulatedBacklash(JointEffect):
     """Teeth with a play of `gap` [rad], flank to flank; they touch as springs of `stiffness` [N·m/rad].
 
     A stiffness of 0 stands for the usual: rotor against link at 60 Hz.
     """
 
-    name: ClassVar[str] = "backlash"
+    POSITIVE = ("gap",)
     gap: float
     stiffness: float = 0.0
     damping_ratio: float = 0.1
 
     def install_on(self, machine: Machine, k: int) -> None:
-        self.need_positive("gap")
         inertia = _reduced_inertia(machine, k)
         stiffness = self.stiffness or inertia * (2.0 * np.pi * _USUAL_TOOTH_FREQUENCY) ** 2
         damping = 2.0 * self.damping_ratio * sqrt(stiffness * inertia)

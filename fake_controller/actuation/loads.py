@@ -4,29 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, pi, sin, sqrt
-from typing import ClassVar
 
 import numpy as np
 
-from fake_controller.actuation.effect import ArmEffect, JointEffect
+from fake_controller.actuation.effect import ArmEffect, JointEffect, effect
 from fake_controller.actuation.machine import Machine
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("torque_ripple")
 class SimulatedTorqueRipple(JointEffect):
     """The motor's torque is off by `amplitude` · sin(order · motor angle + phase) [N·m on the joint side].
 
     `order` counts periods a motor turn: whole for cogging and current sensors, a fraction for gear angles.
     """
 
-    name: ClassVar[str] = "torque_ripple"
     amplitude: float
     order: float
     phase: float = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
         per_joint_angle = self.order * machine.robot.joints[k].gear_ratio
-        machine.motor_loads.setdefault(k, []).append(_Ripple(self.amplitude, per_joint_angle, self.phase))
+        machine.motor_loads[k].append(_Ripple(self.amplitude, per_joint_angle, self.phase))
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,7 @@ class _Ripple:
         return self.amplitude * sin(self.order * position + self.phase)
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("gravity_spring")
 class SimulatedGravitySpring(JointEffect):
     """A counterbalance between a pivot `anchor` [m] and a pivot `lever` [m] from the joint's axis.
 
@@ -47,7 +45,7 @@ class SimulatedGravitySpring(JointEffect):
     τ = −F a b sin(q − angle) / l with l² = a² + b² − 2 a b cos(q − angle).
     """
 
-    name: ClassVar[str] = "gravity_spring"
+    POSITIVE = ("anchor", "lever")
     preload: float
     rate: float = 0.0
     anchor: float = 0.4
@@ -55,9 +53,8 @@ class SimulatedGravitySpring(JointEffect):
     angle: float = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
-        self.need_positive("anchor", "lever")
         self.need(self.anchor != self.lever, "lever", "unlike the anchor: the pivots would meet")
-        machine.joint_loads.setdefault(k, []).append(self)
+        machine.joint_loads[k].append(self)
 
     def torque(self, position: float, velocity: float, dt: float) -> float:
         a, b, angle = self.anchor, self.lever, position - self.angle
@@ -66,14 +63,14 @@ class SimulatedGravitySpring(JointEffect):
         return -force * a * b * sin(angle) / length
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("dress_pack")
 class SimulatedDressPack(JointEffect):
     """A hose that bends with the joint: `stiffness` [N·m/rad] and `cubic` [N·m/rad³] about `centre` [rad].
 
     Its inner friction lags behind by up to `hysteresis` [N·m], rebuilt over `travel` [rad] after a reversal (Dahl).
     """
 
-    name: ClassVar[str] = "dress_pack"
+    POSITIVE = ("travel",)
     stiffness: float
     centre: float = 0.0
     cubic: float = 0.0
@@ -81,8 +78,7 @@ class SimulatedDressPack(JointEffect):
     travel: float = 0.05
 
     def install_on(self, machine: Machine, k: int) -> None:
-        self.need_positive("travel")
-        machine.joint_loads.setdefault(k, []).append(_Hose(self))
+        machine.joint_loads[k].append(_Hose(self))
 
 
 class _Hose:
@@ -98,22 +94,20 @@ class _Hose:
         return -(effect.stiffness * bend + effect.cubic * bend**3 + effect.hysteresis * self._lag)
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("contact")
 class ContactForce(ArmEffect):
     """Somebody leans on the flange: `force` (3,) [N] in the base frame, from `start` [s] on for `duration` [s].
 
     Time runs from when the arm was put to rest. The force swells and fades as sin² over a fifth of the duration.
     """
 
-    name: ClassVar[str] = "contact"
+    POSITIVE = ("duration",)
     force: tuple[float, ...]
     start: float
     duration: float
 
-    def install(self, machine: Machine) -> None:
-        self.need_positive("duration")
+    def build_into(self, machine: Machine) -> None:
         self.need(len(self.force) == 3, "force", "three numbers")
-        self.check_no_joints()
         machine.contacts.append(self.at)
 
     def at(self, time: float) -> np.ndarray:

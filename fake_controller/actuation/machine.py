@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -67,10 +68,10 @@ class Machine:
     nominal: np.ndarray
     limit: np.ndarray
     typical_inertia: np.ndarray
-    terms: dict[int, list[FrictionModifier]] = field(default_factory=dict)
+    terms: defaultdict[int, list[FrictionModifier]] = field(default_factory=lambda: defaultdict(list))
     gears: dict[int, Gear] = field(default_factory=dict)
-    motor_loads: dict[int, list[Load]] = field(default_factory=dict)
-    joint_loads: dict[int, list[Load]] = field(default_factory=dict)
+    motor_loads: defaultdict[int, list[Load]] = field(default_factory=lambda: defaultdict(list))
+    joint_loads: defaultdict[int, list[Load]] = field(default_factory=lambda: defaultdict(list))
     contacts: list[Contact] = field(default_factory=list)
     path_changes: list[PathChange] = field(default_factory=list)
     torque_scale: np.ndarray = field(init=False)

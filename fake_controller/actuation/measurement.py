@@ -2,77 +2,67 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
-
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from fake_controller.actuation.effect import ArmEffect, JointEffect
+from fake_controller.actuation.effect import ArmEffect, JointEffect, effect
 from fake_controller.actuation.machine import Machine
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("torque_constant")
 class SimulatedTorqueConstant(JointEffect):
     """The motor gives 1 / `scale` of the torque that its current is taken for, so it draws and reports more."""
 
-    name: ClassVar[str] = "torque_constant"
+    POSITIVE = ("scale",)
     scale: float
 
     def install_on(self, machine: Machine, k: int) -> None:
-        self.need_positive("scale")
         machine.torque_scale[k] *= self.scale
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("torque_offset")
 class SimulatedTorqueOffset(JointEffect):
     """The current sensor reads too much by `offset` [N·m on the joint side]."""
 
-    name: ClassVar[str] = "torque_offset"
     offset: float
 
     def install_on(self, machine: Machine, k: int) -> None:
         machine.torque_offset[k] += self.offset
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("time_delay")
 class SimulatedTimeDelay(ArmEffect):
     """Torques arrive `delay` [s] later than the positions of the same moment; below zero, positions do."""
 
-    name: ClassVar[str] = "time_delay"
     delay: float
 
-    def install(self, machine: Machine) -> None:
-        self.check_no_joints()
+    def build_into(self, machine: Machine) -> None:
         machine.torque_delay += self.delay
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("encoder_offset")
 class SimulatedEncoderOffset(JointEffect):
     """The joint reads `offset` [rad] more than it stands at, to controller and user alike."""
 
-    name: ClassVar[str] = "encoder_offset"
     offset: float
 
     def install_on(self, machine: Machine, k: int) -> None:
         machine.encoder_offset[k] += self.offset
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("interpolator_mismatch")
 class SimulatedInterpolatorMismatch(ArmEffect):
     """The path is run at `rate` times the planned speed, and its corners are averaged over `blend` [s].
 
     Start, end and rests of at least `blend` stay where they were.
     """
 
-    name: ClassVar[str] = "interpolator_mismatch"
+    POSITIVE = ("rate",)
     rate: float = 1.0
     blend: float = 0.0
 
-    def install(self, machine: Machine) -> None:
-        self.need_positive("rate")
+    def build_into(self, machine: Machine) -> None:
         self.need(self.blend >= 0, "blend", "0 or more")
-        self.check_no_joints()
         machine.path_changes.append(self.executed)
 
     def executed(self, position: np.ndarray, period: float) -> np.ndarray:

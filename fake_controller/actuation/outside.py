@@ -2,34 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import exp, floor, sqrt, tanh
-from typing import ClassVar
 
 import numpy as np
 
-from fake_controller.actuation.effect import JointEffect
+from fake_controller.actuation.effect import OUTSIDE, JointEffect, effect
 from fake_controller.actuation.friction import FrictionModifier
 from fake_controller.actuation.machine import Machine
 
 _FULL_SPEED = 0.003  # rad/s of sliding beyond which a rough bearing opposes fully
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("rough_bearing", OUTSIDE)
 class RoughBearing(JointEffect):
     """A pitted raceway: every patch of `patch` [rad] of the joint's travel drags by up to `amplitude` [N·m] more.
 
     The drag of each patch is drawn from `seed`, linear in between; it only opposes motion.
     """
 
-    name: ClassVar[str] = "rough_bearing"
+    POSITIVE = ("amplitude", "patch")
     amplitude: float
     patch: float = 0.1
     seed: float = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
-        self.need_positive("amplitude", "patch")
-        machine.joint_loads.setdefault(k, []).append(_Raceway(self, k))
+        machine.joint_loads[k].append(_Raceway(self, k))
 
 
 class _Raceway:
@@ -48,21 +45,20 @@ class _Raceway:
         return -drag * tanh(velocity / _FULL_SPEED)
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("wandering_torque", OUTSIDE)
 class WanderingTorque(JointEffect):
     """A torque on the motor shaft that wanders: noise of `amplitude` [N·m] that forgets itself within `memory` [s].
 
     Ornstein and Uhlenbeck's process, drawn from `seed`: a bus voltage that breathes, an amplifier about to fail.
     """
 
-    name: ClassVar[str] = "wandering_torque"
+    POSITIVE = ("amplitude", "memory")
     amplitude: float
     memory: float = 0.5
     seed: float = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
-        self.need_positive("amplitude", "memory")
-        machine.motor_loads.setdefault(k, []).append(_Wandering(self, k))
+        machine.motor_loads[k].append(_Wandering(self, k))
 
 
 class _Wandering:
@@ -80,22 +76,21 @@ class _Wandering:
         return self._value
 
 
-@dataclass(frozen=True, kw_only=True)
+@effect("rubbing_brake", OUTSIDE)
 class RubbingBrake(JointEffect):
     """A brake that drags now and then: `drag` [N·m] more friction for `on` [s] on average, then none for `off` [s].
 
     The moments are drawn from `seed`.
     """
 
-    name: ClassVar[str] = "rubbing_brake"
+    POSITIVE = ("drag", "on", "off")
     drag: float
     on: float = 0.4
     off: float = 1.2
     seed: float = 0.0
 
     def install_on(self, machine: Machine, k: int) -> None:
-        self.need_positive("drag", "on", "off")
-        machine.terms.setdefault(k, []).append(_Brake(self, k))
+        machine.terms[k].append(_Brake(self, k))
 
 
 class _Brake(FrictionModifier):

@@ -6,7 +6,12 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol
+
+from drivers.wire.reasons import EndReason
+
+if TYPE_CHECKING:
+    from fake_controller.controller import Controller
 
 #: Host and port of the MQTT broker that `cnr_comau` publishes to.
 BROKER = ("127.0.0.1", 1883)
@@ -25,15 +30,29 @@ class Server(Protocol):
         """Bring the arm to rest and stop serving."""
 
 
-def deaf_socket(address: str, port: int) -> socket.socket:
-    """It holds its port, and whoever connects is refused.
+def listening_socket(address: str, port: int, deaf: bool = False, backlog: int | None = None) -> socket.socket:
+    """A listening socket; a deaf one holds its port, and whoever connects is refused.
 
     Raises:
-        OSError: the port is taken, or is not this machine's.
+        OSError: the port is taken, or the address is not this machine's.
     """
-    bound = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET)
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    if not deaf:
+        return socket.create_server((address, port), family=family, backlog=backlog)
+    bound = socket.socket(family)
     bound.bind((address, port))
     return bound
+
+
+def name_of(where: tuple[Any, ...]) -> str:
+    """`host:port` of a socket's own address, as a driver takes it."""
+    host, port = where[:2]
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def stop_unheard(controller: Controller, watchdog: float) -> None:
+    """Bring the arm to rest, as its client has been silent for its watchdog [s]."""
+    controller.stop(EndReason.WATCHDOG, f"nothing was heard from the client for {watchdog * 1000:.0f} ms")
 
 
 def accepted(listener: socket.socket, closing: threading.Event) -> Iterator[socket.socket]:

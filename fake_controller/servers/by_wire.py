@@ -51,8 +51,8 @@ def open_server(
         wire: one of `WIRES`.
         controller: what is served.
         address, port: where to listen, but for `serial` and `rtu`; port 0 takes a free one.
-        watchdog: the shortest [s] that a client is granted.
-        waits: the arm waits for a client that reads too slowly, as only an emulated one can.
+        watchdog: the shortest [s] that a client is granted; a client that is silent for it is taken for gone.
+        waits: the arm waits for a client that reads too slowly, as only an emulated one can, before samples are lost.
         baud, serial_port: the line, for `serial` and `rtu`; without a port a cable of pseudo-terminals is made.
         broker: host and port, for `cnr_comau`.
 

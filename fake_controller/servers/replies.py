@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import hashlib
 
-import numpy as np
-
 from drivers.wire.reasons import Refusal
-from drivers.wire.tcp import IdentityReply, Samples, StatusReply
+from drivers.wire.tcp import IdentityReply, StatusReply
 from fake_controller.controller import CONTROLLER, PERIOD, VERSION as CONTROLLER_VERSION, Controller
-from fake_controller.execution import Slice
 from fake_controller.programs import RefusedRequest
 
 
@@ -55,31 +52,11 @@ def identity_reply(controller: Controller) -> IdentityReply:
 
 def status_reply(controller: Controller) -> StatusReply:
     """How it is."""
-    state = controller.state
     name, checksum = controller.stored
     return StatusReply(
-        drives_on=state.drives_on,
-        mode=state.mode,
-        emergency_stop=state.emergency_stop,
-        alarms=state.alarms,
-        override=state.override,
-        cell_closed=state.cell_closed,
+        **vars(controller.state),
         moving=controller.moving,
         program=name,
         checksum=checksum,
         position=tuple(controller.position),
-        emulator=state.emulator,
-    )
-
-
-def samples_message(first: int, time_ns: np.ndarray, samples: Slice, chosen: slice = slice(None)) -> Samples:
-    """Chosen samples of a slice, the first of which has sequence number `first`."""
-    return Samples(
-        first,
-        time_ns[chosen],
-        samples.position[chosen],
-        samples.velocity[chosen],
-        samples.torque[chosen],
-        samples.reference_position[chosen],
-        samples.reference_velocity[chosen],
     )

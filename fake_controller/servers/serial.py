@@ -25,6 +25,7 @@ from drivers.wire.tcp import VERSION, End, Heartbeat, Hello, Welcome, encode
 from fake_controller.controller import Controller
 from fake_controller.execution import Slice
 from fake_controller.programs import RefusedRequest
+from fake_controller.servers.base import stop_unheard
 from fake_controller.servers.frame_client import FrameClient
 from fake_controller.servers.modbus.registers import IDLE_LIMIT, LONGEST_WATCHDOG, MEMORY
 
@@ -35,16 +36,8 @@ _WRITE_LIMIT = 30.0  # s
 class SerialServer(FrameClient):
     """Serves one controller on one serial port. What the line cannot carry yet is kept, and sent after the motion.
 
-    Args:
-        controller: what is served.
-        port: as pyserial names it.
-        baud: bits per second.
-        watchdog: the shortest [s] that a client is granted; never less than three of the longest frames.
-        memory: samples kept.
-        waits: the arm waits before it overwrites samples that were not sent, as only an emulated one can.
-
-    Raises:
-        OSError: the port cannot be opened.
+    Arguments and errors as of `open_server`, and `memory`: samples kept. The watchdog is never less than three of the
+    longest frames.
     """
 
     def __init__(
@@ -107,14 +100,7 @@ class SerialServer(FrameClient):
                 self._lock.wait_for(lambda: end - self._sent <= depth or self._gone or not self._waits)
             at = np.arange(first, end) % depth
             self._times[at] = time_ns
-            columns = (
-                samples.position,
-                samples.velocity,
-                samples.torque,
-                samples.reference_position,
-                samples.reference_velocity,
-            )
-            self._values[at] = np.stack(columns, axis=1)
+            self._values[at] = np.stack(samples.columns, axis=1)
             # A counter that went back sends what it counts now: the client has to see it.
             self._sent = max(first if first < self._produced else self._sent, end - depth)
             self._produced = end
@@ -150,8 +136,7 @@ class SerialServer(FrameClient):
                 self._gone = True
                 self._wake()
             if self._driving and silence >= self._watchdog:
-                silent = f"nothing was heard from the client for {self._watchdog * 1000:.0f} ms"
-                self.controller.stop(EndReason.WATCHDOG, silent)
+                stop_unheard(self.controller, self._watchdog)
             if silence >= max(IDLE_LIMIT, self._watchdog):
                 self._lost()
 

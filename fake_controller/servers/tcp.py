@@ -29,9 +29,8 @@ from drivers.wire.tcp import (
 from fake_controller.controller import Controller
 from fake_controller.execution import Slice
 from fake_controller.programs import RefusedRequest
-from fake_controller.servers.base import accepted, deaf_socket
+from fake_controller.servers.base import accepted, listening_socket, name_of, stop_unheard
 from fake_controller.servers.frame_client import FrameClient
-from fake_controller.servers.replies import samples_message
 
 MAX_CONNECTIONS = 8
 WATCHDOG_RANGE = (0.05, 5.0)  # s
@@ -44,13 +43,7 @@ _RECEIVE = 64 * 1024
 class TcpServer:
     """Listens for clients of one controller. The first to greet holds it; others are told so until it leaves.
 
-    Args:
-        controller: what is served.
-        address, port: where to listen; port 0 takes a free one.
-        watchdog: the shortest [s] that a client is granted.
-
-    Raises:
-        OSError: the port is taken, or the address is not this machine's.
+    Arguments and errors as of `open_server`.
     """
 
     def __init__(
@@ -62,13 +55,9 @@ class TcpServer:
     ) -> None:
         self.controller = controller
         self.watchdog = watchdog
-        family = socket.AF_INET6 if ":" in address else socket.AF_INET
-        if controller.faults.refusing:
-            self._listener = deaf_socket(address, port)
-        else:
-            self._listener = socket.create_server((address, port), family=family, backlog=MAX_CONNECTIONS)
-        host, self.port = self._listener.getsockname()[:2]
-        self.address = f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}"
+        self._listener = listening_socket(address, port, controller.faults.refusing, MAX_CONNECTIONS)
+        self.port = self._listener.getsockname()[1]
+        self.address = name_of(self._listener.getsockname())
         self._lock = threading.Lock()
         self._sessions: set[Session] = set()
         self._holder: Session | None = None
@@ -85,21 +74,18 @@ class TcpServer:
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
-        with self._lock:
-            sessions = list(self._sessions)
-        for session in sessions:
-            session.close()
-        for session in sessions:
+        for session in self.drop_clients():
             session.join()
         if self._thread.is_alive():
             self._thread.join(5.0)
 
-    def drop_clients(self) -> None:
+    def drop_clients(self) -> list[Session]:
         """Cut every connection, as a pulled cable does."""
         with self._lock:
             sessions = list(self._sessions)
         for session in sessions:
             session.close()
+        return sessions
 
     def hold(self, session: Session) -> bool:
         """Give the controller to a session unless another has it."""
@@ -159,7 +145,8 @@ class Session(FrameClient):
     def on_samples(self, first: int, time_ns: np.ndarray, samples: Slice) -> None:
         """Stream what the arm just did; a client that is gone ends the motion."""
         for begin in range(0, len(samples), MAX_BATCH):
-            self._send_or_close(samples_message(first + begin, time_ns, samples, slice(begin, begin + MAX_BATCH)))
+            chosen = slice(begin, begin + MAX_BATCH)
+            self._send_or_close(Samples(first + begin, time_ns[chosen], *samples.part(chosen).columns))
 
     def on_end(self, reason: EndReason, samples: int, message: str) -> None:
         """Tell that the arm rests."""
@@ -211,9 +198,7 @@ class Session(FrameClient):
                     silence = 0.0
                     self._answer(frame)
                 if self._driving and silence >= self._watchdog:
-                    self.controller.stop(
-                        EndReason.WATCHDOG, f"nothing was heard from the client for {self._watchdog * 1000:.0f} ms"
-                    )
+                    stop_unheard(self.controller, self._watchdog)
                 if silence >= IDLE_LIMIT:
                     return
 
@@ -234,7 +219,8 @@ class Session(FrameClient):
             self._send_or_close(Heartbeat())
 
     def _fetched(self, first: int, count: int) -> Samples:
-        return samples_message(*self.controller.fetch(first, min(count, MAX_BATCH)))
+        first, time_ns, samples = self.controller.fetch(first, min(count, MAX_BATCH))
+        return Samples(first, time_ns, *samples.columns)
 
     def _send_or_close(self, message: Any) -> None:
         try:

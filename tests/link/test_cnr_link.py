@@ -98,7 +98,7 @@ def test_points_that_were_stopped_are_not_held_for_the_next_start(broker):
             assert not controller.moving
             assert sum(map(len, received)) > 0
             assert controller.motions_started == 2
-            assert not driver._sockets.command(MessageType.START).success
+            assert not driver._link.command(MessageType.START).success
             driver.load("back", "1" * 64, [back])
             driver.start("back", "1" * 64)
             assert sum(map(len, driver.samples())) > 0

@@ -170,7 +170,7 @@ def test_torque_is_current_times_constant_and_the_motion_has_little_rest_around_
         run.samples(*topics(times[k : k + 10], way[k : k + 10]))
         run.feedbacks([feedback(int(1000 * now), way[k], moves=int(now < 2.0), last=7 if now >= 2.0 else 0)], READY)
         run.turn()
-    blocks = list(run.motion.blocks())
+    blocks = list(run.blocks())
     time = np.concatenate([block.time for block in blocks])
     assert time[0] == pytest.approx(0.9, abs=0.01)
     assert time[-1] == pytest.approx(2.1, abs=0.01)
@@ -184,10 +184,10 @@ def test_missing_samples_are_gaps_by_their_times():
     run = motion()
     times = np.concatenate([np.arange(0.9, 1.5, 0.002), np.arange(1.52, 1.8, 0.002)])
     run.samples(*topics(times, ramp(times)))
-    gaps = run.motion.sequencer.gaps
+    gaps = run.sequencer.gaps
     assert [gap.count for gap in gaps] == [10]
-    first = next(run.motion.blocks())
-    assert run.motion.sequencer.expected == round((times[-1] - first.time[0]) / 0.002) + 1
+    first = next(run.blocks())
+    assert run.sequencer.expected == round((times[-1] - first.time[0]) / 0.002) + 1
 
 
 def test_samples_that_end_before_the_motion_are_an_error():
@@ -205,7 +205,7 @@ def test_samples_that_end_before_the_motion_are_an_error():
         run._silence = 60.0
         fault = run.turn()
         assert f"end {0.4 if heard else 1.0:.1f} s before the motion did: nothing on x" in str(fault)
-        assert not run.motion.over
+        assert not run.over
 
 
 def test_a_clock_that_goes_back_in_motion_ends_it():
@@ -220,7 +220,7 @@ def received(run):
     """Times of the samples that are handed out before the motion ends with an error about a clock."""
     times = []
     with pytest.raises(DriverError, match="clock"):
-        times.extend(block.time for block in run.motion.blocks())
+        times.extend(block.time for block in run.blocks())
     return np.concatenate(times) if times else np.empty(0)
 
 
@@ -234,11 +234,11 @@ def test_samples_that_a_busy_broker_still_has_are_waited_for_when_the_motion_fai
     run.feedbacks([feedback(10)], READY)
     run.fail(run.turn())
     for k in range(0, len(times), 10):
-        assert not run.motion.over
+        assert not run.over
         run.feedbacks([feedback(30)], READY)
         run.samples(*topics(times[k : k + 10], way[k : k + 10]))
         assert run.turn() is None
-    assert run.motion.over
+    assert run.over
     assert received(run)[-1] == pytest.approx(1.98, abs=0.03)
 
 
@@ -254,7 +254,7 @@ def test_samples_of_a_clock_that_went_back_are_none_of_the_motion(size):
         if not run.failing and (fault := run.turn()) is not None:
             run.fail(fault)
     run.turn()
-    assert run.motion.over
+    assert run.over
     handed_out = received(run)
     assert (handed_out[0], handed_out[-1]) == pytest.approx((10.9, 11.998), abs=0.01)
     np.testing.assert_allclose(np.diff(handed_out), 0.002)
@@ -265,10 +265,10 @@ def test_a_motion_that_fails_does_not_wait_for_a_broker_that_is_gone():
     run.feedbacks([feedback(int(20 * k), ramp([0.02 * k])[0]) for k in range(100)], READY)
     run.fail(DriverError("a clock, or whatever it is"))
     run.turn()
-    assert not run.motion.over
+    assert not run.over
     run._silence = 60.0
     run.turn()
-    assert run.motion.over
+    assert run.over
     assert len(received(run)) == 0
 
 
@@ -291,28 +291,28 @@ def test_a_stop_by_the_controller_has_its_reason(change, said):
         run.feedbacks([feedback(60 + 20 * k, moves=0)], state)
         run.turn()
     with pytest.raises(MotionStopped, match=said):
-        list(run.motion.blocks())
+        list(run.blocks())
     assert (stop_reason(state) is None) == (not change)
 
 
 def test_a_stop_is_believed_when_the_arm_rests_not_when_the_flag_falls():
     run = motion(broker=False)
-    run.motion.stopping = True
+    run.stopping = True
     for k in range(30):
         run.feedbacks([feedback(20 * k, (min(k, 15), 0.0), moves=int(k < 5))], READY)
         run.turn()
-        assert run.motion.over == (k >= 25), "it is still slowing down, or has only just come to rest"
-    list(run.motion.blocks())
+        assert run.over == (k >= 25), "it is still slowing down, or has only just come to rest"
+    list(run.blocks())
 
 
 def test_a_start_may_still_be_taken_up_after_a_stop_that_was_ignored():
     run = motion(broker=False)
-    run.motion.stopping = True
+    run.stopping = True
     for k in range(9):
         run.feedbacks([feedback(20 * k, moves=0)], READY)
     run.feedbacks([feedback(180, moves=1)], READY)
     run.turn()
-    assert not run.motion.over
+    assert not run.over
 
 
 def test_a_short_rest_on_the_way_is_no_stop():
@@ -321,11 +321,11 @@ def test_a_short_rest_on_the_way_is_no_stop():
     for k in range(5):
         run.feedbacks([feedback(40 + 20 * k, moves=0)], READY)
         run.turn()
-    assert not run.motion.over
+    assert not run.over
     run.feedbacks([feedback(200), feedback(220, moves=0, last=7)], READY)
     run.turn()
-    assert run.motion.over
-    assert len(list(run.motion.blocks())) == 8
+    assert run.over
+    assert len(list(run.blocks())) == 8
 
 
 def test_a_program_started_by_hand_is_over_when_the_arm_has_rested():
@@ -334,8 +334,8 @@ def test_a_program_started_by_hand_is_over_when_the_arm_has_rested():
         now = 20 * k
         run.feedbacks([feedback(now, (min(now, 400) * 0.01, 0.0), moves=0)], READY)
         run.turn()
-    assert run.motion.over
-    blocks = list(run.motion.blocks())
+    assert run.over
+    blocks = list(run.blocks())
     assert blocks[-1].time[-1] == pytest.approx(0.4 + 2.0, abs=0.1)
     assert blocks[0].velocity is None
     assert blocks[0].reference_position is None

@@ -9,6 +9,7 @@ from hypothesis import given, settings, strategies as st
 
 from drivers.errors import ProtocolError
 from drivers.wire import modbus as wire
+from drivers.wire.fields import Cursor
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "wire-modbus.md"
 
@@ -144,9 +145,9 @@ def test_an_empty_slot_is_no_sample():
 
 def test_long_text_is_cut_at_a_character():
     text = wire.Text(5)
-    assert text.unpack(text.pack("ééé")) == "éé"
+    assert text.unpack(Cursor(text.pack("ééé"))) == "éé"
 
 
 def test_what_is_no_utf8_is_a_protocol_error():
     with pytest.raises(ProtocolError, match="UTF-8"):
-        wire.Text(4).unpack(b"\xff\xfe\0\0")
+        wire.Text(4).unpack(Cursor(b"\xff\xfe\0\0"))

@@ -169,9 +169,3 @@ def test_with_motor_coupling_the_reported_torque_is_the_joints(make_arm):
     gravity = plant.machine.dynamics().inverse_dynamics(target[None], np.zeros((1, 2)), np.zeros((1, 2)))[0]
     noise = 0.005 * plant.machine.nominal @ np.abs(coupling)
     assert np.all(np.abs(torque - gravity) < 3 * noise)
-
-
-def test_a_period_that_is_not_the_plants_is_refused(ns16):
-    plant = Plant(ns16, 1)
-    with pytest.raises(ValueError, match=r"0\.002 s, not 0\.004 s"):
-        plant.run(np.zeros((2, 6)), np.zeros((2, 6)), 0.004)

@@ -42,6 +42,18 @@ class Alignment:
     drift_deviation: float
     count: int
 
+    @property
+    def facts(self) -> dict[str, str]:
+        """For the log, by names that end in their unit."""
+        return {
+            "clock_offset_s": f"{self.offset:.9f}",
+            "clock_offset_uncertainty_s": f"{self.offset_deviation:.3g}",
+            "clock_offset_at_controller_time_s": f"{self.middle:.3f}",
+            "clock_drift_ppm": f"{1e6 * self.drift:.3g}",
+            "clock_drift_uncertainty_ppm": f"{1e6 * self.drift_deviation:.3g}",
+            "clock_feedbacks": str(self.count),
+        }
+
     def sample_time(self, controller_time: float) -> float:
         """[s] on the clock of the samples."""
         return controller_time + self.offset + self.drift * (controller_time - self.middle)

@@ -91,7 +91,7 @@ def insist_on_stop(
     `tell`: says to a person what to do, where one has started the motion.
     """
     until, told = time.monotonic() + timeout, False
-    while answer is not None and not answer.success and not motion.motion.wait(_STOP_AGAIN):
+    while answer is not None and not answer.success and not motion.wait(_STOP_AGAIN):
         if time.monotonic() > until:
             return answer
         if tell is not None and not told:

@@ -11,15 +11,17 @@ import logging
 import secrets
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from drivers.errors import ConfigurationError, DriverError, RefusedError
-from drivers.protocol import Gap, Identity, SampleBlock, Status
+from drivers.protocol import Identity, Status
+from drivers.transports.base import LinkDriver
 from drivers.transports.cnr.address import CnrAddress
 from drivers.transports.cnr.commands import command_start, insist_on_stop, wait_for_a_person
-from drivers.transports.cnr.facts import motion_facts
 from drivers.transports.cnr.files import CnrIdentity, ProgramFolder
 from drivers.transports.cnr.frames import pose_of_frame
 from drivers.transports.cnr.motion import CnrArm, CnrMotion, stop_reason
@@ -35,7 +37,7 @@ _SAMPLE_PATIENCE = 1.0  # s without a sample, at least
 _log = logging.getLogger(__name__)
 
 
-class CnrDriver:
+class CnrDriver(LinkDriver[Sockets, CnrMotion]):
     """`drivers.protocol.Driver` on CNR's open programs: programs are stored by FTP and started by the socket, or by
     hand.
 
@@ -43,56 +45,44 @@ class CnrDriver:
 
     Args:
         address: where everything is.
-        timeout: how long [s] to wait for an answer.
-        start_timeout: the same for `start`, for the arm to rest after `stop`, and for FTP.
-        buffer_limit: bytes of samples kept for a consumer that is behind; beyond it the motion is stopped.
+        options: of `LinkDriver`; FTP is given `start_timeout` too.
     """
 
     STOP = MessageType.STOP
 
-    def __init__(
-        self,
-        address: CnrAddress,
-        *,
-        timeout: float = 5.0,
-        start_timeout: float = 60.0,
-        buffer_limit: int = 512 * 1024 * 1024,
-    ) -> None:
+    def __init__(self, address: CnrAddress, **options: Any) -> None:
+        super().__init__(address.host, **options)
         self.torque_per_ampere = np.empty((0, 0))
         self.tell: Callable[[str], None] = _log.warning
-        self._address = address
-        self._timeout = timeout
-        self._start_timeout = start_timeout
-        self._buffer_limit = buffer_limit
-        self._folder = ProgramFolder(address, start_timeout)
-        self._sockets: Sockets | None = None
+        self._where = address
+        self._folder = ProgramFolder(address, self._start_timeout)
         self._broker: BrokerLink | None = None
         self._machine: CnrIdentity | None = None
-        self._motion: CnrMotion | None = None
         self._stored = "", ""
         self._starting = threading.Lock()  # whoever holds it may start a trajectory, or say that none is to follow
 
     @property
-    def gaps(self) -> tuple[Gap, ...]:
-        """What is missing from the samples of the last motion; what the broker lost cannot be asked for again."""
-        return () if self._motion is None else self._motion.motion.sequencer.gaps
-
-    @property
     def facts(self) -> dict[str, str]:
         """How the clocks of controller and samples lay in the last motion, and what did not come as it should."""
-        counts = None if self._broker is None else self._broker.joiner.counts
-        return {} if self._motion is None else motion_facts(self._motion, counts)
+        motion, broker = self._motion, self._broker
+        if motion is None or motion.match is None:
+            return {}
+        facts = {} if broker is None else broker.joiner.counts.facts
+        if motion.begun_at is not None:
+            facts["motion_start_s"] = f"{motion.begun_at:.6f}"
+        alignment = motion.match.alignment()
+        return facts if alignment is None else facts | alignment.facts
 
     def connect(self) -> None:
         """Open the sockets, read who is there, and listen to the broker."""
         self.close()
         self._motion = None
         self._stored = "", ""
-        address = self._address
-        self._sockets = Sockets(address, self._timeout, self._on_turn, self._on_failure, self.STOP)
+        address = self._where
+        self._link = Sockets(address, self._timeout, self._on_turn, self._on_failure, self.STOP)
         try:
             self._machine = self._folder.machine()
-            self._sockets.watchdog = self._machine.watchdog
+            self._link.watchdog = self._machine.watchdog
             if address.broker is not None:
                 period = self._machine.identity.period
                 self._broker = BrokerLink(
@@ -115,16 +105,11 @@ class CnrDriver:
         who = self._machine.identity
         if self._broker is not None:
             return who
-        return Identity(
-            who.robot,
-            who.serial,
-            who.controller,
-            who.version,
-            who.joint_names,
-            FEEDBACK_PERIOD,
-            f"this link has no broker of C5G Open: some {1 / FEEDBACK_PERIOD:.0f} samples a second at uneven times, "
-            "without set-points, are too few for an identification; give mqtt=host:port in the address",
-            who.unguarded,
+        return replace(
+            who,
+            period=FEEDBACK_PERIOD,
+            watch_only=f"this link has no broker of C5G Open: some {1 / FEEDBACK_PERIOD:.0f} samples a second at "
+            "uneven times, without set-points, are too few for an identification; give mqtt=host:port in the address",
         )
 
     def status(self) -> Status:
@@ -181,9 +166,9 @@ class CnrDriver:
                 f"the program that the controller has is not the {name!r} that was sent; nothing was started"
             )
         number = secrets.randbelow(2**31 - 1) + 1
-        self._begin(None if self._address.by_hand else lambda feedback: feedback.last_point_processed == number)
+        self._begin(None if self._where.by_hand else lambda feedback: feedback.last_point_processed == number)
         try:
-            if self._address.by_hand:
+            if self._where.by_hand:
                 self._wait_for_a_person(sockets, name)
             else:
                 self._command_start(sockets, f"the start of {name}", Point(sequence_number=number))
@@ -194,61 +179,45 @@ class CnrDriver:
             self.close()
             raise
 
-    def samples(self) -> Iterator[SampleBlock]:
-        """Samples of the motion, in order, each once; what arrived before an error is yielded before it is raised."""
-        if self._motion is None:
-            raise DriverError("there are no samples: nothing was started")
-        return self._motion.motion.blocks()
-
     def stop(self) -> None:
         """Ask for a stop on the path, and wait until the arm rests."""
-        sockets, motion = self._sockets, self._motion
-        if sockets is None or (sockets.failure is not None and (motion is None or motion.motion.over)):
+        sockets, motion = self._link, self._motion
+        if sockets is None or self._nothing_to_stop(sockets, motion):
             return
         with self._starting:
             if motion is not None:
-                motion.motion.stopping = True
+                motion.stopping = True
             answer = sockets.command(self.STOP)
         if motion is not None:
-            tell = self.tell if self._address.by_hand else None
+            tell = self.tell if self._where.by_hand else None
             answer = insist_on_stop(sockets, motion, self.STOP, answer, self._start_timeout, tell)
         rests = sockets.wait_feedback(lambda: not sockets.feedback().is_moving, self._start_timeout)
         if motion is not None:
-            rests = rests and motion.motion.wait(self._start_timeout)
+            rests = rests and motion.wait(self._start_timeout)
         if answer is None or not rests:
-            raise DriverError(
-                f"the controller at {self._address.host} {'did not answer' if answer is None else 'took'} the stop "
-                "command, but does not report the arm at rest; use the emergency stop"
-            )
+            raise self._still_moves("took" if answer is not None else "did not answer")
 
     def close(self) -> None:
         """Close the link; where the arm may still move it is told to stop first. Never raises."""
-        sockets, self._sockets = self._sockets, None
+        sockets, self._link = self._link, None
         broker, self._broker = self._broker, None
         if sockets is not None:
-            if self._motion is not None and not self._motion.motion.over:
+            if self._motion is not None and not self._motion.over:
                 with contextlib.suppress(DriverError):
                     sockets.post(self.STOP)
             sockets.close()
         if broker is not None:
             broker.close()
 
-    def _connected(self) -> Sockets:
-        if self._sockets is None:
-            raise DriverError(f"the link to {self._address.host} is not open; connect first")
-        self._sockets.check()
-        return self._sockets
-
     def _moves(self, feedback: Feedback) -> bool:
         motion = self._motion
-        return bool(feedback.is_moving) or (motion is not None and motion.started and not motion.motion.over)
+        return bool(feedback.is_moving) or (motion is not None and motion.started and not motion.over)
 
     def _read_stored(self) -> tuple[str, str]:
         return self._folder.stored()
 
     def _check_idle(self, sockets: Sockets) -> None:
-        if self._motion is not None and not self._motion.motion.over:
-            raise DriverError("the last motion is not over yet; read its samples to the end, or stop it")
+        self._check_over()
         if sockets.feedback().is_moving:
             raise RefusedError("the arm moves already, by another program; wait for it, or stop it at the controller")
 
@@ -270,13 +239,13 @@ class CnrDriver:
         silent = None if broker is None else broker.silent
         motion = CnrMotion(arm, self._buffer_limit, is_over, patience, silent)
         self._motion = motion
-        assert self._sockets is not None
-        self._sockets.guarded = True
+        assert self._link is not None
+        self._link.guarded = True
         return motion
 
     def _command_start(self, sockets: Sockets, what: str, point: Point) -> CommandReply | None:
         """The answer to a start that was carried out; None and raises as `command_start`."""
-        answer = command_start(sockets, self._address.host, what, point, self._start_timeout, self._motion)
+        answer = command_start(sockets, self.address, what, point, self._start_timeout, self._motion)
         assert self._motion is not None
         self._motion.started = True
         return answer
@@ -290,26 +259,23 @@ class CnrDriver:
     def _abandon(self) -> None:
         """Nothing was started after all."""
         self._motion = None
-        if self._sockets is not None:
-            self._sockets.guarded = False
+        if self._link is not None:
+            self._link.guarded = False
 
     # From here on in the reader thread of the sockets, but for `_on_loss`.
 
     def _on_turn(self, feedbacks: list[Feedback]) -> None:
-        motion, sockets = self._motion, self._sockets
+        motion, sockets = self._motion, self._link
         self._take_samples(motion)
-        if motion is None or sockets is None or motion.motion.over:
+        if motion is None or sockets is None or motion.over:
             return
         if feedbacks:
             motion.feedbacks(feedbacks, sockets.last_status())
         fault = motion.turn()
-        if motion.motion.too_full:
-            fault = DriverError(
-                f"{motion.motion.size >> 20} MiB of samples wait to be read; the motion was stopped: is the disk full?"
-            )
+        fault = motion.too_full() or fault
         if fault is not None and not motion.failing:
             self._end_with(sockets, motion, fault)
-        sockets.guarded = not motion.motion.over
+        sockets.guarded = not motion.over
 
     def _take_samples(self, motion: CnrMotion | None) -> None:
         """What the broker had, for the motion; at rest nobody wants it."""
@@ -317,7 +283,7 @@ class CnrDriver:
         if broker is None:
             return
         times, values = broker.joiner.take()
-        if motion is not None and not motion.motion.over:
+        if motion is not None and not motion.over:
             motion.samples(times, values)
             motion.clock_reset |= broker.joiner.restarts > 0
 
@@ -334,15 +300,15 @@ class CnrDriver:
             return
         try:
             motion.fail(error)
-            while self._sockets is not None and not motion.motion.over:
+            while self._link is not None and not motion.over:
                 self._take_samples(motion)
                 motion.turn()
                 time.sleep(FEEDBACK_PERIOD)
         finally:
-            motion.motion.finish(error)
+            motion.finish(error)
 
     def _on_loss(self, error: DriverError) -> None:
         """The broker is gone (in its thread)."""
-        motion, sockets = self._motion, self._sockets
-        if motion is not None and sockets is not None and not motion.motion.over:
+        motion, sockets = self._motion, self._link
+        if motion is not None and sockets is not None and not motion.over:
             self._end_with(sockets, motion, error)

@@ -49,8 +49,10 @@ class CnrArm:
     torque_per_ampere: np.ndarray
 
 
-class CnrMotion:
-    """What came of one motion; called from the reader thread of the sockets, but for what is said otherwise.
+class CnrMotion(MotionStream):
+    """What came of one motion, and what of that belongs to it.
+
+    Called from the reader thread of the sockets, but for what is said otherwise.
 
     Args:
         arm: see there.
@@ -68,7 +70,7 @@ class CnrMotion:
         patience: float,
         silent: Callable[[], str] | None,
     ) -> None:
-        self.motion = MotionStream(limit)
+        super().__init__(limit)
         self.started = False  # set by the driver when the controller has said so
         self.match = None if silent is None else ClockMatch()
         self.clock_reset = False  # a clock went back: somebody counts anew, and no time can be trusted
@@ -89,7 +91,7 @@ class CnrMotion:
         self._latest: float | None = None
         self._silence = 0.0
         self._turned = time.monotonic()
-        self._end: tuple[EndReason, str] | None = None
+        self._verdict: tuple[EndReason, str] | None = None
         self._failure: DriverError | None = None
         self._end_time = 0.0  # controller time [s]
         self._drained = 0.0
@@ -128,7 +130,7 @@ class CnrMotion:
             self._time = now
             if self.match is not None:
                 self.match.feedback(now, position)
-            if self._end is not None:
+            if self._verdict is not None:
                 continue
             if self.match is None:
                 self._from_feedback(feedback, now, position)
@@ -163,7 +165,7 @@ class CnrMotion:
         """Called all the time: ends the motion where it is over; returns what is wrong, if anything is, for `fail`."""
         now = time.monotonic()
         passed, self._turned = min(now - self._turned, _TURN), now
-        if self.motion.over:
+        if self.over:
             return None
         self._silence += passed
         self._drained += passed
@@ -172,8 +174,8 @@ class CnrMotion:
             return None
         if self.clock_reset:
             return DriverError("a clock of the controller went back while the arm moved: it was restarted; look at it")
-        if self._end is not None:
-            return self._finish(*self._end)
+        if self._verdict is not None:
+            return self._finish(*self._verdict)
         if self._silent is None or not self.started:
             self._silence = 0.0
         elif self._silence > self._patience:
@@ -189,14 +191,14 @@ class CnrMotion:
             if reason in (EndReason.DONE, EndReason.STOPPED):
                 assert self._silent is not None
                 return DriverError(f"the samples end {lacking:.1f} s before the motion did: {self._silent()}")
-        self.motion.ended(reason, self._sequence, message)
+        self.ended(reason, self._sequence, message)
         return None
 
     def _finish_failed(self, error: DriverError) -> None:
         """End the motion with an error once its samples are there, or none of them comes any more."""
         lacking = 0.0 if self.match is None or self._cut else self._lacking(self.match)
         if lacking <= 0.0 or self._silence > _DRAIN or self._drained > _LONGEST:
-            self.motion.finish(error)
+            self.finish(error)
 
     def _lacking(self, match: ClockMatch) -> float:
         """Seconds of samples up to the end that have not come."""
@@ -218,7 +220,7 @@ class CnrMotion:
             self._moved, self._quiet = True, 0
             return
         self._quiet += 1
-        if self.motion.stopping:
+        if self.stopping:
             # The flag falls as the arm begins to slow down, and rises some time after a start was taken.
             if self._quiet >= _BELIEVED and rested >= _RESTING:
                 self._over((EndReason.STOPPED, ""), now)
@@ -245,7 +247,7 @@ class CnrMotion:
         return now - self._rest[0]
 
     def _over(self, end: tuple[EndReason, str], now: float) -> None:
-        self._end, self._end_time = end, now
+        self._verdict, self._end_time = end, now
         self._drained = 0.0
 
     # Samples.
@@ -323,9 +325,9 @@ class CnrMotion:
 
     def _take(self, block: SampleBlock) -> None:
         first = int(block.sequence[0])
-        if first > self.motion.sequencer.expected:
-            self.motion.lost(first)
-        self.motion.take(block, 0)
+        if first > self.sequencer.expected:
+            self.lost(first)
+        self.take(block, 0)
 
 
 def stop_reason(status: StatusMessage) -> tuple[EndReason, str] | None:

@@ -83,13 +83,13 @@ class PointDriver(CnrDriver):
         try:
             while feeder.go_on(motion):
                 with self._starting:
-                    if motion.motion.stopping:
+                    if motion.stopping:
                         return
                     self._command_start(sockets, "the start of the next trajectory", Point())
                 feeder.started()
                 motion.resume()
         except Exception as error:  # whatever it is, nobody else would send the rest
-            if not (motion.motion.over or motion.motion.stopping):
+            if not (motion.over or motion.stopping):
                 known = error if isinstance(error, DriverError) else DriverError(f"no points can be sent: {error!r}")
                 self._end_with(sockets, motion, known)
 
@@ -122,7 +122,7 @@ class _Feeder:
             DriverError: nobody knows whether it did.
         """
         points = self._trajectories[self._at]
-        while self._sent < len(points) and not motion.motion.stopping:
+        while self._sent < len(points) and not motion.stopping:
             answer = self._send(points[self._sent])
             if answer.queue == QueueStatus.ERROR:
                 raise RefusedError(
@@ -141,18 +141,18 @@ class _Feeder:
 
     def go_on(self, motion: CnrMotion) -> bool:
         """See the running trajectory to its end; True where the next one is queued and waits for its start."""
-        while not self._finished and not motion.motion.stopping:
+        while not self._finished and not motion.stopping:
             if self._wait_for_room(motion):
                 self.fill(motion)
-        while not (motion.motion.over or motion.motion.stopping):
+        while not (motion.over or motion.stopping):
             if self._sockets.wait_feedback(lambda: self._is_done(self._sockets.feedback()), _LINGER):
                 break
-        if motion.motion.over or motion.motion.stopping or self._at == len(self._trajectories) - 1:
+        if motion.over or motion.stopping or self._at == len(self._trajectories) - 1:
             return False
         motion.pause()
         self._at, self._sent, self._finished, self._running = self._at + 1, 0, False, False
         self.fill(motion)
-        return not motion.motion.stopping
+        return not motion.stopping
 
     def _is_done(self, feedback: Feedback) -> bool:
         """Of a trajectory before, the controller may still report the same last point: it must have begun first."""
@@ -176,7 +176,7 @@ class _Feeder:
         return answer
 
     def _wait_for_room(self, motion: CnrMotion) -> bool:
-        while not (motion.motion.over or motion.motion.stopping):
+        while not (motion.over or motion.stopping):
             answer = self._sockets.command(MessageType.PING)
             if answer is None:
                 raise DriverError("the controller does not answer a ping any more; look at it")

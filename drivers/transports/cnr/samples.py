@@ -32,6 +32,13 @@ class Counts:
     damaged: int = 0
     missing: dict[str, int] = field(default_factory=dict)
 
+    @property
+    def facts(self) -> dict[str, str]:
+        """For the log."""
+        missing = {f"missing_{name}": str(count) for name, count in self.missing.items()}
+        others = {"late": self.late, "duplicate": self.duplicate, "damaged": self.damaged}
+        return {**missing, **{f"{name}_messages": str(count) for name, count in others.items()}}
+
 
 class Joiner:
     """Messages of the channels in, whole samples out, in the order of their times. One thread adds, another takes.

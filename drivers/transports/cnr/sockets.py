@@ -17,6 +17,7 @@ from functools import partial
 from typing import NamedTuple
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
+from drivers.transports.base import LinkThread, dropped
 from drivers.transports.cnr.address import CnrAddress
 from drivers.transports.tcp import open_socket
 from drivers.wire.cnr import (
@@ -54,7 +55,7 @@ class _Socket:
         self.heard = False
 
 
-class Sockets:
+class Sockets(LinkThread):
     """An open link; `close` ends it.
 
     Args:
@@ -78,19 +79,17 @@ class Sockets:
         on_failure: Callable[[DriverError], None],
         stop: MessageType,
     ) -> None:
+        super().__init__(f"{address.host}:{address.feedback}", on_failure)
         self.watchdog = timeout
         self.guarded = False
-        self.failure: DriverError | None = None
         self._timeout = timeout
         self._on_turn = on_turn
-        self._on_failure = on_failure
         self._stop = stop
         self._answers: queue.SimpleQueue[Message | None] = queue.SimpleQueue()
         self._asking = threading.Lock()
         self._changed = threading.Condition()
         self._counts = {Feedback: 0, StatusMessage: 0}
         self._latest: dict[type, Feedback | StatusMessage] = {}
-        self._closing = threading.Event()
         with contextlib.ExitStack() as opened:
 
             def connect(port: int) -> _Socket:
@@ -102,7 +101,6 @@ class Sockets:
             self._feedback = connect(address.feedback)
             self._status = connect(address.status)
             self._sockets = (self._trajectory, self._feedback, self._status)
-            self._thread = threading.Thread(target=self._run, name=f"sockets {address.host}", daemon=True)
             self._thread.start()
             opened.callback(self.close)
             self._greet()
@@ -110,9 +108,11 @@ class Sockets:
 
     def feedback(self) -> Feedback:
         """The last one."""
-        latest = self._latest[Feedback]
-        assert isinstance(latest, Feedback)
-        return latest
+        return self._latest[Feedback]  # type: ignore[return-value]
+
+    def last_status(self) -> StatusMessage:
+        """The last one that came."""
+        return self._latest[StatusMessage]  # type: ignore[return-value]
 
     def fresh_status(self) -> StatusMessage:
         """A status that the controller made after this call.
@@ -128,15 +128,7 @@ class Sockets:
             self.check()
             if not came:
                 raise DriverError(f"{self._status.peer} sends no status within {self._timeout:g} s; is its program on?")
-            latest = self._latest[StatusMessage]
-        assert isinstance(latest, StatusMessage)
-        return latest
-
-    def last_status(self) -> StatusMessage:
-        """The last one that came."""
-        latest = self._latest[StatusMessage]
-        assert isinstance(latest, StatusMessage)
-        return latest
+            return self.last_status()
 
     def wait_feedback(self, condition: Callable[[], bool], timeout: float) -> bool:
         """Wait until something is true that changes with feedbacks; False if it does not become true in time."""
@@ -199,17 +191,9 @@ class Sockets:
         """End the link and its thread; never raises."""
         self._closing.set()
         self._hang_up()
-        if threading.current_thread() is not self._thread:
-            self._thread.join(5.0)
+        self._join(5.0)
         for each in self._sockets:
             each.connection.close()
-
-    def check(self) -> None:
-        """Raises:
-        DriverError: the link is down.
-        """
-        if self.failure is not None:
-            raise type(self.failure)(str(self.failure))
 
     def _heard(self, kind: type[Feedback | StatusMessage]) -> bool:
         return self._counts[kind] > 0 or self.failure is not None
@@ -255,7 +239,7 @@ class Sockets:
             raise DriverError(f"{target.peer} takes no data any more; the link is dead") from None
         except OSError as error:
             self.check()
-            raise DriverError(f"the link to {target.peer} dropped: {error.strerror or error}") from None
+            raise dropped(target.peer, error) from None
 
     def _hang_up(self) -> None:
         for each in self._sockets:
@@ -264,24 +248,14 @@ class Sockets:
 
     # From here on in the reader thread.
 
-    def _run(self) -> None:
-        try:
-            self._read()
-            failure = DriverError(f"the link to {self._feedback.peer} was closed by this end")
-        except DriverError as error:
-            failure = error
-        except OSError as error:
-            failure = DriverError(f"the link to the controller dropped: {error.strerror or error}")
-        except Exception as error:  # whoever waits must hear of it, whatever it is
-            failure = ProtocolError(f"what the controller sent cannot be handled: {type(error).__name__}: {error}")
+    def _end(self, failure: DriverError) -> None:
         with self._changed:
             self.failure = failure
             self._changed.notify_all()
         self._hang_up()
         self._answers.put(None)
-        self._on_failure(failure)
 
-    def _read(self) -> None:
+    def _work(self) -> None:
         silence = 0.0
         with selectors.DefaultSelector() as selector:
             for each in self._sockets:

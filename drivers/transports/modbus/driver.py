@@ -9,13 +9,14 @@ import secrets
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 from pymodbus.client import ModbusTcpClient
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
-from drivers.protocol import Gap, Identity, SampleBlock, Status
+from drivers.protocol import Identity, Status
+from drivers.transports.base import LinkDriver
 from drivers.transports.modbus.link import Client, ModbusLink, SilentError
 from drivers.transports.modbus.replies import identity_of, status_of
 from drivers.transports.modbus.ring import RingReader
@@ -31,46 +32,25 @@ _GOODBYE = 1.0  # s for the answer to the last message
 MakeClient = Callable[[Callable[[bool, bytes], bytes]], Client]
 
 
-class ModbusDriver:
+class ModbusDriver(LinkDriver[ModbusLink, MotionStream]):
     """`drivers.protocol.Driver` over Modbus/TCP; the address is `host:port`.
 
     Args:
         address: of the controller.
         watchdog: silence [s] after which either end takes the other for gone; the controller may answer another one.
-        timeout: how long [s] to wait for an answer.
-        start_timeout: the same for `start`, where the controller plans first, and for the arm to rest after `stop`.
-        buffer_limit: bytes of samples kept for a consumer that is behind; beyond it the motion is stopped.
         unit: Modbus unit, for a controller behind a gateway.
+        options: of `LinkDriver`.
 
     Raises:
         ConfigurationError: not an address.
     """
 
-    def __init__(
-        self,
-        address: str,
-        *,
-        watchdog: float = 0.2,
-        timeout: float = 5.0,
-        start_timeout: float = 60.0,
-        buffer_limit: int = 512 * 1024 * 1024,
-        unit: int = wire.UNIT,
-    ) -> None:
+    def __init__(self, address: str, *, watchdog: float = 0.2, unit: int = wire.UNIT, **options: Any) -> None:
         self._check_address(address)
-        self.address = address
+        super().__init__(address, **options)
         self._watchdog = watchdog
-        self._timeout = timeout
-        self._start_timeout = start_timeout
-        self._buffer_limit = buffer_limit
         self._unit = unit
-        self._link: ModbusLink | None = None
-        self._motion: MotionStream | None = None
         self._closed = threading.Event()
-
-    @property
-    def gaps(self) -> tuple[Gap, ...]:
-        """What is missing from the samples of the last motion although it was asked for again."""
-        return () if self._motion is None else self._motion.sequencer.gaps
 
     @property
     def watchdog(self) -> float:
@@ -148,8 +128,7 @@ class ModbusDriver:
     def start(self, name: str, checksum: str) -> None:
         """Run the stored program once. Where the answer is lost the link is closed, so that the arm cannot go on."""
         link = self._connected()
-        if self._motion is not None and not self._motion.over:
-            raise DriverError("the last motion is not over yet; read its samples to the end, or stop it")
+        self._check_over()
         _fits(name)
         motion = MotionStream(self._buffer_limit)
         motion_id = uuid.uuid4().bytes
@@ -165,16 +144,10 @@ class ModbusDriver:
             self.close()
             raise
 
-    def samples(self) -> Iterator[SampleBlock]:
-        """Samples of the motion, in order, each once; what arrived before an error is yielded before it is raised."""
-        if self._motion is None:
-            raise DriverError("there are no samples: nothing was started")
-        return self._motion.blocks()
-
     def stop(self) -> None:
         """Ask for a stop on the path and wait until the arm rests; nothing to do where nothing was started."""
         link, motion = self._link, self._motion
-        if link is None or (link.failure is not None and (motion is None or motion.over)):
+        if link is None or self._nothing_to_stop(link, motion):
             return
         if motion is not None:
             motion.stopping = True
@@ -182,10 +155,7 @@ class ModbusDriver:
         until = time.monotonic() + self._start_timeout
         while link.read(wire.PROGRESS)["state"] == wire.MotionState.RUNNING:
             if time.monotonic() > until:
-                raise DriverError(
-                    f"the controller at {self.address} took the stop command, but does not report the arm at rest; "
-                    "use the emergency stop"
-                )
+                raise self._still_moves()
             self._closed.wait(_ANSWER_POLL)
 
     def close(self) -> None:
@@ -217,11 +187,6 @@ class ModbusDriver:
 
     def _wanted_watchdog(self) -> int:
         return round(self._watchdog * 1000)
-
-    def _connected(self) -> ModbusLink:
-        if self._link is None:
-            raise DriverError(f"the link to {self.address} is not open; connect first")
-        return self._link
 
     def _blank(self) -> dict[str, Any]:
         """A command that says nothing yet."""
@@ -283,10 +248,6 @@ class ModbusDriver:
         self._guarded = False
         self._connected().timeout = self._timeout
 
-    def _on_failure(self, error: DriverError) -> None:
-        if self._motion is not None:
-            self._motion.finish(error)
-
     def _turn(self) -> float:
         """A heartbeat if it is due, and a look at the motion if there is one; the time to the next turn [s]."""
         if not self._open:
@@ -322,13 +283,10 @@ class ModbusDriver:
             ring.shown_from = taken
 
     def _check_room(self, motion: MotionStream) -> None:
-        if motion.too_full:
+        if (full := motion.too_full()) is not None:
             stop = {**self._blank(), "command": wire.Command.STOP, "request": next(self._requests)}
             self._connected().write(wire.COMMAND, **stop)
-            waiting = motion.size >> 20
-            motion.finish(
-                DriverError(f"{waiting} MiB of samples wait to be read; the motion was stopped: is the disk full?")
-            )
+            motion.finish(full)
 
     def _check_silence(self, ring: RingReader) -> None:
         """The controller's heartbeat must go on. A stall of this process counts for no more than a turn should last."""

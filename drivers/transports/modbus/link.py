@@ -18,6 +18,7 @@ from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
+from drivers.transports.base import LinkThread, dropped
 from drivers.wire.registers import Block
 
 Client = ModbusTcpClient | ModbusSerialClient
@@ -42,7 +43,7 @@ class SilentError(DriverError):
     """No answer in time."""
 
 
-class ModbusLink:
+class ModbusLink(LinkThread):
     """A pymodbus client, opened already, and the thread that owns it.
 
     `on_turn()` is called in that thread between two requests; it may use `read`, `read_registers` and `write`, and
@@ -59,18 +60,14 @@ class ModbusLink:
         on_failure: Callable[[DriverError], None],
         timeout: float,
     ) -> None:
-        self.peer = peer
+        super().__init__(peer, on_failure)
         self.timeout = timeout
-        self.failure: DriverError | None = None
         self._unit = unit
         self._received = 0
         self._understood = False  # an answer of this peer, once
         self._client = make_client(self._trace)
         self._on_turn = on_turn
-        self._on_failure = on_failure
         self._jobs: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None] = queue.SimpleQueue()
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=f"modbus {peer}", daemon=True)
         self._thread.start()
 
     def call(self, work: Callable[[], Result]) -> Result:
@@ -116,25 +113,19 @@ class ModbusLink:
         """End the link and its thread; never raises."""
         self._closing.set()
         self._jobs.put(None)
-        if threading.current_thread() is not self._thread:
-            self._thread.join(2 * self.timeout + 1.0)
+        self._join(2 * self.timeout + 1.0)
 
-    def _run(self) -> None:
-        failure: DriverError = DriverError(f"the link to {self.peer} was closed by this end")
-        try:
-            while not self._closing.is_set():
-                wait = self._on_turn()
-                with contextlib.suppress(queue.Empty):
-                    self._do(self._jobs.get(timeout=wait) if wait > 0 else self._jobs.get_nowait())
-        except DriverError as error:
-            failure = error
-        except Exception as error:  # whoever waits must hear of it, whatever it is
-            failure = ProtocolError(f"what {self.peer} sent cannot be handled: {type(error).__name__}: {error}")
+    def _work(self) -> None:
+        while not self._closing.is_set():
+            wait = self._on_turn()
+            with contextlib.suppress(queue.Empty):
+                self._do(self._jobs.get(timeout=wait) if wait > 0 else self._jobs.get_nowait())
+
+    def _end(self, failure: DriverError) -> None:
         self.failure = failure
         with contextlib.suppress(Exception):  # whoever waits must hear of it all the same
             self._client.close()
         self._refuse_jobs()
-        self._on_failure(failure)
 
     def _do(self, job: tuple[Callable[[], Any], Future[Any]] | None) -> None:
         if job is None:
@@ -187,7 +178,7 @@ class ModbusLink:
             try:
                 return self._checked(ask(), what)
             except ConnectionException:
-                raise self._dropped() from None
+                raise self._dropped(OSError("the controller closed the connection")) from None
             except ModbusException:
                 continue
             except (OSError, TimeoutError) as error:
@@ -224,10 +215,9 @@ class ModbusLink:
             "calibration server that listens there?"
         )
 
-    def _dropped(self, error: OSError | None = None) -> DriverError:
+    def _dropped(self, error: OSError) -> DriverError:
         self._client.close()
-        reason = f": {error.strerror or error}" if error is not None else ": the controller closed the connection"
-        return DriverError(f"the link to {self.peer} dropped{reason}")
+        return dropped(self.peer, error)
 
     def _trace(self, sending: bool, data: bytes) -> bytes:
         if not sending:

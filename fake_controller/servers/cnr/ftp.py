@@ -21,7 +21,7 @@ from drivers.wire.reasons import Refusal
 from fake_controller.controller import CONTROLLER, PERIOD, VERSION, Controller
 from fake_controller.faults import Faults
 from fake_controller.programs import MAX_PROGRAM, MAX_PROGRAMS, RefusedRequest
-from fake_controller.servers.cnr.sockets import listening_socket
+from fake_controller.servers.base import listening_socket
 
 MAX_CONNECTIONS = 8
 _MAX_FILES = 4 * MAX_PROGRAMS

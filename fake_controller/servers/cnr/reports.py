@@ -158,7 +158,7 @@ class Reports:
     def _repeat_until(self, index: int) -> None:
         count = min(index - self._index, _REST)
         if count > 0:
-            still = Slice(*(np.repeat(values, count, axis=0) for values in _columns(self._last)))
+            still = Slice(*(np.repeat(values, count, axis=0) for values in self._last.columns))
             self._publish(index - count + 1, still, spare=True)
 
     def _publish(self, index: int, samples: Slice, spare: bool) -> None:
@@ -215,17 +215,7 @@ def _ten(values: np.ndarray) -> tuple[float, ...]:
     return (*values.tolist(), *[0.0] * (AXES - len(values)))
 
 
-def _columns(samples: Slice) -> tuple[np.ndarray, ...]:
-    return (
-        samples.position,
-        samples.velocity,
-        samples.torque,
-        samples.reference_position,
-        samples.reference_velocity,
-    )
-
-
 def _last_of(samples: Slice) -> Slice:
     """Its last sample, standing still."""
-    position, velocity, torque, reference, _ = (values[-1:] for values in _columns(samples))
-    return Slice(position, np.zeros_like(velocity), torque, reference, np.zeros_like(velocity))
+    last = samples.part(slice(-1, None))
+    return replace(last, velocity=np.zeros_like(last.velocity), reference_velocity=np.zeros_like(last.velocity))

@@ -20,16 +20,8 @@ SHORTEST_WATCHDOG = 0.5  # s
 class CnrServer:
     """Three ports, a folder of programs over FTP, and a publisher at a broker that runs already.
 
-    Args:
-        controller: what is served.
-        address, port: where to listen; the trajectory's port, with feedback, status and FTP on the three that follow.
-            Port 0 takes free ones.
-        watchdog: a moving arm stops when so long [s] no feedback was answered; not below `SHORTEST_WATCHDOG`.
-        broker: host and port of the MQTT broker.
-        waits: the arm waits for its clients, as only an emulated one can.
-
-    Raises:
-        OSError: a port is taken, or the address is not this machine's; a `NoBrokerError` where no broker answers.
+    Arguments and errors as of `open_server`. `port` is the trajectory's, with feedback, status and FTP on the
+    next three; a moving arm stops when for a watchdog, not below `SHORTEST_WATCHDOG`, no feedback was answered.
     """
 
     def __init__(

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from drivers.errors import ProtocolError
 from drivers.wire.cnr import LITTLE, CommType, Message, MessageDecoder, MessageType, Record, ReplyCode, encode
 from fake_controller.faults import Faults
-from fake_controller.servers.base import accepted, deaf_socket
+from fake_controller.servers.base import accepted, listening_socket
 
 SEND_LIMIT = 5.0  # s
 _RECEIVE = 64 * 1024
@@ -183,15 +183,3 @@ class LockStep(Port):
         with self._changed:
             self._awaited = False
             self._changed.notify_all()
-
-
-def listening_socket(address: str, port: int, deaf: bool) -> socket.socket:
-    """A listening socket; a deaf one holds its port, and whoever connects is refused.
-
-    Raises:
-        OSError: the port is taken, or the address is not this machine's.
-    """
-    if deaf:
-        return deaf_socket(address, port)
-    family = socket.AF_INET6 if ":" in address else socket.AF_INET
-    return socket.create_server((address, port), family=family)

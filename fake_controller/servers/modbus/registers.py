@@ -18,7 +18,8 @@ from drivers.wire.registers import Block
 from fake_controller.controller import Controller
 from fake_controller.execution import Slice
 from fake_controller.programs import RefusedRequest
-from fake_controller.servers.modbus.told import told_of
+from fake_controller.servers.base import stop_unheard
+from fake_controller.servers.modbus.reported import own_registers
 from fake_controller.servers.replies import Upload
 
 MEMORY = 400_000  # samples kept for a client that reads slower than the arm moves: 13 minutes
@@ -31,11 +32,7 @@ _WRITABLE = {block.address: block for block in wire.BLOCKS if block.access == "w
 class RegisterMap:
     """What the registers of one controller say and do. Reads and writes come from one thread.
 
-    Args:
-        controller: whose registers they are.
-        watchdog: the shortest [s] that a client is granted.
-        memory: samples kept.
-        waits: the arm waits before it overwrites samples that the client has not taken, as only an emulated one can.
+    Arguments as of `open_server`, and `memory`: samples kept.
     """
 
     def __init__(self, controller: Controller, watchdog: float, memory: int = MEMORY, waits: bool = False) -> None:
@@ -93,14 +90,7 @@ class RegisterMap:
 
     def on_samples(self, first: int, time_ns: np.ndarray, samples: Slice) -> None:
         """Keep samples for the ring."""
-        columns = (
-            samples.position,
-            samples.velocity,
-            samples.torque,
-            samples.reference_position,
-            samples.reference_velocity,
-        )
-        rows = wire.pack_slots(first, time_ns, columns)
+        rows = wire.pack_slots(first, time_ns, samples.columns)
         depth = len(self._rows)
         if self._waits:
             with self._taken_changed:
@@ -140,9 +130,9 @@ class RegisterMap:
         return result
 
     def _content(self, block: Block) -> list[int]:
-        told = told_of(self._controller, block)
-        if told is not None:
-            return told
+        reported = own_registers(self._controller, block)
+        if reported is not None:
+            return reported
         if block is wire.ANSWER:
             return block.pack(**self._answer)
         if block is wire.PROGRESS:
@@ -306,8 +296,7 @@ class RegisterMap:
                 self._controller.faults.heal()
             if self._driving and self._gone():
                 with contextlib.suppress(RuntimeError):
-                    silent = f"nothing was heard from the client for {self._watchdog * 1000:.0f} ms"
-                    self._controller.stop(EndReason.WATCHDOG, silent)
+                    stop_unheard(self._controller, self._watchdog)
                 with self._taken_changed:
                     self._taken_changed.notify_all()
 
@@ -316,15 +305,6 @@ def _no_answer(
     values: dict[str, Any] | None = None, outcome: wire.OutcomeCode = wire.OutcomeCode.WORKING, **more: Any
 ) -> dict[str, Any]:
     """The fields of the answer block to a command."""
-    return {
-        "session": values["session"] if values else 0,
-        "request": values["request"] if values else 0,
-        "outcome": outcome,
-        "refusal": 0,
-        "line": 0,
-        "column": 0,
-        "message": "",
-        "checksum": b"",
-        "watchdog": 0,
-        **more,
-    }
+    about = {key: values[key] if values else 0 for key in ("session", "request")}
+    empty = {"refusal": 0, "line": 0, "column": 0, "message": "", "checksum": b"", "watchdog": 0}
+    return {**about, "outcome": outcome, **empty, **more}

@@ -19,7 +19,7 @@ from pymodbus.simulator import SimDevice
 from drivers.wire.modbus import HEARTBEAT
 from fake_controller.controller import Controller
 from fake_controller.faults import Faults
-from fake_controller.servers.base import deaf_socket
+from fake_controller.servers.base import listening_socket, name_of
 from fake_controller.servers.modbus.registers import MEMORY, RegisterMap
 
 MAX_CONNECTIONS = 8
@@ -32,14 +32,7 @@ logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 class ModbusServer:
     """Serves the registers of one controller; a thread of its own does it.
 
-    Args:
-        controller: what is served.
-        address, port: where to listen; port 0 takes a free one.
-        watchdog: the shortest [s] that a client is granted.
-        memory, waits: see `RegisterMap`.
-
-    Raises:
-        OSError: the port is taken, or the address is not this machine's.
+    Arguments and errors as of `open_server`, and `memory`: samples kept.
     """
 
     def __init__(
@@ -93,7 +86,7 @@ class ModbusServer:
 
     async def _open(self) -> None:
         if self.controller.faults.refusing:
-            self._deaf = deaf_socket(*self._where)
+            self._deaf = listening_socket(*self._where, deaf=True)
             self._name(self._deaf.getsockname())
             return
         device, faults = self.registers.device(), self.controller.faults
@@ -111,8 +104,7 @@ class ModbusServer:
         await self._server.shutdown()
 
     def _name(self, where: tuple[str, int]) -> None:
-        host, self.port = where[:2]
-        self.address = f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}"
+        self.port, self.address = where[1], name_of(where)
 
     def _drop(self) -> None:
         if not self.controller.faults.refusing:
@@ -121,11 +113,7 @@ class ModbusServer:
 
 
 class ModbusRtuServer(ModbusServer):
-    """The same over a serial port: its name, and its baud rate.
-
-    Raises:
-        OSError: the port cannot be opened.
-    """
+    """The same over a serial port: its name, and its baud rate."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""What a controller tells of itself in registers; the map is in drivers/wire/modbus.py."""
+"""What a controller reports of itself in registers; the map is in drivers/wire/modbus.py."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from drivers.wire.registers import Block
 from fake_controller.controller import CONTROLLER, PERIOD, VERSION, Controller
 
 
-def told_of(controller: Controller, block: Block) -> list[int] | None:
+def own_registers(controller: Controller, block: Block) -> list[int] | None:
     """The registers of identity, joint names, status and alarms; None for any other block."""
     state, joints = controller.state, controller.robot.dof
     if block is wire.IDENTITY:

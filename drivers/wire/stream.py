@@ -1,0 +1,47 @@
+"""A byte stream, cut anywhere, that becomes frames or messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Generic, TypeVar
+
+from drivers.errors import ProtocolError
+
+Whole = TypeVar("Whole")
+
+
+class StreamDecoder(Generic[Whole]):
+    """Never holds more than one frame and what was fed last; a subclass knows where one ends.
+
+    A damaged stream cannot be trusted any further: after its first `ProtocolError` a decoder only repeats it.
+    """
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self._broken = ""
+
+    @property
+    def pending(self) -> int:
+        """Bytes of a frame that is not complete yet."""
+        return len(self._buffer)
+
+    def feed(self, data: bytes) -> Iterator[Whole]:
+        """What is complete now; run through all of it before feeding again.
+
+        Raises:
+            ProtocolError: another protocol, or damage; after the whole frames that came before.
+        """
+        if self._broken:
+            raise ProtocolError(self._broken)
+        self._buffer += data
+        try:
+            while (whole := self._next()) is not None:
+                yield whole
+        except ProtocolError as error:
+            self._broken = str(error)
+            self._buffer.clear()
+            raise
+
+    def _next(self) -> Whole | None:
+        """The first whole one, taken out of the buffer."""
+        raise NotImplementedError
