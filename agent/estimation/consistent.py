@@ -20,42 +20,31 @@ from types import SimpleNamespace
 import numpy as np
 
 from agent.estimation.prior import link_prior
-from agent.estimation.problem import Estimate, Problem, cross_validate
-from agent.estimation.solving import clear_gain, iterate_weights, solve_sum
+from agent.estimation.problem import Estimate, Problem
+from agent.estimation.solving import clear_gain
 from agent.robot import ParameterLayout
 
-_TRUSTS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of the prior_weight against noise alone
+_FACTORS = (1.0, 3.0, 10.0, 30.0, 100.0)  # of the prior's weight against noise alone
 _SOLIDITY = 1e-4  # smallest eigenvalue of a pseudo-inertia, in units of the link's own scale
 
 
 def consistent(problem: Problem) -> Estimate:
     """Weighted least squares on the set of physical robots."""
-    problem = weigh_prior(problem)
+    problem = _weigh_prior(problem)
     programme = _Programme(problem)
-    moments = problem.moments
-    weights = iterate_weights(moments, problem.prior, problem.prior_weight)
-    total = moments.weighted(weights)
-    unknowns = programme.solve(total)
-    held_out = cross_validate(problem, moments, weights, programme.parameters)
+    weights = problem.weights()
     note = "Every link has a physical mass distribution; rotor inertias and friction are not negative."
-    standard = unknowns[: programme.standard]
-    parameters = programme.to_parameters @ unknowns
-    return Estimate(parameters, weights, moments, held_out, programme.parameters, problem.prior_weight, note, standard)
+    found = problem.estimate(weights, note, programme.parameters)
+    return replace(found, standard=programme.solve(problem.moments.weighted(weights))[: programme.standard])
 
 
-def weigh_prior(problem: Problem) -> Problem:
-    """The same problem with more prior_weight in the prior, where held-out error clearly gains by it."""
-    weights = iterate_weights(problem.moments, problem.prior, problem.prior_weight)
-    errors = {}
-    for factor in _TRUSTS:
-
-        def solver(total: np.ndarray, prior_weight: float = factor * problem.prior_weight) -> np.ndarray:
-            return solve_sum(total, problem.prior, prior_weight)
-
-        errors[factor] = np.sum(weights * cross_validate(problem, problem.moments, weights, solver), axis=(1, 2))
-    best = min(errors, key=lambda factor: errors[factor].sum())
-    gain = errors[_TRUSTS[0]] - errors[best]
-    return replace(problem, prior_weight=problem.prior_weight * (best if clear_gain(gain) else _TRUSTS[0]))
+def _weigh_prior(problem: Problem) -> Problem:
+    """The same problem with more weight on the prior, where held-out error clearly gains by it."""
+    weights = problem.weights()
+    trials = [replace(problem, prior_weight=factor * problem.prior_weight) for factor in _FACTORS]
+    errors = [np.sum(weights * trial.held_out(weights), axis=(1, 2)) for trial in trials]
+    best = int(np.argmin([error.sum() for error in errors]))
+    return trials[best] if clear_gain(errors[0] - errors[best]) else problem
 
 
 class _Programme:

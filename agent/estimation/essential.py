@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.estimation.problem import Estimate, Problem, Solver, cross_validate
-from agent.estimation.solving import iterate_weights, solve_sum
+from agent.estimation.problem import Estimate, Problem, Solver
+from agent.estimation.solving import solve_sum
 
 _TOLERANCE = 1e-3  # a reduced model may be this much worse than the best one met
 
@@ -18,12 +18,12 @@ _TOLERANCE = 1e-3  # a reduced model may be this much worse than the best one me
 def essential(problem: Problem) -> Estimate:
     """Weighted least squares on the parameters that matter."""
     moments, prior = problem.moments, problem.prior
-    weights = iterate_weights(moments, prior, problem.prior_weight)
+    weights = problem.weights()
     total = moments.weighted(weights)
     kept = np.arange(moments.parameters)
     best, chosen = np.inf, kept
     while len(kept):
-        error = float(np.sum(weights * cross_validate(problem, moments, weights, _on(problem, kept))))
+        error = float(np.sum(weights * problem.held_out(weights, _on(problem, kept))))
         best = min(best, error)
         if error <= (1 + _TOLERANCE) * best:
             chosen = kept
@@ -33,10 +33,8 @@ def essential(problem: Problem) -> Estimate:
         parameters = _on(problem, kept)(total)[kept]
         significance = np.abs(parameters) / np.sqrt(np.diag(np.linalg.inv(matrix)))
         kept = np.delete(kept, np.argmin(significance))
-    solver = _on(problem, chosen)
     note = f"{len(chosen)} of {moments.parameters} parameters are essential; the others are zero."
-    held_out = cross_validate(problem, moments, weights, solver)
-    return Estimate(solver(total), weights, moments, held_out, solver, problem.prior_weight, note)
+    return problem.estimate(weights, note, _on(problem, chosen))
 
 
 def _on(problem: Problem, kept: np.ndarray) -> Solver:

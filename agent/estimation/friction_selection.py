@@ -21,7 +21,7 @@ from agent.estimation.observation import Observation
 from agent.estimation.prior import Prior
 from agent.estimation.prior_choice import choose_links
 from agent.estimation.problem import Problem
-from agent.estimation.solving import clear_gain, iterate_weights, solve
+from agent.estimation.solving import clear_gain
 from agent.model import FrictionTerm, Reversal
 
 _SPEEDS = (2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 3e-2)  # of the highest speed of the axle
@@ -31,28 +31,20 @@ _FINER = ((0.55, 0.75, 1.0, 1.35, 1.8), (0.92, 1.0, 1.09))  # of the scale found
 _LEAST_GAIN = 0.02
 
 
-def paper_terms(reversals: Sequence[Reversal]) -> tuple[FrictionTerm, ...]:
-    """The paper's three terms for every axle, with a reversal each."""
-    return tuple(
-        term
-        for axle, reversal in enumerate(reversals)
-        for term in (
-            FrictionTerm(axle, "coulomb", reversal),
-            FrictionTerm(axle, "viscous"),
-            FrictionTerm(axle, "quadratic"),
-        )
-    )
+def paper_terms(reversals: Sequence[Reversal], third: str = "quadratic") -> tuple[FrictionTerm, ...]:
+    """The paper's three terms for every axle, with a reversal each; "offset" as `third` is what most tools fit."""
+    return _terms_of([[reversal] for reversal in reversals], third)
 
 
-def plain_terms(dof: int) -> tuple[FrictionTerm, ...]:
-    """Coulomb and viscous friction and an offset for every axle: what most tools fit."""
+def _terms_of(reversals: Sequence[Sequence[Reversal]], third: str) -> tuple[FrictionTerm, ...]:
+    """For every axle Coulomb friction with each of its reversals, viscous friction and a third term."""
     return tuple(
         term
-        for axle in range(dof)
+        for axle, grid in enumerate(reversals)
         for term in (
-            FrictionTerm(axle, "coulomb", Reversal()),
+            *(FrictionTerm(axle, "coulomb", reversal) for reversal in grid),
             FrictionTerm(axle, "viscous"),
-            FrictionTerm(axle, "offset"),
+            FrictionTerm(axle, third),
         )
     )
 
@@ -74,20 +66,19 @@ def select_friction_terms(observation: Observation, partition: Partition) -> Pro
         ]
         for axle in range(n)
     ]
-    wide = _with_reversals(observation, partition, grids)
+    wide = Problem.pose(observation, partition, _terms_of(grids, "quadratic"))
     sharp = np.array([k for k, term in enumerate(wide.terms) if term.reversal in (None, Reversal())])
     links = choose_links(wide.select(sharp)).links
     problem, reversals = _best_reversals(wide.with_links(links))
     problem = problem.with_own_prior_weight()
     for factors in _FINER:
         grids = [[replace(r, scale=r.scale * factor) for factor in factors] if r.scale else [r] for r in reversals]
-        finer = replace(
-            _with_reversals(observation, partition, grids).with_links(links), prior_weight=problem.prior_weight
-        )
+        terms = _terms_of(grids, "quadratic")
+        finer = Problem.pose(observation, partition, terms, prior_weight=problem.prior_weight, links=links)
         problem, reversals = _best_reversals(finer)
 
-    weights = iterate_weights(problem.moments, problem.prior, problem.prior_weight)
-    load = solve(problem.moments, weights, problem.prior, problem.prior_weight)[: observation.rigid.count]
+    weights = problem.weights()
+    load = problem.solve(weights)[: observation.rigid.count]
     candidates = (term for axle in range(n) for term in _candidates(axle, reversals[axle], float(fastest[axle])))
     terms = (*paper_terms(reversals), *candidates)
     wide = Problem.pose(observation, partition, terms, load, problem.prior_weight, keep=True, links=links)
@@ -101,20 +92,6 @@ def _candidates(axle: int, reversal: Reversal, fastest: float) -> list[FrictionT
         FrictionTerm(axle, "load", reversal),
         *(FrictionTerm(axle, "stribeck", reversal, fastest * fading) for fading in _FADINGS),
     ]
-
-
-def _with_reversals(observation: Observation, partition: Partition, grids: list[list[Reversal]]) -> Problem:
-    """Coulomb friction with every reversal of each axle's grid, side by side."""
-    terms = tuple(
-        term
-        for axle, grid in enumerate(grids)
-        for term in (
-            *(FrictionTerm(axle, "coulomb", reversal) for reversal in grid),
-            FrictionTerm(axle, "viscous"),
-            FrictionTerm(axle, "quadratic"),
-        )
-    )
-    return Problem.pose(observation, partition, terms)
 
 
 def _best_reversals(problem: Problem) -> tuple[Problem, list[Reversal]]:
@@ -134,7 +111,7 @@ def _best_reversals(problem: Problem) -> tuple[Problem, list[Reversal]]:
     reversals = {}
     for _ in range(2):
         fit = problem.select(np.array(sorted([*fixed, *choice.values()])))
-        total = problem.moments.weighted(iterate_weights(fit.moments, fit.prior, fit.prior_weight))
+        total = problem.moments.weighted(fit.weights())
         for axle, found in options.items():
             chosen = [*fixed, *(k for a, k in choice.items() if a != axle)]
             others = np.concatenate([np.arange(base), base + np.array(chosen)])

@@ -19,7 +19,6 @@ import numpy as np
 
 from agent.estimation.consistent import consistent
 from agent.estimation.filtering import Motion, smooth_and_differentiate
-from agent.estimation.least_squares import finish
 from agent.estimation.moments import collect
 from agent.estimation.observation import rigid_columns
 from agent.estimation.problem import Estimate, Problem
@@ -40,7 +39,7 @@ def instrumental(problem: Problem) -> Estimate:
     moments = collect(observation, problem.partition, problem.terms, problem.friction(), instruments=instruments)
     given = all(segment.motion.set_points is not None for segment in observation.segments)
     source = "the controller's set-points" if given else "smoothed measured positions, as set-points are missing"
-    return finish(problem, moments, start.weights, f"Instruments: the motion simulated along {source}.")
+    return problem.estimate(start.weights, f"Instruments: the motion simulated along {source}.", moments=moments)
 
 
 def _simulate(problem: Problem, start: Estimate, motion: Motion) -> Motion:

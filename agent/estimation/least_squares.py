@@ -4,7 +4,7 @@ With row groups g of weight w_g, the estimate minimises Σ w_g |y_g - X_g θ|² 
 weights are the inverse residual variance of each joint (AIM 2013, eq. 4); here the rows in which a joint stands still
 form a group of their own, never weighted above its moving rows: what stiction leaves open counts for what it is worth.
 
-Normal equations square the condition number; one step of refinement from the rows' own residuals (`refine`) gives that
+Normal equations square the condition number; one step of refinement from the rows' own residuals gives that
 back (corrected seminormal equations, Björck, Linear Algebra Appl. 88, 1987).
 """
 
@@ -14,45 +14,31 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.estimation.moments import Moments, standstill
-from agent.estimation.problem import Estimate, Problem, cross_validate
-from agent.estimation.solving import iterate_weights, solve, solve_scaled, solve_sum
+from agent.estimation.moments import standstill
+from agent.estimation.problem import Estimate, Problem
+from agent.estimation.solving import solve_scaled
 
 
 def weighted(problem: Problem) -> Estimate:
     """The paper's estimator: weights from residuals, after a first fit in which every joint counts alike."""
-    weights = iterate_weights(problem.moments, problem.prior, problem.prior_weight)
-    return refined(problem, finish(problem, problem.moments, weights, ""))
+    return _refined(problem, problem.weights())
 
 
 def reweighted(problem: Problem) -> Estimate:
     """Weights that agree with the residuals they leave."""
-    weights = iterate_weights(problem.moments, problem.prior, problem.prior_weight, 20)
-    return refined(problem, finish(problem, problem.moments, weights, ""))
+    return _refined(problem, problem.weights(rounds=20))
 
 
 def ordinary(problem: Problem) -> Estimate:
     """Every row of every joint with the same weight."""
     rows = problem.moments.rows.sum(axis=0)
-    weights = iterate_weights(problem.moments, problem.prior, problem.prior_weight)
-    parameters = solve(problem.moments, weights, problem.prior, problem.prior_weight)
-    variance = problem.moments.energy(parameters).sum() / rows.sum()
-    return refined(problem, finish(problem, problem.moments, np.full(rows.shape, 1 / variance), ""))
+    variance = problem.moments.energy(problem.solve(problem.weights())).sum() / rows.sum()
+    return _refined(problem, np.full(rows.shape, 1 / variance))
 
 
-def finish(problem: Problem, moments: Moments, weights: np.ndarray, note: str) -> Estimate:
-    """Solve for given moments and weights (2, n), and cross-validate just that."""
-
-    def solver(total: np.ndarray) -> np.ndarray:
-        return solve_sum(total, problem.prior, problem.prior_weight)
-
-    held_out = cross_validate(problem, moments, weights, solver)
-    parameters = solver(moments.weighted(weights))
-    return Estimate(parameters, weights, moments, held_out, solver, problem.prior_weight, note)
-
-
-def refined(problem: Problem, found: Estimate) -> Estimate:
-    """One step from the rows' own residuals against round-off."""
+def _refined(problem: Problem, weights: np.ndarray) -> Estimate:
+    """With one step from the rows' own residuals against round-off."""
+    found = problem.estimate(weights)
     prior, joints = problem.prior, np.arange(found.weights.shape[1])
     rows = [
         residual * found.weights[still.astype(int), joints]

@@ -10,10 +10,12 @@ unit length, so that units do not matter).
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from agent.estimation.moments import Moments
-from agent.estimation.problem import Estimate, Problem, cross_validate
+from agent.estimation.problem import Estimate, Problem
 from agent.estimation.solving import pseudo_inverse, scaled_rank
 
 _PLAIN_ROUNDS = 4
@@ -42,15 +44,13 @@ def _without_prior(problem: Problem, rounds: int, note: str) -> Estimate:
     weights = np.ones((2, problem.observation.robot.dof))
     for _ in range(rounds):
         weights = _eq_4(moments, _minimum_norm(moments.weighted(weights)))
-    held_out = cross_validate(problem, moments, weights, _minimum_norm)
-    total = moments.weighted(weights)
-    silent = moments.parameters - scaled_rank(total[:-1, :-1])
+    silent = moments.parameters - scaled_rank(moments.weighted(weights)[:-1, :-1])
     if silent:
         note += (
             f" {silent} of {moments.parameters} parameter directions are not in these data: the solution of minimum "
             "norm is taken, and their standard deviations are what such an arm could have."
         )
-    return Estimate(_minimum_norm(total), weights, moments, held_out, _minimum_norm, 0.0, note)
+    return replace(problem, prior_weight=0.0).estimate(weights, note, _minimum_norm)
 
 
 def _minimum_norm(total: np.ndarray) -> np.ndarray:

@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from agent.estimation.prior import DESCRIPTION, EITHER, SIZE
-from agent.estimation.problem import Problem, cross_validate
-from agent.estimation.solving import clear_gain, iterate_weights, solve_sum
+from agent.estimation.problem import Problem
+from agent.estimation.solving import clear_gain
 from agent.robot import LINK_PARAMETERS
 
 _LEAST_GAIN = 0.05  # of the squared error held out
@@ -31,10 +31,10 @@ def choose_links(problem: Problem) -> Problem:
     opened = problem.with_links(SIZE).with_own_prior_weight()
     if placeholders(problem.observation.rigid.dynamics.standard_parameters()):
         return opened
-    weights = iterate_weights(opened.moments, opened.prior, opened.prior_weight)
+    weights = opened.weights()
     described = opened.with_links(DESCRIPTION)
-    error = _held_out(opened, weights)
-    gain = error - _held_out(described, weights)
+    error, other = (np.sum(weights * each.held_out(weights), axis=(1, 2)) for each in (opened, described))
+    gain = error - other
     if gain.sum() > _LEAST_GAIN * error.sum() and clear_gain(gain):
         return described.with_own_prior_weight()
     refuted = -gain.sum() > _LEAST_GAIN * error.sum() and clear_gain(-gain)
@@ -49,12 +49,3 @@ def placeholders(standard: np.ndarray) -> bool:
     same = np.diff(mass) <= _ALIKE * mass[-1]
     shared = np.append(same, False) | np.append(False, same)
     return bool(2 * shared.sum() > len(mass))
-
-
-def _held_out(problem: Problem, weights: np.ndarray) -> np.ndarray:
-    """(folds,) weighted squared error on rows left out."""
-
-    def solver(total: np.ndarray) -> np.ndarray:
-        return solve_sum(total, problem.prior, problem.prior_weight)
-
-    return np.sum(weights * cross_validate(problem, problem.moments, weights, solver), axis=(1, 2))

@@ -11,7 +11,7 @@ from agent.estimation.blocks import Partition
 from agent.estimation.moments import Moments, collect
 from agent.estimation.observation import Observation
 from agent.estimation.prior import DESCRIPTION, Prior, physical_prior
-from agent.estimation.solving import autocorrelation_time, iterate_weights, solve
+from agent.estimation.solving import autocorrelation_time, iterate_weights, solve_sum
 from agent.model import FrictionTerm
 
 #: Weighted sum of moments (p + 1, p + 1) to parameters (p,).
@@ -81,9 +81,43 @@ class Problem:
 
     def with_own_prior_weight(self) -> Problem:
         """The same with the prior_weight that the autocorrelation of its own residuals asks for, the joints' median."""
-        weights = iterate_weights(self.moments, self.prior, self.prior_weight)
-        times = autocorrelation_time(self.residuals(solve(self.moments, weights, self.prior, self.prior_weight)))
+        times = self.autocorrelation_times(self.solve(self.weights()))
         return replace(self, prior_weight=float(np.median(times)))
+
+    def autocorrelation_times(self, parameters: np.ndarray) -> np.ndarray:
+        """(n,) samples per independent one, of the residuals of parameters (p,)."""
+        return autocorrelation_time(self.residuals(parameters))
+
+    def weights(self, rounds: int = 4) -> np.ndarray:
+        """(2, n) weights from the residuals that the weights before leave."""
+        return iterate_weights(self.moments, self.prior, self.prior_weight, rounds)
+
+    def solver(self, total: np.ndarray) -> np.ndarray:
+        """(p,) least squares with the prior, from a weighted sum of moments (p + 1, p + 1)."""
+        return solve_sum(total, self.prior, self.prior_weight)
+
+    def solve(self, weights: np.ndarray) -> np.ndarray:
+        """(p,) the same with weights (2, n)."""
+        return self.solver(self.moments.weighted(weights))
+
+    def held_out(self, weights: np.ndarray, solver: Solver | None = None, moments: Moments | None = None) -> np.ndarray:
+        """(folds, 2, n) squared error of every fold's rows under a fit to the `moments` of the others."""
+        cells, moments, solver = self.partition, moments or self.moments, solver or self.solver
+        errors = np.zeros((cells.folds, *weights.shape))
+        for fold in range(cells.folds):
+            train, test = cells.training(fold), cells.fold == fold
+            if train.any() and test.any():
+                errors[fold] = self.moments.energy(solver(moments.weighted(weights, train)), test)
+        return errors
+
+    def estimate(
+        self, weights: np.ndarray, note: str = "", solver: Solver | None = None, moments: Moments | None = None
+    ) -> Estimate:
+        """What a solver makes of moments and weights (2, n), cross-validated just so."""
+        moments, solver = moments or self.moments, solver or self.solver
+        parameters = solver(moments.weighted(weights))
+        held_out = self.held_out(weights, solver, moments)
+        return Estimate(parameters, weights, moments, held_out, solver, self.prior_weight, note)
 
     def residuals(self, parameters: np.ndarray) -> list[np.ndarray]:
         """Per segment (S', n) [N·m]: filtered measured torque minus what parameters (p,) explain."""
@@ -123,14 +157,3 @@ class Estimate:
     prior_weight: float
     note: str
     standard: np.ndarray | None = None
-
-
-def cross_validate(problem: Problem, moments: Moments, weights: np.ndarray, solver: Solver) -> np.ndarray:
-    """(folds, 2, n) squared error of every fold's rows under a fit to the moments of the others."""
-    partition = problem.partition
-    errors = np.zeros((partition.folds, *weights.shape))
-    for fold in range(partition.folds):
-        train, test = partition.training(fold), partition.fold == fold
-        if train.any() and test.any():
-            errors[fold] = problem.moments.energy(solver(moments.weighted(weights, train)), test)
-    return errors

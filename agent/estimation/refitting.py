@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,16 +23,14 @@ from agent.core import InputError
 from agent.estimation.blocks import partition
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.observation import Observation, observe
-from agent.estimation.problem import Estimate, Problem, cross_validate
-from agent.estimation.solving import autocorrelation_time, reweight, solve_scaled
+from agent.estimation.problem import Estimate, Problem
+from agent.estimation.solving import reweight, solve_scaled
 from agent.estimation.summary import build_model
+from agent.estimation.uncertainty import jackknife
 from agent.estimation.workflow import ESTIMATORS
 from agent.model import IdentifiedModel
 from agent.recording import Log
-from agent.robot import rigid_bodies
-
-if TYPE_CHECKING:
-    from agent.robot import Tool
+from agent.robot import Tool, rigid_bodies
 
 _ROUNDS = 4
 
@@ -69,7 +66,8 @@ def refit(model: IdentifiedModel, logs: Sequence[Log], parameters: str = "fricti
         found = ESTIMATORS[model.method].fit(problem)
         fresh = build_model(problem, found, model.method, names, combinations, logs)
         return _judged(problem, found, replace(fresh, effects=model.effects), model)
-    problem = replace(problem, prior_weight=float(np.median(_times(problem, _friction(problem, model).parameters))))
+    times = problem.autocorrelation_times(_friction(problem, model).parameters)
+    problem = replace(problem, prior_weight=float(np.median(times)))
     found = _friction(problem, model)
     fresh = build_model(problem, found, model.method, names, combinations, logs)
     notes = (fresh.notes[0], "Friction estimated again; base parameters are those of the model before.")
@@ -108,26 +106,16 @@ def _friction(problem: Problem, model: IdentifiedModel) -> Estimate:
     for _ in range(_ROUNDS):
         weights = reweight(moments, parameters)
         parameters = solver(moments.weighted(weights))
-    held_out = cross_validate(problem, moments, weights, solver)
-    return Estimate(parameters, weights, moments, held_out, solver, problem.prior_weight, "", model.standard)
+    return replace(problem.estimate(weights, solver=solver), standard=model.standard)
 
 
 def _covariance(problem: Problem, found: Estimate, model: IdentifiedModel) -> np.ndarray:
     base = len(model.independent)
-    times = _times(problem, found.parameters)
+    times = problem.autocorrelation_times(found.parameters)
     moments, precision = problem.moments, problem.prior.precision[base:, base:]
     stationary = np.linalg.inv(moments.weighted(found.weights / times)[base:-1, base:-1] + precision)
     total = moments.weighted(found.weights)
-    cells = problem.partition
-    estimates = np.array(
-        [
-            found.solver(total - moments.weighted(found.weights, cells.cluster == cluster))[base:]
-            for cluster in range(cells.clusters)
-        ]
-    )
-    count = len(estimates)
-    jackknife = (count - 1) / count * np.sum((estimates - estimates.mean(axis=0)) ** 2, axis=0)
-    widen = np.sqrt(np.maximum(1.0, jackknife / np.diag(stationary))) if count > 1 else np.ones(len(stationary))
+    widen = np.sqrt(np.maximum(1.0, jackknife(problem, found)[base:] / np.diag(stationary)))
     own = stationary * np.outer(widen, widen)
     gain = -np.linalg.solve(total[base:-1, base:-1] + problem.prior_weight * precision, total[base:-1, :base])
     of_base = model.covariance[:base, :base]
@@ -140,10 +128,6 @@ def _judged(problem: Problem, found: Estimate, fresh: IdentifiedModel, model: Id
     rows = np.maximum(1, moments.rows[:, 0].sum(axis=0))
     held_out = np.sqrt(found.held_out[:, 0].sum(axis=0) / rows)
     return Refit(fresh, held_out, np.sqrt(moments.energy(model.values)[0] / rows))
-
-
-def _times(problem: Problem, parameters: np.ndarray) -> np.ndarray:
-    return autocorrelation_time(problem.residuals(parameters))
 
 
 def _without_effects(observation: Observation, model: IdentifiedModel) -> Observation:

@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.estimation.least_squares import finish
 from agent.estimation.moments import collect, standstill
 from agent.estimation.problem import Estimate, Problem
-from agent.estimation.solving import iterate_weights, solve
 
 _TUNING = 1.345
 _ROUNDS = 4
@@ -22,8 +20,8 @@ def huber(problem: Problem) -> Estimate:
     """Huber's M-estimate with a scale per joint."""
     observation = problem.observation
     still = standstill(observation)
-    moments, weights = problem.moments, iterate_weights(problem.moments, problem.prior, problem.prior_weight)
-    parameters = solve(moments, weights, problem.prior, problem.prior_weight)
+    moments, weights = problem.moments, problem.weights()
+    parameters = problem.solve(weights)
     share = 0.0
     for _ in range(_ROUNDS):
         rows = problem.residuals(parameters)
@@ -34,9 +32,10 @@ def huber(problem: Problem) -> Estimate:
         ]
         moments = collect(observation, problem.partition, problem.terms, problem.friction(), trusted)
         weights = 1 / scale**2
-        parameters = solve(moments, weights, problem.prior, problem.prior_weight)
+        parameters = problem.solver(moments.weighted(weights))
         share = float(np.mean(np.concatenate(trusted) < 1))
-    return finish(problem, moments, weights, f"Huber weights below 1 on {100 * share:.0f} % of the rows.")
+    note = f"Huber weights below 1 on {100 * share:.0f} % of the rows."
+    return problem.estimate(weights, note, moments=moments)
 
 
 def _scales(rows: list[np.ndarray], still: list[np.ndarray]) -> np.ndarray:

@@ -6,21 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.estimation.moments import ALL_CELLS, Cells, Moments
+from agent.estimation.moments import Moments
 from agent.estimation.prior import Prior
 
 _RANK = 1e-12  # eigenvalue of a scaled normal matrix, relative: a singular value of 1e-6
 
 
-def solve(
-    moments: Moments, weights: np.ndarray, prior: Prior, prior_weight: float, cells: Cells = ALL_CELLS
-) -> np.ndarray:
-    """(p,) estimate from moments, with weights (2, n) and the prior's precision times `prior_weight`."""
-    return solve_sum(moments.weighted(weights, cells), prior, prior_weight)
-
-
 def solve_sum(total: np.ndarray, prior: Prior, prior_weight: float) -> np.ndarray:
-    """(p,) estimate from a weighted sum (p + 1, p + 1)."""
+    """(p,) estimate from a weighted sum of moments (p + 1, p + 1), with the prior's precision times `prior_weight`."""
     matrix = total[:-1, :-1] + prior_weight * prior.precision
     right = total[:-1, -1] + prior_weight * prior.precision @ prior.mean
     return solve_scaled(matrix, right)
@@ -74,7 +67,7 @@ def iterate_weights(moments: Moments, prior: Prior, prior_weight: float, rounds:
     variance = moments.torque_energy().sum() / moments.rows.sum()
     weights = np.full((2, len(moments.index)), 1 / max(variance, 1e-30))
     for _ in range(rounds):
-        weights = reweight(moments, solve(moments, weights, prior, prior_weight))
+        weights = reweight(moments, solve_sum(moments.weighted(weights), prior, prior_weight))
     return weights
 
 

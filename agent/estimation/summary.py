@@ -13,7 +13,6 @@ from agent.estimation.moments import Moments, observed_standstill_speed
 from agent.estimation.observation import Observation
 from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
-from agent.estimation.solving import autocorrelation_time
 from agent.estimation.uncertainty import covariance, silent_directions
 from agent.model import IdentifiedModel, condition_text
 from agent.recording import MACHINE, Log
@@ -35,7 +34,7 @@ def build_model(
     """The identified model of an estimate. `names`, `combinations`: of standard and of base parameters."""
     observation, moments = problem.observation, problem.moments
     rows = moments.rows.sum(axis=(0, 1))
-    times = autocorrelation_time(problem.residuals(found.parameters))
+    times = problem.autocorrelation_times(found.parameters)
     first = observation.segments[0].motion
     model = IdentifiedModel(
         robot=observation.robot,

@@ -26,7 +26,7 @@ _SPECTRUM = 256  # rows in one piece of the estimate of a spectrum
 
 def covariance(problem: Problem, found: Estimate) -> np.ndarray:
     """(p, p) covariance of an estimate; of directions that one without prior leaves open, the prior's."""
-    prior, partition = problem.prior, problem.partition
+    prior, count = problem.prior, problem.partition.clusters
     total = found.moments.weighted(found.weights)
     if found.prior_weight > 0:
         bread = inverse(total[:-1, :-1] + found.prior_weight * prior.precision)
@@ -34,19 +34,20 @@ def covariance(problem: Problem, found: Estimate) -> np.ndarray:
     else:
         bread = pseudo_inverse(total[:-1, :-1])
         stationary = bread @ _noise(problem, found) @ bread.T + _left_open(total[:-1, :-1], prior)
-    estimates = np.array(
-        [
-            found.solver(total - found.moments.weighted(found.weights, partition.cluster == cluster))
-            for cluster in range(partition.clusters)
-        ]
-    )
-    count = len(estimates)
     if count < 2:
         return stationary
-    jackknife = (count - 1) / count * np.sum((estimates - estimates.mean(axis=0)) ** 2, axis=0)
-    ratio = jackknife / np.diag(stationary)
+    ratio = jackknife(problem, found) / np.diag(stationary)
     widen = np.sqrt(np.where(ratio > 1 + 2 * np.sqrt(2 / (count - 1)), ratio, 1.0))
     return stationary * np.outer(widen, widen)
+
+
+def jackknife(problem: Problem, found: Estimate) -> np.ndarray:
+    """(p,) variances by leaving out one cluster after the other; zero where there is one only."""
+    total, cells = found.moments.weighted(found.weights), problem.partition
+    left_out = (found.moments.weighted(found.weights, cells.cluster == cluster) for cluster in range(cells.clusters))
+    estimates = np.array([found.solver(total - part) for part in left_out])
+    count = len(estimates)
+    return np.asarray((count - 1) / count * np.sum((estimates - estimates.mean(axis=0)) ** 2, axis=0))
 
 
 def _left_open(matrix: np.ndarray, prior: Prior) -> np.ndarray:

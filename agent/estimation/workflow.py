@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from agent.estimation.consistent import consistent
 from agent.estimation.cutoff import LOWEST, predictive_cutoff
 from agent.estimation.essential import essential
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.friction_selection import paper_terms, plain_terms, select_friction_terms
+from agent.estimation.friction_selection import paper_terms, select_friction_terms
 from agent.estimation.instrumental import instrumental
 from agent.estimation.least_squares import ordinary, reweighted, weighted
 from agent.estimation.method_selection import choose
@@ -24,14 +23,10 @@ from agent.estimation.paper import paper, plain
 from agent.estimation.prior_choice import choose_links
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.robust import huber
-from agent.estimation.solving import iterate_weights, solve
 from agent.estimation.summary import build_model
 from agent.model import IdentifiedModel, Reversal
 from agent.recording import Log
-from agent.robot import RigidBodies, RobotDescription, rigid_bodies
-
-if TYPE_CHECKING:
-    from agent.robot import Tool
+from agent.robot import RigidBodies, RobotDescription, Tool, rigid_bodies
 
 
 @dataclass(frozen=True)
@@ -127,10 +122,8 @@ def _problem(observation: Observation, cells: Partition, friction: str) -> Probl
     """The problem of fitting one set of friction terms, the prior with the weight that its residuals ask for."""
     if friction == "selected":
         problem = select_friction_terms(observation, cells)
-    elif friction == "plain":
-        problem = Problem.pose(observation, cells, plain_terms(observation.robot.dof))
     else:
-        problem = Problem.pose(observation, cells, paper_terms([Reversal()] * observation.robot.dof))
+        problem = _first_problem(observation, cells, "offset" if friction == "plain" else "quadratic")
     return problem.with_own_prior_weight()
 
 
@@ -150,10 +143,7 @@ def observe_predictable(rigid: RigidBodies, logs: Sequence[Log], settings: Filte
     if lowest is None:
         return observation
     first = choose_links(_first_problem(lowest))
-    parameters = solve(
-        first.moments, iterate_weights(first.moments, first.prior, first.prior_weight), first.prior, first.prior_weight
-    )
-    better = predictive_cutoff(_first_problem(observation), parameters)
+    better = predictive_cutoff(_first_problem(observation), first.solve(first.weights()))
     if better is None:
         return observation
     cutoff, joint = better
@@ -172,9 +162,10 @@ def _lower(
     return lower if _seconds(lower) >= _KEPT * _seconds(observation) else None
 
 
-def _first_problem(observation: Observation) -> Problem:
-    terms = paper_terms([Reversal()] * observation.robot.dof)
-    return Problem.pose(observation, partition(observation.segments), terms)
+def _first_problem(observation: Observation, cells: Partition | None = None, third: str = "quadratic") -> Problem:
+    """Three terms of friction an axle, none of them with a reversal that was learned."""
+    terms = paper_terms([Reversal()] * observation.robot.dof, third)
+    return Problem.pose(observation, cells or partition(observation.segments), terms)
 
 
 def _seconds(observation: Observation) -> float:

@@ -204,7 +204,7 @@ def _judge(
     """The content of `result.json`, with the gate's word and the reason if it is no."""
     faults = gate_faults(recipe.gate.normalised_rmse, reference.model, found, met, comparison)
     nominal = found.model.robot.nominal_torque
-    moved = [change for change in comparison.changes if change.moved]
+    moved = [change for change in comparison.parameters if change.moved]
     return {
         "schema": "recalibration/1",
         "robot": recipe.robot.name,
@@ -227,7 +227,7 @@ def _judge(
             "worse_before": worse_joints(reference.model, found.before),
         },
         "comparison": (
-            f"{len(moved)} of {len(comparison.changes)} parameters moved by more than their uncertainty"
+            f"{len(moved)} of {len(comparison.parameters)} parameters moved by more than their uncertainty"
             + (f": {', '.join(change.name for change in moved)}" if moved else "")
         ),
         "loop": {
@@ -275,9 +275,9 @@ def gate_faults(
         if level["value"] + _SURE * level["standard_deviation"] < 0:
             faults.append(f"{level['joint']}: its friction at {level['speed']:.3g} rad/s comes out negative")
     inertial = set(last.names[: len(last.independent)])
-    rigid = [c for c in comparison.changes if c.moved and c.name in inertial]
-    far = (comparison.torque_rmse > gate * robot.nominal_torque) & (
-        comparison.torque_rmse > _SURE * comparison.deviation
+    rigid = [c for c in comparison.parameters if c.moved and c.name in inertial]
+    far = (comparison.torque.rmse > gate * robot.nominal_torque) & (
+        comparison.torque.rmse > _SURE * comparison.torque.standard_deviation
     )
     if rigid and np.any(far):
         names = ", ".join(np.array(robot.joint_names)[far])

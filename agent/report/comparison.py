@@ -28,24 +28,28 @@ def comparison_page(
     """HTML text: of runs by name, each later one compared with the first; `predictions` of one motion, a run each."""
     names, robot = list(models), predictions[0].model.robot
     last = comparisons[-1]
-    moved = sorted((c for c in last.changes if c.moved), key=lambda c: -abs(c.deviations))
+    moved = sorted((c for c in last.parameters if c.moved), key=lambda c: -abs(c.deviations))
     if moved:
         largest = ", ".join(
-            f"{c.name} by {plus_minus(c.after - c.before, 1.96 * c.deviation)} {c.unit}" for c in moved[:3]
+            f"{c.name} by {plus_minus(c.after - c.before, 1.96 * c.standard_deviation)} {c.unit}" for c in moved[:3]
         )
-        headline = f"{len(moved)} of {len(last.changes)} parameters changed by more than chance: most of all {largest}."
+        headline = (
+            f"{len(moved)} of {len(last.parameters)} parameters changed by more than chance: most of all {largest}."
+        )
     else:
-        headline = f"None of {len(last.changes)} parameters changed by more than chance."
-    shares = last.torque_rmse / last.nominal
+        headline = f"None of {len(last.parameters)} parameters changed by more than chance."
+    shares = last.torque.normalised_rmse
     if np.isfinite(shares).any():
         worst = int(np.nanargmax(shares))
-        headline += f" Predicted torque differs most on {last.joints[worst]}: {100 * shares[worst]:.2f} % of nominal."
+        headline += (
+            f" Predicted torque differs most on {last.torque.joints[worst]}: {100 * shares[worst]:.2f} % of nominal."
+        )
     title = f"{robot.name}: {', '.join(names[:-1])} and {names[-1]}"
     about = About(
         "What changed between these runs, and is it more than chance?",
         (),
         [NextStep("makes the latest of them the current model:", f"agent apply {names[-1]}")],
-        [("robot", robot.name), ("runs", ", ".join(names)), ("motion", last.motion)],
+        [("robot", robot.name), ("runs", ", ".join(names)), ("motion", last.torque.motion)],
     )
     sections = [
         *(
@@ -55,7 +59,7 @@ def comparison_page(
         Section("Friction curves", (), (_friction(models),)),
         Section(
             "Residuals on one motion",
-            (f"What each model leaves on {last.motion}, by joint and regime.",),
+            (f"What each model leaves on {last.torque.motion}, by joint and regime.",),
             [
                 heat_map(residual_map([one]), one, f"residuals-{name}", f"{name}: RMSE by joint and regime.")
                 for name, one in zip(names, predictions, strict=True)

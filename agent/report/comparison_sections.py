@@ -25,11 +25,11 @@ def comparison_section(
     `number` tells several on one page apart.
     """
     suffix = f"-{number + 1}" if number else ""
-    moved = [change for change in comparison.changes if change.moved]
+    moved = [change for change in comparison.parameters if change.moved]
     text = [
-        f"{comparison.before} against {comparison.after}: {len(moved)} of {len(comparison.changes)} parameters moved "
-        "by more than their uncertainty (3.3 standard deviations of a change, one in a thousand by chance).",
-        f"Torque is compared along {comparison.motion}.",
+        f"{comparison.before} against {comparison.after}: {len(moved)} of {len(comparison.parameters)} parameters "
+        "moved by more than their uncertainty (3.3 standard deviations of a change, one in a thousand by chance).",
+        f"Torque is compared along {comparison.torque.motion}.",
     ]
     for which, names in (("before", comparison.only_before), ("after", comparison.only_after)):
         if names:
@@ -40,22 +40,22 @@ def comparison_section(
             f"{change.before:.5g}",
             f"{change.after:.5g}",
             change.unit,
-            f"{change.deviation:.2g}",
+            f"{change.standard_deviation:.2g}",
             f"{change.deviations:+.1f}",
             "moved" if change.moved else "",
         )
-        for change in sorted(comparison.changes, key=lambda change: -abs(change.deviations))
+        for change in sorted(comparison.parameters, key=lambda change: -abs(change.deviations))
     ]
     header = ("parameter", "before", "after", "unit", "std. dev. of a change", "change [deviations]", "")
     torque = [
         (
             joint,
-            f"{comparison.torque_rmse[k]:.3g}",
-            _percent(comparison.torque_rmse[k] / comparison.nominal[k]),
-            f"{comparison.torque_largest[k]:.3g}",
-            f"{comparison.deviation[k]:.2g}",
+            f"{comparison.torque.rmse[k]:.3g}",
+            _percent(comparison.torque.normalised_rmse[k]),
+            f"{comparison.torque.largest[k]:.3g}",
+            f"{comparison.torque.standard_deviation[k]:.2g}",
         )
-        for k, joint in enumerate(comparison.joints)
+        for k, joint in enumerate(comparison.torque.joints)
     ]
     torque_header = ("axis", "RMS [N·m]", "of nominal [%]", "largest [N·m]", "uncertainty explains [N·m]")
     parts = (
@@ -70,7 +70,7 @@ def changes_figure(comparison: Comparison, name: str = "changes") -> Figure:
     """Change of every parameter in standard deviations of a change."""
     from agent.validation import BEYOND
 
-    changes = comparison.changes
+    changes = comparison.parameters
     values = np.array([change.deviations for change in changes])
     plot, axes = new_plot(height=2.6)
     place = np.arange(len(changes))

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.recording import AROUND
-
-if TYPE_CHECKING:
-    from agent.model import IdentifiedModel
-    from agent.recording import Log
+from agent.estimation import FilterSettings, motions
+from agent.model import IdentifiedModel
+from agent.recording import AROUND, Log
+from agent.validation.torque import filtered_columns
 
 #: Parameters named in a direction of parameter space.
 _NAMED = 4
@@ -39,14 +37,10 @@ class Observability:
 
 def observability(model: IdentifiedModel, log: Log, directions: int = 3) -> Observability:
     """Look at a model along one cycle of the motion that it was estimated from."""
-    from agent.estimation import FilterSettings, motions
-
     start, stop = log.middle_cycle()
     total = np.zeros((len(model.values), len(model.values)))
     for m in motions(log.between(start - AROUND, stop + AROUND), FilterSettings(model.cutoff, model.order)):
-        columns = model.columns(m.q, m.qd, m.qdd)
-        rows = m.low_pass(columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
-        rows = rows / model.residual_rmse[:, None]
+        rows = filtered_columns(model, m) / model.residual_rmse[:, None]
         total += np.einsum("snp,snq->pq", rows, rows, optimize=True)
     length = np.sqrt(np.diag(total))
     seen = length > 1e-12 * length.max()

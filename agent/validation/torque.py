@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from agent.estimation import FilterSettings, check_log, motions, resolve_cutoff
+from agent.core import finite
+from agent.estimation import FilterSettings, Motion, check_log, motions, resolve_cutoff
 from agent.model import IdentifiedModel
 from agent.recording import Log
 
@@ -33,7 +34,7 @@ class Prediction:
     predicted: np.ndarray
     friction: np.ndarray
     moving: np.ndarray
-    _motions: tuple[Any, ...]
+    _motions: tuple[Motion, ...]
 
     @property
     def error(self) -> np.ndarray:
@@ -41,13 +42,18 @@ class Prediction:
         return self.measured - self.predicted
 
     @property
+    def position(self) -> np.ndarray:
+        """(S, n) position of the joints at the same samples."""
+        return np.concatenate([motion.q[motion.kept] for motion in self._motions])
+
+    @property
     def velocity(self) -> np.ndarray:
-        """(S, n) speed of the joints at the same samples."""
+        """(S, n) likewise."""
         return np.concatenate([motion.qd[motion.kept] for motion in self._motions])
 
     @property
     def acceleration(self) -> np.ndarray:
-        """(S, n) acceleration of the joints at the same samples."""
+        """(S, n) likewise."""
         return np.concatenate([motion.qdd[motion.kept] for motion in self._motions])
 
     def rmse(self, moving: bool = False) -> np.ndarray:
@@ -60,40 +66,38 @@ class Prediction:
         """(S, n) [N·m] half of the 95 % interval."""
         parts = []
         for motion in self._motions:
-            columns = self.model.columns(motion.q, motion.qd, motion.qdd)
-            flat = motion.low_pass(columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
-            parts.append(self.model.prediction_interval(flat, motion.low_pass(motion.qd)))
+            columns = filtered_columns(self.model, motion)
+            parts.append(self.model.prediction_interval(columns, motion.low_pass(motion.qd)))
         return np.concatenate(parts)
 
     @cached_property
     def parts(self) -> dict[str, np.ndarray]:
         """What sums to the prediction, (S, n) each [N·m]: torque of gravity, of acceleration ("inertia"), Coriolis and
         centrifugal torque, friction, and effects where the model has any."""
-        rigid: dict[str, list[np.ndarray]] = {name: [] for name in ("gravity", "inertia", "Coriolis")}
-        base = self.model.base_values
+        torque, base, rigid = self.model.rigid.torque, self.model.base_values, []
         for motion in self._motions:
             still = np.zeros_like(motion.q)
-            torque = self.model.rigid.torque
             gravity = torque(motion.q, still, still, base)
             accelerated = torque(motion.q, still, motion.qdd, base) - gravity
             turning = torque(motion.q, motion.qd, still, base) - gravity
-            for found, value in zip(rigid.values(), (gravity, accelerated, turning), strict=True):
-                found.append(motion.low_pass(value))
-        parts = {name: np.concatenate(found) for name, found in rigid.items()} | {"friction": self.friction}
+            rigid.append([motion.low_pass(value) for value in (gravity, accelerated, turning)])
+        joined = map(np.concatenate, zip(*rigid, strict=True))
+        parts = dict(zip(("gravity", "inertia", "Coriolis"), joined, strict=True)) | {"friction": self.friction}
         if self.model.effects:
             parts["effects"] = self.predicted - np.sum(list(parts.values()), axis=0)
         return parts
-
-    @property
-    def position(self) -> np.ndarray:
-        """(S, n) position of the joints at the same samples."""
-        return np.concatenate([motion.q[motion.kept] for motion in self._motions])
 
     def by(self, model: IdentifiedModel) -> Prediction:
         """The same samples predicted by another model of the same robot, filtered as they are here."""
         parts = [m.low_pass(np.hstack(model.predict_parts(m.q, m.qd, m.qdd, m.time))) for m in self._motions]
         predicted, friction = np.split(np.concatenate(parts), 2, axis=1)
         return replace(self, model=model, predicted=predicted, friction=friction)
+
+
+def filtered_columns(model: IdentifiedModel, motion: Motion) -> np.ndarray:
+    """(S', n, p) the model's columns along a motion, filtered."""
+    columns = model.columns(motion.q, motion.qd, motion.qdd)
+    return motion.low_pass(columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
 
 
 def predict_log(model: IdentifiedModel, log: Log, cutoff: float | None = None) -> Prediction:
@@ -159,12 +163,7 @@ def _figures(model: IdentifiedModel, measured: np.ndarray, error: np.ndarray) ->
         together = np.linalg.norm(error) / np.linalg.norm(measured)
     return {
         "rmse": rmse.tolist(),
-        "normalised_rmse": _finite(rmse / model.robot.nominal_torque),
-        "relative_error": _finite(relative),
-        "relative_error_all_joints": _finite(np.atleast_1d(together))[0],
+        "normalised_rmse": finite(rmse / model.robot.nominal_torque),
+        "relative_error": finite(relative),
+        "relative_error_all_joints": finite(together),
     }
-
-
-def _finite(values: np.ndarray) -> list[float | None]:
-    """JSON has no NaN: null where a figure does not exist."""
-    return [float(value) if np.isfinite(value) else None for value in values]

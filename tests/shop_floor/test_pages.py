@@ -221,7 +221,7 @@ def test_runs_side_by_side(shop: Path, browse):
     compare_runs([first, second, third], Console(-1), page)
     assert "None of" in page.read_text("utf-8").split("</header>")[0], "the last against the first"
     found = compare_runs([first, second], Console(-1), page)
-    assert [change.name for change in found[0].changes if change.moved] == ["f0_2"]
+    assert [change.name for change in found[0].parameters if change.moved] == ["f0_2"]
     text = _check_file(page)
     assert "1 of" in text.split("</header>")[0]
     assert "f0_2 by" in text.split("</header>")[0]
