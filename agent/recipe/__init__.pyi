@@ -14,4 +14,4 @@ from .recipe import (
     recipe_schema as recipe_schema,
 )
 from .recipe_text import template as template
-from .schema import GateSection as GateSection
+from .schema import GateSection as GateSection, ViaPointsSection as ViaPointsSection

@@ -7,7 +7,6 @@ against somebody who may write all of them: docs/security.md says where that end
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Iterator
@@ -20,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from agent.core import InputError, read_json
-from agent.recipe import Recipe
-from agent.runs.folder import RunFolder, sha256_text
+from agent.recipe import Recipe, ViaPointsSection
+from agent.runs.folder import RunFolder, sha256_file, sha256_text
 
 FILE = "approved.json"
 _SCHEMA = "approved/1"
@@ -44,27 +43,31 @@ def problem(recipe: Recipe) -> dict[str, Any]:
 
     Files count by their content, not by where they lie.
     """
-    via_points = recipe.motion.via_points
-    kind = type(via_points).__name__.removeprefix("Via").lower()
-    sub_region = {kind: _plain(via_points)}
-    like = getattr(via_points, "path", None)
-    if isinstance(like, Path):
-        from agent.motion import listing_beside
-
-        sub_region[kind]["path"] = _file_digest(like)
-        listing = listing_beside(like) if like.suffix.lower() == ".pdl" else None
-        if listing is not None:
-            sub_region[kind]["variables"] = _file_digest(listing)
     parts = {
         "robot": recipe.robot.to_dict(),
         "tool": _plain(recipe.tool),
         "cell": _plain(recipe.cell),
-        "sub_region": sub_region,
+        "sub_region": _sub_region(recipe.motion.via_points),
         "settings": _plain(recipe.motion.settings),
         "rate": recipe.record.rate,
         "interpolator": _interpolator(recipe.search.interpolator),
     }
     return json.loads(json.dumps(parts))  # lists for tuples, as it comes back from a file
+
+
+def _sub_region(via: ViaPointsSection) -> dict[str, Any]:
+    """Its kind, and what it is made of."""
+    if via.points is not None:
+        return {"pointlist": {"points": [point.model_dump() for point in via.points]}}
+    if via.like is None:
+        kind = "tube" if via.box is None else "box"
+        return {kind: {"count": via.count, **getattr(via, kind).model_dump()}}
+    from agent.motion import listing_beside
+
+    like = Path(via.like)
+    found = {"count": via.count, "path": _file_digest(like), "around": via.around or 0.0}
+    listing = listing_beside(like) if like.suffix.lower() == ".pdl" else None
+    return {"like": found if listing is None else {**found, "variables": _file_digest(listing)}}
 
 
 def digest(parts: Any) -> str:
@@ -191,8 +194,7 @@ def _interpolator(name: str) -> Any:
 
 def _file_digest(path: Path) -> str:
     try:
-        with open(path, "rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return sha256_file(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
 
