@@ -25,7 +25,7 @@ from agent.estimation import EstimationSettings, estimate  # noqa: E402
 from agent.excitation import Candidates, Criterion, Loop, LoopProblem  # noqa: E402
 from agent.excitation.criterion import log_determinant, one_blas_thread  # noqa: E402
 from agent.excitation.genetic import genetic  # noqa: E402
-from agent.excitation.random_search import random_search  # noqa: E402
+from agent.excitation.loop_search import random_search  # noqa: E402
 from agent.excitation.scoring import LoopScore, ranking  # noqa: E402
 from agent.model import IdentifiedModel  # noqa: E402
 from agent.motion import create_interpolator  # noqa: E402

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from itertools import product
 
 import numpy as np
 
@@ -25,18 +25,23 @@ from agent.robot import (
 )
 from agent.safety import Cell, CellReport
 
-if TYPE_CHECKING:
-    pass
-
-
 #: The search takes the regressor at every so many interpolated samples; limits are checked at every one.
 EVERY = 10
 #: Joints of a loop end where they began within this [rad, m].
 _CLOSED = 1e-3
 #: A clearance that lacks so many metres ranks like a limit that is exceeded by its own size.
 CELL_SCALE = 0.1
-#: Genes of a point in the middle of its region whose orientation is at one end of its range.
-_TURNED = [np.where(np.arange(6) == axis, end, 0.5) for axis in (3, 4, 5) for end in (0.0, 1.0)]
+#: Genes of a point by where it is in its region: in the middle, at the corners of its position (the orientation in the
+#: middle of its own range), at the ends of its orientation.
+MIDDLE = {"middle": np.full(6, 0.5)}
+CORNERS = {
+    f"corner {'-+'[x]}x {'-+'[y]}y {'-+'[z]}z": np.array([x, y, z, 0.5, 0.5, 0.5])
+    for x, y, z in product((0, 1), repeat=3)
+}
+TURNED = {
+    f"{'-+'[end]} end of orientation {axis - 2}": np.where(np.arange(6) == axis, end, 0.5)
+    for axis, end in product((3, 4, 5), (0, 1))
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,11 +212,14 @@ def posture(kinematics: Kinematics, regions: ViaRegions) -> np.ndarray:
     Raises:
         KinematicsError: the middle cannot be reached; says by how much.
     """
-    edges = np.vstack([regions.poses(genome) for genome in _edges(regions.count)])
-    middle = regions.poses(np.full(6 * regions.count, 0.5))[0]
+
+    def at(places: Mapping[str, np.ndarray]) -> np.ndarray:
+        return np.vstack([regions.poses(np.tile(genes, regions.count)) for genes in places.values()])
+
+    edges, middle = at(CORNERS), at(MIDDLE)[0]
     found = kinematics.inverse(middle[None])
     if isinstance(kinematics, NumericalKinematics) and kinematics.dof > 6:
-        turned = [regions.poses(np.tile(genes, regions.count))[0] for genes in _TURNED]
+        turned = at(TURNED)[:: regions.count]
         if (roomiest := kinematics.roomiest(np.array([middle, *edges[:: regions.count], *turned]))) is not None:
             return roomiest
     if not found.within_limits[0].any():
@@ -226,9 +234,3 @@ def posture(kinematics: Kinematics, regions: ViaRegions) -> np.ndarray:
 def _reached(kinematics: Kinematics, q: np.ndarray, allowed: np.ndarray, option: np.ndarray) -> int:
     turned = kinematics.nearest_turn(q, option)
     return int((allowed & (np.abs(turned - option) < np.pi / 2).all(axis=2)).any(axis=1).sum())
-
-
-def _edges(count: int) -> list[np.ndarray]:
-    """Genomes with all points at one corner of their position ranges, the orientation in the middle of its own."""
-    corners = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), axis=-1).reshape(-1, 3)
-    return [np.tile(np.concatenate([corner, [0.5] * 3]), count) for corner in corners]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 import numpy as np
 
-from agent.excitation.scoring import LoopScore, ranking
+from agent.excitation.scoring import Evaluate, Note, ranking
 
 #: Candidates that pass into the next generation as they are.
 ELITE = 1
@@ -21,8 +19,6 @@ MUTATIONS = 2.0
 #: Standard deviation of a mutation in the first generation and in the last.
 MUTATION_STEP = (0.25, 0.05)
 
-Evaluate = Callable[[np.ndarray], Sequence[LoopScore]]
-
 
 def genetic(
     evaluate: Evaluate,
@@ -30,9 +26,9 @@ def genetic(
     population: int,
     generations: int,
     rng: np.random.Generator,
-    note: Callable[[np.ndarray, Sequence[LoopScore]], None],
+    note: Note,
 ) -> None:
-    """Run the search; `note` is told of each generation: its genomes (N, genes) in [0, 1] and their scores."""
+    """Run the search."""
     genomes = rng.random((population, genes))
     scores = list(evaluate(genomes))
     note(genomes, scores)

@@ -12,9 +12,18 @@ from agent.core import InputError, available_cores
 from agent.excitation.candidates import Candidates, Loop, LoopProblem
 from agent.excitation.criterion import one_blas_thread
 from agent.excitation.genetic import genetic
-from agent.excitation.random_search import random_search
-from agent.excitation.scoring import LoopScore, ranking
+from agent.excitation.scoring import Evaluate, LoopScore, Note, ranking
 from agent.excitation.workers import Workers
+
+
+def random_search(
+    evaluate: Evaluate, genes: int, population: int, generations: int, rng: np.random.Generator, note: Note
+) -> None:
+    """Candidates drawn evenly from the sub-region: what a search has to beat at an equal number of candidates."""
+    for _ in range(generations):
+        genomes = rng.random((population, genes))
+        note(genomes, evaluate(genomes))
+
 
 #: Methods by the names that a recipe uses.
 METHODS = {"genetic": genetic, "random": random_search}
@@ -59,11 +68,7 @@ class SearchResult:
         return {
             "fitness": self.fitness,
             "genome": self.loop.genome.tolist(),
-            "history": {
-                "best": self.best.tolist(),
-                "mean": self.mean.tolist(),
-                "feasible": self.feasible.tolist(),
-            },
+            "history": {name: getattr(self, name).tolist() for name in ("best", "mean", "feasible")},
             "finalists": self.finalists.tolist(),
             "evaluated": self.evaluated,
             "parameters": len(self.columns),

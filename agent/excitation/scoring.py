@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,11 @@ class LoopScore:
     def feasible(self) -> bool:
         """Whether no limit is broken."""
         return self.excess == 0.0
+
+
+#: Scores of genomes (N, genes) in [0, 1]; and who is told of each generation: its genomes and their scores.
+Evaluate = Callable[[np.ndarray], Sequence[LoopScore]]
+Note = Callable[[np.ndarray, Sequence[LoopScore]], None]
 
 
 def infeasible(excess: float, reason: str) -> LoopScore:

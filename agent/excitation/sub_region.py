@@ -7,24 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.core import InputError
-from agent.excitation.candidates import LoopProblem
+from agent.excitation.candidates import CORNERS, MIDDLE, TURNED, LoopProblem
 from agent.robot import Kinematics, KinematicsError, kinematics_for
 
 #: Where in a via-point's region it is asked: the middle, the corners of its position and the ends of its orientation.
-_PLACES = {
-    "middle": (0.5, 0.5, 0.5, 0.5, 0.5, 0.5),
-    **{
-        f"corner {'-+'[x]}x {'-+'[y]}y {'-+'[z]}z": (x, y, z, 0.5, 0.5, 0.5)
-        for x in (0, 1)
-        for y in (0, 1)
-        for z in (0, 1)
-    },
-    **{
-        f"{'-+'[end]} end of orientation {axis + 1}": (0.5, 0.5, 0.5, *(end if k == axis else 0.5 for k in range(3)))
-        for axis in range(3)
-        for end in (0, 1)
-    },
-}
+_PLACES = {**MIDDLE, **CORNERS, **TURNED}
 
 
 @dataclass(frozen=True)
@@ -51,7 +38,7 @@ def check_sub_region(problem: LoopProblem) -> list[OutOfReach]:
     missed: list[OutOfReach] = []
     known: dict[bytes, str | None] = {}
     for place, genes in _PLACES.items():
-        for point, pose in enumerate(regions.poses(np.tile(np.array(genes, dtype=float), regions.count))):
+        for point, pose in enumerate(regions.poses(np.tile(genes, regions.count))):
             key = np.round(pose, 9).tobytes()  # the points of a box share their places
             if key not in known:
                 known[key] = _complaint(kinematics, pose)

@@ -37,7 +37,6 @@ class PointRegion:
     spread: np.ndarray
 
     def pose(self, genes: np.ndarray) -> np.ndarray:
-        """(4, 4) from six genes in [0, 1]."""
         return pose_of(self.middle + (2.0 * genes - 1.0) * self.spread)
 
 
@@ -58,7 +57,6 @@ class BoxRegion:
         return self.cone * np.array([np.sqrt(0.5), np.sqrt(0.5), 1.0])
 
     def pose(self, genes: np.ndarray) -> np.ndarray:
-        """(4, 4) from six genes in [0, 1]."""
         signed = 2.0 * genes - 1.0
         pose = self.middle.copy()
         pose[:3, 3] += signed[:3] * self.half
@@ -83,7 +81,6 @@ class TubeRegion:
     cone: float
 
     def pose(self, genes: np.ndarray) -> np.ndarray:
-        """(4, 4) from six genes in [0, 1]."""
         middle, across = self._at(self.begin + genes[0] * (self.end - self.begin))
         middle[:3, 3] += np.sqrt(0.5) * self.radius * (2.0 * genes[1:3] - 1.0) @ across
         return BoxRegion(middle, np.zeros(3), self.cone).pose(np.concatenate((np.full(3, 0.5), genes[3:])))
@@ -142,12 +139,7 @@ class ViaRegions:
 
     @classmethod
     def from_box(
-        cls,
-        count: int,
-        centre: Sequence[float],
-        size: Sequence[float],
-        orientation: Sequence[float],
-        cone: float = 0.0,
+        cls, count: int, centre: Sequence[float], size: Sequence[float], orientation: Sequence[float], cone: float = 0.0
     ) -> ViaRegions:
         """The same box for all: centre, size (3,) [m], orientation Euler ZYZ (3,) [rad], largest tilt `cone` [rad]."""
         box = BoxRegion(pose_of([*centre, *orientation]), 0.5 * np.asarray(size, dtype=float), float(cone))

@@ -193,8 +193,7 @@ class RobotDescription:
 
         data = asdict(self)
         for joint in data["joints"]:
-            joint["lower"] = None if np.isinf(joint["lower"]) else joint["lower"]
-            joint["upper"] = None if np.isinf(joint["upper"]) else joint["upper"]
+            joint.update({end: None for end in ("lower", "upper") if np.isinf(joint[end])})
         return data
 
     @classmethod

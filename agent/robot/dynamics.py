@@ -140,11 +140,6 @@ class Dynamics:
 
         return accelerate_coupled
 
-    def energy(self, q: np.ndarray, qd: np.ndarray) -> tuple[float, float]:
-        """Kinetic and potential energy [J] of the rigid bodies at one state."""
-        kinetic = pin.computeKineticEnergy(self._model, self._data, q, qd)
-        return float(kinetic), float(pin.computePotentialEnergy(self._model, self._data, q))
-
     def tcp_pose(self, q: np.ndarray) -> np.ndarray:
         """(S, 4, 4) pose of the tool centre point (the tip frame without a tool) in the base frame."""
         poses = self.tip_pose(q)

@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 
 from agent.excitation import LoopScore, ranking
 from agent.excitation.genetic import ELITE, genetic, offspring
-from agent.excitation.random_search import random_search
+from agent.excitation.loop_search import random_search
 from agent.excitation.scoring import infeasible
 
 GENES = 12

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pinocchio
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
@@ -28,10 +29,16 @@ def frictionless(dof: int) -> RigidActuation:
 
 
 def total_energy(robot, q, qd):
-    dynamics = Dynamics(robot)
+    links = links_energy(Dynamics(robot), q, qd)
     rotors = rotor_mass_matrix(robot, np.full(robot.dof, ROTORS))
-    kinetic = np.array([dynamics.energy(a, b)[0] + 0.5 * b @ rotors @ b for a, b in zip(q, qd, strict=True)])
-    return kinetic, np.array([dynamics.energy(a, b)[1] for a, b in zip(q, qd, strict=True)])
+    return links[0] + 0.5 * np.einsum("si,ij,sj->s", qd, rotors, qd), links[1]
+
+
+def links_energy(dynamics, q, qd):
+    """(2, S) kinetic and potential energy [J] of the rigid bodies, by Pinocchio."""
+    model, data = dynamics._model, dynamics._data
+    kinetic = [pinocchio.computeKineticEnergy(model, data, a, b) for a, b in zip(q, qd, strict=True)]
+    return np.array([kinetic, [pinocchio.computePotentialEnergy(model, data, a) for a in q]])
 
 
 class Watched:
@@ -80,8 +87,8 @@ def test_the_work_of_the_motors_is_energy_and_heat(ns16, stop_and_go):
     heat = np.sum((torques - loads) * speeds) * dt
     state, velocity = simulation.position, simulation.velocity
     rotors = rotor_mass_matrix(ns16, machine.rotor_inertias)
-    energy = sum(dynamics.energy(state, velocity)) + 0.5 * velocity @ rotors @ velocity
-    energy -= sum(dynamics.energy(q[0], np.zeros(6)))
+    before, after = links_energy(dynamics, [q[0], state], [np.zeros(6), velocity]).sum(axis=0)
+    energy = after - before + 0.5 * velocity @ rotors @ velocity
     assert heat > 50.0  # the friction of all axles over this motion, in joules
     assert abs(work - heat - energy) < 2e-3 * (abs(work) + heat)
 
@@ -237,7 +244,11 @@ def test_feedforward_of_the_inertia_shrinks_the_tracking_error(make_arm, stop_an
     q, qd = stop_and_go(np.array([[0.0], [1.0]]), 0.8)
     worst = []
     for fraction in (0.0, 1.0):
-        gains = ServoGains.tuned(np.array([inertia]), np.array([1e4]), feedforward=1.0, inertia_fraction=fraction)
+        gains = replace(
+            ServoGains.tuned(np.array([inertia]), np.array([1e4])),
+            feedforward=np.ones(1),
+            inertia=np.array([fraction * inertia]),
+        )
         simulation = ForwardSimulation(Dynamics(robot), np.full(1, ROTORS), frictionless(1), gains)
         simulation.rest(q[0])
         position = simulation.run(q, qd).position

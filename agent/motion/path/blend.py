@@ -192,10 +192,7 @@ def _deviation(corner: Corner, before: CartesianSegment, after: CartesianSegment
         return float(np.min(np.linalg.norm(points - before.curve.position(np.ones(1)), axis=1)))
     fine = np.linspace(0.0, 1.0, 65)
     sides = np.concatenate(
-        (
-            before.curve.position(1.0 - 1.2 * corner.before * fine),
-            after.curve.position(1.2 * corner.after * fine),
-        )
+        (before.curve.position(1.0 - 1.2 * corner.before * fine), after.curve.position(1.2 * corner.after * fine))
     )
     return float(np.max(np.min(np.linalg.norm(points[:, None] - sides[None], axis=2), axis=1)))
 

@@ -184,11 +184,7 @@ def _solve(
     """Joints of a unit from `start` (n,): on the way in (lead.cells + 1, n), its knots, on the way out."""
     into = np.empty(0) if lead is None else lead.sigma(lead.tau())[1][:-1]
     out = np.empty(0) if trail is None else trail.sigma(trail.tau())[0][1:]
-    ways = [
-        _on_segment(-1, unit[0], into, into, parameters),
-        *body,
-        _on_segment(-1, unit[-1], out, out, parameters),
-    ]
+    ways = [_on_segment(-1, unit[0], into, into, parameters), *body, _on_segment(-1, unit[-1], out, out, parameters)]
     if isinstance(unit[0], CartesianSegment):
         position, orientation = (
             np.concatenate([getattr(way, name) for way in ways]) for name in ("position", "orientation")

@@ -113,15 +113,18 @@ def from_euler(angles: np.ndarray) -> np.ndarray:
 def to_euler(matrix: np.ndarray) -> np.ndarray:
     """(..., 3) Euler ZYZ angles of rotation matrices (..., 3, 3): a, r in (-π, π], e in [0, π] [rad].
 
-    a = atan2(r12, r02); e and r are read after turning back by a, which equals acos(r22) and atan2(r21, -r20) and
-    stays exact where those lose their digits. Where e is 0 or π the angles a and r are not both determined: a is 0.
+    a = atan2(r12, r02), e = atan2(√(r02² + r12²), r22), r = atan2(r21, -r20), which near e = 0 and π loses its digits
+    and is read after turning back by a. Where e is 0 or π the angles a and r are not both determined: a is 0.
     """
     along, across = matrix[..., 0, 2], matrix[..., 1, 2]
-    degenerate = np.hypot(along, across) < 1e-12
-    a = np.where(degenerate, 0.0, np.arctan2(across, along))
+    sine = np.hypot(along, across)
+    a = np.where(sine < 1e-12, 0.0, np.arctan2(across, along))
+    e = np.arctan2(np.where(sine < 1e-12, 0.0, sine), matrix[..., 2, 2])
     ca, sa = np.cos(a), np.sin(a)
-    e = np.arctan2(np.where(degenerate, 0.0, ca * along + sa * across), matrix[..., 2, 2])
-    r = np.arctan2(ca * matrix[..., 1, 0] - sa * matrix[..., 0, 0], ca * matrix[..., 1, 1] - sa * matrix[..., 0, 1])
+    turned = np.arctan2(
+        ca * matrix[..., 1, 0] - sa * matrix[..., 0, 0], ca * matrix[..., 1, 1] - sa * matrix[..., 0, 1]
+    )
+    r = np.where(sine < 1e-3, turned, np.arctan2(matrix[..., 2, 1], -matrix[..., 2, 0]))
     return np.stack([a, e, r], axis=-1)
 
 

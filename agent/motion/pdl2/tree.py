@@ -36,60 +36,59 @@ class Joints:
 
 
 @dataclass(frozen=True)
-class Literal:
+class Node:
+    """Whatever stands at a place of the text."""
+
     place: TextPosition
+
+
+@dataclass(frozen=True)
+class Literal(Node):
     value: int | float | str
 
 
 @dataclass(frozen=True)
-class Name:
+class Name(Node):
     """A variable, a constant of the program or a predefined constant."""
 
-    place: TextPosition
     name: str
 
 
 @dataclass(frozen=True)
-class Element:
+class Element(Node):
     """One element of an array."""
 
-    place: TextPosition
     name: str
     index: Expression
 
 
 @dataclass(frozen=True)
-class System:
+class System(Node):
     """A system variable; `name` in capitals."""
 
-    place: TextPosition
     name: str
 
 
 @dataclass(frozen=True)
-class Unary:
-    place: TextPosition
+class Unary(Node):
     operator: str
     operand: Expression
 
 
 @dataclass(frozen=True)
-class Binary:
-    place: TextPosition
+class Binary(Node):
     operator: str
     left: Expression
     right: Expression
 
 
 @dataclass(frozen=True)
-class PosLiteral:
-    place: TextPosition
+class PosLiteral(Node):
     fields: tuple[Expression, ...]
 
 
 @dataclass(frozen=True)
-class JointLiteral:
-    place: TextPosition
+class JointLiteral(Node):
     fields: tuple[Expression, ...]
 
 
@@ -98,26 +97,23 @@ Target = Name | Element | System
 
 
 @dataclass(frozen=True)
-class Assignment:
-    place: TextPosition
+class Assignment(Node):
     target: Target
     value: Expression
 
 
 @dataclass(frozen=True)
-class Setting:
+class Setting(Node):
     """`$NAME = value` of a WITH clause."""
 
-    place: TextPosition
     name: str
     value: Expression
 
 
 @dataclass(frozen=True)
-class MoveStatement:
+class MoveStatement(Node):
     """`trajectory` is LINEAR, JOINT, CIRCULAR or empty, where `$MOVE_TYPE` says."""
 
-    place: TextPosition
     fly: bool
     trajectory: str
     target: Expression
@@ -126,14 +122,12 @@ class MoveStatement:
 
 
 @dataclass(frozen=True)
-class DelayStatement:
-    place: TextPosition
+class DelayStatement(Node):
     milliseconds: Expression
 
 
 @dataclass(frozen=True)
-class ForLoop:
-    place: TextPosition
+class ForLoop(Node):
     variable: Name
     first: Expression
     last: Expression
@@ -143,8 +137,7 @@ class ForLoop:
 
 
 @dataclass(frozen=True)
-class Conditional:
-    place: TextPosition
+class Conditional(Node):
     condition: Expression
     then: Block
     otherwise: Block
@@ -155,33 +148,29 @@ Block = tuple[StatementNode, ...]
 
 
 @dataclass(frozen=True)
-class NamedType:
+class NamedType(Node):
     """A data type by its name in lower case, or `size` of them where it is an array."""
 
-    place: TextPosition
     name: str
     size: Expression | None = None
 
 
 @dataclass(frozen=True)
-class ConstantDeclaration:
-    place: TextPosition
+class ConstantDeclaration(Node):
     name: str
     value: Expression
 
 
 @dataclass(frozen=True)
-class TypeDeclaration:
-    place: TextPosition
+class TypeDeclaration(Node):
     name: str
     type: NamedType
 
 
 @dataclass(frozen=True)
-class VariableDeclaration:
+class VariableDeclaration(Node):
     """Variables of one type, each with the initial value where there is one."""
 
-    place: TextPosition
     names: tuple[TextPosition, ...]
     type: NamedType
     initial: Expression | None
@@ -191,17 +180,15 @@ Declaration = ConstantDeclaration | TypeDeclaration | VariableDeclaration
 
 
 @dataclass(frozen=True)
-class Attribute:
-    place: TextPosition
+class Attribute(Node):
     name: str
     value: Literal | None
 
 
 @dataclass(frozen=True)
-class ProgramTree:
+class ProgramTree(Node):
     """A whole program as it was written."""
 
-    place: TextPosition
     name: str
     attributes: tuple[Attribute, ...]
     declarations: tuple[Declaration, ...]

@@ -108,10 +108,7 @@ class _Writer:
     """Equal points are one variable, in order of first use; settings in force from the start are not repeated."""
 
     def __init__(
-        self,
-        statements: Sequence[Statement],
-        robot: RobotDescription | None,
-        globals_of: MotionSettings | None = None,
+        self, statements: Sequence[Statement], robot: RobotDescription | None, globals_of: MotionSettings | None = None
     ):
         self.robot = robot
         self.names: dict[tuple[bytes, str], str] = {}
