@@ -69,8 +69,8 @@ def check_recipe(path: Path, console: Console) -> Findings:
         return Findings(tuple(findings))
     looks: tuple[tuple[str, Callable[[Recipe, Console], str]], ...] = (
         ("sub-region", _reach),
-        ("loops", _loops),
-        ("validation", _validation),
+        ("loops", lambda recipe, console: _feasible(recipe, recipe.motion.speed, recipe.search.seed, console)),
+        ("validation", lambda recipe, console: _feasible(recipe, recipe.validate.speed, recipe.validate.seed, console)),
         ("controller", _controller),
     )
     if not faults:
@@ -98,14 +98,6 @@ def _reach(recipe: Recipe, _: Console) -> str:
     if not missed:
         return "all corners and orientations asked can be reached"
     return f"{len(missed)} places are out of reach and a search goes around them, the first: {missed[0]}"
-
-
-def _loops(recipe: Recipe, console: Console) -> str:
-    return _feasible(recipe, recipe.motion.speed, recipe.search.seed, console)
-
-
-def _validation(recipe: Recipe, console: Console) -> str:
-    return _feasible(recipe, recipe.validate.speed, recipe.validate.seed, console)
 
 
 def _feasible(recipe: Recipe, speed: float, seed: int, console: Console) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core import AgentError, Console, InputError, finite
-from agent.link import check_cell, plan_statements
+from agent.core import Console, InputError
+from agent.pipeline.planning import checked_chains, loop_problem
 from agent.recipe import Recipe
-from agent.runs import write_atomically
+from agent.runs import make_folder, write_atomically, write_json
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
@@ -76,7 +75,6 @@ def plan_next(
         InputError: the recipe is of another robot, or its cell leaves no room.
     """
     from agent.experiment import open_pairs, plan_experiment
-    from agent.pipeline.planning import loop_problem
 
     check_joints(recipe, found.dataset.robot.joint_names)
     pairs = open_pairs(found)
@@ -103,15 +101,11 @@ def write_next(motion: NextMotion, folder: Path) -> dict[str, Any]:
         InputError: the folder holds an experiment already.
         AgentError: it cannot be made or written.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise AgentError(f"{folder}: no folder for the experiment can be made there: {error.strerror}") from None
+    make_folder(folder, "the experiment")
     _check_folder(folder)
     program = write_atomically(folder / "program.pdl", motion.text)
     data = motion.to_dict(str(program))
-    document = json.dumps(finite({"schema": "experiment/1", **data}), indent=2, allow_nan=False)
-    write_atomically(folder / "experiment.json", document + "\n")
+    write_json(folder / "experiment.json", {"schema": "experiment/1", **data})
     return data
 
 
@@ -122,7 +116,6 @@ def check_next(recipe: Path, folder: Path | None) -> None:
         InputError: no folder, one that is a file or holds an experiment; a recipe that cannot be used or reached.
     """
     from agent.excitation import Candidates
-    from agent.pipeline.planning import loop_problem
     from agent.recipe import load_recipe
 
     if folder is None:
@@ -177,9 +170,7 @@ class _Runs:
 
         text = _text(self._recipe, pieces, self._name)
         try:
-            _, chains = plan_statements(self._recipe, text, f"{self._name}.pdl", np.asarray(pieces[0].start))
-            for chain in chains:
-                check_cell(self._recipe, chain)
+            _, chains = checked_chains(self._recipe, text, f"{self._name}.pdl", np.asarray(pieces[0].start))
         except (InputError, MotionError) as error:
             self.refused = str(error)
             return False

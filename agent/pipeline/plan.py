@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core import AgentError, Console, InputError, finite
+from agent.core import Console, InputError
 from agent.link import check_cell
 from agent.pipeline.planning import PlannedMotion, program_text, search_loop
 from agent.recipe import Recipe
-from agent.runs import write_atomically
+from agent.runs import make_folder, write_atomically, write_json
 
 if TYPE_CHECKING:
     from agent.model import IdentifiedModel
@@ -68,10 +67,7 @@ def plan_recipe(recipe: Recipe, folder: Path, console: Console) -> PlanFiles:
     if (folder / "plan.json").exists():
         raise InputError(f"{folder}: holds a plan already; name another folder with -o, or move it away")
     made = not folder.exists()
-    try:  # before the search, which may take long
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise AgentError(f"{folder}: no folder for the plan can be made there: {error.strerror}") from None
+    make_folder(folder, "the plan")  # before the search, which may take long
     try:
         motion, found = search_loop(recipe, console)
         check_cell(recipe, motion.loop.trajectory)
@@ -90,7 +86,7 @@ def plan_recipe(recipe: Recipe, folder: Path, console: Console) -> PlanFiles:
     )
     write_atomically(folder / "program.pdl", text)
     write_atomically(folder / "plan.html", plan_report(data, search_data(found), text))
-    write_atomically(folder / "plan.json", json.dumps(finite({**files.to_dict(), "search": found}), indent=2) + "\n")
+    write_json(folder / "plan.json", {**files.to_dict(), "search": found})
     return files
 
 

@@ -170,6 +170,18 @@ def programs(
     return ready
 
 
+def checked_chains(recipe: Recipe, text: str, path: str, start: np.ndarray) -> tuple[str, list[Trajectory]]:
+    """Name of a program, and its set-points from stop to stop from `start` (n,), all checked against the cell.
+
+    Raises:
+        InputError: one of them breaks a limit.
+    """
+    name, chains = plan_statements(recipe, text, path, start)
+    for chain in {id(chain): chain for chain in chains}.values():
+        check_cell(recipe, chain)
+    return name, chains
+
+
 def via_regions(recipe: Recipe) -> Any:
     """The recipe's sub-region as the search needs it."""
     from agent.motion import ViaRegions, pose_of

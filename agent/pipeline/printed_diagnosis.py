@@ -5,20 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-_VERDICTS = {
-    "no_gap": "no gap: nothing of practical size beyond what the model's own prediction error allows",
-    "explained": "explained",
-    "ambiguous": "ambiguous: the data cannot tell the first cause from its equivalents",
-    "unknown": "unknown: there is a gap, and no effect of the catalogue closes it",
-}
-
 
 def diagnosis_text(result: dict[str, Any]) -> str:
     """A diagnosis for people."""
     from agent.diagnosis import closes, size_text, told, torque_gap
+    from agent.report import VERDICTS
     from agent.robot import SHARE, figure_text
 
-    lines = [_VERDICTS[result["verdict"]]]
+    verdict = result["verdict"]
+    lines = [": ".join(part for part in (verdict.replace("_", " "), VERDICTS[verdict]) if part)]
     for cause in result["causes"]:
         joints = ", ".join(cause["joints"]) or "the whole arm"
         closed = f", {closes(cause)}" if closes(cause) else ""

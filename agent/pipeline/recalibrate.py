@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.core import Console, ControllerError, error_text
-from agent.link import Recording, RobotLink, check_cell, open_link, plan_statements, report_losses
+from agent.link import Recording, RobotLink, open_link
 from agent.pipeline.calibrate import step
 from agent.pipeline.drift_check import diagnose_if_worse, worse_joints
 from agent.pipeline.ending import current_run, ending_text
-from agent.pipeline.record_plan import EXCITATION
+from agent.pipeline.record_plan import EXCITATION, record_program
 from agent.pipeline.reference import Reference, find_reference, last_accepted
 from agent.pipeline.reports import refresh_index, watch_lines
-from agent.pipeline.result import provenance
+from agent.pipeline.result import RecordingFigures, provenance
 from agent.recipe import Recipe
 from agent.robot import not_judged_text, outcome_text, torque_units, without_nominal
 from agent.runs import (
@@ -154,18 +154,11 @@ def _record(
     with open_link(recipe, console, yes, logs, allowed) as link:
         _check_machine(reference, link)
         run.note(serial=link.identity.serial)
-        name, chains = plan_statements(recipe, loop.program, f"{loop.program_name}.pdl", link.position())
-        for chain in {id(chain): chain for chain in chains}.values():
-            check_cell(recipe, chain)
-        total = float(sum(chain.duration for chain in chains))
         if allowed is not None and (soon := allowed.ends_soon()):
             console.warn(soon)
         run.write_text("program.pdl", loop.program)
-        console.step(f"recording the stored loop {loop.checksum[:12]}, {total:.0f} s of motion")
-        recording = link.run(name, loop.program, run.file(EXCITATION), "excitation", chains, total)
-    report_losses(recording, console)
-    run.finish(EXCITATION, **recording.to_dict(), sha256=sha256_file(recording.path))
-    return recording
+        what, path = f"the stored loop {loop.checksum[:12]}", f"{loop.program_name}.pdl"
+        return record_program(link, run, recipe, console, loop.program, path, "excitation", EXCITATION, what)
 
 
 def _check_machine(reference: Reference, link: RobotLink) -> None:
@@ -236,14 +229,7 @@ def _judge(
             "via_points": np.array(reference.loop.poses)[:, :3, 3],
         },
         "conditions": met,
-        "recordings": [
-            {
-                "log": recording.path.name,
-                "samples": recording.samples,
-                "lost": recording.lost,
-                "duration": recording.duration,
-            }
-        ],
+        "recordings": [asdict(RecordingFigures.of(recording))],
         "provenance": provenance(run.path, run.state, [recording.path]),
     }
 

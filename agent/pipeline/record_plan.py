@@ -6,7 +6,7 @@ from pathlib import Path
 
 from agent.core import Console, ControllerError, InputError
 from agent.link import MotionOfMany, Recording, RobotLink, open_link, report_losses
-from agent.pipeline.planning import Plan, programs
+from agent.pipeline.planning import Plan, checked_chains, programs
 from agent.recipe import Recipe
 from agent.runs import RunFolder, sha256_file
 
@@ -36,10 +36,39 @@ def record_plan(recipe: Recipe, plan: Plan, run: RunFolder, console: Console, lo
                 left -= total
                 place = MotionOfMany(f"motion {list(motions).index(name) + 1} of {len(motions)}, ", left)
                 recording = link.run(motion.name, text, run.file(name), motion.kind, chains, total, place)
-                report_losses(recording, console)
-                run.finish(name, **recording.to_dict(), sha256=sha256_file(recording.path))
-                done[name] = recording
+                done[name] = _keep(run, console, name, recording)
     return [done[name] for name in motions]
+
+
+def record_program(
+    link: RobotLink,
+    run: RunFolder,
+    recipe: Recipe,
+    console: Console,
+    text: str,
+    path: str,
+    motion: str,
+    log: str,
+    what: str,
+) -> Recording:
+    """Run the program `text` of the file `path` once from where the arm stands, and keep its log in the run folder.
+
+    `motion` is what the log calls it, `what` what a person reads.
+
+    Raises:
+        InputError: an approach or a loop breaks a limit.
+        ControllerError, SafetyError, DriverError: not ready to move, or stopped while moving.
+    """
+    name, chains = checked_chains(recipe, text, path, link.position())
+    total = float(sum(chain.duration for chain in chains))
+    console.step(f"recording {what}, {total:.0f} s of motion")
+    return _keep(run, console, log, link.run(name, text, run.file(log), motion, chains, total))
+
+
+def _keep(run: RunFolder, console: Console, name: str, recording: Recording) -> Recording:
+    report_losses(recording, console)
+    run.finish(name, **recording.to_dict(), sha256=sha256_file(recording.path))
+    return recording
 
 
 def validation_logs(run: RunFolder) -> list[Path]:

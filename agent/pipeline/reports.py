@@ -47,11 +47,11 @@ def recalibration_page(
     from agent.pipeline.first_screen import about_run
     from agent.pipeline.plan import left_over, motion_data
     from agent.report import (
-        RecalibrationData,
+        RunData,
         comparison_section,
         friction_section,
         log_section,
-        observation_part,
+        observation_section,
         recalibration_report,
         residual_section,
     )
@@ -59,24 +59,25 @@ def recalibration_page(
     model = prediction.model
     *_, cycle = plan_statements(recipe, program, "program.pdl", log.position[0])[1]
     via_points = np.array(result["loop"]["via_points"])
-    sections = (
-        comparison_section(comparison),
-        residual_section([prediction]),
-        friction_section([prediction]),
-        observation_part(model, log),
-        log_section([log]),
+    motion = motion_data(recipe, cycle, via_points, len(log.cycle_starts))
+    return recalibration_report(
+        RunData(
+            result=result,
+            about=about_run("recalibrate", recipe, result, run),
+            motion=left_over(motion, log, prediction),
+            parameter_rows=model.rows(),
+            rmse=_cycle_errors(log, prediction),
+            nominal=model.robot.nominal_torque,
+            prediction=_shown_cycle(log, prediction),
+            further=(
+                comparison_section(comparison),
+                residual_section([prediction]),
+                friction_section([prediction]),
+                observation_section(model, log),
+                log_section([log]),
+            ),
+        )
     )
-    data = RecalibrationData(
-        result,
-        about_run("recalibrate", recipe, result, run),
-        left_over(motion_data(recipe, cycle, via_points, len(log.cycle_starts)), log, prediction),
-        model.rows(),
-        _cycle_errors(log, prediction),
-        model.robot.nominal_torque,
-        _shown_cycle(log, prediction),
-        sections,
-    )
-    return recalibration_report(data)
 
 
 def write_index(logs: Path, robot: str | None = None, serial: str | None = None) -> Path:

@@ -80,6 +80,11 @@ class RecordingFigures:
     lost: int
     duration: float
 
+    @classmethod
+    def of(cls, recording: Recording) -> RecordingFigures:
+        """What a result says of it."""
+        return cls(recording.path.name, recording.samples, recording.lost, recording.duration)
+
 
 @dataclass(frozen=True, eq=False)
 class CalibrationResult:
@@ -130,7 +135,7 @@ def build_result(
 ) -> CalibrationResult:
     """What was found, and the gate's word on it: every axis that has a nominal torque, moving samples of all motions
     pooled."""
-    from agent.validation import summary
+    from agent.validation import pooled_rmse, summary
 
     overall = summary(predictions)["overall"]
     moving = pooled_rmse(predictions)
@@ -168,7 +173,7 @@ def build_result(
             normalised_rmse_all_samples=overall["normalised_rmse"],
             relative_error_all_joints=overall["relative_error_all_joints"],
         ),
-        recordings=[RecordingFigures(r.path.name, r.samples, r.lost, r.duration) for r in recordings],
+        recordings=[RecordingFigures.of(recording) for recording in recordings],
         provenance=provenance,
         serial=serial,
         conditions=conditions,
@@ -189,12 +194,6 @@ def judge(
     return (None if len(not_judged) == len(joints) else not broken), "; ".join(broken)
 
 
-def pooled_rmse(predictions: Sequence[Prediction]) -> np.ndarray:
-    """(n,) RMSE [N·m] over the moving samples of all motions."""
-    error = np.concatenate([p.error[p.moving] for p in predictions])
-    return np.sqrt(np.mean(error**2, axis=0))
-
-
 def run_data(
     recipe: Recipe,
     plan: Plan,
@@ -205,13 +204,15 @@ def run_data(
     run: Path,
 ) -> RunData:
     """What the report shows of a run in its folder; `further` sections go between parameters and provenance."""
+    from agent.validation import pooled_rmse
+
     return RunData(
         result=result,
         about=about_run("calibrate", recipe, result, run),
         motion=with_residual(planned_motion_data(recipe, plan.excitation), model, run / "excitation.mcap"),
         search=search_data(plan.search),
         parameter_rows=model.rows(),
-        motion_rmse=np.array([p.rmse(moving=True) for p in predictions]),
+        rmse=np.array([p.rmse(moving=True) for p in predictions]),
         nominal=model.robot.nominal_torque,
         prediction=TorqueData.of(typical_motion(predictions), pooled_rmse(predictions)),
         further=further,

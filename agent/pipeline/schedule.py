@@ -15,9 +15,9 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from agent.core import AgentError, InputError
+from agent.core import InputError
 from agent.recipe import Recipe
-from agent.runs import write_atomically
+from agent.runs import make_folder, write_atomically
 
 _HOUR = 3600.0
 _DAY = 24 * _HOUR
@@ -103,10 +103,7 @@ def install(schedule: Schedule, folder: Path | None = None) -> list[Path]:
         AgentError: they cannot be written.
     """
     folder = folder or Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "systemd" / "user"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise AgentError(f"{folder}: cannot be made: {error.strerror}; rights?") from None
+    make_folder(folder, "the units")
     units = {f"{schedule.name}.service": schedule.service, f"{schedule.name}.timer": schedule.timer}
     return [write_atomically(folder / name, text) for name, text in units.items()]
 

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.core import Bare, Console, Dimension, InputError, parse_quantity
-from agent.link import check_cell, open_link, plan_statements, report_losses
-from agent.pipeline.next_experiment import LONGEST, NextMotion, plan_next
+from agent.link import open_link
+from agent.pipeline.next_experiment import LONGEST, plan_next
+from agent.pipeline.record_plan import record_program
 from agent.recipe import Recipe
-from agent.runs import RunFolder, sha256_file
+from agent.runs import RunFolder
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis, Simulated
@@ -76,24 +77,10 @@ def until_sure(
         motion = plan_next(found, recipe, console, min(LONGEST, budget), name)
         if motion is None:
             return further, rounds, last
-        log, duration = _record(motion, name, recipe, run, console, runs, yes)
-        budget -= duration
-        further.append(log)
-        rounds.append({"after": found.result["verdict"], **motion.to_dict(f"{name}.pdl")})
-
-
-def _record(
-    motion: NextMotion, name: str, recipe: Recipe, run: RunFolder, console: Console, runs: Path, yes: bool
-) -> tuple[Path, float]:
-    """Run a planned motion once; its log, and how long it moved [s]."""
-    run.write_text(f"{name}.pdl", motion.text)
-    with open_link(recipe, console, yes, runs) as link:
-        _, chains = plan_statements(recipe, motion.text, f"{name}.pdl", link.position())
-        for chain in chains:
-            check_cell(recipe, chain)
-        total = float(sum(chain.duration for chain in chains))
-        console.step(f"recording {name}, {total:.0f} s")
-        recording = link.run(name, motion.text, run.file(f"{name}.mcap"), "experiment", chains, total)
-    report_losses(recording, console)
-    run.finish(f"{name}.mcap", **recording.to_dict(), sha256=sha256_file(recording.path))
-    return recording.path, recording.duration
+        program = run.write_text(f"{name}.pdl", motion.text).name
+        with open_link(recipe, console, yes, runs) as link:
+            log = f"{name}.mcap"
+            recording = record_program(link, run, recipe, console, motion.text, program, "experiment", log, name)
+        budget -= recording.duration
+        further.append(recording.path)
+        rounds.append({"after": found.result["verdict"], **motion.to_dict(program)})

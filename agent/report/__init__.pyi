@@ -5,18 +5,18 @@ from .comparison_sections import comparison_section as comparison_section
 from .diagnosis_page import diagnosis_report as diagnosis_report
 from .first_screen import headline as headline
 from .friction_curves import friction_section as friction_section
-from .gap_section import diagnosis_summary as diagnosis_summary
+from .gap_section import VERDICTS as VERDICTS, diagnosis_summary as diagnosis_summary
 from .index import IndexData as IndexData, index_page as index_page
 from .log_sections import log_section as log_section
 from .motion_sections import MotionData as MotionData, SearchData as SearchData, plan_report as plan_report
+from .observation_section import observation_section as observation_section
 from .page import About as About, NextStep as NextStep, Page as Page, Section as Section, render as render
-from .recalibration import RecalibrationData as RecalibrationData, recalibration_report as recalibration_report
+from .recalibration import recalibration_report as recalibration_report
 from .residual_sections import residual_section as residual_section
 from .run_page import RunData as RunData, run_report as run_report
 from .run_sections import (
     RUN_SECTIONS as RUN_SECTIONS,
     RunContent as RunContent,
     further_sections as further_sections,
-    observation_part as observation_part,
 )
 from .torque_section import TorqueData as TorqueData

@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.core import plus_minus
 from agent.report.comparison_sections import comparison_section
-from agent.report.friction_curves import friction_curve
+from agent.report.friction_curves import friction_curve, speed_unit
 from agent.report.page import About, NextStep, Page, Section, Table, render
 from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series
 from agent.report.residual_sections import heat_map, residual_map
@@ -82,9 +82,8 @@ def _friction(models: dict[str, IdentifiedModel]) -> Plot:
             series.append(Series(f"{name}, 95 % band", curve + half, colour=colour, low=curve - half))
             series.append(Series(name, curve, colour=colour))
         panels.append(Panel(joint, torque_units(robot)[axle], series, x, joint=joint))
-    unit = "m/s" if all(joint.prismatic for joint in robot.joints) else "rad/s"
     caption = "Friction of each axle over its speed, as each run has it."
-    return Plot("friction-curves", caption, "speed", panels, x_unit=unit, link=UNLINKED, columns=2)
+    return Plot("friction-curves", caption, "speed", panels, x_unit=speed_unit(robot), link=UNLINKED, columns=2)
 
 
 def _parameters(models: dict[str, IdentifiedModel]) -> Table:

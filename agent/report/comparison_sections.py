@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from agent.report.common_sections import percent
 from agent.report.figures import Figure, new_plot, to_figure
 from agent.report.page import Section, Table
 from agent.report.plots import SERIES
@@ -51,7 +52,7 @@ def comparison_section(
         (
             joint,
             f"{comparison.torque.rmse[k]:.3g}",
-            _percent(comparison.torque.normalised_rmse[k]),
+            percent(comparison.torque.normalised_rmse[k]),
             f"{comparison.torque.largest[k]:.3g}",
             f"{comparison.torque.standard_deviation[k]:.2g}",
         )
@@ -86,7 +87,3 @@ def changes_figure(comparison: Comparison, name: str = "changes") -> Figure:
     rows = np.column_stack([[c.before for c in changes], [c.after for c in changes], values])
     caption = "Change of each parameter in standard deviations of a change, cut at 30; beyond the dots it is no chance."
     return to_figure(name, caption, plot, ("before", "after", "deviations"), rows)
-
-
-def _percent(value: float) -> str:
-    return f"{100 * value:.3f}" if np.isfinite(value) else "-"

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.report.plots import SERIES, Panel, Plot, Series
+from agent.report.plots import SERIES, Panel, Plot, Series, joint_series
 
 #: A colour no plot uses: replaced by `currentColor`, so axes and text follow the page.
 _INK = "#010203"
@@ -104,10 +104,7 @@ def limit_margins(t: np.ndarray, use: dict[str, np.ndarray], names: tuple[str, .
         Panel(
             f"use of the {kind} limit",
             "%",
-            [
-                Series(name, 100 * values[:, k], colour=SERIES[k % len(SERIES)], joint=name)
-                for k, name in enumerate(names)
-            ],
+            joint_series(names, 100 * values),
             marks={"limit": 100.0},
             from_zero=True,
         )

@@ -15,6 +15,7 @@ from agent.robot import axle_motion, torque_units
 
 if TYPE_CHECKING:
     from agent.model import IdentifiedModel
+    from agent.robot import RobotDescription
     from agent.validation import Prediction
 
 _GRID = 120
@@ -34,13 +35,14 @@ def friction_section(predictions: Sequence[Prediction]) -> Section:
 
 def friction_plot(predictions: Sequence[Prediction]) -> Plot:
     """A panel an axle: curve and band over its speed, and the means of the data."""
+    from agent.validation import pooled_rmse
+
     model = predictions[0].model
     robot = model.robot
     speed = np.concatenate([axle_motion(robot, prediction.velocity) for prediction in predictions])
     rest = np.concatenate([p.measured - p.predicted + p.friction for p in predictions]) @ np.linalg.inv(robot.coupling)
-    errors = np.concatenate([p.error[p.moving] for p in predictions])
     panels = []
-    for axle in worst_first(robot, np.sqrt(np.mean(errors**2, axis=0))):
+    for axle in worst_first(robot, pooled_rmse(predictions)):
         top = float(np.abs(speed[:, axle]).max())
         if top <= 0:
             continue
@@ -56,9 +58,13 @@ def friction_plot(predictions: Sequence[Prediction]) -> Plot:
         )
         name = robot.joint_names[axle]
         panels.append(Panel(name, torque_units(robot)[axle], series, x, joint=name))
-    unit = "m/s" if all(joint.prismatic for joint in robot.joints) else "rad/s"
     caption = "Friction over the speed of the axle: model and data."
-    return Plot("friction", caption, "speed", tuple(panels), x_unit=unit, link=UNLINKED, columns=2)
+    return Plot("friction", caption, "speed", tuple(panels), x_unit=speed_unit(robot), link=UNLINKED, columns=2)
+
+
+def speed_unit(robot: RobotDescription) -> str:
+    """Of the speeds of all joints on one axis."""
+    return "m/s" if all(joint.prismatic for joint in robot.joints) else "rad/s"
 
 
 def friction_curve(model: IdentifiedModel, axle: int, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

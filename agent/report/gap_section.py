@@ -8,11 +8,12 @@ from agent.diagnosis import in_torque, size_text, told, torque_gap
 from agent.report.page import Section, Table
 from agent.robot import SHARE, figure_text
 
-_VERDICTS = {
-    "no_gap": "Nothing of practical size beyond what the model's own prediction error allows.",
-    "explained": "Explained",
-    "ambiguous": "The data cannot tell the first cause from its equivalents",
-    "unknown": "There is a gap, and no effect of the catalogue closes it.",
+#: What a verdict means, where its name does not say it all.
+VERDICTS = {
+    "no_gap": "nothing of practical size beyond what the model's own prediction error allows",
+    "explained": "",
+    "ambiguous": "the data cannot tell the first cause from its equivalents",
+    "unknown": "there is a gap, and no effect of the catalogue closes it",
 }
 
 
@@ -20,10 +21,9 @@ def diagnosis_summary(result: dict[str, Any]) -> str:
     """One sentence from a result of schema diagnosis/1."""
     # the controller's path is a matter of its own: it is in the table, not in the sentence about torque
     named = [cause for cause in result["causes"] if in_torque(cause)] or result["causes"]
-    if not named:
-        return _VERDICTS[result["verdict"]]
+    verdict = VERDICTS[result["verdict"]] or result["verdict"]
     causes = " and ".join(_cause(cause) for cause in named)
-    return f"{_VERDICTS[result['verdict']].rstrip('.')}: {causes}."
+    return f"{verdict[0].upper()}{verdict[1:]}{': ' if causes else ''}{causes}."
 
 
 def diagnosis_section(result: dict[str, Any]) -> Section:
@@ -37,9 +37,7 @@ def diagnosis_section(result: dict[str, Any]) -> Section:
             ", ".join(cause["joints"]) or "whole arm",
             _percent(cause["closure"]),
             f"{cause['probability']:.2f}",
-            "; ".join(
-                f"{key} {size_text(cause['effect'], key, cause['parameters'][key], None)}" for key in told(cause)
-            ),
+            "; ".join(_size(cause, key) for key in told(cause)),
             ", ".join(other["effect"] for other in cause["equivalent_to"]) or "-",
         )
         for cause in result["causes"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.report.plots import SERIES, Panel, Plot, Series
+from agent.report.plots import SERIES, Panel, Plot, Series, joint_series
 
 if TYPE_CHECKING:
     from agent.runs import PastRun, Trend, Watch
@@ -62,10 +62,7 @@ def _temperatures(runs: Sequence[PastRun]) -> Panel | None:
     values = np.array(
         [[np.nan if v is None else v for v in row] if row and len(row) == len(joints) else lost for row in known]
     )
-    series = [
-        Series(joint, values[:, k], colour=SERIES[k % len(SERIES)], joint=joint) for k, joint in enumerate(joints)
-    ]
-    return Panel("motors at the end of the run", "°C", series)
+    return Panel("motors at the end of the run", "°C", joint_series(joints, values))
 
 
 def error_plot(past: Sequence[PastRun], current: Collection[str], robot: str, serial: str, number: int) -> Plot | None:

@@ -10,13 +10,20 @@ from agent.report.page import Section, Table
 from agent.report.plots import Panel, Plot, Series
 
 if TYPE_CHECKING:
+    from agent.model import IdentifiedModel
+    from agent.recording import Log
     from agent.validation import Observability
 
 _USUAL_LIMIT = 100  # Gautier and Khalil's rule of thumb for exciting trajectories
 
 
-def observation_section(found: Observability, condition_number: str) -> Section:
-    """Condition number of the fit, singular values, the directions seen least, and what is not identifiable."""
+def observation_section(model: IdentifiedModel, log: Log) -> Section:
+    """What a model's own motion shows of its parameters: condition number of the fit, singular values, the directions
+    seen least, and what is not identifiable."""
+    from agent.model import condition_text
+    from agent.validation import observability
+
+    found, condition_number = observability(model, log), condition_text(model.condition_number)
     text = [
         f"{found.parameters} parameters; condition number {condition_number}, of the weighted observation matrix that "
         "the model was estimated from, columns scaled to unit length. The rule of thumb for a good excitation is below "

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import base64
+import csv
+import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -109,7 +111,7 @@ def _part(part: Table | Figure | Plot | Scene) -> dict[str, Any]:
             "kind": "table",
             "part": part,
             "look": [_look([str(row[k]) for row in part.rows]) for k in range(len(part.header))],
-            "csv": _data_link(_csv(part.header, part.rows)),
+            "csv": "data:text/csv;base64," + base64.b64encode(_csv(part.header, part.rows).encode()).decode("ascii"),
         }
     if isinstance(part, Plot):
         shown = for_screen(part)
@@ -150,15 +152,9 @@ def _is_number(cell: str) -> bool:
 
 
 def _csv(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    def cell(value: object) -> str:
-        text = str(value)
-        return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
-
-    return "\n".join(",".join(cell(value) for value in row) for row in (header, *rows)) + "\n"
-
-
-def _data_link(text: str) -> str:
-    return "data:text/csv;base64," + base64.b64encode(text.encode("utf-8")).decode("ascii")
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows((header, *rows))
+    return text.getvalue()
 
 
 def _asset(name: str) -> str:

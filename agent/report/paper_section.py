@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from agent.core import InputError
 from agent.report.page import Section, Table
 from agent.robot import torque_units
@@ -23,6 +21,7 @@ def paper_section(
 ) -> Section | None:
     """RMSE on moving samples by axis, of the model and of `method: paper` on its log; None where that is the model."""
     from agent.estimation import EstimationSettings, estimate
+    from agent.validation import pooled_rmse
 
     if model.method == "paper":
         return None
@@ -32,7 +31,7 @@ def paper_section(
     except InputError as error:
         return Section("The paper's own estimator", (f"It cannot be fitted to this log: {error}.",))
     others = [prediction.by(paper) for prediction in predictions]
-    ours, theirs = (_moving_rmse(several) for several in (predictions, others))
+    ours, theirs = (pooled_rmse(several) for several in (predictions, others))
     rows = [
         (name, f"{a:.3g}", f"{b:.3g}", unit, f"{b / a:.2f}" if a > 0 else "-")
         for name, a, b, unit in zip(model.robot.joint_names, ours, theirs, torque_units(model.robot), strict=True)
@@ -43,8 +42,3 @@ def paper_section(
         "same filter; moving samples of the same unseen motions.",
     )
     return Section("The paper's own estimator", text, (Table("paper", header, rows),))
-
-
-def _moving_rmse(predictions: Sequence[Prediction]) -> np.ndarray:
-    error = np.concatenate([prediction.error[prediction.moving] for prediction in predictions])
-    return np.sqrt(np.mean(error**2, axis=0))

@@ -76,6 +76,12 @@ class Plot:
         return found
 
 
+def joint_series(joints: Sequence[str], values: np.ndarray, order: Sequence[int] | None = None) -> list[Series]:
+    """A curve a joint of (S, n), each with its colour; in the `order` of their numbers where that is given."""
+    chosen = range(len(joints)) if order is None else order
+    return [Series(joints[k], values[:, k], colour=SERIES[k % len(SERIES)], joint=joints[k]) for k in chosen]
+
+
 def thinned(columns: np.ndarray, most: int = MOST_ROWS) -> np.ndarray:
     """Indices of rows of (S, k) that show it as it is: even ones, and of every stretch those with the extremes of
     every column.

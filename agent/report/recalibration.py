@@ -2,65 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from agent.report.common_sections import (
-    conditions_section,
-    current_sentence,
-    diagnosis_part,
-    joint_units,
-    parameters_section,
-    percent,
-    provenance_section,
-)
+from agent.report.common_sections import current_sentence, joint_units, percent
 from agent.report.figures import motion_box_plot
-from agent.report.motion_sections import MotionData, motion_section
-from agent.report.page import About, Page, Section, Table, render
-from agent.report.torque_section import TorqueData, torque_plot
+from agent.report.page import Section, Table
+from agent.report.run_page import RunData, render_run
+from agent.report.torque_section import torque_plot
 
 
-@dataclass(frozen=True, eq=False)
-class RecalibrationData:
-    """What it shows: the content of `result.json`, the first screen, the loop, the model's table, RMSE (cycles, n)
-    [N·m] of every cycle and nominal torque (n,), one stretch of the motion, and sections made elsewhere, in order.
-    """
-
-    result: dict[str, Any]
-    about: About
-    motion: MotionData
-    parameter_rows: Sequence[Sequence[str]]
-    cycle_rmse: np.ndarray
-    nominal: np.ndarray
-    prediction: TorqueData
-    sections: Sequence[Section]
-
-
-def recalibration_report(data: RecalibrationData) -> str:
+def recalibration_report(data: RunData) -> str:
     """HTML text of the report."""
     result = data.result
-    accepted, diagnosis = result["accepted"], result["diagnosis"]
-    word = "Accepted" if accepted else f"Rejected: {result['reason']}"
+    word = "Accepted" if result["accepted"] else f"Rejected: {result['reason']}"
     headline = f"{word}. {current_sentence(result)} "
-    headline += diagnosis["summary"] if diagnosis else f"{result['comparison']}."
-    sections = [
-        _validation(data),
-        motion_section(data.motion),
-        _search(result["loop"]),
-        *data.sections,
-        conditions_section(result["conditions"], result["validation"]["joints"]),
-        parameters_section(data.parameter_rows),
-        provenance_section(result),
-    ]
-    sections.insert(0 if diagnosis else 1, diagnosis_part(diagnosis, result["reference"]))
-    title = f"Recalibration of {result['robot']} {result['serial']}"
-    return render(Page(title, headline, "good" if accepted and not diagnosis else "bad", sections, data.about))
+    headline += result["diagnosis"]["summary"] if result["diagnosis"] else f"{result['comparison']}."
+    return render_run(data, "Recalibration", headline, _validation(data), _search(result["loop"]))
 
 
-def _validation(data: RecalibrationData) -> Section:
+def _validation(data: RunData) -> Section:
     validation = data.result["validation"]
     names = tuple(validation["joints"])
     rows = [
@@ -83,10 +43,10 @@ def _validation(data: RecalibrationData) -> Section:
         f"{100 * gate:.1f} %.",
     )
     header = ("axis", "new model, RMSE", "unit", "new model [%]", "model before [%]", "")
-    cycles = f"Error of the new model on each of {len(data.cycle_rmse)} cycles, per axis; it was fitted to them."
+    cycles = f"Error of the new model on each of {len(data.rmse)} cycles, per axis; it was fitted to them."
     parts = (
         Table("validation", header, rows),
-        motion_box_plot(data.cycle_rmse, data.nominal, names, gate, cycles),
+        motion_box_plot(data.rmse, data.nominal, names, gate, cycles),
         torque_plot(data.prediction, "Torque along one cycle of the loop."),
     )
     return Section("Prediction", text, parts)

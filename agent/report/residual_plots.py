@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series
+from agent.report.plots import SERIES, UNLINKED, Panel, Plot, Series, joint_series
 from agent.report.torque_section import worst_first
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def _over_time(predictions: Sequence[Prediction], error: Sequence[np.ndarray], o
     ends = np.cumsum([0.0, *(float(np.ptp(p.time)) + 0.5 for p in predictions)])
     time = np.concatenate([p.time - p.time[0] + start for p, start in zip(predictions, ends, strict=False)])
     together = np.concatenate(error)
-    series = [Series(names[k], together[:, k], colour=SERIES[k % len(SERIES)], joint=names[k]) for k in order]
+    series = joint_series(names, together, order)
     motions = f"all {len(predictions)} motions, one after the other" if len(predictions) > 1 else "the motion"
     caption = f"What the model leaves over time: {motions}."
     return Plot("residual-time", caption, "time", (Panel("left over", unit, series),), time, "s")
@@ -95,7 +95,6 @@ def _spectrum(predictions: Sequence[Prediction], error: Sequence[np.ndarray], or
         place = np.fft.rfftfreq(len(values), period)
         power += np.stack([np.interp(frequency, place, column**2) for column in found.T], axis=1)
     amplitude = np.sqrt(power / len(predictions))
-    series = [Series(names[k], amplitude[:, k], colour=SERIES[k % len(SERIES)], joint=names[k]) for k in order]
-    panel = Panel("amplitude", unit, series, marks={}, from_zero=True)
+    panel = Panel("amplitude", unit, joint_series(names, amplitude, order), from_zero=True)
     caption = "What the model leaves over frequency; the torque filter takes away what lies above its cut-off."
     return Plot("residual-frequency", caption, "frequency", (panel,), frequency, "Hz")

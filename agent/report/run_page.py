@@ -1,4 +1,4 @@
-"""The report of one calibration run."""
+"""The report of a run: what all have, and what a calibration has."""
 
 from __future__ import annotations
 
@@ -28,42 +28,48 @@ class RunData:
     """What the report of a run shows.
 
     result: the content of `result.json`; about: the first screen; parameter_rows: the table of the model, header first;
-    motion_rmse (motions, n) [N·m] on moving samples; nominal (n,) torque of the joints, NaN where there is none;
-    `prediction` of one unseen motion; `further` sections made elsewhere, in order.
+    rmse (motions or cycles, n) [N·m] on moving samples; nominal (n,) torque of the joints, NaN where there is none;
+    `prediction` of one motion; `further` sections made elsewhere, in order; `search`, where there was one.
     """
 
     result: dict[str, Any]
     about: About
     motion: MotionData
-    search: SearchData
     parameter_rows: Sequence[Sequence[str]]
-    motion_rmse: np.ndarray
+    rmse: np.ndarray
     nominal: np.ndarray
     prediction: TorqueData
     further: Sequence[Section] = ()
+    search: SearchData | None = None
+
+
+def render_run(data: RunData, title: str, headline: str, prediction: Section, search: Section) -> str:
+    """HTML text of a run's page: a diagnosis first, then prediction, motion, search and the rest."""
+    result = data.result
+    diagnosis = result["diagnosis"]
+    sections = [
+        prediction,
+        motion_section(data.motion),
+        search,
+        *data.further,
+        conditions_section(result["conditions"], result["validation"]["joints"]),
+        parameters_section(data.parameter_rows, result.get("estimation", {}).get("notes", ())),
+        provenance_section(result),
+    ]
+    sections.insert(0 if diagnosis else 1, diagnosis_part(diagnosis, result["reference"]))
+    good = result["accepted"] is not False and not diagnosis
+    title = f"{title} of {result['robot']} {result['serial']}".rstrip()
+    return render(Page(title, headline, "good" if good else "bad", sections, data.about))
 
 
 def run_report(data: RunData) -> str:
-    """HTML text of the report."""
+    """HTML text of the report of a calibration."""
     result = data.result
-    accepted, diagnosis = result["accepted"] is not False, result["diagnosis"]
-    headline = f"{_headline(result)} {current_sentence(result)}".rstrip()
-    if diagnosis is not None:
-        headline = f"{headline} {diagnosis['summary']}"
-    verdict = diagnosis_part(diagnosis, result["reference"])
-    notes = result["estimation"]["notes"]
-    sections = [
-        _validation(data),
-        motion_section(data.motion),
-        search_section(data.search),
-        *data.further,
-        conditions_section(result["conditions"], result["validation"]["joints"]),
-        parameters_section(data.parameter_rows, notes),
-        provenance_section(result),
-    ]
-    sections.insert(0 if diagnosis is not None else 1, verdict)
-    title = f"Calibration of {result['robot']} {result['serial']}".rstrip()
-    return render(Page(title, headline, "good" if accepted and diagnosis is None else "bad", sections, data.about))
+    headline = f"{_headline(result)} {current_sentence(result)}"
+    if result["diagnosis"] is not None:
+        headline = f"{headline} {result['diagnosis']['summary']}"
+    assert data.search is not None
+    return render_run(data, "Calibration", headline, _validation(data), search_section(data.search))
 
 
 def _headline(result: dict[str, Any]) -> str:
@@ -119,11 +125,11 @@ def _validation(data: RunData) -> Section:
     parts = (
         Table("validation", header, rows),
         motion_box_plot(
-            data.motion_rmse,
+            data.rmse,
             data.nominal,
             names,
             gate,
-            f"Prediction error on {len(data.motion_rmse)} unseen motions in the sub-region, per axis.",
+            f"Prediction error on {len(data.rmse)} unseen motions in the sub-region, per axis.",
         ),
         torque_plot(data.prediction, "Torque on one unseen motion, the one in the middle of the field."),
     )

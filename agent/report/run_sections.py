@@ -52,34 +52,6 @@ class RunContent:
             yield read_log(path, self.recipe.robot)
 
 
-def observation_part(model: IdentifiedModel, log: Log) -> Section:
-    """What a model's own motion shows of its parameters."""
-    from agent.model import condition_text
-    from agent.validation import observability
-
-    return observation_section(observability(model, log), condition_text(model.condition_number))
-
-
-def _observation(content: RunContent) -> Section:
-    return observation_part(content.model, content.excitation)
-
-
-def _residuals(content: RunContent) -> Section:
-    return residual_section(content.predictions)
-
-
-def _friction(content: RunContent) -> Section:
-    return friction_section(content.predictions)
-
-
-def _correlation(content: RunContent) -> Section:
-    return correlation_section(content.model)
-
-
-def _paper(content: RunContent) -> Section | None:
-    return paper_section(content.model, content.excitation, content.predictions, content.recipe.tool)
-
-
 def _comparison(content: RunContent) -> Section | None:
     """Against the last accepted run of the same machine and loop, if there is one."""
     from agent.model import IdentifiedModel
@@ -92,19 +64,15 @@ def _comparison(content: RunContent) -> Section | None:
     return comparison_section(compare_models(before, content.model, content.excitation, last.name, content.run.name))
 
 
-def _logs(content: RunContent) -> Section:
-    return log_section(content.logs())
-
-
 #: In the order of the page; a function returns None where there is nothing to show.
 RUN_SECTIONS: list[Callable[[RunContent], Section | None]] = [
-    _residuals,
-    _friction,
+    lambda content: residual_section(content.predictions),
+    lambda content: friction_section(content.predictions),
     _comparison,
-    _observation,
-    _correlation,
-    _paper,
-    _logs,
+    lambda content: observation_section(content.model, content.excitation),
+    lambda content: correlation_section(content.model),
+    lambda content: paper_section(content.model, content.excitation, content.predictions, content.recipe.tool),
+    lambda content: log_section(content.logs()),
 ]
 
 

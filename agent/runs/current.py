@@ -7,7 +7,6 @@ always a whole model. Nothing here writes to a controller.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.core import AgentError, Console, InputError, read_json
-from agent.runs.folder import RunFolder, sha256_file, write_atomically
+from agent.runs.folder import RunFolder, sha256_file, write_json
 from agent.runs.history import open_history
 from agent.runs.past_run import read_run
 
@@ -94,7 +93,7 @@ def apply_run(logs: Path, run: Path) -> Applied:
             "applied": datetime.now(UTC).isoformat(timespec="seconds"),
             "previous": os.path.basename(os.readlink(place / "current")) if before is not None else None,
         }
-        write_atomically(version / "about.json", json.dumps(about, indent=2) + "\n")
+        write_json(version / "about.json", about)
         _point(place, version.name)
     except OSError as error:
         raise AgentError(f"{place}: the model cannot be applied: {error.strerror}; free space or rights?") from None
@@ -103,13 +102,20 @@ def apply_run(logs: Path, run: Path) -> Applied:
 
 def current_runs(logs: Path) -> tuple[set[str], list[str]]:
     """Names of the runs of a folder whose models are the current ones of their robots; and what is damaged."""
-    names, damaged = set(), []
+    found, damaged = _all_current(logs)
+    return {applied.run for applied in found.values()}, damaged
+
+
+def _all_current(logs: Path) -> tuple[dict[Path, Applied], list[str]]:
+    """Current models by their place, and what is damaged."""
+    found, damaged = {}, []
     for place in sorted((logs / _FOLDER).glob("*")):
         try:
-            names |= {_about(place / "current").run} if (place / "current").is_symlink() else set()
+            if (place / "current").is_symlink():
+                found[place] = _about(place / "current")
         except InputError as error:
             damaged.append(str(error))
-    return names, damaged
+    return found, damaged
 
 
 def apply_previous(logs: Path, robot: str | None = None, serial: str | None = None) -> Applied:
@@ -118,15 +124,12 @@ def apply_previous(logs: Path, robot: str | None = None, serial: str | None = No
     Raises:
         InputError: nothing was applied before, or it is not clear on which robot.
     """
-    places, damaged = [], []
-    for place in sorted((logs / _FOLDER).glob("*")):
-        try:
-            about = _about(place / "current") if (place / "current").is_symlink() else None
-        except InputError as error:
-            damaged.append(str(error))
-            continue
-        if about is not None and robot in (None, about.robot) and serial in (None, about.serial):
-            places.append((place, about))
+    found, damaged = _all_current(logs)
+    places = [
+        (place, about)
+        for place, about in found.items()
+        if robot in (None, about.robot) and serial in (None, about.serial)
+    ]
     if not places and damaged:
         raise InputError("; ".join(damaged))
     if not places:

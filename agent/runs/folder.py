@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -37,12 +38,9 @@ class RunFolder:
             AgentError: the folder cannot be written.
         """
         stamp = (now or datetime.now(UTC)).strftime("%Y%m%dT%H%M%SZ")
-        try:
+        with _made(root, "the run"):
             root.mkdir(parents=True, exist_ok=True)
             path = _fresh_folder(root, f"{stamp}_{robot}")
-        except OSError as error:
-            message = f"{root}: no run folder can be made there: {error.strerror}; free space or rights?"
-            raise AgentError(message) from None
         text = recipe.read_text(encoding="utf-8")
         state = {
             "schema": "run/1",
@@ -137,10 +135,35 @@ class RunFolder:
 
     def write_json(self, name: str, data: Any) -> Path:
         """Write JSON whole or not at all."""
-        return self.write_text(name, json.dumps(finite(data), indent=2) + "\n")
+        return write_json(self.path / name, data)
 
     def _save(self) -> None:
         self.write_json(_STATE, self.state)
+
+
+@contextlib.contextmanager
+def _made(folder: Path, what: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise AgentError(
+            f"{folder}: no folder for {what} can be made there: {error.strerror}; free space or rights?"
+        ) from None
+
+
+def make_folder(folder: Path, what: str) -> None:
+    """Make a folder for `what`, and those above it, where it is not there.
+
+    Raises:
+        AgentError: it cannot be made.
+    """
+    with _made(folder, what):
+        folder.mkdir(parents=True, exist_ok=True)
+
+
+def write_json(path: Path, data: Any) -> Path:
+    """Write JSON as `write_atomically` does; a number that is not finite becomes null."""
+    return write_atomically(path, json.dumps(finite(data), indent=2, allow_nan=False) + "\n")
 
 
 def write_atomically(path: Path, text: str) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import AgentError, InputError, read_json
+from agent.core import InputError, read_json
 from agent.recipe import Recipe
 from agent.runs.approved import digest, problem
-from agent.runs.folder import sha256_text, write_atomically
+from agent.runs.folder import make_folder, sha256_text, write_json
 
 #: Where loops are kept unless told otherwise: among the runs.
 FOLDER = Path("logs") / "trajectories"
@@ -89,12 +88,9 @@ def keep_loop(
         checksum=sha256_text(program),
         created=(now or datetime.now(UTC)).isoformat(timespec="seconds"),
     )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise AgentError(f"{folder}: loops cannot be kept there: {error.strerror}; free space or rights?") from None
+    make_folder(folder, "loops")
     name = f"{loop.robot}_{loop.key[:12]}_{loop.checksum[:12]}.json"
-    write_atomically(folder / name, json.dumps(loop.to_dict(), indent=2) + "\n")
+    write_json(folder / name, loop.to_dict())
     return loop
 
 

@@ -1,3 +1,9 @@
 from .compare import BEYOND as BEYOND, Comparison as Comparison, compare_models as compare_models
 from .singular_values import Observability as Observability, observability as observability
-from .torque import Prediction as Prediction, predict_log as predict_log, summary as summary, validate as validate
+from .torque import (
+    Prediction as Prediction,
+    pooled_rmse as pooled_rmse,
+    predict_log as predict_log,
+    summary as summary,
+    validate as validate,
+)

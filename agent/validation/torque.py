@@ -100,6 +100,12 @@ def filtered_columns(model: IdentifiedModel, motion: Motion) -> np.ndarray:
     return motion.low_pass(columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
 
 
+def pooled_rmse(predictions: Sequence[Prediction]) -> np.ndarray:
+    """(n,) RMSE [N·m] over the moving samples of all motions."""
+    error = np.concatenate([p.error[p.moving] for p in predictions])
+    return np.sqrt(np.mean(error**2, axis=0))
+
+
 def predict_log(model: IdentifiedModel, log: Log, cutoff: float | None = None) -> Prediction:
     """Predict every sample of a log. `cutoff` [Hz] is the model's unless given.
 
