@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from agent.core import Console, InputError, finite
 from agent.fleet.tasks import RunQuestion
@@ -78,10 +75,10 @@ def _conditions(model: IdentifiedModel, logs: list[Log]) -> dict[str, Any]:
     if len(log.cycle_starts) > 2:
         seen = warm_up(log, predict_log(model, log))
         rates = [
-            {"rate_per_s": _number(rate), "standard_deviation": _number(deviation)}
-            for rate, deviation in zip(seen.rate, seen.deviation, strict=True)
+            {"rate_per_s": rate, "standard_deviation": deviation}
+            for rate, deviation in zip(seen.rate.tolist(), seen.deviation.tolist(), strict=True)
         ]
-    return {"friction": found, "warm_up": rates}
+    return {"friction": found, "warm_up": finite(rates)}
 
 
 def validate(
@@ -147,10 +144,6 @@ def _needed(robot: str | None) -> str:
     if robot is None:
         raise InputError("there is no robot.yaml in or above this run; put one there, or name the robot with --robot")
     return robot
-
-
-def _number(value: float | np.floating) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 WORK: dict[str, Callable[..., tuple[dict[str, Any], bytes]]] = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,8 +54,6 @@ class Learned:
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON has it."""
-        from dataclasses import asdict
-
         return {
             "schema": "learned_interpolator/1",
             "robot": self.law.robot,

@@ -9,7 +9,7 @@ import numpy as np
 from agent.diagnosis import BANDS, Diagnosis, Simulated, band_shares, masks, motor_phase_share
 from agent.model import REGIMES
 from agent.recording import Log
-from agent.report.figures import Figure, new_plot, to_figure
+from agent.report.figures import Figure, cell_map, new_plot, to_figure
 from agent.report.plots import SERIES, Panel, Plot, Series
 from agent.report.torque_section import worst_first
 from agent.robot import SHARE, torque_units
@@ -34,7 +34,7 @@ def regime_map(diagnosis: Diagnosis) -> Figure:
         "nothing is wrong."
     )
     labels = [regime.replace("_", "\n") for regime in REGIMES]
-    return _map("regimes", caption, values, labels, dataset.robot.joint_names)
+    return cell_map("regimes", caption, values, labels, dataset.robot.joint_names)
 
 
 def band_map(diagnosis: Diagnosis) -> Figure:
@@ -52,7 +52,7 @@ def band_map(diagnosis: Diagnosis) -> Figure:
         "Share of each joint's squared error by frequency, and that of it which goes with the angle of the motor "
         "(- where the motor turns too fast or too little to tell), in %."
     )
-    return _map("bands", caption, values, [*labels, "motor angle"], dataset.robot.joint_names)
+    return cell_map("bands", caption, values, [*labels, "motor angle"], dataset.robot.joint_names)
 
 
 def timeline(diagnosis: Diagnosis) -> Plot:
@@ -122,29 +122,3 @@ def simulated_torque(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Pl
         panels.append(Panel(kind, unit, series))
     caption = f"Measured less simulated on {robot.joint_names[joint]}, {one.log}: torque and position."
     return Plot("simulation-error", caption, "time", tuple(panels), one.time, "s")
-
-
-def _map(name: str, caption: str, values: np.ndarray, columns: Sequence[str], rows: Sequence[str]) -> Figure:
-    """Cells shaded by value, which read on light and on dark."""
-    from matplotlib.patches import Rectangle
-
-    plot, axes = new_plot(height=0.42 * len(rows) + 1.1)
-    axis = axes[0, 0]
-    axis.grid(visible=False)
-    largest = max(float(np.nanmax(values)), 1e-9) if np.isfinite(values).any() else 1.0
-    for row, column in np.ndindex(values.shape):
-        value = values[row, column]
-        text = "-"
-        if np.isfinite(value):
-            text = f"{value:.0f}" if value >= 9.95 else f"{value:.1f}"
-            shade = min(0.06 + 0.84 * max(float(value), 0.0) / largest, 1.0)
-            axis.add_patch(
-                Rectangle((column - 0.48, row - 0.46), 0.96, 0.92, facecolor=SERIES[1], alpha=shade, linewidth=0)
-            )
-        axis.text(column, row, text, ha="center", va="center")
-    axis.set_xlim(-0.5, values.shape[1] - 0.5)
-    axis.set_ylim(values.shape[0] - 0.5, -0.5)
-    axis.set_xticks(range(len(columns)), columns, fontsize=8)
-    axis.set_yticks(range(len(rows)), rows)
-    header = tuple(column.replace("\n", "_") for column in columns)
-    return to_figure(name, caption, plot, header, values)

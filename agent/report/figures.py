@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -137,3 +138,30 @@ def motion_box_plot(rmse: np.ndarray, nominal: np.ndarray, names: tuple[str, ...
         axes[0, 0].legend()
     header = tuple(f"{name} [{'%' if has else 'N·m'}]" for name, has in zip(names, known, strict=True))
     return to_figure("validation-box", caption, plot, header, values)
+
+
+def cell_map(
+    name: str, caption: str, values: np.ndarray, columns: Sequence[str], rows: Sequence[str], units: Sequence[str] = ()
+) -> Figure:
+    """Cells (rows, columns) with their values, shaded by them: against the largest of the rows of the same unit."""
+    from matplotlib.patches import Rectangle
+
+    units = units or [""] * len(rows)
+    largest = {unit: float(np.nanmax(values[np.array(units) == unit], initial=1e-9)) for unit in units}
+    plot, axes = new_plot(height=0.45 * len(rows) + 1.2)
+    axis = axes[0, 0]
+    axis.grid(visible=False)
+    for row, column in np.ndindex(values.shape):
+        value, text = float(values[row, column]), "-"
+        if np.isfinite(value):
+            text = f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
+            shade = min(0.08 + 0.82 * max(value, 0.0) / largest[units[row]], 1.0)  # reads on light and on dark
+            corner = column - 0.48, row - 0.46
+            axis.add_patch(Rectangle(corner, 0.96, 0.92, facecolor=SERIES[1], alpha=shade, linewidth=0))
+        axis.text(column, row, text, ha="center", va="center")
+    axis.set_xlim(-0.5, len(columns) - 0.5)
+    axis.set_ylim(len(rows) - 0.5, -0.5)
+    axis.set_xticks(range(len(columns)), columns, fontsize=8)
+    axis.set_yticks(range(len(rows)), rows)
+    header = ("row", *(column.replace("\n", "_") for column in columns))
+    return to_figure(name, caption, plot, header, np.column_stack([np.arange(1, len(rows) + 1), values]))

@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.model import REGIMES, regime_masks, standstill_speed
-from agent.report.figures import Figure, new_plot, to_figure
+from agent.report.figures import Figure, cell_map
 from agent.report.page import Section
 from agent.report.residual_plots import residual_plots
 from agent.robot import torque_units
 
 if TYPE_CHECKING:
-    from matplotlib.patches import Rectangle
-
     from agent.validation import Prediction
 
 
@@ -65,29 +63,5 @@ def heat_map(
     known = np.isfinite(prediction.model.robot.nominal_torque)
     shown = np.where(known[:, None], 100 * values, values)
     units = ["%" if has else unit for has, unit in zip(known, torque_units(prediction.model.robot), strict=True)]
-    plot, axes = new_plot(height=0.45 * len(names) + 1.2)
-    axis = axes[0, 0]
-    axis.grid(False)
-    largest = {unit: float(np.nanmax(shown[np.array(units) == unit], initial=1e-300)) for unit in units}
-    # the cells are marks with opacity, so that they read on light and on dark
-    for row in range(shown.shape[0]):
-        for column in range(shown.shape[1]):
-            value = shown[row, column]
-            if not np.isfinite(value):
-                axis.text(column, row, "-", ha="center", va="center")
-                continue
-            shade = 0.1 + 0.8 * value / largest[units[row]]
-            axis.add_patch(_cell(column, row, shade))
-            axis.text(column, row, f"{value:.2g}", ha="center", va="center")
-    axis.set_xlim(-0.5, len(REGIMES) - 0.5)
-    axis.set_ylim(len(names) - 0.5, -0.5)
-    axis.set_xticks(range(len(REGIMES)), [name.replace("_", "\n") for name in REGIMES], fontsize=8)
-    axis.set_yticks(range(len(names)), [f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)])
-    rows = np.column_stack([np.arange(1, len(names) + 1), shown])
-    return to_figure(name, caption, plot, ("axis", *REGIMES), rows)
-
-
-def _cell(column: int, row: int, shade: float) -> Rectangle:
-    from matplotlib.patches import Rectangle
-
-    return Rectangle((column - 0.48, row - 0.46), 0.96, 0.92, facecolor="#d9822b", alpha=min(shade, 1.0), linewidth=0)
+    rows = [f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)]
+    return cell_map(name, caption, shown, [regime.replace("_", "\n") for regime in REGIMES], rows, units)
