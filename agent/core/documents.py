@@ -126,22 +126,19 @@ def _bounded(path: Path, events: Iterable[Any]) -> None:
             raise InputError(f"{path}:{line}: more than {MOST_VALUES} values, aliases written out; leave aliases out")
 
 
-def read_json(path: Path, largest: int = LARGEST_JSON) -> Any:
+def read_json(path: Path) -> Any:
     """Parse a JSON file that the agent, or somebody else, wrote.
 
-    Args:
-        largest: bytes; a longer file is not read.
-
     Raises:
-        InputError: missing, unreadable, not UTF-8, not JSON, nested too deep, or too long.
+        InputError: missing, unreadable, not UTF-8, not JSON, nested too deep, or longer than 64 MiB.
     """
     try:
         if path.exists() and not path.is_file():  # whoever opens a pipe waits for ever
             raise ValueError("it is no file")
         with open(path, "rb") as file:
-            data = file.read(largest + 1)
-        if len(data) > largest:
-            raise ValueError(f"it is longer than {largest >> 20} MiB")
+            data = file.read(LARGEST_JSON + 1)
+        if len(data) > LARGEST_JSON:
+            raise ValueError(f"it is longer than {LARGEST_JSON >> 20} MiB")
         return json.loads(data.decode("utf-8"))
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None

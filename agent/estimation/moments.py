@@ -60,9 +60,9 @@ class Moments:
             energy[:, joint] = np.maximum(total @ extended @ extended, 1e-15 * total[:, -1, -1])
         return energy
 
-    def torque_energy(self, cells: Cells = ALL_CELLS) -> np.ndarray:
+    def torque_energy(self) -> np.ndarray:
         """(2, n) squared measured torque."""
-        return np.stack([self._over(joint, cells)[:, -1, -1] for joint in range(len(self.sums))], axis=1)
+        return np.stack([self._over(joint, ALL_CELLS)[:, -1, -1] for joint in range(len(self.sums))], axis=1)
 
     def select(self, chosen: np.ndarray) -> Moments:
         """The moments of some of the parameters, in the order given."""

@@ -92,12 +92,13 @@ def _stuck(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
     for k, name in enumerate(robot.joint_names):
         set_points = [log.reference_position for log in logs if log.reference_position is not None]
         still = all(np.ptp(log.position[:, k]) == 0 for log in logs)
-        if still and any(np.ptp(_known(asked[:, k])) > _FAR for asked in set_points):
+        if still and any(_travel(asked[:, k]) > _FAR for asked in set_points):
             yield f"{name} is stuck, or its position is not recorded: it never changes while its set-points move"
 
 
-def _known(values: np.ndarray) -> np.ndarray:
-    return np.append(values[np.isfinite(values)], 0.0)[:-1] if np.isfinite(values).any() else np.zeros(1)
+def _travel(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.ptp(known)) if len(known) else 0.0
 
 
 def _comes_to_nothing(logs: Sequence[Log], efforts: Sequence[np.ndarray], live: np.ndarray) -> bool:

@@ -20,6 +20,7 @@ from agent.recording import MACHINE, Log
 _BAD_CONDITION = 1000.0
 _NOTABLE_STANDSTILL = 0.05
 _TOO_FAST = 2.0  # times a joint's highest speed by the robot description
+_NAMED = 8  # parameters of directions that are not in the data
 _RESTING = 1e-4  # s, in which a joint at its highest speed moves as far as one that rests may
 
 
@@ -168,10 +169,10 @@ def _prior_in_words(links: str) -> str:
     return "links near the URDF" if links == DESCRIPTION else "links no heavier than their torques could hold"
 
 
-def _leading_names(names: Sequence[str], directions: np.ndarray, most: int = 8) -> list[str]:
+def _leading_names(names: Sequence[str], directions: np.ndarray) -> list[str]:
     """The parameters that have most of these directions (d, p), largest first."""
     share = np.sum(directions**2, axis=0)
-    return [names[k] for k in np.argsort(-share)[:most] if share[k] > 0.1]
+    return [names[k] for k in np.argsort(-share)[:_NAMED] if share[k] > 0.1]
 
 
 def _provenance(observation: Observation, logs: Sequence[Log]) -> dict[str, Any]:

@@ -262,7 +262,6 @@ def record_program_file(
     """
     from agent.core import InputError
     from agent.link.planned import check_cell, plan_statements
-    from agent.recording import motion_name
 
     if log.exists():
         raise InputError(f"{log}: exists already; name another log with -o")
@@ -277,7 +276,7 @@ def record_program_file(
         total = sum(chain.duration for chain in chains)
         if total == 0:
             raise InputError(f"{program}: the program moves nothing, so there is nothing to record; add a MOVE")
-        recording = link.run(name, text, log, motion_name(program), chains, total)
+        recording = link.run(name, text, log, program.stem, chains, total)
     report_losses(recording, console)
     return recording
 

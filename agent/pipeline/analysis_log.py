@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import os
-from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.recording import FILTERED, PREDICTED, RESIDUAL, Log, LogFile, as_samples
+from agent.recording import FILTERED, PREDICTED, RESIDUAL, Log, write_log
 
 if TYPE_CHECKING:
     from agent.validation import Prediction
 
 
-def write_analysis(path: Path, log: Log, prediction: Prediction) -> Path:
+def write_analysis(path: Path, log: Log, prediction: Prediction) -> None:
     """Write a log with its prediction beside it; an existing file is replaced.
 
     /joint_states is as measured. /filtered_joint_states, /predicted_joint_states and /residual_joint_states have the
@@ -24,29 +23,7 @@ def write_analysis(path: Path, log: Log, prediction: Prediction) -> Path:
     Raises:
         RecordingError: the file cannot be written.
     """
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    with suppress(OSError):
-        beside.unlink()
-    run = {"robot": log.metadata.get("robot", ""), "motion": log.metadata.get("motion", "")}
-    times = log.stamp + log.t
-    file = LogFile(beside, log.joint_names, run["robot"], run["motion"], log.sample_rate, clock=lambda: times[0])
-    try:
-        file.write(as_samples(log))
-        stamps = log.stamp + prediction.time
-        position = np.stack([np.interp(prediction.time, log.t, q) for q in log.position.T], axis=1)
-        for topic, torque in (
-            (FILTERED, prediction.measured),
-            (PREDICTED, prediction.predicted),
-            (RESIDUAL, prediction.error),
-        ):
-            file.write_states(topic, stamps, position, prediction.velocity, torque)
-        for start in log.cycle_starts:
-            file.cycle_start(log.stamp + start)
-        file.finish()
-        file.close()
-        os.replace(beside, path)
-    finally:
-        file.close()
-        with suppress(OSError):
-            beside.unlink()
-    return path
+    position = np.stack([np.interp(prediction.time, log.t, q) for q in log.position.T], axis=1)
+    torques = {FILTERED: prediction.measured, PREDICTED: prediction.predicted, RESIDUAL: prediction.error}
+    states = {topic: (prediction.time, position, prediction.velocity, torque) for topic, torque in torques.items()}
+    write_log(path, replace(log, reference_position=None, planned_position=None), states)

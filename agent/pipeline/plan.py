@@ -116,12 +116,11 @@ def motion_data(recipe: Recipe, cycle: Trajectory, via_points: np.ndarray, cycle
 
 def with_residual(motion: MotionData, model: IdentifiedModel, log: Path) -> MotionData:
     """The loop coloured by what a model leaves of the torque measured along one cycle of its log."""
-    from agent.recording import AROUND, read_log
+    from agent.recording import read_log
     from agent.validation import predict_log
 
     recorded = read_log(log, model.robot)
-    start, stop = recorded.middle_cycle()
-    return left_over(motion, recorded, predict_log(model, recorded.between(start - AROUND, stop + AROUND)))
+    return left_over(motion, recorded, predict_log(model, recorded.middle_part()))
 
 
 def left_over(motion: MotionData, log: Log, prediction: Prediction) -> MotionData:

@@ -11,7 +11,6 @@ import numpy as np
 from agent.core import AgentError, Console, InputError
 from agent.pipeline.drift_check import diagnose_if_worse, joint_moves, moving_rmse, worse_joints
 from agent.recipe import Recipe
-from agent.recording import AROUND
 from agent.runs import RunFolder, current_runs, last_accepted, open_history, write_atomically
 
 if TYPE_CHECKING:
@@ -141,7 +140,6 @@ def _shown_cycle(log: Log, prediction: Prediction) -> TorqueData:
     from agent.report import TorqueData
     from agent.validation import predict_log
 
-    start, stop = log.middle_cycle()
     # bounds cost a regressor for every sample, so they are made for these alone
-    part = predict_log(prediction.model, log.between(start - AROUND, stop + AROUND))
-    return TorqueData.of(part, prediction.rmse(moving=True), start, stop)
+    part = predict_log(prediction.model, log.middle_part())
+    return TorqueData.of(part, prediction.rmse(moving=True), *log.middle_cycle())

@@ -1,5 +1,5 @@
 from .importer import import_log as import_log
-from .log import AROUND as AROUND, MACHINE as MACHINE, Log as Log, Repair as Repair, motion_name as motion_name
+from .log import MACHINE as MACHINE, Log as Log
 from .mcap.foxglove import (
     FILTERED as FILTERED,
     FOXGLOVE_LAYOUT as FOXGLOVE_LAYOUT,
@@ -7,7 +7,7 @@ from .mcap.foxglove import (
     RESIDUAL as RESIDUAL,
     foxglove_layout as foxglove_layout,
 )
-from .mcap.log_file import LogFile as LogFile, as_samples as as_samples, write_log as write_log
+from .mcap.log_file import LogFile as LogFile, write_log as write_log
 from .mcap.output import RecordingError as RecordingError
 from .mcap.writer import LogWriter as LogWriter
 from .reading import read_log as read_log

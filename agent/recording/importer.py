@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from agent.core import Dimension, InputError, parse_quantity
-from agent.recording.log import MACHINE, Log
+from agent.recording.log import ARRAYS, MACHINE, Log
 from agent.recording.mapping import CURRENT, Columns, EffortColumns, Mapping, PositionColumns, load_mapping, units_of
 from agent.recording.mcap.log_file import nanoseconds, write_log
 from agent.recording.repair.limits import LIMITS, impossible
@@ -19,9 +19,7 @@ from agent.recording.repair.stamps import put_in_order, spacing_of
 from agent.recording.resampling import resampled
 from agent.recording.scratch import Scratch
 from agent.recording.tables import ColumnTable, read_table
-
-if TYPE_CHECKING:
-    from agent.robot import RobotDescription
+from agent.robot import RobotDescription
 
 _NANO = 1_000_000_000
 #: Columns whose lengths differ by more than this part do not belong together.
@@ -63,13 +61,12 @@ def import_log(robot: RobotDescription, map_path: Path, inputs: Sequence[Path], 
 
 def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output: Path) -> tuple[Log, list[str]]:
     entries = mapping.entries
-    position = source.position("position", entries.position)
     values = {
-        "position": position,
+        "position": source.position("position", entries.position),
         "velocity": None if entries.velocity is None else source.velocity(entries.velocity),
         "effort": None if entries.effort is None else source.effort(entries.effort),
-        "reference": source.position("reference_position", entries.reference_position),
-        "planned": source.position("planned_position", entries.planned_position),
+        "reference_position": source.position("reference_position", entries.reference_position),
+        "planned_position": source.position("planned_position", entries.planned_position),
     }
     present = {name: array for name, array in values.items() if array is not None}
     time = source.time()
@@ -95,14 +92,13 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
         mapping.fault("position", "nearly every row holds a number that no arm can have: are the units right?")
     if np.count_nonzero(keep) < 2:
         mapping.fault("position", "fewer than two rows hold a number in every column that the mapping names")
-    if (inside & ~whole).any():
-        broken = inside & ~whole
-        kind = "rows without a number in every column, dropped; the first is row"
-        notes.append(f"{np.count_nonzero(broken)} {kind} {np.argmax(broken) + 1}")
-    if (torn & inside & whole).any():
-        broken = torn & inside & whole
-        kind = "rows with a number that no arm can have, dropped; the first is row"
-        notes.append(f"{np.count_nonzero(broken)} {kind} {np.argmax(broken) + 1}")
+    for broken, kind in (
+        (inside & ~whole, "without a number in every column"),
+        (inside & whole & torn, "with a number that no arm can have"),
+    ):
+        if broken.any():
+            first = np.argmax(broken) + 1
+            notes.append(f"{np.count_nonzero(broken)} rows {kind}, dropped; the first is row {first}")
     present = {name: array[:rows][keep] for name, array in present.items()}
     stamp = nanoseconds(time[keep])
     measured = [present[name] for name in ("position", "effort") if name in present]
@@ -112,15 +108,12 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
     repairs = (*order.repairs, *spacing.repairs)
     notes += [str(repair) for repair in repairs]
     machine = {key: value for key in MACHINE if (value := getattr(entries, key)) is not None}
+    arrays: dict[str, Any] = {name: present.get(name) for name in ARRAYS}
     log = Log(
         path=output,
         joint_names=robot.joint_names,
         t=(order.stamp - order.stamp[0]) / _NANO,
-        position=present["position"],
-        velocity=present.get("velocity"),
-        effort=present.get("effort"),
-        reference_position=present.get("reference"),
-        planned_position=present.get("planned"),
+        **arrays,
         sample_rate=spacing.rate,
         stamp=int(order.stamp[0]) / _NANO,
         segments=spacing.segments,

@@ -16,8 +16,7 @@ from agent.recording.scratch import Scratch
 MACHINE = ("serial", "tool", "controller")
 #: Attributes of `Log` that are arrays (S, n).
 ARRAYS = ("position", "velocity", "effort", "reference_position", "planned_position")
-#: What to keep beside a cycle that is cut out of a log [s]: more than filters drop at its ends.
-AROUND = 1.0
+_AROUND = 1.0  # s beside a cycle that is cut out of a log: more than filters drop at its ends
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,7 @@ class Log:
         everything = (float(self.t[0]), float(self.t[-1]))
         return min(whole, key=lambda cycle: abs(sum(cycle) / 2 - half), default=everything)
 
-
-def motion_name(program: Path) -> str:
-    """What a log calls the motion of a program file: the file's name without its ending."""
-    return program.stem
+    def middle_part(self) -> Log:
+        """That cycle alone, with what filters drop on either side of it."""
+        start, stop = self.middle_cycle()
+        return self.between(start - _AROUND, stop + _AROUND)

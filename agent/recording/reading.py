@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,9 +20,7 @@ from agent.recording.repair.limits import impossible
 from agent.recording.repair.spikes import find_spikes
 from agent.recording.repair.stamps import BRIDGED, far_off, match, put_in_order, spacing_of
 from agent.recording.scratch import Scratch
-
-if TYPE_CHECKING:
-    from agent.robot import RobotDescription
+from agent.robot import RobotDescription
 
 _NANO = 1_000_000_000
 #: Set-points belong to a sample if their stamps differ by at most this part of the period.

@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.estimation import FilterSettings, conditional_covariance, motions
 from agent.model import IdentifiedModel
-from agent.recording import AROUND, Log
+from agent.recording import Log
 from agent.validation.torque import filtered_columns
 
 #: A parameter moved where the change is beyond this many of its standard deviations (one in a thousand by chance).
@@ -124,9 +124,7 @@ def compare_models(
         for name, k in places[1].items()
         if name in places[0] and name not in kept
     )
-    start, stop = log.middle_cycle()
-    part = log.between(start - AROUND, stop + AROUND)
-    difference, uncertainty = _torque_difference(before, after, part)
+    difference, uncertainty = _torque_difference(before, after, log.middle_part())
     rmse = np.sqrt(np.mean(difference**2, axis=0))
     torque = TorqueChange(
         motion=("a cycle of " if log.cycle_starts else "") + f"{log.path.parent.name}/{log.name}",

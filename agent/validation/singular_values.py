@@ -8,11 +8,11 @@ import numpy as np
 
 from agent.estimation import FilterSettings, motions
 from agent.model import IdentifiedModel
-from agent.recording import AROUND, Log
+from agent.recording import Log
 from agent.validation.torque import filtered_columns
 
-#: Parameters named in a direction of parameter space.
-_NAMED = 4
+#: Directions of parameter space that are named, and parameters in each.
+_WEAKEST, _NAMED = 3, 4
 _NORMAL_95 = 1.96
 
 
@@ -35,11 +35,10 @@ class Observability:
     within_noise: tuple[str, ...]
 
 
-def observability(model: IdentifiedModel, log: Log, directions: int = 3) -> Observability:
+def observability(model: IdentifiedModel, log: Log) -> Observability:
     """Look at a model along one cycle of the motion that it was estimated from."""
-    start, stop = log.middle_cycle()
     total = np.zeros((len(model.values), len(model.values)))
-    for m in motions(log.between(start - AROUND, stop + AROUND), FilterSettings(model.cutoff, model.order)):
+    for m in motions(log.middle_part(), FilterSettings(model.cutoff, model.order)):
         rows = filtered_columns(model, m) / model.residual_rmse[:, None]
         total += np.einsum("snp,snq->pq", rows, rows, optimize=True)
     length = np.sqrt(np.diag(total))
@@ -48,7 +47,7 @@ def observability(model: IdentifiedModel, log: Log, directions: int = 3) -> Obse
     energy, vectors = np.linalg.eigh(total / np.outer(scale, scale))
     values = np.sqrt(np.maximum(energy[::-1], 0.0))
     weakest = tuple(
-        (float(values[-1 - k] / values[0]), _largest_parts(vectors[:, k], model.names)) for k in range(directions)
+        (float(values[-1 - k] / values[0]), _largest_parts(vectors[:, k], model.names)) for k in range(_WEAKEST)
     )
     acting = np.abs(model.projection).max(axis=0) > 1e-12
     named = dict(zip(model.names, zip(model.values, model.standard_deviations, strict=True), strict=True))

@@ -139,21 +139,15 @@ class LogFile:
             self.flush()
             self._flushed = int(stamps[-1])
 
-    def write_set_points(
-        self, topic: str, times: np.ndarray, position: np.ndarray, velocity: np.ndarray | None = None
-    ) -> None:
-        """Add set-points, of the controller or planned, for controller times (K,) [s]: (K, n) each."""
-        self.write_states(topic, times, position, velocity, None)
-
     def write_states(
         self,
         topic: str,
         times: np.ndarray,
-        position: np.ndarray | None,
-        velocity: np.ndarray | None,
-        effort: np.ndarray | None,
+        position: np.ndarray | None = None,
+        velocity: np.ndarray | None = None,
+        effort: np.ndarray | None = None,
     ) -> None:
-        """Add joint states of any kind for controller times (K,) [s]: (K, n) each."""
+        """Add joint states of any kind, set-points too, for controller times (K,) [s]: (K, n) each."""
         stamps = nanoseconds(times)
         arrays = [None if values is None else np.asarray(values) for values in (position, velocity, effort)]
         self._append([(topic, arrays)], stamps, stamps + self._receive_offset, np.arange(len(stamps)))
@@ -242,8 +236,10 @@ class LogFile:
         return self._channels[topic]
 
 
-def write_log(path: Path, log: Log) -> None:
+def write_log(path: Path, log: Log, further: Mapping[str, Sequence[np.ndarray]] | None = None) -> None:
     """Write a log that is in memory, whole or not at all; an existing file is replaced.
+
+    `further` are joint states by topic: times (K,) [s from the first sample], position, velocity and effort (K, n).
 
     Raises:
         RecordingError: the file cannot be written.
@@ -251,7 +247,7 @@ def write_log(path: Path, log: Log) -> None:
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         beside.unlink(missing_ok=True)
-        _write_whole(beside, log)
+        _write_whole(beside, log, further or {})
         os.replace(beside, path)
     except OSError as error:
         raise RecordingError(path, error.strerror) from None
@@ -262,24 +258,20 @@ def write_log(path: Path, log: Log) -> None:
             beside.unlink(missing_ok=True)
 
 
-def as_samples(log: Log) -> LoggedSamples:
-    """A log in memory as one block of measured samples."""
-    times = log.stamp + log.t
-    return _Block(np.arange(len(times)), times, log.position, log.velocity, log.effort)
-
-
-def _write_whole(path: Path, log: Log) -> None:
+def _write_whole(path: Path, log: Log, further: Mapping[str, Sequence[np.ndarray]]) -> None:
     times = log.stamp + log.t
     run = log.metadata
     robot, motion = run.get("robot", ""), run.get("motion", "")
     facts = {key: run[key] for key in MACHINE if key in run}
     file = LogFile(path, log.joint_names, robot, motion, log.sample_rate, clock=lambda: times[0], facts=facts)
     try:
-        file.write(as_samples(log))
+        file.write(_Block(np.arange(len(times)), times, log.position, log.velocity, log.effort))
         for topic, position in ((REFERENCES, log.reference_position), (PLANNED, log.planned_position)):
             if position is not None:
                 known = np.all(np.isfinite(position), axis=1)
-                file.write_set_points(topic, times[known], position[known])
+                file.write_states(topic, times[known], position[known])
+        for topic, (seconds, *states) in further.items():
+            file.write_states(topic, log.stamp + seconds, *states)
         for start in log.cycle_starts:
             file.cycle_start(log.stamp + start)
         file.finish()

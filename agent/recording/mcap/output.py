@@ -14,7 +14,7 @@ import struct
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -71,12 +71,12 @@ class RecordingError(AgentError):
 class _Open:
     """The chunk in progress."""
 
-    parts: list[bytes]
-    size: int
-    count: int
-    start: int
-    end: int
-    indexes: dict[int, list[np.ndarray]]
+    parts: list[bytes] = field(default_factory=list)
+    size: int = 0
+    count: int = 0
+    start: int = 0
+    end: int = 0
+    indexes: dict[int, list[np.ndarray]] = field(default_factory=dict)
 
 
 class McapOutput:
@@ -103,7 +103,7 @@ class McapOutput:
         self._metadata: list[MetadataIndex] = []
         self._attachments: list[AttachmentIndex] = []
         self._metadata_count = 0
-        self._chunk = _empty()
+        self._chunk = _Open()
         self._emit(MCAP0_MAGIC + _bytes(Header(profile, library)))
 
     @property
@@ -212,7 +212,7 @@ class McapOutput:
             compressed_size=len(packed),
             uncompressed_size=len(data),
         )
-        self._chunk = _empty()
+        self._chunk = _Open()
         self._emit(body + indexes)
         self._chunks.append(index)
 
@@ -277,10 +277,6 @@ class McapOutput:
 
 
 _Fill = Callable[[np.ndarray], None]
-
-
-def _empty() -> _Open:
-    return _Open(parts=[], size=0, count=0, start=0, end=0, indexes={})
 
 
 def _bytes(record: McapRecord) -> bytes:

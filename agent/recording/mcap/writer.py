@@ -99,14 +99,14 @@ class LogWriter:
 
     def write_planned(self, time: np.ndarray, position: np.ndarray, velocity: np.ndarray | None = None) -> None:
         """Add what was planned for controller times (K,) [s]: position and velocity (K, n)."""
-        self._put(2 * position.nbytes, lambda: self._file.write_set_points(PLANNED, time, position, velocity))
+        self._put(2 * position.nbytes, lambda: self._file.write_states(PLANNED, time, position, velocity))
 
     def write_temperatures(self, readings: Sequence[tuple[float, np.ndarray]]) -> None:
         """Add temperatures of the motors: controller time [s] and (n,) [°C] of each reading."""
         if readings:
             times = np.array([time for time, _ in readings])
             values = np.array([values for _, values in readings])
-            self._put(values.nbytes, lambda: self._file.write_states(TEMPERATURES, times, None, None, values))
+            self._put(values.nbytes, lambda: self._file.write_states(TEMPERATURES, times, effort=values))
 
     def cycle_start(self, time: float) -> None:
         """Note a controller time [s] at which the motion begins anew."""

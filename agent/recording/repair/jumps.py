@@ -7,15 +7,12 @@ stamps that are late, did not move: something happened to its position.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.recording.log import Repair
 from agent.recording.scratch import Scratch
-
-if TYPE_CHECKING:
-    from agent.robot import RobotDescription
+from agent.robot import RobotDescription
 
 _NANO = 1_000_000_000
 _TIMES, _LATE = 5.0, 0.010  # of the highest speed; s
