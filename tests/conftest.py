@@ -20,6 +20,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from agent.robot import RobotDescription, load_robot
+
 # The same examples every time, so that a test tells of the change and not of the draw; `make verify` draws fresh ones.
 # No deadline, and no complaint about slow examples: how long one takes is the machine's affair.
 settings.register_profile(
@@ -40,6 +42,12 @@ def shared_data() -> Path:
     if not SHARED.is_dir():
         pytest.skip("measured data is not here: ../shared/data beside the checkout is missing")
     return SHARED
+
+
+@pytest.fixture(scope="session")
+def ns16() -> RobotDescription:
+    """The built-in robot."""
+    return load_robot("comau_ns16")
 
 
 @pytest.fixture

@@ -10,8 +10,9 @@ import numpy as np
 from agent.estimation import estimate
 from agent.model import IdentifiedModel
 from agent.recording.log import Log
-from agent.robot import Joint, RobotDescription
+from agent.robot import RobotDescription
 from fake_controller.plant import Plant
+from tests.arms import AXES, Bar, serial_arm
 
 PERIOD = 0.002
 CYCLE = 5.0
@@ -19,24 +20,13 @@ CYCLE = 5.0
 
 def make_arm(kinds: str) -> RobotDescription:
     """R and P for every joint, base first; bars that grow lighter towards the tip."""
-    parts, joints, parent = ['<robot name="bars"><link name="base"/>'], [], "base"
-    axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0", "0 1 0")
-    for k, kind in enumerate(kinds, start=1):
-        mass, slides = 30.0 / k, kind == "P"
+    bars = []
+    for k, kind in enumerate(kinds):
+        mass = 30.0 / (k + 1)
         bar = mass * 0.3**2 / 12
-        axis = "0 0 1" if slides else axes[k - 1]
-        parts.append(
-            f'<link name="link_{k}"><inertial><origin xyz="0.15 0 0.03"/><mass value="{mass}"/>'
-            f'<inertia ixx="{0.1 * bar}" iyy="{bar}" izz="{bar}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-            f'<joint name="joint_{k}" type="{"prismatic" if slides else "revolute"}"><parent link="{parent}"/>'
-            f'<child link="link_{k}"/><origin xyz="{0.3 * (k > 1)} 0 0"/><axis xyz="{axis}"/>'
-            '<limit lower="-2" upper="2" velocity="3" effort="9000"/></joint>'
-        )
-        parent = f"link_{k}"
-        joints.append(Joint(f"joint_{k}", slides, 100.0, None, 2.5, 8.0, None, 2e-4, None, None, -2.0, 2.0))
-    identity = tuple(tuple(float(i == j) for j in range(len(kinds))) for i in range(len(kinds)))
-    gravity = (0.0, 0.0, -9.80665)
-    return RobotDescription("bars", "".join([*parts, "</robot>"]), parent, gravity, None, tuple(joints), identity)
+        axis = "0 0 1" if kind == "P" else AXES[k]
+        bars.append(Bar(kind, f"{0.3 * (k > 0)} 0 0", axis, mass, "0.15 0 0.03", (0.1 * bar, bar, bar)))
+    return serial_arm(bars)
 
 
 def set_points(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

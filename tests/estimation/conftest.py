@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from agent.recording.log import Log
-from agent.robot import Joint, RobotDescription
+from agent.robot import RobotDescription
+from tests.arms import AXES, Bar, serial_arm
 
 
 def _arm(
@@ -17,29 +18,16 @@ def _arm(
 ) -> RobotDescription:
     """A serial arm with axes in turn about z, y, x, links of a few kilograms, gears of about a hundred."""
     rng = np.random.default_rng(seed)
-    axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0", "0 0 1")
-    text = ['<robot name="arm"><link name="base"/>']
-    joints = []
+    bars = []
     for k in range(dof):
         mass = 12.0 / (k + 1)
         size = 0.02 * mass
         centre = " ".join(f"{value:.3f}" for value in rng.uniform(-0.1, 0.1, 3))
-        kind = "prismatic" if k in prismatic else "revolute"
-        text.append(
-            f'<link name="link_{k + 1}"><inertial><origin xyz="{centre}"/><mass value="{mass}"/>'
-            f'<inertia ixx="{size}" iyy="{size}" izz="{0.6 * size}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-            f'<joint name="joint_{k + 1}" type="{kind}"><parent link="{"base" if k == 0 else f"link_{k}"}"/>'
-            f'<child link="link_{k + 1}"/><origin xyz="0.05 0.02 {0.3 if k else 0.4}"/><axis xyz="{axes[k]}"/>'
-            '<limit lower="-3" upper="3" velocity="4" effort="1000"/></joint>'
-        )
-        gear = (-1.0) ** k * (100.0 - 8.0 * k)
-        joints.append(
-            Joint(f"joint_{k + 1}", kind == "prismatic", gear, 1.0, 3.0, 20.0, None, 1e-4, None, None, -3.0, 3.0)
-        )
-    matrix = np.eye(dof) if coupling is None else coupling
-    rows = tuple(tuple(float(value) for value in row) for row in matrix)
-    urdf = "".join([*text, "</robot>"])
-    return RobotDescription("arm", urdf, f"link_{dof}", (0.0, 0.0, -9.80665), None, tuple(joints), rows)
+        kind, axis = "P" if k in prismatic else "R", "0 0 1" if k == 6 else AXES[k]
+        bars.append(Bar(kind, f"0.05 0.02 {0.3 if k else 0.4}", axis, mass, centre, (size, size, 0.6 * size)))
+    gears = [(-1.0) ** k * (100.0 - 8.0 * k) for k in range(dof)]
+    limits = {"speed": 3.0, "acceleration": 20.0, "limit": 3.0}
+    return serial_arm(bars, name="arm", gears=gears, coupling=coupling, nominal=1.0, rotor=1e-4, **limits)
 
 
 def _multisine(

@@ -24,11 +24,6 @@ WRIST = ((1, 0, 0, 0, 0, 0), (0, 1, 0, 0, 0, 0), (0, 0, 1, 0, 0, 0), (0, 0, 0, 1
 COUPLED = (*(tuple(map(float, row)) for row in WRIST), (0.0, 0.0, 0.0, 0.0, 1.0, 1.0))
 
 
-@pytest.fixture(scope="module")
-def ns16() -> RobotDescription:
-    return load_robot("comau_ns16")
-
-
 def bodies(robot: RobotDescription, seed: int = 0, spread: float = 0.1) -> np.ndarray:
     """(11 n,) physical parameters around the URDF's: each link scaled in mass and stretched."""
     from agent.robot.dynamics import Dynamics

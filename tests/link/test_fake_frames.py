@@ -20,24 +20,16 @@ from agent.motion.program import (
     Move,
     MoveType,
     Termination,
+    frame_of,
 )
-from agent.robot import kinematics_for, load_robot
+from agent.robot import kinematics_for
 from fake_controller.execution import Planner
 from fake_controller.frames import Transform, tool_point
 from fake_controller.interpolation import PARAMETERS
 from fake_controller.interpreter import FACTORY, Interpreter, left_over
+from tests.link.by_pinocchio import DATA, ROBOT, START, flange
 
-ROBOT = load_robot("comau_ns16")
-START = np.radians([5.0, 10.0, -95.0, 10.0, 40.0, 0.0])
 FLY_DISTANCE = 0.02
-
-_model = pinocchio.buildModelFromXML(ROBOT.urdf)
-_data = _model.createData()
-
-
-def flange(q: np.ndarray) -> pinocchio.SE3:
-    pinocchio.framesForwardKinematics(_model, _data, q)
-    return _data.oMf[_model.getFrameId(ROBOT.tip_frame)].copy()
 
 
 def se3(fields) -> pinocchio.SE3:
@@ -50,7 +42,7 @@ def se3(fields) -> pinocchio.SE3:
 
 
 def as_tuple(frame: pinocchio.SE3) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(float(x) for x in row) for row in frame.homogeneous)
+    return frame_of(frame.homogeneous)
 
 
 def run_on_the_fake(text: str, system: dict, start: np.ndarray = START) -> list[np.ndarray]:
@@ -183,7 +175,7 @@ def test_e_changes_where_the_arm_is_stretched_and_is_off_at_the_calibration_pose
     third = np.arange(-165.0, 105.0, 1.0)
     ways = np.radians([[0.0, 0.0, angle, 0.0, 30.0, 0.0] for angle in third])
     flange(ways[0])
-    shoulder = _data.oMi[2].translation.copy()
+    shoulder = DATA.oMi[2].translation.copy()
     reach = [np.linalg.norm(wrist_centre(q) - shoulder) for q in ways]
     bent = [kinematics.configuration(q).elbow for q in ways]
     assert not bent[int(np.flatnonzero(third == -90.0)[0])]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import pinocchio
 import pytest
 from hypothesis import Phase, given, settings, strategies as st
 
@@ -20,26 +19,19 @@ from agent.motion.program import (
     MoveType,
     OrientationType,
     Termination,
+    frame_of,
 )
-from agent.robot import load_robot
 from fake_controller.interpolation import build_interpolator
 from fake_controller.interpolation.parts import InterpolationLaw, drawn_law
 from fake_controller.interpolation.ramps import RampedMove
 from fake_controller.interpolation.second import SecondInterpolator
+from tests.link.by_pinocchio import ROBOT, START, flange
 
-ROBOT = load_robot("comau_ns16")
-START = np.radians([5.0, 10.0, -95.0, 10.0, 40.0, 0.0])
 PERIOD = 0.004
-_model = pinocchio.buildModelFromXML(ROBOT.urdf)
-_data = _model.createData()
 
 
 def tool_points(q: np.ndarray, tool: np.ndarray) -> np.ndarray:
-    points = []
-    for row in q:
-        pinocchio.framesForwardKinematics(_model, _data, row)
-        points.append(_data.oMf[_model.getFrameId(ROBOT.tip_frame)].act(tool))
-    return np.array(points)
+    return np.array([flange(row).act(tool) for row in q])
 
 
 def loop(via: int, distance: float, speed: float, kind: MoveType = MoveType.LINEAR) -> tuple[list[Move], np.ndarray]:
@@ -52,12 +44,11 @@ def loop(via: int, distance: float, speed: float, kind: MoveType = MoveType.LINE
         fly_trajectory=FlyTrajectory.FLY_TOL,
         fly_distance=distance,
         linear_speed=speed,
-        tool=tuple(tuple(float(x) for x in row) for row in tool),
+        tool=frame_of(tool),
     )
     moves = []
     for q in [*(START + np.radians(rng.uniform(-8, 8, (3, 6)))), START]:
-        pinocchio.framesForwardKinematics(_model, _data, q)
-        pose = _data.oMf[_model.getFrameId(ROBOT.tip_frame)].homogeneous @ tool
+        pose = flange(q).homogeneous @ tool
         target = JointTarget(q) if kind is MoveType.JOINT else CartesianTarget(pose)
         moves.append(Move(kind, target, fields, fly=True))
     moves[-1] = Move(kind, moves[-1].target, fields.changed(termination=Termination.FINE))

@@ -23,15 +23,10 @@ from agent.motion.program import (
     Termination,
 )
 from agent.motion.regions import pose_of
-from agent.robot import Kinematics, RobotDescription, kinematics_for, load_robot
+from agent.robot import Kinematics, RobotDescription, kinematics_for
 
 CENTRE = np.array([1.0, 0.0, 0.8])
 SIZE = np.array([0.5, 0.6, 0.4])
-
-
-@pytest.fixture(scope="session")
-def ns16() -> RobotDescription:
-    return load_robot("comau_ns16")
 
 
 @pytest.fixture(scope="session")

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from agent.core.errors import InputError
 from agent.motion import FlyInterpolator
 from agent.motion.program import CartesianTarget, JointTarget, MotionSettings, Move, MoveType, OrientationType
-from agent.robot import Joint, RobotDescription, kinematics_for
+from agent.robot import RobotDescription, kinematics_for
+from tests.robot.conftest import build
 
 #: Kind, origin and axis of each joint; and a second posture to go to from the first.
 ARMS = {
@@ -39,31 +42,13 @@ ARMS = {
 
 def arm(name: str) -> tuple[RobotDescription, np.ndarray, np.ndarray]:
     specs, start, end = ARMS[name]
-    parts = ['<robot name="arm"><link name="l0"/>']
-    for k, (kind, origin, axis) in enumerate(specs, start=1):
-        parts.append(
-            f'<joint name="j{k}" type="{"revolute" if kind == "R" else "prismatic"}"><parent link="l{k - 1}"/>'
-            f'<child link="l{k}"/><origin xyz="{origin}"/><axis xyz="{axis}"/>'
-            f'<limit lower="-3" upper="3" velocity="1" effort="1"/></joint><link name="l{k}"/>'
-        )
-    n = len(specs)
-    parts.append(
-        f'<joint name="mount" type="fixed"><parent link="l{n}"/><child link="tip"/><origin xyz="0.15 0 0.05"/></joint>'
-        '<link name="tip"/></robot>'
-    )
-    robot = RobotDescription(
-        name="arm",
-        urdf="".join(parts),
-        tip_frame="tip",
-        gravity=(0.0, 0.0, -9.81),
-        cartesian_limits=None,
-        joints=tuple(
-            Joint(f"j{k}", spec[0] == "P", 100.0, None, 2.0, 8.0, None, None, None, None, -3.0, 3.0)
-            for k, spec in enumerate(specs, start=1)
-        ),
-        motor_coupling=tuple(tuple(float(i == j) for j in range(n)) for i in range(n)),
-    )
-    return robot, np.array(start), np.array(end)
+    joints = [
+        (kind, [float(x) for x in xyz.split()], (0, 0, 0), [float(x) for x in axis.split()])
+        for kind, xyz, axis in specs
+    ]
+    robot = build(joints, tip=((0.15, 0, 0.05), (0, 0, 0)), limit=3.0)
+    slower = tuple(replace(joint, max_velocity=2.0, max_acceleration=8.0) for joint in robot.joints)
+    return replace(robot, joints=slower), np.array(start), np.array(end)
 
 
 def check_limits(robot, interpolator, trajectory):

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from agent.robot import Joint, RobotDescription, load_robot
+from agent.robot import Joint, RobotDescription
 
 #: One joint: (kind, origin xyz, origin rpy, axis); kind "R" or "P".
 JointSpec = tuple[str, Sequence[float], Sequence[float], Sequence[float]]
@@ -105,12 +105,6 @@ def make_arm() -> Callable[..., RobotDescription]:
 def make_spherical() -> Callable[..., RobotDescription]:
     """`spherical` above."""
     return spherical
-
-
-@pytest.fixture(scope="session")
-def ns16() -> RobotDescription:
-    """The built-in robot."""
-    return load_robot("comau_ns16")
 
 
 @pytest.fixture(scope="session")

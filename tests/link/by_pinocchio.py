@@ -1,0 +1,18 @@
+"""Where the NS16's flange is, by Pinocchio on the URDF: kinematics that neither planner nor emulator has."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio
+
+from agent.robot import load_robot
+
+ROBOT = load_robot("comau_ns16")
+START = np.radians([5.0, 10.0, -95.0, 10.0, 40.0, 0.0])
+_model = pinocchio.buildModelFromXML(ROBOT.urdf)
+DATA = _model.createData()
+
+
+def flange(q: np.ndarray) -> pinocchio.SE3:
+    pinocchio.framesForwardKinematics(_model, DATA, q)
+    return DATA.oMf[_model.getFrameId(ROBOT.tip_frame)].copy()
