@@ -1,13 +1,14 @@
 """Fits the tuned limits of the diagnosis on one set of draws and judges them on another.
 
 `python benchmarks/fit_decision_limits.py --keep FOLDER [--robot R] [--cases N] [--seed S] [--seconds T]
-[--only LIMIT…]`
+[--only LIMIT…] [--every]`
 
 Runs are drawn as the blind check draws them (`agent.blind_check.cases`), followed by the fake controller's plant, and
 diagnosed with the limits as they are, and with each tuned limit a step down and up. A limit moves where the cost of
 what comes out falls; those moved are then tried together on draws of the next seed, beside the limits as they are. How
-often an outcome changes is the limit's sensitivity. Every diagnosis is kept in FOLDER, so a rerun goes on where the
-last one stopped; with --seconds it stops by itself, after the run it is at.
+often an outcome changes is the limit's sensitivity; with --every that is all that is done, for every limit that these
+runs meet. Every diagnosis is kept in FOLDER, so a rerun goes on where the last one stopped; with --seconds it stops by
+itself, after the run it is at.
 """
 
 from __future__ import annotations
@@ -40,30 +41,39 @@ STEP = 1.25
 COST = {"right": 0.0, "in class": 0.25, "unknown": 1.0, "missed": 1.0, "no class": 1.0, "wrong name": 2.0}
 FALSE_ALARM = 4.0
 AS_IS, FITTED = "as they are", "fitted"
+#: Limits by which the data are put together, so that a run with another one starts from its logs.
+IN_DATA = ("stiction", "least_background", "moves", "block", "parity", "guard", "near_rest")
+#: Limits that no run drawn here meets: no model given, a simulator's file, one log, a warning only.
+NOT_MET = ("unknown_error", "least_error", "shortest", "clipped")
 
 
 def moved(limits: DecisionLimits, name: str, factor: float) -> DecisionLimits:
     """The limits with one of them `factor` times as large; of a share close to all, what is left of it."""
 
     def scaled(value: float) -> float:
+        if isinstance(value, int):
+            return round(value * factor)
         return 1 - (1 - value) * factor if 0.85 < value < 1 else value * factor
 
     value = getattr(limits, name)
     return replace(limits, **{name: tuple(map(scaled, value)) if isinstance(value, tuple) else scaled(value)})
 
 
-def variations(only: Sequence[str] | None = None) -> dict[str, DecisionLimits]:
-    """The limits as they are, and each tuned one, or some of them, a step down and up."""
+def variations(only: Sequence[str] | None = None, every: bool = False) -> dict[str, DecisionLimits]:
+    """The limits as they are, and each tuned one, all or some of them, a step down and up."""
     steps = {"/": 1 / STEP, "×": STEP}
     found = {AS_IS: LIMITS}
     for limit in described():
-        if limit.source == TUNED and (only is None or limit.name in only):
+        wanted = limit.name not in NOT_MET if every else limit.source == TUNED
+        if wanted and (only is None or limit.name in only):
             found |= {f"{limit.name} {sign}": moved(LIMITS, limit.name, factor) for sign, factor in steps.items()}
     return found
 
 
 def diagnosed(dataset: Dataset, limits: DecisionLimits) -> dict[str, Any]:
-    """Of data that were put together once: no tuned limit has a part in that."""
+    """Of data that were put together once, unless a limit that has a part in that is another one."""
+    if any(getattr(limits, name) != getattr(dataset.limits, name) for name in IN_DATA):
+        dataset = assemble(dataset.robot, dataset.model, dataset.logs, None, limits)
     dataset = replace(dataset, limits=limits)
     search = Search(dataset.fit, (), dataset.given, limits=limits)
     finding, gap = judge(dataset, search.run(), dataset.fit)
@@ -133,17 +143,30 @@ def fitted(draws: Draws, wanted: Mapping[str, DecisionLimits]) -> DecisionLimits
     return limits
 
 
+def table(draws: Draws, wanted: Mapping[str, DecisionLimits]) -> None:
+    """Of every limit, how many outcomes and first causes a step changes, and what that costs."""
+    print(f"{len(draws.cases)} runs, cost {draws.cost(AS_IS):.3f} with the limits as they are")
+    for limit in described():
+        steps = [name for name in wanted if name.split(" ")[0] == limit.name]
+        told = ", ".join(
+            f"{name[-1]} {STEP:g}: {draws.changed(name)} other, cost {draws.cost(name):.3f}" for name in steps
+        )
+        if steps:
+            print(f"{limit.name:22} {limit.value!s:>22}  {told}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robot", default="comau_ns16")
     parser.add_argument("--cases", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1, help="of the draws fitted on; the next one is judged on")
     parser.add_argument("--only", nargs="*", help="these limits")
+    parser.add_argument("--every", action="store_true", help="how far verdicts move with every limit; fits none")
     parser.add_argument("--keep", type=Path, required=True, help="folder for models and diagnoses")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after the run that passes it")
     arguments = parser.parse_args()
     arguments.keep.mkdir(parents=True, exist_ok=True)
-    robot, wanted, begin = load_robot(arguments.robot), variations(arguments.only), time.monotonic()
+    robot, wanted, begin = load_robot(arguments.robot), variations(arguments.only, arguments.every), time.monotonic()
     draws, others = (Draws(robot, arguments.cases, arguments.seed + k, arguments.keep) for k in (0, 1))
 
     def out_of_time(steps: Iterator[None]) -> bool:
@@ -155,18 +178,14 @@ def main() -> None:
 
     if out_of_time(draws.work(wanted)):
         sys.exit("not finished: start again with the same --keep")
+    if arguments.every:
+        table(draws, wanted)
+        return
     new = fitted(draws, wanted)
     moves = {limit.name: limit.value for limit in described(new) if limit.value != getattr(LIMITS, limit.name)}
     if out_of_time(others.work({AS_IS: LIMITS, f"{FITTED} {json.dumps(moves)}": new})):
         sys.exit("not finished: start again with the same --keep")
-    print(f"{len(draws.cases)} runs fitted on, cost {draws.cost(AS_IS):.3f} with the limits as they are")
-    for limit in described():
-        steps = [name for name in wanted if name.split(" ")[0] == limit.name]
-        told = ", ".join(
-            f"{name[-1]} {STEP:g}: {draws.changed(name)} other, cost {draws.cost(name):.3f}" for name in steps
-        )
-        if steps:
-            print(f"{limit.name:22} {limit.value!s:>22}  {told}")
+    table(draws, wanted)
     print(f"moved: {moves or 'none'}")
     after = others.cost(f"{FITTED} {json.dumps(moves)}")
     print(f"{len(others.cases)} other runs: cost {others.cost(AS_IS):.3f} as they are, {after:.3f} fitted")

@@ -11,19 +11,9 @@ from agent.diagnosis import diagnose
 from agent.diagnosis.dataset import assemble
 from agent.model import CATALOGUE
 from fake_controller.plant import Plant
-from tests.small_arms import learn, make_arm, record
+from tests.small_arms import record
 
 PARKED = (1.0, 1.0, 0.001)
-
-
-@pytest.fixture(scope="module")
-def arm():
-    return make_arm("RRR")
-
-
-@pytest.fixture(scope="module")
-def model(arm):
-    return learn(arm)
 
 
 @pytest.fixture(scope="module")

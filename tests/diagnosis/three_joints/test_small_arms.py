@@ -17,7 +17,6 @@ from agent.pipeline.printed_diagnosis import diagnosis_text
 from agent.recording.log import Log
 from agent.report.diagnosis_page import diagnosis_report, headline
 from agent.report.gap_section import diagnosis_section, diagnosis_summary
-from agent.robot import RobotDescription
 from agent.validation import predict_log
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record
@@ -40,16 +39,6 @@ LAST_RESORT = {
     "time_delay": {"delay": 0.006},
     "payload": {"m0": 1.0, "hx0": 0.1, "hy0": 0.0, "hz0": 0.0},
 }
-
-
-@pytest.fixture(scope="module")
-def arm() -> RobotDescription:
-    return make_arm("RRR")
-
-
-@pytest.fixture(scope="module")
-def model(arm) -> IdentifiedModel:
-    return learn(arm)
 
 
 @pytest.fixture(scope="module")

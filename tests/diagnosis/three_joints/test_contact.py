@@ -11,20 +11,10 @@ from agent.diagnosis.dataset import assemble
 from agent.model.effects import CATALOGUE
 from agent.robot.dynamics import Dynamics
 from fake_controller.plant import Plant
-from tests.small_arms import learn, make_arm, record
+from tests.small_arms import record
 
 FORCE = np.array([25.0, -40.0, 60.0])  # N
 CONTACT = CATALOGUE["contact"]
-
-
-@pytest.fixture(scope="module")
-def arm():
-    return make_arm("RRR")
-
-
-@pytest.fixture(scope="module")
-def model(arm):
-    return learn(arm)
 
 
 @pytest.fixture(scope="module")
