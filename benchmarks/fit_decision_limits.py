@@ -35,6 +35,7 @@ from agent.diagnosis.verdict import judge
 from agent.estimation import estimate
 from agent.robot import RobotDescription, load_robot
 from benchmarks.diagnosis_matrix import MOTIONS, cached, record
+from tests.small_arms import make_arm
 
 STEP = 1.25
 #: Of an outcome: a false alarm sends somebody to a healthy arm, a wrong name to the wrong part of it.
@@ -143,6 +144,14 @@ def fitted(draws: Draws, wanted: Mapping[str, DecisionLimits]) -> DecisionLimits
     return limits
 
 
+def the_robot(name: str) -> RobotDescription:
+    """A robot by name or path, or a small arm by its joints, R and P."""
+    if set(name) <= {"R", "P"}:
+        arm = make_arm(name)
+        return replace(arm, joints=tuple(replace(joint, nominal_motor_torque=1.0) for joint in arm.joints))
+    return load_robot(name)
+
+
 def table(draws: Draws, wanted: Mapping[str, DecisionLimits]) -> None:
     """Of every limit, how many outcomes and first causes a step changes, and what that costs."""
     print(f"{len(draws.cases)} runs, cost {draws.cost(AS_IS):.3f} with the limits as they are")
@@ -157,7 +166,7 @@ def table(draws: Draws, wanted: Mapping[str, DecisionLimits]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--robot", default="comau_ns16")
+    parser.add_argument("--robot", default="comau_ns16", help="as for agent diagnose; RRR: the small arm of the tests")
     parser.add_argument("--cases", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1, help="of the draws fitted on; the next one is judged on")
     parser.add_argument("--only", nargs="*", help="these limits")
@@ -166,7 +175,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after the run that passes it")
     arguments = parser.parse_args()
     arguments.keep.mkdir(parents=True, exist_ok=True)
-    robot, wanted, begin = load_robot(arguments.robot), variations(arguments.only, arguments.every), time.monotonic()
+    robot, wanted, begin = the_robot(arguments.robot), variations(arguments.only, arguments.every), time.monotonic()
     draws, others = (Draws(robot, arguments.cases, arguments.seed + k, arguments.keep) for k in (0, 1))
 
     def out_of_time(steps: Iterator[None]) -> bool:

@@ -70,11 +70,7 @@ def clopper_pearson(hits: int, trials: int, confidence: float = 0.95) -> tuple[f
 def score(entries: Sequence[Entry]) -> dict[str, Any]:
     """All figures, and a line for every run."""
     done = [entry for entry in entries if "error" not in entry]
-    free = [e for e in done if e["kind"] == "none"]
-    named = [e for e in done if e["kind"] in ("one", "two")]
-    outside = [e for e in done if e["kind"] == "outside"]
-    small = [e for e in done if e["kind"] == "small"]
-    two = [e for e in done if e["kind"] == "two"]
+    free, outside, small, two, named = (_of(done, *k.split()) for k in ("none", "outside", "small", "two", "one two"))
     seconds = [e["seconds"] for e in done]
     return {
         "runs": len(entries),
@@ -83,13 +79,10 @@ def score(entries: Sequence[Entry]) -> dict[str, Any]:
             kind: dict(Counter(e["outcome"] for e in entries if e["kind"] == kind)) for kind in _kinds(entries)
         },
         "not_recorded": [{"run": e["number"], "why": e["error"]} for e in entries if "error" in e],
-        "false_alarms": _proportion(free, lambda e: e["result"]["verdict"] != "no_gap"),
-        "top_1": _proportion(named, lambda e: e["outcome"] in ("right", "in class")),
+        **_main_figures(done),
         "top_3": _proportion(named, _in_top_three),
         "both_of_two": _proportion(two, _both_named),
         "joint": _proportion([e for e in named + outside if _joints_of(e)], _joint_right),
-        "wrong_names": _proportion(named, lambda e: e["outcome"] == "wrong name"),
-        "unknowns_recognised": _proportion(outside, lambda e: e["outcome"] == "right"),
         "unknowns_named": _proportion(outside, lambda e: e["outcome"] == "wrong name"),
         "too_small_left_alone": _proportion(small, lambda e: e["outcome"] in ("right", "in class")),
         "withheld": _withheld(named),
@@ -103,23 +96,30 @@ def score(entries: Sequence[Entry]) -> dict[str, Any]:
     }
 
 
+def _main_figures(done: Sequence[Entry]) -> dict[str, Any]:
+    """Of runs that were diagnosed, by what was there."""
+    named = _of(done, "one", "two")
+    return {
+        "false_alarms": _proportion(_of(done, "none"), lambda e: e["result"]["verdict"] != "no_gap"),
+        "top_1": _proportion(named, lambda e: e["outcome"] in ("right", "in class")),
+        "wrong_names": _proportion(named, lambda e: e["outcome"] == "wrong name"),
+        "unknowns_recognised": _proportion(_of(done, "outside"), lambda e: e["outcome"] == "right"),
+    }
+
+
 def _recorder(done: Sequence[Entry], name: str) -> dict[str, Any]:
     """The main figures of the runs whose logs were kept in one way."""
     entries = [e for e in done if e.get("recorder") == name]
-    named = [e for e in entries if e["kind"] in ("one", "two")]
     return {
         "runs": len(entries),
-        "false_alarms": _proportion(
-            [e for e in entries if e["kind"] == "none"], lambda e: e["result"]["verdict"] != "no_gap"
-        ),
-        "top_1": _proportion(named, lambda e: e["outcome"] in ("right", "in class")),
-        "wrong_names": _proportion(named, lambda e: e["outcome"] == "wrong name"),
-        "unknowns_recognised": _proportion(
-            [e for e in entries if e["kind"] == "outside"], lambda e: e["outcome"] == "right"
-        ),
-        "of_oracle": _closures(named)["of_oracle"],
+        **_main_figures(entries),
+        "of_oracle": _closures(_of(entries, "one", "two"))["of_oracle"],
         "brier": _calibration([e for e in entries if e["kind"] != "small" and e["result"]["causes"]])["brier"],
     }
+
+
+def _of(entries: Sequence[Entry], *kinds: str) -> list[Entry]:
+    return [e for e in entries if e["kind"] in kinds]
 
 
 def _kinds(entries: Sequence[Entry]) -> list[str]:

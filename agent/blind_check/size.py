@@ -24,7 +24,7 @@ def torque_change(robot: RobotDescription, logs: Sequence[Path], others: Sequenc
 
     Both are laid on each other from stop to stop; noise of the sensors leaves a few tenths of a percent at most.
     """
-    unit = np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 1.0)
+    unit = np.nan_to_num(robot.nominal_torque, nan=1.0)
     largest = 0.0
     for log, other in ((read_log(a, robot), read_log(b, robot)) for a, b in zip(logs, others, strict=True)):
         assert log.reference_position is not None

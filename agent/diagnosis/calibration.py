@@ -19,7 +19,7 @@ from agent.diagnosis.dataset import Dataset, precision_of
 from agent.diagnosis.finding import Finding, class_probability
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.gap import HeldOutGap
-from agent.model import FrictionChange, InertialMismatch, Payload
+from agent.model import CATALOGUE
 from agent.robot import ParameterLayout
 
 _EQUAL = 0.9  # of the best gain, from where on the plainer group is taken
@@ -125,11 +125,9 @@ def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tu
     last = fits[-1] if fits else dataset.fit
     for k, candidate in enumerate(finding.causes):
         fits.append(last.with_chosen(finding.causes[: k + 1]))
-        once = candidate.effect.once
-        alone.append(dataset.fit.with_chosen((candidate,)).out_of_fold(once))
-        where = ", ".join(names[j] for j in candidate.joints)
-        texts.append(f"{candidate.effect.name} of {where}" if where else candidate.effect.name)
-    stages = [fit.out_of_fold(any(c.effect.once for c in fit.chosen)) for fit in fits]
+        alone.append(dataset.fit.with_chosen((candidate,)).out_of_fold(candidate.effect.once))
+        texts.append(candidate.text(names))
+    stages = [fit.out_of_fold(fit.once) for fit in fits]
     errors = [gap.raw, *(gap.beyond(stage) for stage in (*stages, *alone))]
     energy = np.stack([_energy(error / gap.unit, dataset.fit.block) for error in errors])
     floor = 0.0 if gap.floor is None else float(np.mean(gap.floor**2))
@@ -183,21 +181,22 @@ def causes_of_steps(found: ReleasedSimulator, steps: Sequence[WaterfallStep], cl
     base, change = len(model.independent), found.moved.fit.change
     probability = class_probability(0.0, closure, found.given.limits)
     load = _load(found)
+    called = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}  # the built-in ones last
     causes = []
     bodies = 0.0
     for group, step in zip(found.groups, steps, strict=False):
         if load and group.kind == "link inertia" and group.joint == len(names) - 1:
-            equal = (EffectPlace(InertialMismatch.name, ()),)
-            causes.append(Cause(Payload.name, (), step.closes, probability, load, equal))
+            equal = (EffectPlace(called["links"], ()),)
+            causes.append(Cause(called["load"], (), step.closes, probability, load, equal))
             continue
         if group.kind != "friction":
             bodies += step.closes
             continue
         own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
         parameters = {f"{form}_change": value for form, value in own.items()}
-        causes.append(Cause(FrictionChange.name, (names[group.joint],), step.closes, probability, parameters))
+        causes.append(Cause(called["friction"], (names[group.joint],), step.closes, probability, parameters))
     if bodies:
         known = np.abs(change[:base]) > _MOVED * model.standard_deviations[:base]
         parameters = {model.names[k]: float(change[k]) for k in np.flatnonzero(known)}
-        causes.append(Cause(InertialMismatch.name, (), bodies, probability, parameters))
+        causes.append(Cause(called["links"], (), bodies, probability, parameters))
     return tuple(sorted(causes, key=lambda cause: -(cause.closure or 0.0)))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.model import Effect, FitContext, NominalModel
+from agent.model import Effect, FitContext, ModelEffect, NominalModel
 
 #: An effect's name, and joints from 0; none for one of the whole arm or base.
 Where = tuple[str, tuple[int, ...]]
@@ -33,6 +33,16 @@ class Candidate:
     def place(self) -> Where:
         """Effect and joints."""
         return self.effect.name, self.joints
+
+    def text(self, joint_names: Sequence[str]) -> str:
+        """As a step or a range is called."""
+        where = ", ".join(joint_names[j] for j in self.joints)
+        return f"{self.effect.name} of {where}" if where else self.effect.name
+
+    def part_of_model(self, values: np.ndarray, joint_names: Sequence[str]) -> ModelEffect:
+        """The effect with linear parameters (k,), as a model has it."""
+        parameters = {**self.settings, **dict(zip(self.names, map(float, values), strict=True))}
+        return ModelEffect(self.effect.name, tuple(joint_names[j] for j in self.joints), parameters)
 
 
 @dataclass(frozen=True, eq=False)

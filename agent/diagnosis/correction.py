@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from agent.diagnosis.result import Diagnosis
-from agent.model import Correction, ModelEffect, Released, Simulator, correct
+from agent.model import Correction, Released, Simulator, correct
 
 
 def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = None) -> Correction:
@@ -27,11 +27,8 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
         into[group.kind][group.joint] = reason(group.text(names))
     effects, reasons = [], {}
     for candidate, values in zip(fit.chosen, fitted, strict=True):
-        joints = tuple(names[j] for j in candidate.joints)
-        step = f"{candidate.effect.name} of {', '.join(joints)}" if joints else candidate.effect.name
-        reasons[candidate.effect.name, joints] = reason(step)
-        parameters = {**candidate.settings, **dict(zip(candidate.names, map(float, values), strict=True))}
-        effects.append(ModelEffect(candidate.effect.name, joints, parameters))
+        reasons[candidate.effect.name, tuple(names[j] for j in candidate.joints)] = reason(candidate.text(names))
+        effects.append(candidate.part_of_model(values, names))
     inertia = np.mean([np.diagonal(s.mass, axis1=1, axis2=2).mean(axis=0) for s in fit.signals], axis=0)
     found = correct(simulator, change, weight, inertia, effects, released, reasons)
     given, gap = diagnosis.dataset.model, diagnosis.gap

@@ -12,8 +12,7 @@ from agent.diagnosis.limits import DecisionLimits
 
 def joint_energy(fit: Fit) -> np.ndarray:
     """(n,) mean of (e / σ)² held out."""
-    single = any(c.effect.once for c in fit.chosen)
-    return np.nanmean((fit.out_of_fold(single) / fit.sigma) ** 2, axis=0)
+    return np.nanmean((fit.out_of_fold(fit.once) / fit.sigma) ** 2, axis=0)
 
 
 def over_background(fit: Fit) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from agent.model import IdentifiedModel, ModelEffect
+from agent.model import IdentifiedModel
 
 if TYPE_CHECKING:
     from agent.diagnosis.result import Diagnosis
@@ -22,11 +22,7 @@ def extended_model(diagnosis: Diagnosis, without: int | None = None, once: bool 
     names = model.robot.joint_names
     change, fitted = fit.fitted(None if without is None else fit.folds[without])
     effects = tuple(
-        ModelEffect(
-            candidate.effect.name,
-            tuple(names[j] for j in candidate.joints),
-            {**candidate.settings, **dict(zip(candidate.names, map(float, values), strict=True))},
-        )
+        candidate.part_of_model(values, names)
         for candidate, values in zip(fit.chosen, fitted, strict=True)
         if once or not candidate.effect.once
     )

@@ -116,6 +116,11 @@ class Fit:
         return not np.any(self.shift)
 
     @property
+    def once(self) -> bool:
+        """Whether a chosen effect happens once, so that `single` folds are what it can be judged by."""
+        return any(c.effect.once for c in self.chosen)
+
+    @property
     def near_rest(self) -> np.ndarray:
         """(S', n) bool: rows so near to a standstill of their joint that stiction may leave the torque open."""
         return self.sigma > 1.01 * self.sigma.min(axis=0)
@@ -244,7 +249,7 @@ class Fit:
             yield candidate, (cross, own)
 
     def _score(self, candidate: Candidate, cross: np.ndarray, own: np.ndarray) -> HeldOutScore:
-        single = candidate.effect.once or any(c.effect.once for c in self.chosen)
+        single = candidate.effect.once or self.once
         energy = own.sum(axis=0).diagonal()
         if not np.all(np.isfinite(energy)) or np.all(energy <= 1e-9):
             return HeldOutScore(candidate, self.error(single), 0.0, np.zeros(len(candidate.names)))

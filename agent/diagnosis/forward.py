@@ -56,7 +56,7 @@ def simulate(diagnosis: Diagnosis) -> list[Simulated]:
             continue
         settings = FilterSettings(dataset.cutoff, dataset.model.order)
         motion = max(motions(log, settings, reduce=False), key=lambda m: len(m.time))
-        motion = _cut(motion)
+        motion = shortened(motion, int(LONGEST * motion.rate))  # edges included
         if motion.torque is None or motion.set_points is None or not np.all(np.isfinite(motion.set_points)):
             continue
         held_out = len(dataset.logs) > 1
@@ -84,22 +84,20 @@ def simulation_part(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> dic
     """Plain figures per joint: root mean square error of torque over nominal, and of position [rad], all logs."""
     if not simulated:
         return None
-    nominal = diagnosis.dataset.robot.nominal_torque
-    unit = np.where(np.isfinite(nominal), nominal, 1.0)
 
     def rms(name: str) -> np.ndarray:
         return np.sqrt(np.mean(np.concatenate([getattr(s, name) for s in simulated]) ** 2, axis=0))
 
     return {
         "logs": [{"log": s.log, "seconds": float(s.time[-1] - s.time[0]), "held_out": s.held_out} for s in simulated],
-        "torque": {side: (rms(f"torque_{side}") / unit).tolist() for side in ("before", "after")},
+        "torque": {side: (rms(f"torque_{side}") / diagnosis.gap.unit).tolist() for side in ("before", "after")},
         "position": {side: rms(f"position_{side}").tolist() for side in ("before", "after")},
     }
 
 
-def _cut(motion: Motion) -> Motion:
-    """The first `LONGEST` seconds, edges included."""
-    part = slice(0, int(LONGEST * motion.rate))
+def shortened(motion: Motion, count: int) -> Motion:
+    """Its first samples."""
+    part = slice(count)
     return replace(
         motion,
         time=motion.time[part],

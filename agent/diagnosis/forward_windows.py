@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ import numpy as np
 
 from agent.core import InputError, RejectedError
 from agent.diagnosis.correction import corrected
+from agent.diagnosis.forward import shortened
 from agent.diagnosis.result import Diagnosis
 from agent.diagnosis.rollout import Drive, at_motors, engine
 from agent.estimation import FilterSettings, Motion, motions
@@ -90,7 +91,7 @@ def _windows(diagnosis: Diagnosis) -> list[ForwardWindow]:
             first, last = dataset.time[rows].min(), dataset.time[rows].max()
             starts = [
                 ForwardWindow(motion, int(k), fold)
-                for motion in (_cut(part, last) for part in parts)
+                for motion in (shortened(p, int(np.searchsorted(p.time, last, side="right"))) for p in parts)
                 for k in range(motion.edge, len(motion.time), max(1, int(0.5 * motion.rate)))
                 if first <= motion.time[k] <= last - _HORIZONS[0]
             ]
@@ -102,21 +103,6 @@ def _windows(diagnosis: Diagnosis) -> list[ForwardWindow]:
         pick = np.unique(np.linspace(0, len(long) - 1, min(share, len(long))).astype(int))
         chosen += [long[k] for k in pick]
     return chosen
-
-
-def _cut(motion: Motion, last: float) -> Motion:
-    """Up to a time of its log [s]."""
-    end = int(np.searchsorted(motion.time, last, side="right"))
-    assert motion.torque is not None
-    return replace(
-        motion,
-        time=motion.time[:end],
-        q=motion.q[:end],
-        qd=motion.qd[:end],
-        qdd=motion.qdd[:end],
-        torque=motion.torque[:end],
-        set_points=None if motion.set_points is None else motion.set_points[:end],
-    )
 
 
 def _features(motion: Motion, joint: int) -> np.ndarray:

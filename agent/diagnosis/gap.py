@@ -66,20 +66,25 @@ class HeldOutGap:
         return self.largest < self.limits.small_gap
 
     def _part(self, worse: np.ndarray, better: np.ndarray) -> float | None:
-        b = np.mean(self.before**2)
-        f = 0.0 if self.floor is None else float(np.mean(self.floor**2))
-        return (
-            None
-            if b < self.limits.no_closure**2 * f or b <= 0
-            else float((np.mean(worse**2) - np.mean(better**2)) / (b - f))
-        )
+        return closure(self.before, worse, better, self.floor, self.limits)
+
+
+def closure(
+    before: np.ndarray, worse: np.ndarray, better: np.ndarray, floor: np.ndarray | None, limits: DecisionLimits
+) -> float | None:
+    """(W² − A²) / (B² − F²) of errors per joint (n,), `worse` W to `better` A; None where there is nothing to close."""
+    b = np.mean(before**2)
+    f = 0.0 if floor is None else float(np.mean(floor**2))
+    if b < limits.no_closure**2 * f or b <= 0:
+        return None
+    return float((np.mean(worse**2) - np.mean(better**2)) / (b - f))
 
 
 def held_out_gap(dataset: Dataset, fit: Fit) -> HeldOutGap:
     """The gap with the effects of a fit: every row under the parameters that did not see it."""
     robot = dataset.robot
-    unit = np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 1.0)
-    left = fit.out_of_fold(any(c.effect.once for c in fit.chosen))
+    unit = np.nan_to_num(robot.nominal_torque, nan=1.0)
+    left = fit.out_of_fold(fit.once)
     raw = dataset.residual if dataset.given else dataset.fit.out_of_fold()
     raw = np.where(np.isnan(left[:, :1]), np.nan, raw)
     gain, largest = _on_own_joints(fit, raw, left)

@@ -243,8 +243,7 @@ class Search:
         return float(np.sum(over if joints is None else over[list(joints)]) * self.rows / len(fit.rows))
 
     def _total(self, fit: Fit) -> float:
-        single = any(c.effect.once for c in fit.chosen)
-        return fit.error(single) + self.fit.error() - self.fit.error(single)
+        return fit.error(fit.once) + self.fit.error() - self.fit.error(fit.once)
 
     def _pruned(self, chosen: tuple[Candidate, ...]) -> tuple[Candidate, ...]:
         """Without what the others explain as well."""

@@ -46,7 +46,7 @@ def ranges(diagnosis: Diagnosis) -> tuple[Range, ...]:
     prior = np.eye(spread.shape[1])
     prior[count:, count:] = fit.prior[p:, p:]
     covariance = np.linalg.inv(spread.T @ information @ spread + prior)
-    energy = np.nanmean((fit.out_of_fold(any(c.effect.once for c in fit.chosen)) / fit.sigma) ** 2)
+    energy = np.nanmean((fit.out_of_fold(fit.once) / fit.sigma) ** 2)
     deviation = np.sqrt(np.diag(covariance) * max(1.0, float(energy)))
     change, effects = fit.fitted()
     moved = np.linalg.lstsq(spread[:p, :count], change, rcond=1e-9)[0] if count else np.zeros(0)
@@ -77,9 +77,8 @@ def ranges(diagnosis: Diagnosis) -> tuple[Range, ...]:
     for candidate, values in zip(fit.chosen, effects, strict=True):
         own = slice(at, at + len(values))
         at = own.stop
-        where = " of " + ", ".join(robot.joint_names[j] for j in candidate.joints) if candidate.joints else ""
         for name, value, least in zip(candidate.names, values, deviation[own], strict=True):
-            either = Range(candidate.effect.name + where, name, float(value), *_ends(value, least), "SI")
+            either = Range(candidate.text(robot.joint_names), name, float(value), *_ends(value, least), "SI")
             result.append(either)
     return tuple(result)
 

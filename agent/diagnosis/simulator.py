@@ -24,7 +24,7 @@ from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.verdict import judge
 from agent.estimation import FilterSettings, resolve_cutoff
-from agent.model import IdentifiedModel, InertialMismatch, Payload
+from agent.model import CATALOGUE, IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
 
@@ -43,10 +43,9 @@ class Explanation:
     @property
     def like_links(self) -> bool:
         """Whether an effect that was found may stand in for links that weigh otherwise: a torque over position."""
+        links = {name for name, effect in CATALOGUE.items() if effect.numbers == "links"}
         effects = [candidate.effect for candidate in self.finding.causes]
-        return any(
-            e.name != Payload.name and (e.family == "load" or InertialMismatch.name in e.confused_with) for e in effects
-        )
+        return any(e.numbers != "load" and (e.family == "load" or links & {*e.confused_with}) for e in effects)
 
     @property
     def left(self) -> float:

@@ -28,8 +28,6 @@ _UNITS = {
     "gap": "rad", "travel": "rad", "low": "rad", "high": "rad", "order": "1/rad",
     "delay": "s", "shift": "s", "blend": "s", "start": "s", "end": "s", "duration": "s", "time": "s",
 }  # fmt: skip
-_INTERNAL = ("m0", "hx0", "hy0", "hz0")
-_CHANGES = ("asymmetry", "change")
 _SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad")}  # where the figure is small
 
 
@@ -60,9 +58,7 @@ def size_text(
 def told(cause: Mapping[str, Any]) -> list[str]:
     """The parameters of a cause that say something to people: not the point about which a form is made linear, nor
     that a friction level is one of those that change."""
-    given = cause["parameters"]
-    switches = {name for name in ("coulomb", "viscous") if any(f"{name}_{kind}" in given for kind in _CHANGES)}
-    return [name for name in given if name not in _INTERNAL and name not in switches]
+    return [name for name in cause["parameters"] if name not in CATALOGUE[cause["effect"]].untold]
 
 
 def leading(cause: Mapping[str, Any]) -> str | None:

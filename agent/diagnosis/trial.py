@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from agent.diagnosis.candidate import Candidate
+from agent.diagnosis.gap import closure, rms
 from agent.diagnosis.result import Diagnosis
 from agent.model import CATALOGUE, Effect
 
@@ -22,7 +23,7 @@ class Trial:
 
     def __init__(self, diagnosis: Diagnosis, gap: Mapping[str, Any] | None = None):
         self._dataset, self._gap = diagnosis.dataset, diagnosis.result["gap"] if gap is None else gap
-        self._fit = diagnosis.dataset.fit
+        self._fit, self._unit = diagnosis.dataset.fit, diagnosis.gap.unit
 
     @property
     def worst_joint(self) -> str:
@@ -68,14 +69,7 @@ class Trial:
 
     def closure(self, chosen: Sequence[Candidate]) -> float | None:
         """(B² − A²) / (B² − F²) with A of these effects, and B and F as the diagnosis reports them."""
-        robot = self._dataset.robot
-        unit = np.where(np.isfinite(robot.nominal_torque), robot.nominal_torque, 1.0)
-        left = self._fit.with_chosen(chosen).out_of_fold(any(c.effect.once for c in chosen)) / unit
-        after = float(np.mean(np.nanmean(left**2, axis=0)))
-        before = float(np.mean(np.square(self._gap["before"])))
-        floor = 0.0 if self._gap["floor"] is None else float(np.mean(np.square(self._gap["floor"])))
-        return (
-            None
-            if before < self._dataset.limits.no_closure**2 * floor or before <= 0
-            else (before - after) / (before - floor)
-        )
+        fit = self._fit.with_chosen(chosen)
+        before, floor = (None if self._gap[key] is None else np.array(self._gap[key]) for key in ("before", "floor"))
+        assert before is not None
+        return closure(before, before, rms(fit.out_of_fold(fit.once)) / self._unit, floor, self._dataset.limits)

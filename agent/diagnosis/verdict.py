@@ -49,13 +49,12 @@ def judge(dataset: Dataset, finding: Finding, plain: Fit) -> tuple[Finding, Held
 def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Cause, ...]:
     """The causes of a finding with their figures."""
     fit, joints = finding.fit, dataset.robot.joint_names
-    single = any(c.effect.once for c in fit.chosen)
     parts = zip(finding.causes, fit.values, finding.rivals, finding.probability, strict=True)
     return tuple(
         Cause(
             candidate.effect.name,
             tuple(joints[j] for j in candidate.joints),
-            gap.closure_without(fit.out_of_fold(single, number)),
+            gap.closure_without(fit.out_of_fold(fit.once, number)),
             probability,
             candidate.effect.reported(
                 fit.reference,

@@ -22,7 +22,6 @@ from agent.motion import (
     MoveType,
     Statement,
     Termination,
-    Trajectory,
     create_interpolator,
     with_frames,
 )
@@ -130,7 +129,7 @@ class Pieces:
             trajectory = self._interpolator.plan(statements, start)
         except (MotionError, KinematicsError):
             return None
-        if trajectory.duration > self._longest or not self._clear(trajectory):
+        if trajectory.duration > self._longest or not self._candidates.clear(trajectory):
             return None
         motion = GridMotion(trajectory.t, trajectory.q, trajectory.qd, trajectory.qdd)
         return Piece(draw, start, tuple(statements), motion, trajectory.duration)
@@ -182,6 +181,3 @@ class Pieces:
         postures[:, joint] += np.linspace(-turn, turn, 9)
         tips = self._candidates.kinematics.forward(postures)[:, :3, 3]
         return bool(np.all(tips >= self._low) and np.all(tips <= self._high))
-
-    def _clear(self, trajectory: Trajectory) -> bool:
-        return self._candidates.clear(trajectory)

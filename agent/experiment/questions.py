@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
-from typing import cast
 
 import numpy as np
 
 from agent.diagnosis import Candidate, Diagnosis, Fit, best_by_place, plausible
-from agent.model import CATALOGUE, FitContext
+from agent.model import CATALOGUE
 
 Place = tuple[str, tuple[int, ...]]
 
@@ -111,7 +110,7 @@ def _untested(found: Diagnosis) -> Iterator[OpenPair]:
         places = [place for place in effect.places(found.dataset.robot) if set(joints) <= set(place)]
         if effect.once or effect.shows_in != "torque" or not places:
             continue
-        forms = fit.candidates([(effect, places[0], s) for s in effect.settings(_context(fit), places[0])[:_FORMS]])
+        forms = fit.candidates([(effect, places[0], s) for s in effect.settings(fit, places[0])[:_FORMS]])
         sized = tuple(_practical(fit, form) for form in forms)
         if sized:
             least = finding.least / fit.repeat
@@ -135,11 +134,9 @@ def _practical(fit: Fit, form: Candidate) -> Form:
 def _hypothesis(found: Diagnosis, fit: Fit, place: Place) -> Hypothesis:
     """The forms of an effect at a place that explain these logs best."""
     effect = CATALOGUE[place[0]]
-    wanted: list[tuple[object, tuple[int, ...], Mapping[str, float]]] = [
-        (effect, place[1], settings) for settings in effect.settings(_context(fit), place[1])
-    ]
+    wanted = [(effect, place[1], settings) for settings in effect.settings(fit, place[1])]
     cause = next((c for c in found.finding.causes if c.place == place), None)
-    candidates = ([cause] if cause is not None else []) + fit.candidates(wanted)  # type: ignore[arg-type]
+    candidates = ([cause] if cause is not None else []) + fit.candidates(wanted)
     scores = sorted((s for s in fit.score(candidates) if plausible(s)), key=lambda s: -s.gain)
     best = best_by_place(scores).get(place)
     forms: list[Form] = []
@@ -148,10 +145,6 @@ def _hypothesis(found: Diagnosis, fit: Fit, place: Place) -> Hypothesis:
             forms.append(Form(score.candidate, score.values, _covariance(fit, score.candidate)))
     names = found.dataset.robot.joint_names
     return Hypothesis(effect.name, tuple(names[k] for k in place[1]), tuple(forms))
-
-
-def _context(fit: Fit) -> FitContext:
-    return cast("FitContext", fit)  # its lists are not written to
 
 
 def _covariance(fit: Fit, candidate: Candidate) -> np.ndarray:
@@ -169,8 +162,3 @@ def _margin(found: Diagnosis, fit: Fit) -> float:
     """What the verdict asks of a cause over its rival, in independent rows (point 9 of docs/diagnosis.md)."""
     rows = float(fit.count.sum())
     return found.dataset.limits.near_floor * rows / fit.repeat
-
-
-def text_of(pairs: Sequence[OpenPair]) -> str:
-    """What is open, for people."""
-    return "; ".join(f"{pair.first.text()} or {pair.second.text()}" for pair in pairs)

@@ -1,8 +1,5 @@
 from .effects import CATALOGUE as CATALOGUE
 from .effects.effect import Columns as Columns, Effect as Effect, FitContext as FitContext
-from .effects.friction_change import FrictionChange as FrictionChange
-from .effects.inertial_mismatch import InertialMismatch as InertialMismatch
-from .effects.payload import Payload as Payload
 from .export import export_model as export_model
 from .friction_terms import (
     FORMS as FORMS,
@@ -23,7 +20,6 @@ from .signals import MotionSignals as MotionSignals, NominalModel as NominalMode
 from .simulators.arm import SIMULATOR as SIMULATOR
 from .simulators.corrected_file import write_corrected as write_corrected, written_files as written_files
 from .simulators.correction import (
-    NOT_OF_A_SIMULATOR as NOT_OF_A_SIMULATOR,
     Correction as Correction,
     Released as Released,
     correct as correct,

@@ -29,6 +29,7 @@ from agent.model.friction_terms import ODD, steady_columns
 from agent.model.identified import IdentifiedModel
 from agent.model.sdf import sdf_text
 from agent.model.standard_parameters import check_physical, full_parameters
+from agent.model.urdf_elements import digits, end_of, inertial_element
 from agent.recording import FOXGLOVE_LAYOUT, foxglove_layout
 from agent.robot import ParameterLayout, about_centre
 
@@ -92,24 +93,25 @@ def urdf_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -
     for name, joint in joints.items():
         if name not in robot.joint_names:
             joint.set("type", "fixed")
-            children.setdefault(_end(joint, "parent"), []).append(_end(joint, "child"))
+            children.setdefault(end_of(joint, "parent"), []).append(end_of(joint, "child"))
     links = {link.get("name"): link for link in root.findall("link")}
     own = np.abs(np.diag(robot.coupling))
     for k, name in enumerate(robot.joint_names):
-        moved = _end(joints[name], "child")
+        moved = end_of(joints[name], "child")
         for fixed in _descendants(moved, children):
             for old in links[fixed].findall("inertial"):
                 links[fixed].remove(old)
-        links[moved].insert(0, _inertial(standard[layout.link(k)]))
+        block = standard[layout.link(k)]
+        links[moved].insert(0, inertial_element(block[0], block[1:4] / block[0], about_centre(block)))
         for old in joints[name].findall("dynamics"):
             joints[name].remove(old)
         damping, friction = lines[k] * (own[k] ** 2, own[k])
-        SubElement(joints[name], "dynamics", damping=_text(damping), friction=_text(friction))
+        SubElement(joints[name], "dynamics", damping=digits(damping), friction=digits(friction))
     extension = root.find("mujoco")
     extension = SubElement(root, "mujoco") if extension is None else extension
     option = extension.find("option")
     option = SubElement(extension, "option") if option is None else option
-    option.set("gravity", _text(*robot.gravity))
+    option.set("gravity", digits(*robot.gravity))
     return _document(root)
 
 
@@ -121,26 +123,26 @@ def mujoco_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray)
     layout = ParameterLayout.of(robot)
     root = Element("mujoco", model=robot.name)
     SubElement(root, "compiler", angle="radian", autolimits="true")
-    SubElement(root, "option", gravity=_text(*robot.gravity))
+    SubElement(root, "option", gravity=digits(*robot.gravity))
     body = SubElement(root, "worldbody")
     joints = {joint.get("name"): joint for joint in ElementTree.fromstring(robot.urdf).findall("joint")}
     before, zero = np.eye(4), np.zeros((1, robot.dof))
     armature = robot.gear_ratios**2 * standard[layout.rotors]
     tendons = []
     for k, (joint, axis) in enumerate(zip(robot.joints, joint_axes(robot), strict=True)):
-        link = _end(joints[joint.name], "child")
+        link = end_of(joints[joint.name], "child")
         frame = dynamics.link_poses(zero, link)[0]
         body = SubElement(body, "body", {"name": link, **_placement(np.linalg.solve(before, frame))})
         before = frame
         block = standard[layout.link(k)]
         inertia = about_centre(block)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
         SubElement(
-            body, "inertial", pos=_text(*(block[1:4] / block[0])), mass=_text(block[0]), fullinertia=_text(*inertia)
+            body, "inertial", pos=digits(*(block[1:4] / block[0])), mass=digits(block[0]), fullinertia=digits(*inertia)
         )
         element = SubElement(body, "joint", name=joint.name, type="slide" if joint.prismatic else "hinge")
-        element.set("axis", _text(*axis))
+        element.set("axis", digits(*axis))
         if np.isfinite([joint.lower, joint.upper]).all():
-            element.set("range", _text(joint.lower, joint.upper))
+            element.set("range", digits(joint.lower, joint.upper))
         row = robot.coupling[k]
         if np.count_nonzero(row) == 1 and row[k] != 0:
             size = abs(row[k])
@@ -154,7 +156,7 @@ def mujoco_text(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray)
         for name, row, acting in tendons:
             tendon = SubElement(group, "fixed", {"name": name, **acting})
             for axle in np.flatnonzero(row):
-                SubElement(tendon, "joint", joint=robot.joint_names[axle], coef=_text(row[axle]))
+                SubElement(tendon, "joint", joint=robot.joint_names[axle], coef=digits(row[axle]))
     return _document(root)
 
 
@@ -263,39 +265,18 @@ def _read_back(model: IdentifiedModel, urdf: Path, mujoco: Path, friction: Path)
     ElementTree.parse(mujoco)
 
 
-def _inertial(block: np.ndarray) -> Element:
-    element = Element("inertial")
-    SubElement(element, "origin", xyz=_text(*(block[1:4] / block[0])), rpy="0 0 0")
-    SubElement(element, "mass", value=_text(block[0]))
-    inertia = about_centre(block)
-    axes = "xyz"
-    names = {f"i{axes[i]}{axes[j]}": _text(inertia[i, j]) for i in range(3) for j in range(i, 3)}
-    SubElement(element, "inertia", names)
-    return element
-
-
 def _placement(pose: np.ndarray) -> dict[str, str]:
-    return {"pos": _text(*pose[:3, 3]), "xyaxes": _text(*pose[:3, 0], *pose[:3, 1])}
+    return {"pos": digits(*pose[:3, 3]), "xyaxes": digits(*pose[:3, 0], *pose[:3, 1])}
 
 
 def _axle(armature: float, damping: float, friction: float) -> dict[str, str]:
-    return {"armature": _text(armature), "damping": _text(damping), "frictionloss": _text(friction)}
-
-
-def _end(joint: Element, which: str) -> str:
-    element = joint.find(which)
-    return "" if element is None else element.get("link", "")
+    return {"armature": digits(armature), "damping": digits(damping), "frictionloss": digits(friction)}
 
 
 def _descendants(link: str, children: dict[str | None, list[str]]) -> Iterable[str]:
     yield link
     for child in children.get(link, []):
         yield from _descendants(child, children)
-
-
-def _text(*numbers: float) -> str:
-    """With every digit: rounding in a URDF costs torque."""
-    return " ".join(repr(float(number)) for number in numbers)
 
 
 def _document(root: Element) -> str:

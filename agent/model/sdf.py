@@ -12,6 +12,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from agent.model.identified import IdentifiedModel
+from agent.model.urdf_elements import rpy_of
 from agent.robot import ParameterLayout, about_centre, joint_axes
 
 _AXES = "xyz"
@@ -63,14 +64,8 @@ def _inertial(link: Element, block: np.ndarray) -> None:
 
 
 def _pose(frame: np.ndarray) -> tuple[float, ...]:
-    """x, y, z, roll, pitch, yaw of a frame (4, 4): R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    turn = frame[:3, :3]
-    pitch = np.arctan2(-turn[2, 0], np.hypot(turn[0, 0], turn[1, 0]))
-    if np.hypot(turn[0, 0], turn[1, 0]) > 1e-9:
-        roll, yaw = np.arctan2(turn[2, 1], turn[2, 2]), np.arctan2(turn[1, 0], turn[0, 0])
-    else:  # upright: roll and yaw turn about one axis
-        roll, yaw = 0.0, np.arctan2(-turn[0, 1], turn[1, 1])
-    return (*map(float, frame[:3, 3]), float(roll), float(pitch), float(yaw))
+    """x, y, z, roll, pitch, yaw of a frame (4, 4)."""
+    return (*map(float, frame[:3, 3]), *map(float, rpy_of(frame[:3, :3])))
 
 
 def _value(parent: Element, tag: str, *values: float | str) -> None:

@@ -56,13 +56,13 @@ def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: 
         InputError, RejectedError: the file cannot be changed in place, or did not read back as meant.
     """
     from agent.diagnosis import corrected, ranges, ranges_text
-    from agent.model import NOT_OF_A_SIMULATOR, write_corrected
+    from agent.model import CATALOGUE, write_corrected
     from agent.runs import write_atomically
 
     correction = corrected(found, simulator)
     for note in correction.notes:
         console.warn(f"{out}: {note}")
-    left_out = [cause.effect for cause in found.answer.causes if cause.effect in NOT_OF_A_SIMULATOR]
+    left_out = [cause.effect for cause in found.answer.causes if not CATALOGUE[cause.effect].of_the_arm]
     if left_out:
         console.warn(
             f"{out}: {' and '.join(left_out)} is left out, as no part of a simulator: it happens once, or in the "

@@ -75,7 +75,9 @@ class Effect(ABC):
     and turns back `needs_reversals` times. One of `fast_torque` is named only where the torque that was measured
     goes with the prediction that has it: fast torque may be noise of the positions.
 
-    `units` are those of parameters whose name alone does not say them. The torque that a drive reports is that of its
+    `units` are those of parameters whose name alone does not say them, `untold` settings that tell people nothing.
+    `numbers` are those of a simulator's file that move under its name: `friction` of its joint, `links`, or the `load`
+    that the last link gained. The torque that a drive reports is that of its
     motor times one plus the parameter `scales_report`, plus the parameter `adds_to_report`; most effects have neither.
     """
 
@@ -106,8 +108,15 @@ class Effect(ABC):
     needs_reversals: ClassVar[int] = 0
     fast_torque: ClassVar[bool] = False
     units: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    untold: ClassVar[tuple[str, ...]] = ()
+    numbers: ClassVar[str] = ""
     adds_to_report: ClassVar[str | None] = None
     scales_report: ClassVar[str | None] = None
+
+    @property
+    def of_the_arm(self) -> bool:
+        """Whether it is part of the arm that a simulator has: not once only, nor in the set-points alone."""
+        return not self.once and self.shows_in == "torque"
 
     def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:
         """Joints (from 0) it may sit on."""

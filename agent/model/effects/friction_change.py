@@ -22,6 +22,8 @@ class FrictionChange(Effect):
     needs_speed = 0.02
     needs_reversals = 1
     shapes = ("speed",)
+    untold = ("coulomb", "viscous")
+    numbers = "friction"
 
     def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         return [{"coulomb": 1.0}, {"viscous": 1.0}, {"coulomb": 1.0, "viscous": 1.0}]

@@ -29,6 +29,7 @@ class InertialMismatch(Effect):
     experiment = POSTURES
     complexity_surcharge = 8
     special_cases = ("payload",)
+    numbers = "links"
 
     def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         return [{"link": float(k + 1)} for k in range(survey.reference.robot.dof)]

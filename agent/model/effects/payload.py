@@ -12,6 +12,7 @@ from agent.model.signals import MotionSignals
 from agent.robot import ParameterLayout
 
 _ROUNDS = 6
+_START = ("m0", "hx0", "hy0", "hz0")
 _LESS, _NEAR = 0.1, 0.05  # of m r², r at least 0.05 m: an inertia that is estimated below nought by no more is none
 _BALL = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
 
@@ -35,6 +36,8 @@ class Payload(Effect):
     shapes = ("mass",)
     experiment = POSTURES
     residual_driven = True
+    untold = _START
+    numbers = "load"
 
     def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         start: dict[str, float] = {}
@@ -42,7 +45,7 @@ class Payload(Effect):
             mass, *moment = survey.fit(self, joints, start)[:4]
             if not mass > 1e-3:
                 return []
-            start = dict(zip(("m0", "hx0", "hy0", "hz0"), map(float, (mass, *moment)), strict=True))
+            start = dict(zip(_START, map(float, (mass, *moment)), strict=True))
         return [start]
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from xml.etree.ElementTree import SubElement
 
 import numpy as np
 
+from agent.model.effects import CATALOGUE
 from agent.model.effects.base_tilt import across
 from agent.model.effects.payload import Payload, ball
 from agent.model.identified import IdentifiedModel
@@ -21,12 +22,10 @@ from agent.model.rigid_friction import ModelEffect
 from agent.model.simulators.arm import SimulatedArm, described, model_of
 from agent.model.simulators.bodies import about_centre, is_body, nearest, seen_from
 from agent.model.simulators.load import Simulator
-from agent.model.simulators.urdf import pose_of, rotation
+from agent.model.urdf_elements import digits, inertial_element, pose_of, rotation, rpy_of
 from agent.robot import LINK_PARAMETERS, ParameterLayout
 
 _FRICTION = ("coulomb", "viscous")
-#: Effects that happen once, or show in the set-points only: no part of a simulator.
-NOT_OF_A_SIMULATOR = ("contact", "interpolator_mismatch")
 
 
 @dataclass
@@ -110,7 +109,7 @@ def correct(
                 arm, stiffness=_put(arm.stiffness, joints[0], stiffness), rest=_put(arm.rest, joints[0], rest)
             )
             released.springs[joints[0]] = reason
-        elif entry.effect not in NOT_OF_A_SIMULATOR:
+        elif CATALOGUE[entry.effect].of_the_arm:
             left.append(entry)
     moved = np.maximum(np.stack([given.frictionloss, given.damping], axis=1) + friction, 0.0)
     arm = replace(arm, frictionloss=moved[:, 0], damping=moved[:, 1])
@@ -163,8 +162,8 @@ def _turned(arm: SimulatedArm, joint: int, offset: float) -> SimulatedArm:
     direction = np.array([float(word) for word in words.split()])
     pose = turned_pose(pose_of(place), direction, arm.prismatic[joint], offset)
     place = SubElement(element, "origin") if place is None else place
-    place.set("xyz", text(*pose[:3, 3]))
-    place.set("rpy", text(*rpy_of(pose[:3, :3])))
+    place.set("xyz", digits(*pose[:3, 3]))
+    place.set("rpy", digits(*rpy_of(pose[:3, :3])))
     return replace(arm, urdf=ElementTree.tostring(root, encoding="unicode"))
 
 
@@ -221,11 +220,7 @@ def _with_bodies(
         total = _lumped(model, arm, k) - body.own + block if arm.path.suffix.lower() != ".urdf" else block
         for old in element.findall("inertial"):
             element.remove(old)
-        mass, centre, tensor = about_centre(seen_from(total, body.link_pose))
-        inertial = SubElement(element, "inertial")
-        SubElement(inertial, "origin", xyz=text(*centre), rpy="0 0 0")
-        SubElement(inertial, "mass", value=text(mass))
-        SubElement(inertial, "inertia", urdf_inertia(tensor))
+        element.append(inertial_element(*about_centre(seen_from(total, body.link_pose))))
         carrying[k] = replace(body, own=block)
     moved = arm.armature.copy()
     moved[rotors] = armature
@@ -235,23 +230,3 @@ def _with_bodies(
 
 def _lumped(model: IdentifiedModel, arm: SimulatedArm, link: int) -> np.ndarray:
     return ParameterLayout.of(model.robot).blocks(model.rigid.dynamics.standard_parameters())[link]
-
-
-def urdf_inertia(tensor: np.ndarray) -> dict[str, str]:
-    """Attributes of a URDF's inertia element."""
-    axes = "xyz"
-    return {f"i{axes[i]}{axes[j]}": text(tensor[i, j]) for i in range(3) for j in range(i, 3)}
-
-
-def rpy_of(turn: np.ndarray) -> np.ndarray:
-    """(3,) roll, pitch, yaw of a rotation matrix (3, 3), URDF's convention."""
-    flat = np.hypot(turn[0, 0], turn[1, 0])
-    pitch = np.arctan2(-turn[2, 0], flat)
-    if flat < 1e-9:
-        return np.array([0.0, pitch, np.arctan2(-turn[0, 1], turn[1, 1])])
-    return np.array([np.arctan2(turn[2, 1], turn[2, 2]), pitch, np.arctan2(turn[1, 0], turn[0, 0])])
-
-
-def text(*numbers: float) -> str:
-    """With every digit: rounding costs torque."""
-    return " ".join(repr(float(number)) for number in numbers)

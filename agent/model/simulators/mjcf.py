@@ -15,6 +15,7 @@ import numpy as np
 from agent.core import InputError, needed
 from agent.model.simulators.arm import SimulatedArm, described, model_of
 from agent.model.simulators.bodies import CarryingBody, parameters
+from agent.model.urdf_elements import digits, inertial_element, rpy_of
 
 _BASE = "base"
 _TIP = "tip"
@@ -171,16 +172,18 @@ def _urdf(mujoco: Any, model: Any, chosen: list[int], link_of: np.ndarray, names
         bodies = [b for b in range(1, model.nbody) if k > 0 and link_of[b] == k and model.body_mass[b] > 0]
         if bodies:
             mass, centre, inertia = _lumped(model, data, bodies)
-            _inertial(element, mass, centre - anchors[k], inertia)
+            element.append(inertial_element(mass, centre - anchors[k], inertia))
     for k, (j, name) in enumerate(zip(chosen, names, strict=True), 1):
         kind = "prismatic" if model.jnt_type[j] == slide else "continuous"
         joint = _joint(root, name, kind, links[k - 1], links[k], anchors[k] - anchors[k - 1], np.zeros(3))
-        SubElement(joint, "axis", xyz=_text(*data.xaxis[j]))
+        SubElement(joint, "axis", xyz=digits(*data.xaxis[j]))
         if kind == "prismatic":
             SubElement(joint, "limit", lower="-1e9", upper="1e9", effort="1e9", velocity="1e9")
     SubElement(root, "link", name=_TIP)
     last = int(model.jnt_bodyid[chosen[-1]])
-    _joint(root, "to_tip", "fixed", links[-1], _TIP, data.xpos[last] - anchors[-1], _rpy(data.xmat[last].reshape(3, 3)))
+    _joint(
+        root, "to_tip", "fixed", links[-1], _TIP, data.xpos[last] - anchors[-1], rpy_of(data.xmat[last].reshape(3, 3))
+    )
     return root
 
 
@@ -224,30 +227,12 @@ def _lumped(model: Any, data: Any, bodies: Sequence[int]) -> tuple[float, np.nda
     return mass, centre, inertia
 
 
-def _inertial(link: Element, mass: float, centre: np.ndarray, inertia: np.ndarray) -> None:
-    element = SubElement(link, "inertial")
-    SubElement(element, "origin", xyz=_text(*centre), rpy="0 0 0")
-    SubElement(element, "mass", value=_text(mass))
-    axes = "xyz"
-    SubElement(
-        element, "inertia", {f"i{axes[i]}{axes[j]}": _text(inertia[i, j]) for i in range(3) for j in range(i, 3)}
-    )
-
-
 def _joint(root: Element, name: str, kind: str, parent: str, child: str, xyz: np.ndarray, rpy: np.ndarray) -> Element:
     joint = SubElement(root, "joint", name=name, type=kind)
     SubElement(joint, "parent", link=parent)
     SubElement(joint, "child", link=child)
-    SubElement(joint, "origin", xyz=_text(*xyz), rpy=_text(*rpy))
+    SubElement(joint, "origin", xyz=digits(*xyz), rpy=digits(*rpy))
     return joint
-
-
-def _rpy(rotation: np.ndarray) -> np.ndarray:
-    """(3,) roll, pitch, yaw of a rotation matrix, URDF's convention."""
-    pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
-    if np.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:
-        return np.array([0.0, pitch, np.arctan2(-rotation[0, 1], rotation[1, 1])])
-    return np.array([np.arctan2(rotation[2, 1], rotation[2, 2]), pitch, np.arctan2(rotation[1, 0], rotation[0, 0])])
 
 
 def _check(mujoco: Any, model: Any, arm: SimulatedArm, chosen: list[int]) -> None:
@@ -291,7 +276,3 @@ def _model_name(path: Path) -> str:
         return str(ElementTree.parse(path).getroot().get("model") or path.stem)
     except (OSError, ElementTree.ParseError):
         return path.stem
-
-
-def _text(*numbers: float) -> str:
-    return " ".join(repr(float(number)) for number in numbers)

@@ -10,8 +10,8 @@ import numpy as np
 
 from agent.core import InputError
 from agent.model.simulators.arm import SimulatedArm
-from agent.model.simulators.correction import text
 from agent.model.simulators.xml_text import Tag, XmlText
+from agent.model.urdf_elements import digits
 
 _JOINT = ("frictionloss", "damping", "armature", "stiffness", "springref")
 _ANGLES = ("springref", "ref")
@@ -111,7 +111,7 @@ class MjcfText:
         """A number of a joint, SI; angles are written in the file's unit."""
         tag = self._joint(joint)
         turns = key in _ANGLES and not self._radian and not self._prismatic[number]
-        tag.set(key, text(np.degrees(value) if turns else value))
+        tag.set(key, digits(np.degrees(value) if turns else value))
 
     def _joint(self, name: str) -> Tag:
         found = [
@@ -135,8 +135,8 @@ class MjcfText:
                 f"{self._source}: the body whose inertia is to be changed, moved by {joint}, stands in it {len(named)} "
                 "times as text: save the compiled model (mj_saveLastXML), and give that"
             )
-        full = text(*inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
-        values = {"pos": text(*centre), "mass": text(mass), "fullinertia": full}
+        full = digits(*inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+        values = {"pos": digits(*centre), "mass": digits(mass), "fullinertia": full}
         tag = owner.find("inertial")
         if tag is None:
             owner.inserted.append("<inertial " + " ".join(f'{key}="{value}"' for key, value in values.items()) + "/>")
@@ -152,14 +152,14 @@ class MjcfText:
         options = [tag for tag in self._all("option") if tag.get("gravity") is not None]
         option = options[-1] if options else self._texts[self._source.absolute()].root.find("option")
         if option is None:
-            self._texts[self._source.absolute()].root.inserted.append(f'<option gravity="{text(*gravity)}"/>')
+            self._texts[self._source.absolute()].root.inserted.append(f'<option gravity="{digits(*gravity)}"/>')
         else:
-            option.set("gravity", text(*gravity))
+            option.set("gravity", digits(*gravity))
 
     def move_zero(self, number: int, joint: str, prismatic: bool, offset: float) -> tuple[float, float]:
         """Move a joint's zero by `offset` [rad or m]; returns its `ref`, old and new."""
         tag = self._joint(joint)
         unit = 1.0 if prismatic or self._radian else float(np.pi / 180)
         old = float(tag.get("ref") or 0.0) * unit
-        tag.set("ref", text((old + offset) / unit))
+        tag.set("ref", digits((old + offset) / unit))
         return old, old + offset

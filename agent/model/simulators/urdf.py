@@ -12,6 +12,7 @@ import numpy as np
 from agent.core import InputError
 from agent.model.simulators.arm import SimulatedArm
 from agent.model.simulators.bodies import CarryingBody, parameters, seen_from
+from agent.model.urdf_elements import end_of, pose_of
 from agent.robot import check_urdf
 
 _TURN = 6.3  # rad
@@ -26,7 +27,7 @@ def read_urdf(
     Raises:
         InputError: numbers that are none, mimic joints in the arm, or joints that are not one chain.
     """
-    by_child = {_end(joint, "child"): joint for joint in root.findall("joint")}
+    by_child = {end_of(joint, "child"): joint for joint in root.findall("joint")}
     elements = {str(joint.get("name")): joint for joint in root.findall("joint")}
     movable = [name for name, joint in elements.items() if joint.get("type") in _MOVABLE]
     used = match(movable)
@@ -60,7 +61,7 @@ def read_urdf(
         path=path,
         name=str(root.get("name") or path.stem),
         urdf=ElementTree.tostring(root, encoding="unicode"),
-        tip_frame=_end(joints[-1], "child"),
+        tip_frame=end_of(joints[-1], "child"),
         gravity=gravity,
         joint_names=tuple(used[name] for name in chain),
         file_joints=tuple(chain),
@@ -104,11 +105,11 @@ def _chain(path: Path, elements: Mapping[str, Element], by_child: Mapping[str, E
     """The used joints from base to tip."""
 
     def above(name: str) -> list[str]:
-        found, link = [name], _end(elements[name], "parent")
+        found, link = [name], end_of(elements[name], "parent")
         while link in by_child:
             name = str(by_child[link].get("name"))
             found.append(name)
-            link = _end(by_child[link], "parent")
+            link = end_of(by_child[link], "parent")
         return found
 
     longest = max((above(name) for name in used), key=lambda names: len(set(names) & set(used)))
@@ -126,15 +127,15 @@ def _carrying(root: Element, joint: Element, used: set[str]) -> CarryingBody:
     children: dict[str, list[Element]] = {}
     for other in root.findall("joint"):
         if other.get("name") not in used:
-            children.setdefault(_end(other, "parent"), []).append(other)
+            children.setdefault(end_of(other, "parent"), []).append(other)
     inertials = {link.get("name"): link.find("inertial") for link in root.findall("link")}
-    first = _end(joint, "child")
+    first = end_of(joint, "child")
     poses, open_ends = {first: np.eye(4)}, [first]
     while open_ends:
         link = open_ends.pop()
         for other in children.get(link, []):
-            poses[_end(other, "child")] = poses[link] @ pose_of(other.find("origin"))
-            open_ends.append(_end(other, "child"))
+            poses[end_of(other, "child")] = poses[link] @ pose_of(other.find("origin"))
+            open_ends.append(end_of(other, "child"))
     mass = {link: _value(inertials.get(link), "mass", "value") for link in poses}
     heaviest = max(poses, key=lambda link: (mass[link], link == first))
     own = seen_from(_own(inertials.get(heaviest)), np.linalg.inv(poses[heaviest]))
@@ -152,35 +153,9 @@ def _own(inertial: Element | None) -> np.ndarray:
     return parameters(mass, pose[:3, 3], turn @ inertia @ turn.T)
 
 
-def pose_of(origin: Element | None) -> np.ndarray:
-    """(4, 4) of an origin element; identity where there is none."""
-    pose = np.eye(4)
-    if origin is None:
-        return pose
-    x, y, z = (float(word) for word in (origin.get("rpy") or "0 0 0").split())
-    turns = []
-    for axis, angle in zip(np.eye(3), (x, y, z), strict=True):
-        turns.append(rotation(axis, angle))
-    pose[:3, :3] = turns[2] @ turns[1] @ turns[0]
-    pose[:3, 3] = [float(word) for word in (origin.get("xyz") or "0 0 0").split()]
-    return pose
-
-
-def rotation(axis: np.ndarray, angle: float) -> np.ndarray:
-    """(3, 3) about a unit axis (3,), by Rodrigues' formula."""
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-
-
 def _value(inertial: Element | None, tag: str, key: str) -> float:
     element = None if inertial is None else inertial.find(tag)
     return 0.0 if element is None else float(element.get(key, "0"))
-
-
-def _end(joint: Element, which: str) -> str:
-    element = joint.find(which)
-    return "" if element is None else str(element.get("link"))
 
 
 def _number(joint: Element, tag: str, key: str, otherwise: float) -> float:

@@ -9,9 +9,9 @@ import numpy as np
 
 from agent.core import InputError
 from agent.model.simulators.arm import SimulatedArm
-from agent.model.simulators.correction import rpy_of, text, turned_pose, urdf_inertia
-from agent.model.simulators.urdf import pose_of
+from agent.model.simulators.correction import turned_pose
 from agent.model.simulators.xml_text import Tag, XmlText
+from agent.model.urdf_elements import digits, inertia_attributes, pose_of, rpy_of
 
 _KEYS = {"frictionloss": "friction", "damping": "damping"}
 
@@ -57,18 +57,18 @@ class UrdfText:
                 own.inserted.remove(known[0])
                 both = dict(part.split("=") for part in known[0][10:-2].split())
                 both = {name: word.strip('"') for name, word in both.items()}
-            both[_KEYS[key]] = text(value)
+            both[_KEYS[key]] = digits(value)
             own.inserted.append(f'<dynamics damping="{both["damping"]}" friction="{both["friction"]}"/>')
         else:
-            tag.set(_KEYS[key], text(value))
+            tag.set(_KEYS[key], digits(value))
 
     def set_inertial(self, joint: str, link: str, mass: float, centre: np.ndarray, inertia: np.ndarray) -> None:
         """Of a link, in its own frame."""
         tag = self._links[link].find("inertial")
         attributes = {
-            "origin": {"xyz": text(*centre), "rpy": "0 0 0"},
-            "mass": {"value": text(mass)},
-            "inertia": urdf_inertia(inertia),
+            "origin": {"xyz": digits(*centre), "rpy": "0 0 0"},
+            "mass": {"value": digits(mass)},
+            "inertia": inertia_attributes(inertia),
         }
         if tag is None:
             inner = "".join(_element(name, values) for name, values in attributes.items())
@@ -80,13 +80,13 @@ class UrdfText:
     def set_gravity(self, gravity: tuple[float, float, float]) -> None:
         """A URDF has none of its own: MuJoCo's extension says it."""
         extension = self._xml.root.find("mujoco")
-        option = f'<option gravity="{text(*gravity)}"/>'
+        option = f'<option gravity="{digits(*gravity)}"/>'
         if extension is None:
             self._xml.root.inserted.append(f"<mujoco>{option}</mujoco>")
         elif (tag := extension.find("option")) is None:
             extension.inserted.append(option)
         else:
-            tag.set("gravity", text(*gravity))
+            tag.set("gravity", digits(*gravity))
 
     def move_zero(self, number: int, joint: str, prismatic: bool, offset: float) -> tuple[list[float], list[float]]:
         """Move a joint's zero by `offset` [rad or m]; returns xyz and rpy of its origin, old and new."""
@@ -98,7 +98,7 @@ class UrdfText:
         direction = np.array([float(word) for word in ((axis and axis.get("xyz")) or "1 0 0").split()])
         before = pose_of(written)
         after = turned_pose(before, direction, prismatic, offset)
-        _set(tag, "origin", {"xyz": text(*after[:3, 3]), "rpy": text(*rpy_of(after[:3, :3]))})
+        _set(tag, "origin", {"xyz": digits(*after[:3, 3]), "rpy": digits(*rpy_of(after[:3, :3]))})
         old, new = ([*pose[:3, 3].tolist(), *rpy_of(pose[:3, :3]).tolist()] for pose in (before, after))
         return old, new
 
