@@ -42,3 +42,4 @@ from .signals import (
 )
 from .splines import cubic_spline as cubic_spline, spline_slopes as spline_slopes
 from .units import Bare as Bare, Dimension as Dimension, Quantity as Quantity, parse_quantity as parse_quantity
+from .versions import package_version as package_version

@@ -15,7 +15,7 @@ from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.uncertainty import covariance, silent_directions
 from agent.model import IdentifiedModel, condition_text
-from agent.recording import MACHINE, Log
+from agent.recording import Log, machines_of
 
 _BAD_CONDITION = 1000.0
 _NOTABLE_STANDSTILL = 0.05
@@ -177,9 +177,8 @@ def _leading_names(names: Sequence[str], directions: np.ndarray) -> list[str]:
 
 def _provenance(observation: Observation, logs: Sequence[Log]) -> dict[str, Any]:
     rows = [sum(len(s.time) for s in observation.segments if s.log_index == k) for k in range(len(logs))]
-    machine = {key: sorted({log.metadata[key] for log in logs if log.metadata.get(key)}) for key in MACHINE}
     return {
-        **{key: found for key, found in machine.items() if found},
+        **{key: found for key, found in machines_of(logs).items() if found},
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "smoothing_hz": float(observation.segments[0].motion.pass_edge),
         "logs": [

@@ -1,5 +1,5 @@
 from .importer import import_log as import_log
-from .log import MACHINE as MACHINE, Log as Log
+from .log import Log as Log, machines_of as machines_of
 from .mcap.foxglove import (
     FILTERED as FILTERED,
     FOXGLOVE_LAYOUT as FOXGLOVE_LAYOUT,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +17,11 @@ MACHINE = ("serial", "tool", "controller")
 #: Attributes of `Log` that are arrays (S, n).
 ARRAYS = ("position", "velocity", "effort", "reference_position", "planned_position")
 _AROUND = 1.0  # s beside a cycle that is cut out of a log: more than filters drop at its ends
+
+
+def machines_of(logs: Sequence[Log]) -> dict[str, list[str]]:
+    """What logs say of whose motions they are: the sorted values of each key of `MACHINE`."""
+    return {key: sorted({log.metadata.get(key, "") for log in logs} - {""}) for key in MACHINE}
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from agent.core import package_version
 from agent.diagnosis import Diagnosis, closes, how_sure, intervals, leading, name, place, size_text, torque_gap
 from agent.model import CATALOGUE
+from agent.recording import machines_of
 from agent.report.page import About, NextStep
 from agent.robot import figure_text
 
@@ -110,21 +111,14 @@ def _measures(diagnosis: Diagnosis) -> list[NextStep]:
 
 def _identity(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     dataset = diagnosis.dataset
-    told = {
-        key: sorted({log.metadata.get(key, "") for log in dataset.logs} - {""})
-        for key in ("serial", "tool", "controller")
-    }
+    machines = machines_of(dataset.logs)
     dates = sorted(datetime.fromtimestamp(log.stamp, UTC).strftime("%Y-%m-%d %H:%M UTC") for log in dataset.logs)
     model = f"{dataset.model.method}, {len(dataset.model.values)} parameters"
-    try:
-        program = f"calibration-agent {version('calibration-agent')}"
-    except PackageNotFoundError:
-        program = "calibration-agent"
     return [
         ("robot", dataset.robot.name),
-        *((key, ", ".join(values) or "not told") for key, values in told.items()),
+        *((key, ", ".join(values) or "not told") for key, values in machines.items()),
         ("recorded", dates[0] if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}"),
         ("logs", str(len(dataset.logs))),
         ("model", model if dataset.given else f"fitted to these logs: {model}"),
-        ("program", program),
+        ("program", f"calibration-agent {package_version()}"),
     ]

@@ -9,11 +9,10 @@ import os
 import platform
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from agent.core import AgentError, InputError, finite, fit_to_show, read_json
+from agent.core import AgentError, InputError, finite, fit_to_show, package_version, read_json
 from drivers.texts import hide
 
 _STATE = "state.json"
@@ -204,13 +203,8 @@ def sha256_file(path: Path) -> str:
 
 def versions() -> dict[str, str]:
     """Versions of the agent and of what its figures depend on."""
-    found = {"python": platform.python_version()}
-    for package in ("calibration-agent", "numpy", "scipy", "pin", "mcap"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+    packages = ("calibration-agent", "numpy", "scipy", "pin", "mcap")
+    return {"python": platform.python_version(), **{package: package_version(package) for package in packages}}
 
 
 def _whole(state: dict[str, Any]) -> bool:

@@ -9,12 +9,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
+from agent.core import package_version
 from agent.recording.log import MACHINE, Log
 from agent.recording.mcap.foxglove import FOXGLOVE_LAYOUT as LAYOUT_NAME, foxglove_layout
 from agent.recording.mcap.joint_state import SCHEMA_NAME, SCHEMA_TEXT, JointStateLayout, layout_for
@@ -99,7 +99,7 @@ class LogFile:
         self._flushed = 0
         self._receive_offset = 0
         self._cycle_starts: list[float] = []
-        self._out = McapOutput(path, "ros2", f"calibration-agent {_version()}")
+        self._out = McapOutput(path, "ros2", f"calibration-agent {package_version()}")
         self._schema = self._out.add_schema(SCHEMA_NAME, "ros2msg", SCHEMA_TEXT)
         self._channel(STATES)
         self._out.add_metadata(RUN, self._run, indexed=False)
@@ -297,10 +297,3 @@ class _Block:
 def nanoseconds(times: np.ndarray) -> np.ndarray:
     """(S,) integers [ns] from (S,) seconds."""
     return np.rint(np.asarray(times, float) * _NANO).astype(np.int64)
-
-
-def _version() -> str:
-    try:
-        return version("calibration-agent")
-    except PackageNotFoundError:
-        return "unreleased"
