@@ -151,8 +151,8 @@ def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
     model = question.model
     if model and all(task.model is None for task in tasks) and model not in (one.name for one in question.given):
         raise InputError(
-            f"{store.url}: {model} is in or above none of its {len(tasks)} runs; name a model file with --model, or "
-            "the name that it has there"
+            f"{store.url}: no run in it has {model} in or above it; name a model file with --model, or the name that "
+            "it has there"
         )
     tasks.sort(key=lambda task: (task.robot, task.run))
     return SourceTasks(tuple(tasks), listing)

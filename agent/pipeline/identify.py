@@ -86,12 +86,11 @@ def check_plausible(
 
     found = doubts(robot, logs)
     others = sorted({log.metadata.get("robot", "") for log in logs} - {"", robot.name})
-    if found and others:
-        found = [f"the logs say that they are of robot {' and '.join(others)}, not of {robot.name}", *found]
+    named = [f"the logs say that they are of robot {' and '.join(others)}, not of {robot.name}"] if others else []
     if found and not force:
         names = ", ".join(log.name for log in logs)
-        raise RejectedError(f"{names}: {'; '.join(found)}. {advice}")
-    for doubt in found:
+        raise RejectedError(f"{names}: {'; '.join([*named, *found])}. {advice}")
+    for doubt in (*named, *found):
         console.warn(doubt)
 
 

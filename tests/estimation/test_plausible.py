@@ -117,6 +117,15 @@ def test_nothing_is_written_unless_forced(healthy, shared_data, tmp_path):
     assert out.exists()
 
 
+def test_a_log_that_names_another_robot_is_said_to(healthy, shared_data, tmp_path, capsys):
+    _, log = healthy
+    renamed = tmp_path / "renamed.mcap"
+    write_log(renamed, replace(log, metadata={**log.metadata, "robot": "panda"}))
+    robot = str(shared_data / "gap-dev/robot.yaml")
+    estimate_files(robot, [renamed], tmp_path / "model.json", 10.0, "weighted", Console(-1))
+    assert "the logs say that they are of robot panda, not of blind_ns16" in capsys.readouterr().err
+
+
 def test_logs_of_two_machines_or_tools_are_not_pooled(healthy, shared_data, tmp_path, capsys):
     _, log = healthy
     robot, out, quiet = str(shared_data / "gap-dev/robot.yaml"), tmp_path / "model.json", Console(-1)
