@@ -192,6 +192,17 @@ class Kinematics(ABC):
         """Raise the KinematicsError of a pose without valid solution."""
 
 
+def singular(index: int, pose: np.ndarray, distance: float, why: str, what: str = "the pose") -> KinematicsError:
+    """A pose (4, 4) that is nearer to a singularity than `SINGULAR_DISTANCE`."""
+    return KinematicsError(
+        index,
+        "singular",
+        f"{what} at {position_text(pose)} (pose {index}) is singular{why}; "
+        "move the point or turn the tool by a few degrees",
+        max(1.0 - distance / SINGULAR_DISTANCE, 1e-9),
+    )
+
+
 def position_text(pose: np.ndarray) -> str:
     """Where a pose is, for messages."""
     return "({:.3f}, {:.3f}, {:.3f}) m".format(*pose[:3, 3])

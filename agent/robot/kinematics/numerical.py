@@ -25,6 +25,7 @@ from agent.robot.kinematics.base import (
     cubic_between,
     pose_error,
     position_text,
+    singular,
 )
 from agent.robot.kinematics.chain import KinematicChain
 
@@ -180,7 +181,7 @@ class NumericalKinematics(Kinematics):
         distances[suspects] = self.singularity(q[suspects]).smallest
         if distances.min(initial=np.inf) < SINGULAR_DISTANCE:
             index = int(np.flatnonzero(distances < SINGULAR_DISTANCE)[0])
-            self._raise_singular(index, poses[index], float(distances.min()))
+            raise singular(index, poses[index], float(distances.min()), f" for {self.robot.name}")
 
     def _suspects(self, q: np.ndarray) -> np.ndarray:
         """(S,) bool: configurations that a bound on the singular values does not clear, which costs a tenth of them.
@@ -322,22 +323,13 @@ class NumericalKinematics(Kinematics):
     def _raise(self, index: int, pose: np.ndarray, q: np.ndarray, error: np.ndarray) -> NoReturn:
         distance = float(self.singularity(q).smallest[0])
         if error[0] < _NEARLY * self.length and distance < np.sqrt(SINGULAR_DISTANCE):
-            self._raise_singular(index, pose, distance)
+            raise singular(index, pose, distance, f" for {self.robot.name}")
         raise KinematicsError(
             index,
             "unreachable",
             f"pose {index} at {position_text(pose)} cannot be reached by the {self.dof} joints of {self.robot.name}: "
             f"the nearest pose found is off by {error[0]:.3g} m (a radian counts as {self.length:.3f} m)",
             float(error[0] / self.length) if np.isfinite(error[0]) else np.inf,
-        )
-
-    def _raise_singular(self, index: int, pose: np.ndarray, distance: float) -> NoReturn:
-        raise KinematicsError(
-            index,
-            "singular",
-            f"the pose at {position_text(pose)} (pose {index}) is singular for {self.robot.name}; "
-            "move the point or turn the tool by a few degrees",
-            max(1.0 - distance / SINGULAR_DISTANCE, 1e-9),
         )
 
     def _raise_branch(self, index: int, pose: np.ndarray, turned: float) -> NoReturn:

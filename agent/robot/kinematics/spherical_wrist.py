@@ -21,6 +21,7 @@ from agent.robot.kinematics.base import (
     SingularityDistance,
     pose_error,
     position_text,
+    singular,
 )
 from agent.robot.kinematics.chain import KinematicChain
 from agent.robot.kinematics.configuration import Configuration, parse_configuration
@@ -30,6 +31,11 @@ from agent.robot.kinematics.spherical_wrist_geometry import SphericalWristGeomet
 BRANCHES = tuple(product((1, -1), repeat=3))
 _SIGNS = np.array(BRANCHES, dtype=float).T
 SINGULARITIES = ("shoulder", "elbow", "wrist")
+_MEANINGS = (
+    ": its wrist centre is on axis 1",
+    ": its elbow is stretched or folded",
+    ": it has axes 4 and 6 in line",
+)
 _BEYOND = -2e-9  # a squared margin below this is out of reach, above it round-off at the border
 
 
@@ -68,7 +74,7 @@ class SphericalWristKinematics(Kinematics):
         distances = self._signed_distances(start[None])[:, 0]
         nearest = int(np.abs(distances).argmin())
         if abs(distances[nearest]) < SINGULAR_DISTANCE:
-            self._raise_singular(0, poses[0], nearest, float(abs(distances[nearest])), "the start")
+            raise singular(0, poses[0], float(abs(distances[nearest])), _MEANINGS[nearest], "the start")
         signs = tuple(int(sign) for sign in np.sign(distances))
         angles, margins = self._branch(self._wrist(poses), signs)
         if not margins.min() >= SINGULAR_DISTANCE**2:
@@ -215,7 +221,7 @@ class SphericalWristKinematics(Kinematics):
         index = int(np.flatnonzero(~(smallest >= SINGULAR_DISTANCE**2))[0])
         if smallest[index] >= _BEYOND:
             distance = float(np.sqrt(max(smallest[index], 0.0)))
-            self._raise_singular(index, poses[index], int(margins[:, index].argmin()), distance, "the pose")
+            raise singular(index, poses[index], distance, _MEANINGS[int(margins[:, index].argmin())])
         g = self.geometry
         x, y, z = self._wrist(poses)[9:, index]
         if margins[0, index] < _BEYOND:
@@ -230,20 +236,6 @@ class SphericalWristKinematics(Kinematics):
             "unreachable",
             f"pose {index} at {position_text(poses[index])} is out of reach: its wrist centre is {why}",
             float(np.sqrt(-smallest.min())) if np.isfinite(smallest).all() else np.inf,
-        )
-
-    def _raise_singular(self, index: int, pose: np.ndarray, kind: int, distance: float, what: str) -> NoReturn:
-        meaning = (
-            "its wrist centre is on axis 1",
-            "its elbow is stretched or folded",
-            "it has axes 4 and 6 in line",
-        )[kind]
-        raise KinematicsError(
-            index,
-            "singular",
-            f"{what} at {position_text(pose)} (pose {index}) is singular: {meaning}; "
-            "move the point or turn the tool by a few degrees",
-            1.0 - distance / SINGULAR_DISTANCE,
         )
 
     def _polish(self, poses: np.ndarray, q: np.ndarray) -> np.ndarray:
