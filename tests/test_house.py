@@ -8,6 +8,8 @@ from pathlib import Path
 
 import grimp
 
+from agent.model import CATALOGUE
+
 PACKAGES = ("agent", "drivers", "fake_controller", "second_world")
 ROOT = Path(__file__).parents[1]
 
@@ -77,3 +79,16 @@ def names_a_module(text: str) -> bool:
     first, *parts = text.partition(":")[0].split(".")
     place = ROOT.joinpath(first, *parts)
     return first in PACKAGES and bool(parts) and all(parts) and (place.is_dir() or place.with_suffix(".py").is_file())
+
+
+def test_search_verdict_and_pages_know_no_effect_by_name():
+    """All that is known about an effect is in its class, so that one from outside is treated as the built-in ones."""
+    known = {effect.name for effect in CATALOGUE.built_in} | {type(effect).__name__ for effect in CATALOGUE.built_in}
+    found = []
+    for room in ("diagnosis", "experiment", "report", "pipeline", "notebook", "fleet", "cli"):
+        for path in sorted((ROOT / "agent" / room).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+                name = getattr(node, "value", None) if isinstance(node, ast.Constant) else getattr(node, "id", None)
+                if isinstance(name, str) and name in known:
+                    found.append(f"{path.relative_to(ROOT).as_posix()}:{node.lineno}: {name}")
+    assert found == []

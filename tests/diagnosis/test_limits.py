@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import agent.diagnosis
+from agent.diagnosis import limits
 from agent.diagnosis.answer import Cause
 from agent.diagnosis.finding import class_probability
 from agent.diagnosis.limits import LIMITS, described
@@ -31,3 +32,7 @@ def test_a_limit_that_is_handed_in_decides():
     assert settle("explained", [cause], 0.6, replace(LIMITS, explained=0.5, part=0.7)) == ("unknown", ())
     surer = replace(LIMITS, probability=(0.0, 0.35, 0.43))
     assert class_probability(3.0, 0.9, surer) > class_probability(3.0, 0.9)
+
+
+def test_what_was_measured_is_of_limits_that_exist():
+    assert set(limits._SENSITIVITY) <= {limit.name for limit in described()}
