@@ -154,8 +154,8 @@ LIMITS = DecisionLimits()
 
 
 #: How many runs get another outcome or first cause when a limit is a quarter less or more, counted by
-#: `benchmarks/fit_decision_limits.py --every --cases 12`: so far the first three draws of seed 1 for comau_ns16, and for a
-#: three-joint arm (`--robot RRR`). That is too few to call a limit insensitive. What was not moved says why.
+#: `benchmarks/fit_decision_limits.py --every --cases 12`: so far the first three draws of seed 1 for comau_ns16 and for
+#: a three-joint arm (`--robot RRR`). That is too few to call a limit insensitive. What was not moved says why.
 _SENSITIVITY = {
     **dict.fromkeys(
         (
