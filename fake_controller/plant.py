@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,24 +19,10 @@ if TYPE_CHECKING:
     from agent.model import IdentifiedModel
     from fake_controller.modelled import BeyondMachine
 
-__all__ = ["Measured", "Plant", "Truth"]
+__all__ = ["Measured", "Plant"]
 
 _SETTLING = 0.5  # s
 _INNER_RATE, _HIGHEST_RATE = 2000.0, 20_000.0  # Hz, of servo and integration; gears that give way raise it
-
-
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """What only tests may ask for.
-
-    `parameters` (10 n,) standard inertial, `rotor_inertias` (n,) [kg·m², motor side], and `predict`: q, q̇, q̈ (S, n)
-    to the torque (S, n) that the controller would measure in steady sliding, without noise. It knows the machine's
-    bodies, rotors, friction curves and sensors; of effects, those that are parameters of these.
-    """
-
-    parameters: np.ndarray
-    rotor_inertias: np.ndarray
-    predict: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 class Plant:
@@ -142,21 +127,6 @@ class Plant:
             position = change(position, self._period)
             velocity = np.gradient(position, self._period, axis=0)
         return position, velocity
-
-    def truth(self) -> Truth:
-        """The plant's own true parameters. For tests: nothing that estimates may ask."""
-        machine = self.machine
-        dynamics = machine.dynamics()
-
-        def predict(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-            links = dynamics.inverse_dynamics(q - machine.encoder_offset, qd, qdd)
-            axles = links @ self._to_joints.T + machine.reflected_rotors * (qdd @ machine.coupling.T)
-            speed = qd @ machine.coupling.T
-            friction = [curve.steady(speed[:, k]) for k, curve in enumerate(machine.friction)]
-            measured = (axles + np.stack(friction, axis=1)) * machine.torque_scale + machine.torque_offset
-            return measured @ self.robot.coupling
-
-        return Truth(machine.parameters.copy(), machine.rotor_inertias.copy(), predict)
 
     @property
     def _to_joints(self) -> np.ndarray:

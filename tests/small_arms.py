@@ -40,6 +40,20 @@ def set_points(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return q, np.gradient(q, PERIOD, axis=0)
 
 
+def true_torque(plant: Plant, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """(S, n) what the plant's controller would measure in steady sliding, without noise.
+
+    By the machine's bodies, rotors, friction curves and sensors; of effects, by those that are parameters of these.
+    """
+    machine = plant.machine
+    links = machine.dynamics().inverse_dynamics(q - machine.encoder_offset, qd, qdd)
+    axles = links @ np.linalg.inv(machine.coupling) + machine.reflected_rotors * (qdd @ machine.coupling.T)
+    speed = qd @ machine.coupling.T
+    friction = [curve.steady(speed[:, k]) for k, curve in enumerate(machine.friction)]
+    measured = (axles + np.stack(friction, axis=1)) * machine.torque_scale + machine.torque_offset
+    return measured @ plant.robot.coupling
+
+
 def record(plant: Plant, name: str, seed: int, share: Sequence[float] | float = 1.0) -> Log:
     """A log of one motion of a plant, as a reader would give it; each joint makes a `share` of its motion."""
     q, qd = (part * share for part in set_points(plant.robot.dof, seed))

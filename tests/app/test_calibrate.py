@@ -17,6 +17,7 @@ from agent.recording import read_log
 from agent.robot import load_robot
 from drivers.transports.tcp import TcpDriver
 from fake_controller.plant import Plant
+from tests.small_arms import true_torque
 
 JOINTS = [f"joint_{k + 1}" for k in range(6)]
 
@@ -24,11 +25,11 @@ JOINTS = [f"joint_{k + 1}" for k in range(6)]
 def score_of_the_truth(folder: Path) -> np.ndarray:
     """(n,) normalised RMSE on moving samples of the plant's own parameters, on the validation logs of a run."""
     robot = load_robot("comau_ns16")
-    truth = Plant(robot, seed=7).truth()
+    plant = Plant(robot, seed=7)
     errors = []
     for path in sorted(folder.glob("validation_*.mcap")):
         for motion in motions(read_log(path, robot), FilterSettings(30.0), reduce=False):
-            predicted = motion.low_pass(truth.predict(motion.q, motion.qd, motion.qdd))
+            predicted = motion.low_pass(true_torque(plant, motion.q, motion.qd, motion.qdd))
             moving = np.any(np.abs(motion.qd[motion.kept]) > 1e-3 * robot.max_velocity, axis=1)
             errors.append((motion.low_pass(motion.torque) - predicted)[moving])
     return np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0)) / robot.nominal_torque

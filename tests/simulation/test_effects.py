@@ -64,8 +64,8 @@ def test_a_payload_weighs_on_the_arm(ns16):
 
 def test_a_mismatched_link_is_what_the_regressor_says(measured, plain, motion):
     plant, _, torque = measured(effect("inertial_mismatch", link=3, scale=1.1, points=[[4.0, 0.1, 0.2, 0.0]]))
-    base = plain[0].truth()
-    change = plant.truth().parameters - base.parameters
+    base = plain[0].machine
+    change = plant.machine.parameters - base.parameters
     assert change[20] == pytest.approx(0.1 * base.parameters[20] + 4.0)
     assert np.all(change[:20] == 0)
     assert np.all(change[30:] == 0)

@@ -10,6 +10,7 @@ from agent.robot.dynamics import Dynamics
 from fake_controller.actuation.drive import Drive
 from fake_controller.actuation.machine import draw_machine
 from fake_controller.plant import Plant
+from tests.small_arms import true_torque
 
 HOME = np.array([0.0, 0.0, -1.5, 0.0, 0.0, 0.0])
 AWAY = np.array([0.7, 0.4, -1.0, 0.9, -0.8, 1.2])
@@ -81,14 +82,14 @@ def test_the_truth_predicts_the_torque_while_the_arm_moves(ns16, motion, run):
 
     q = smooth(position, 100)
     qd = np.gradient(q, 0.002, axis=0)
-    predicted = plant.truth().predict(q, qd, np.gradient(qd, 0.002, axis=0))
+    predicted = true_torque(plant, q, qd, np.gradient(qd, 0.002, axis=0))
     error = (smooth(torque, 30) - smooth(predicted, 30)) / ns16.nominal_torque
     error[(np.abs(qd) < 0.05) | (np.arange(len(q))[:, None] < 200)] = np.nan
     assert np.all(np.sqrt(np.nanmean(error[:-200] ** 2, axis=0)) < 0.01)
 
 
 def test_the_truth_is_near_the_description_and_not_on_it(ns16, run):
-    truth = run[0].truth()
+    truth = run[0].machine
     nominal = Dynamics(ns16).standard_parameters().reshape(6, 10)
     mine = truth.parameters.reshape(6, 10)
     change = mine[:, 0] / nominal[:, 0] - 1
