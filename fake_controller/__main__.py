@@ -46,6 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
             options.baud,
             options.serial_port,
             options.broker,
+            options.node_period and options.node_period * 1e-3,
         )
     except NoBrokerError as error:
         print(
@@ -131,6 +132,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--serial-port", help="a port of this machine; if none is named, a pseudo-terminal is made")
     parser.add_argument(
         "--broker", type=_broker, default="127.0.0.1:1883", help="MQTT broker that cnr_comau's samples go by"
+    )
+    parser.add_argument(
+        "--node-period",
+        type=_between(float, 1.0, 20.0, "period of a node [ms]"),
+        help="cnr_comau's samples come from a loop of so many ms, as from the published C5G Open node: uneven stamps, "
+        "snapshots repeated and left out, no velocities; without it every sample comes once",
     )
     parser.add_argument("--seed", type=int, help="of the arm's true parameters and its noise; 0 if none is given")
     parser.add_argument("--clock", choices=("fast", "real"), help="as fast as it goes, or real time (if none is given)")

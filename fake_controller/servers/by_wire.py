@@ -44,6 +44,7 @@ def open_server(
     baud: int = 4_000_000,
     serial_port: str | None = None,
     broker: tuple[str, int] = BROKER,
+    node_period: float | None = None,
 ) -> Server:
     """A server that is open.
 
@@ -55,6 +56,8 @@ def open_server(
         waits: the arm waits for a client that reads too slowly, as only an emulated one can, before samples are lost.
         baud, serial_port: the line, for `serial` and `rtu`; without a port a cable of pseudo-terminals is made.
         broker: host and port, for `cnr_comau`.
+        node_period: [s] of the loop in which the C5G Open node publishes, as the published one does; by default every
+            sample comes once, at the controller's own time.
 
     Raises:
         OSError: the port is taken, or is not this machine's; a `NoBrokerError` where no broker answers.
@@ -72,7 +75,7 @@ def open_server(
     if wire == "cnr_comau":
         from fake_controller.servers.cnr.server import CnrServer
 
-        return CnrServer(controller, address, port, watchdog, broker, waits)
+        return CnrServer(controller, address, port, watchdog, broker, waits, node_period)
     if serial_port is None:
         return _OnCable(wire, controller, baud, watchdog, waits)
     return _on_port(wire, controller, serial_port, baud, watchdog, waits)

@@ -32,7 +32,8 @@ def messages(count, jitter=0, late=0):
 def joined(joiner, given):
     for message in given:
         joiner.add(*message)
-    return joiner.take()
+    rows = joiner.take()
+    return rows.times, rows.values
 
 
 @settings(deadline=None, max_examples=50)

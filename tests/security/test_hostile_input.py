@@ -26,8 +26,8 @@ from drivers.errors import DriverError, ProtocolError
 from drivers.protocol import Identity, SampleBlock, Status
 from drivers.texts import ALARM, MANY, NAME, printable
 from drivers.transports.cnr.address import parse_address
+from drivers.transports.cnr.broker import BrokerLink
 from drivers.transports.cnr.files import ProgramFolder
-from drivers.transports.cnr.samples import BrokerLink
 from drivers.transports.frames import to_block
 from drivers.transports.motion import MotionStream
 from drivers.transports.sequencer import Sequencer

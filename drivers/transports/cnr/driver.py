@@ -21,11 +21,11 @@ from drivers.errors import ConfigurationError, DriverError, RefusedError
 from drivers.protocol import Identity, Status
 from drivers.transports.base import LinkDriver
 from drivers.transports.cnr.address import CnrAddress
+from drivers.transports.cnr.broker import BrokerLink
 from drivers.transports.cnr.commands import command_start, insist_on_stop, wait_for_a_person
 from drivers.transports.cnr.files import CnrIdentity, ProgramFolder
 from drivers.transports.cnr.frames import pose_of_frame
 from drivers.transports.cnr.motion import CnrArm, CnrMotion, stop_reason
-from drivers.transports.cnr.samples import BrokerLink
 from drivers.transports.cnr.sockets import CommandReply, Sockets
 from drivers.wire.cnr import Feedback, MessageType, Mode, Point
 from drivers.wire.reasons import EndReason
@@ -67,7 +67,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
         motion, broker = self._motion, self._broker
         if motion is None or motion.match is None:
             return {}
-        facts = {} if broker is None else broker.joiner.counts.facts
+        facts = {} if broker is None else broker.facts
         if motion.begun_at is not None:
             facts["motion_start_s"] = f"{motion.begun_at:.6f}"
         alignment = motion.match.alignment()
@@ -233,7 +233,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
         broker = self._broker
         if broker is not None:
             broker.check(self._timeout)
-            broker.joiner.forget_counts()
+            broker.begin()
         patience = max(_SAMPLE_PATIENCE, 2 * self._machine.watchdog)
         arm = CnrArm(joints, self.identify().period, self.torque_per_ampere)
         silent = None if broker is None else broker.silent
@@ -282,7 +282,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
         broker = self._broker
         if broker is None:
             return
-        times, values = broker.joiner.take()
+        times, values = broker.take()
         if motion is not None and not motion.over:
             motion.samples(times, values)
             motion.clock_reset |= broker.joiner.restarts > 0

@@ -18,6 +18,8 @@ from drivers.wire.reasons import EndReason
 
 #: Rest that is kept before the set-points begin to change and after they have changed for the last time [s].
 _BEFORE, _AFTER = 0.1, 0.1
+#: Periods without a sample in it that cut that rest off.
+_HOLE = 4.5
 #: Rest on the way that is longer [s] is handed on before the motion continues.
 _LONGEST = 5.0
 #: Set-points that change by less rest [rad, or m].
@@ -267,7 +269,7 @@ class CnrMotion(MotionStream):
             return
         self.begun_at = float(times[changed[0]])
         times, values = self._take_held()
-        holes = np.flatnonzero(np.diff(times[times <= self.begun_at]) > 1.5 * self._arm.period)
+        holes = np.flatnonzero(np.diff(times[times <= self.begun_at]) > _HOLE * self._arm.period)
         first = max(int(np.searchsorted(times, self.begun_at - _BEFORE)), int(holes[-1]) + 1 if len(holes) else 0)
         self._held.append((times[first:], values[first:]))
 

@@ -26,11 +26,11 @@ from drivers.wire.cnr import (
 from fake_controller.execution import Slice
 from fake_controller.faults import Faults
 from fake_controller.servers.base import NoBrokerError
+from fake_controller.servers.cnr.node import IdealNode, LoopingNode
 
 #: The node's clock: what it shows when the controller's shows nothing [µs], and how much faster it runs.
 CLOCK_OFFSET, CLOCK_DRIFT = 1_234_567_890, 5e-6
 TORQUE_CONSTANT = 1.0  # N·m/A of motors whose description has none
-CURRENTS_LATE = 200  # µs by which the node stamps currents later than the rest
 _PACE = 50  # samples between two looks at how far the broker is
 _AHEAD = 2  # of these that may be under way
 _PATIENCE = 5.0  # s for the broker
@@ -45,6 +45,7 @@ class JointPublisher:
         faults: what becomes of the messages.
         cut: ends the connections to the controller, where a fault asks for that.
         waits: wait for the broker where it is slower than the arm, as only an emulated arm can.
+        node: when it publishes, and what.
 
     Raises:
         NoBrokerError: nobody there.
@@ -57,6 +58,7 @@ class JointPublisher:
         faults: Faults,
         cut: Callable[[], None],
         waits: bool,
+        node: IdealNode | LoopingNode,
     ) -> None:
         # τ = Cᵀ diag(gear) τ_motor, and τ_motor = constant · current.
         constants = np.array([joint.torque_constant or TORQUE_CONSTANT for joint in robot.joints])
@@ -64,6 +66,7 @@ class JointPublisher:
         self._faults = faults
         self._cut = cut
         self._waits = waits
+        self._node = node
         self._published = 0
         self._marker = f"fake_controller/{secrets.token_hex(8)}"
         self._returned = threading.Semaphore(0)
@@ -92,18 +95,20 @@ class JointPublisher:
 
     def publish(self, time_ns: np.ndarray, samples: Slice, spare: bool) -> None:
         """Publish samples with their controller times (K,) [ns]; `spare` as in `Faults.send`."""
+        samples, turns = self._node.turns(time_ns, samples)
+        filled = float(self._node.fills_velocities)
         columns = {
             POSITIONS: np.degrees(samples.position),
-            VELOCITIES: np.degrees(samples.velocity),
+            VELOCITIES: filled * np.degrees(samples.velocity),
             TARGET_POSITIONS: np.degrees(samples.reference_position),
-            TARGET_VELOCITIES: np.degrees(samples.reference_velocity),
+            TARGET_VELOCITIES: filled * np.degrees(samples.reference_velocity),
             CURRENTS: self.currents(samples.torque),
         }
         rows = {channel: values.tolist() for channel, values in columns.items()}
-        stamps = np.round(time_ns * ((1 + CLOCK_DRIFT) / 1000)).astype(np.int64) + CLOCK_OFFSET
-        for k, stamp in enumerate(stamps.tolist()):
+        for turn in turns:
+            stamp = round(turn.stamp * ((1 + CLOCK_DRIFT) / 1000)) + CLOCK_OFFSET
             for channel in self._channels():
-                late = CURRENTS_LATE if channel is CURRENTS else 0
+                k, late = (turn.current, turn.late // 1000) if channel is CURRENTS else (turn.sample, 0)
                 self._send(f"{TOPIC}/{channel}", encode_joints(rows[channel][k], stamp + late), spare)
             self._published += 1
             if self._waits and self._published % _PACE == 0:

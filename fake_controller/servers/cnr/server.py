@@ -11,6 +11,7 @@ from fake_controller.servers.base import BROKER
 from fake_controller.servers.cnr.commands import TrajectoryPort
 from fake_controller.servers.cnr.ftp import FtpFolder
 from fake_controller.servers.cnr.mqtt import JointPublisher
+from fake_controller.servers.cnr.node import IdealNode, LoopingNode
 from fake_controller.servers.cnr.reports import Reports
 from fake_controller.servers.cnr.sockets import LockStep
 
@@ -32,13 +33,15 @@ class CnrServer:
         watchdog: float = 0.5,
         broker: tuple[str, int] = BROKER,
         waits: bool = False,
+        node_period: float | None = None,
     ) -> None:
         self.controller = controller
         watchdog = max(watchdog, SHORTEST_WATCHDOG)
         cut = self.drop_clients
         trajectory, feedback, status, ftp = (port + k if port else 0 for k in range(4))
+        node = IdealNode() if node_period is None else LoopingNode(node_period)
         with ExitStack() as undo:
-            self._publisher = JointPublisher(broker, controller.robot, controller.faults, cut, waits)
+            self._publisher = JointPublisher(broker, controller.robot, controller.faults, cut, waits, node)
             undo.callback(self._publisher.close)
             self._folder = FtpFolder(controller, address, ftp, watchdog)
             undo.callback(self._folder.close)

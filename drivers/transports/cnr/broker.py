@@ -1,0 +1,192 @@
+"""The broker that the C5G Open node publishes to."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import DriverError, ProtocolError
+from drivers.secrets import read_secret
+from drivers.transports.cnr.samples import Joiner
+from drivers.transports.cnr.snapshots import SnapshotClock
+from drivers.wire import cnr as wire
+
+_LOOK = 0.5  # s in which topics without which a motion can be recorded have to come, and rows that tell their period
+_ROWS = 100
+#: Channels without which nothing can be recorded; velocities follow from positions.
+_NEEDED = {wire.CHANNELS.index(name) for name in (wire.POSITIONS, wire.TARGET_POSITIONS, wire.CURRENTS)}
+_KEEP_ALIVE = 60  # s: a broker's sign of life waits behind its samples, and samples that stop are noticed earlier
+
+_log = logging.getLogger(__name__)
+
+
+class BrokerLink:
+    """A subscription to what the C5G Open node publishes.
+
+    Args:
+        broker: host and port.
+        topic: above the channels, like `robot/arm1`.
+        period: of the samples [s].
+        timeout: for the connection and for the first messages [s].
+        on_loss: called once, in a thread of its own, where the broker is lost.
+        user: of the broker, where it wants one; password_from: where that user's password is.
+
+    Raises:
+        DriverError: no broker, or it says nothing on one of the topics.
+        ProtocolError: what comes is not what the node publishes.
+    """
+
+    def __init__(
+        self,
+        broker: tuple[str, int],
+        topic: str,
+        period: float,
+        timeout: float,
+        on_loss: Callable[[DriverError], None],
+        user: str = "",
+        password_from: str = "",
+    ) -> None:
+        from drivers.transports.cnr.broker_client import BrokerClient
+
+        self.peer = "{}:{}".format(*broker)
+        self.joiner = Joiner(wire.CHANNELS, period * 1e6)
+        self.clock = SnapshotClock(period * 1e6)
+        self._topic = topic
+        self._channels = {f"{topic}/{name}": channel for channel, name in enumerate(wire.CHANNELS)}
+        self._heard: set[int] = set()
+        self._on_loss = on_loss
+        self._closing = False
+        self._ready = threading.Event()
+        self._fault: DriverError | None = None
+        self._client = BrokerClient()
+        if user or password_from:
+            self._client.username_pw_set(user or None, read_secret(password_from) if password_from else None)
+        self._client.on_connect = self._connected
+        self._client.on_disconnect = self._disconnected
+        self._client.on_message = self._message
+        try:
+            self._client.connect(*broker, keepalive=_KEEP_ALIVE)
+        except (OSError, ValueError) as error:
+            raise DriverError(
+                f"no broker answers at {self.peer}: {error}; is it running? Without C5G Open, say mqtt=none in the "
+                "address: 50 samples a second then, enough to watch and too few to identify"
+            ) from None
+        self._client.loop_start()
+        try:
+            self._wait_for_all(timeout)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Leave the broker; never raises."""
+        self._closing = True
+        with contextlib.suppress(OSError, ValueError):
+            self._client.disconnect()
+        self._client.loop_stop()
+
+    def check(self, timeout: float) -> None:
+        """The broker is there, and samples come.
+
+        Raises:
+            DriverError: it is not, or they do not.
+        """
+        came = self._fault is None and self.joiner.wait(timeout)
+        until = time.monotonic() + _LOOK
+        while came and self.clock.seen < _ROWS and time.monotonic() < until:  # are their times even?
+            self.joiner.wait(_LOOK)
+        if self._fault is not None:
+            raise self._fault
+        if not came:
+            raise DriverError(f"no whole sample came within {timeout:g} s: {self.silent()}")
+
+    def begin(self) -> None:
+        """A motion is about to start: count anew from here on; says so where rows are not the controller's samples."""
+        told = self.clock.active
+        self.joiner.forget_counts()
+        self.clock.begin()
+        facts = self.clock.facts
+        if self.clock.active and not told:
+            _log.warning(
+                "the C5G Open node at %s publishes %.0f rows/s, uneven by %.2f ms: times come from the set-points, "
+                "velocities that it does not fill from positions; samples that it leaves out are missing",
+                self.peer,
+                1 / facts.period,
+                1e3 * facts.jitter,
+            )
+
+    def take(self) -> tuple[np.ndarray, np.ndarray]:
+        """Samples since the last call: times (K,) [µs] and values (K, 5, 10)."""
+        return self.clock.add(self.joiner.take())
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What did not come as it should since `begin`, for the log."""
+        return {**self.joiner.counts.facts, **self.clock.facts.facts}
+
+    def silent(self) -> str:
+        """What the broker lacks, for a message."""
+        topics = ", ".join(f"{self._topic}/{name}" for name in self.joiner.silent_channels())
+        return f"nothing on {topics} at {self.peer}; does the C5G Open node run, and are the drives on?"
+
+    def _wait_for_all(self, timeout: float) -> None:
+        until = time.monotonic() + timeout
+        while not self._ready.wait(_LOOK) and time.monotonic() < until and not self._heard >= _NEEDED:
+            pass
+        if self._fault is not None:
+            raise self._fault
+        absent = set(range(len(wire.CHANNELS))) - self._heard
+        if absent and not absent & _NEEDED:
+            self.joiner.leave_out(absent)
+            self.clock.leave_out(absent)
+            self._ready.set()
+            return
+        quiet = [f"{self._topic}/{wire.CHANNELS[k]}" for k in sorted(absent)]
+        if quiet:
+            raise DriverError(
+                f"the broker at {self.peer} has nothing on {', '.join(quiet)} within {timeout:g} s; does the C5G Open "
+                "node run, and are the drives on? If its topics have other names: topic= in the address"
+            )
+
+    # From here on in the thread of the broker's client.
+
+    def _connected(self, client: Any, _: Any, __: Any, reason: Any, ___: Any) -> None:
+        if reason.is_failure:
+            self._fail(DriverError(f"the broker at {self.peer} refuses the connection: {reason}"))
+            return
+        client.subscribe([(name, 0) for name in self._channels])
+
+    def _disconnected(self, _: Any, __: Any, ___: Any, reason: Any, ____: Any) -> None:
+        if not self._closing:
+            self._fail(
+                DriverError(f"the broker at {self.peer} is gone ({reason}); start it again, then run the command again")
+            )
+
+    def _message(self, _: Any, __: Any, message: Any) -> None:
+        channel = self._channels.get(message.topic)
+        if channel is None:
+            return
+        try:
+            time_us, values = wire.decode_joints(message.payload)
+        except ProtocolError as error:
+            self.joiner.counts.damaged += 1
+            if not self._ready.is_set():
+                self._fail(ProtocolError(f"{message.topic} at {self.peer}: {error}; is an older C5G Open node there?"))
+            return
+        self.joiner.add(channel, time_us, values)
+        if not self._ready.is_set():
+            self._heard.add(channel)
+            if len(self._heard) == len(self._channels):
+                self._ready.set()
+
+    def _fail(self, error: DriverError) -> None:
+        self._fault = error
+        if self._ready.is_set():
+            self._on_loss(error)
+        self._ready.set()

@@ -1,0 +1,66 @@
+"""What a torque model loses where samples come from the C5G Open node as it is published."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import agent as ca
+from fake_controller.build import build_controller
+from fake_controller.servers.cnr.server import CnrServer
+from tests.app.test_calibrate_cnr import recipe_for
+
+
+def program(name: str, seed: int, moves: int) -> str:
+    """Joint moves between random poses at full speed."""
+    rng = np.random.default_rng(seed)
+    poses = np.array([0, 0, -90, 0, 20, 0]) + rng.uniform(-1, 1, (moves, 6)) * [50, 20, 20, 50, 40, 60]
+    lines = [f"  MOVE JOINT TO {{{', '.join(f'{value:.1f}' for value in pose)}}}" for pose in poses]
+    return "\n".join([f"PROGRAM {name} HOLD, PROG_ARM=1", "BEGIN", *lines, f"END {name}", ""])
+
+
+@pytest.fixture
+def record(broker, write_recipe, run_agent, tmp_path: Path) -> Callable[..., Path]:
+    """`record(name, seed, moves, period)` → the log of a program, by the ideal node, or one with a loop of a period."""
+
+    def make(name: str, seed: int, moves: int, period: float | None) -> Path:
+        folder = tmp_path / f"{name}_{period}"
+        folder.mkdir()
+        (folder / f"{name}.pdl").write_text(program(name, seed, moves), encoding="utf-8")
+        controller = build_controller("comau_ns16", seed=7, clock="fast")
+        at = {"broker": broker.address, "waits": True, "node_period": period}
+        with closing(CnrServer(controller, watchdog=5.0, **at)) as server:
+            log = folder / f"{name}.mcap"
+            run = run_agent(
+                "record", recipe_for(write_recipe, server.address), "--program", folder / f"{name}.pdl", "-o", log
+            )
+            assert run.returncode == 0, run.stderr
+            assert ("taken from the set-points" in run.stderr or "come from the set-points" in run.stderr) == bool(
+                period
+            )
+        return log
+
+    return make
+
+
+@pytest.mark.verify
+def test_a_torque_model_is_nearly_as_good_as_through_an_ideal_node(record, measured):
+    """Over periods of 2.00 to 3 ms of the node's loop."""
+    unseen = ca.read_logs(record("unseen", 2, 16, None), "comau_ns16")
+
+    def error(period: float | None) -> float:
+        logs = ca.read_logs(record("excite", 1, 40, period), "comau_ns16")
+        model = ca.estimate("comau_ns16", logs)
+        return float(np.sqrt(np.mean(np.square(ca.validate(model, unseen).to_dict()["overall"]["normalised_rmse"]))))
+
+    ideal = error(None)
+    for period in (2.0e-3, 2.1e-3, 2.4e-3, 2.7e-3, 3.0e-3):
+        ratio = error(period) / ideal
+        measured(
+            f"cnr_comau, published node, loop of {1e3 * period:.2f} ms: error over that of the ideal node", ratio, ""
+        )
+        assert ratio < 1.2
