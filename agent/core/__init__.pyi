@@ -32,7 +32,13 @@ from .output import (
     open_standard_descriptors as open_standard_descriptors,
     patient_messages as patient_messages,
 )
-from .parallel import TaskEngine as TaskEngine, available_cores as available_cores, needed as needed
+from .parallel import (
+    InProcess as InProcess,
+    TaskEngine as TaskEngine,
+    available_cores as available_cores,
+    needed as needed,
+)
+from .processes import LocalProcesses as LocalProcesses
 from .signals import (
     Ended as Ended,
     hang_up as hang_up,

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
+import pickle
+import threading
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from agent.core import InputError, available_cores
+from agent.core import InProcess, InputError, LocalProcesses, TaskEngine, available_cores
 from agent.excitation.candidates import Candidates, Loop, LoopProblem
 from agent.excitation.criterion import one_blas_thread
 from agent.excitation.genetic import genetic
 from agent.excitation.scoring import Evaluate, LoopScore, Note, ranking
-from agent.excitation.workers import Workers
 
 
 def random_search(
@@ -29,6 +33,8 @@ def random_search(
 METHODS = {"genetic": genetic, "random": random_search}
 #: A process more costs as much to start as so many candidates to score.
 _CANDIDATES_A_WORKER = 60
+#: Candidates that travel together: their way costs a twentieth of their scores, and a generation feeds many workers.
+_TOGETHER = 5
 #: So many of the best candidates are scored again on all samples.
 FINALISTS = 10
 
@@ -81,11 +87,11 @@ def search(
     population: int = 50,
     generations: int = 40,
     seed: int = 1,
-    workers: int | None = None,
+    engine: TaskEngine | None = None,
     progress: Callable[[Generation], None] | None = None,
 ) -> SearchResult:
-    """Find a loop. The same seed gives the same loop to the bit, for any number of `workers` (default: all cores,
-    where there is work for them).
+    """Find a loop. The same seed gives the same loop to the bit, whichever `engine` scores the candidates (default: one
+    process a core, where there is work for them).
 
     `progress` is called after each generation. The ten best candidates are scored again on all samples, and the best of
     them is the result.
@@ -97,11 +103,11 @@ def search(
     if method not in METHODS:
         raise InputError(f"search method {method!r} is not known; there are: {', '.join(METHODS)}")
     history = _History(progress)
-    workers = workers or min(available_cores(), 1 + population * generations // _CANDIDATES_A_WORKER)
-    with Workers(_scorer, problem, workers) as team:
+    with nullcontext(engine) if engine is not None else _processes(population * generations) as scoring:
         candidates = Candidates(problem)
         rng = np.random.default_rng(seed)
-        METHODS[method](team.evaluate, problem.genes, population, generations, rng, history.note)
+        evaluate = partial(_evaluate, scoring, Scorer(problem))
+        METHODS[method](evaluate, problem.genes, population, generations, rng, history.note)
     with one_blas_thread():
         genome, fitness, finalists = _final(candidates, history)
         loop = candidates.loop(genome)
@@ -172,5 +178,37 @@ def _hopeless(best: LoopScore, count: int) -> str:
     )
 
 
-def _scorer(problem: LoopProblem) -> Callable[[np.ndarray], LoopScore]:
-    return Candidates(problem).score
+def _processes(candidates: int) -> InProcess | LocalProcesses:
+    count = min(available_cores(), 1 + candidates // _CANDIDATES_A_WORKER)
+    return InProcess() if count == 1 else LocalProcesses(count)
+
+
+def _evaluate(engine: TaskEngine, scorer: Scorer, genomes: np.ndarray) -> list[LoopScore]:
+    """Scores of genomes (N, genes), in their order."""
+    together = np.array_split(genomes, -(-len(genomes) // _TOGETHER))
+    scores: dict[int, list[LoopScore]] = {}
+    for done in engine.map(scorer, together):
+        if done.answer is None:
+            raise RuntimeError(f"the search: {done.lost}")
+        scores[done.number] = done.answer
+    return [score for number in range(len(together)) for score in scores[number]]
+
+
+#: What this thread built last, and of which problem: `key`, `candidates`.
+_built = threading.local()
+
+
+class Scorer:
+    """Scores genomes (N, genes), in any thread of any process; each builds robot, interpolator and criterion once."""
+
+    def __init__(self, problem: LoopProblem):
+        self._problem = problem
+        self._key = hashlib.sha256(pickle.dumps(problem)).digest()
+
+    def __call__(self, genomes: np.ndarray) -> list[LoopScore]:
+        """Their scores, in their order."""
+        if getattr(_built, "key", None) != self._key:
+            _built.candidates = Candidates(self._problem)
+            _built.key = self._key
+        with one_blas_thread():
+            return [_built.candidates.score(genome) for genome in genomes]

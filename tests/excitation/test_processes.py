@@ -1,0 +1,70 @@
+"""Tasks on processes of this machine."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from functools import partial
+from operator import floordiv
+from pathlib import Path
+
+import pytest
+
+from agent.core import InProcess, InputError, LocalProcesses
+from agent.robot import load_robot
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_every_task_is_answered_by_its_number() -> None:
+    with LocalProcesses(2) as engine:
+        for function in (abs, float, abs):
+            for tasks in (range(-7, 0), [-5.0], []):
+                found = {done.number: done.answer for done in engine.map(function, tasks)}
+                assert [found[number] for number in range(len(tasks))] == [function(task) for task in tasks]
+
+
+@pytest.mark.parametrize(
+    ("function", "task", "message"), [(partial(floordiv, 1), 0, "ZeroDivisionError"), (os._exit, 3, "killed")]
+)
+def test_a_process_that_fails_says_why(function, task, message: str) -> None:
+    with pytest.raises(RuntimeError, match=message), LocalProcesses(2) as engine:
+        list(engine.map(function, [task]))
+
+
+def test_a_users_error_arrives_as_one() -> None:
+    for engine in (InProcess(), LocalProcesses(2)):
+        with pytest.raises(InputError, match="less"), engine:
+            list(engine.map(load_robot, ["less"]))
+
+
+ENDLESS = """
+from agent.core import LocalProcesses
+if __name__ == "__main__":
+    with LocalProcesses(2) as engine:
+        list(engine.map(abs, range(4)))
+        print("working", flush=True)
+        while True:
+            list(engine.map(abs, range(4)))
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_no_process_outlives_what_it_works_for(tmp_path: Path, how: signal.Signals) -> None:
+    script = tmp_path / "endless.py"
+    script.write_text(ENDLESS, encoding="utf-8")
+    main = subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment()
+    )
+    assert main.stdout is not None
+    assert main.stdout.readline() == "working\n"
+    main.send_signal(how)
+    # The workers share its pipes: these end when the last of them does.
+    main.communicate(timeout=60)
+    assert main.returncode != 0
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(ROOT)}
