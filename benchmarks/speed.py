@@ -162,6 +162,7 @@ def commands(trees: dict[str, Path], folder: Path) -> None:
 
 def growth(folder: Path, sizes: dict[str, tuple[int, ...]]) -> None:
     """How cost grows with size, and the exponent of a power law."""
+    from agent.core import InProcess
     from agent.excitation import search
     from agent.pipeline.planning import loop_problem
     from agent.recipe import load_recipe
@@ -191,7 +192,7 @@ def growth(folder: Path, sizes: dict[str, tuple[int, ...]]) -> None:
     def of_candidates(count: int) -> tuple[float, float]:
         recipe = load_recipe(RECIPE)
         begin = time.process_time()
-        search(loop_problem(recipe, recipe.motion.speed), population=count // 2, generations=2, workers=1)
+        search(loop_problem(recipe, recipe.motion.speed), population=count // 2, generations=2, engine=InProcess())
         return time.process_time() - begin, float("nan")
 
     of = {"joints": of_joints, "seconds": of_seconds, "logs": of_logs, "candidates": of_candidates}

@@ -6,20 +6,23 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from agent.blind_check.cases import Case
 from agent.blind_check.key import key_text, open_key, seal
 from agent.blind_check.scoring import outcome, score
 from agent.blind_check.worlds import EmulatorWorld, MujocoWorld, World
-from agent.core import AgentError, Console, InputError
+from agent.core import AgentError, Console, InProcess, InputError, TaskEngine
 from agent.runs import write_atomically
 from drivers.errors import DriverError
 
+Found = TypeVar("Found")
 #: A log of the first two motions is about this long [s], two cycles and the way to where they start.
 CYCLE = 10.0
 WORLDS = ("emulator", "mujoco")
@@ -43,11 +46,14 @@ class BlindCheck:
             return MujocoWorld(self.cycle)
         return EmulatorWorld(self.robot, self.cycle)
 
-    def run(self, console: Console) -> dict[str, Any]:
+    def run(self, console: Console, engine: TaskEngine | None = None) -> dict[str, Any]:
         """Do what is not done yet; returns the scores, which are also in `blind_check.json` and `blind_check.md`.
+
+        Runs that share a machine are one task of the `engine`, in this process without one; all see the same folder.
 
         Raises:
             InputError: no runs, or a folder with another check in it.
+            AgentError: a task was lost.
         """
         from agent.blind_check.report import report_text
 
@@ -59,10 +65,14 @@ class BlindCheck:
         text = key_text(self.seed, self._world.arms, cases)
         digest = seal(self.folder, text)
         console.step(f"{self.count} runs; SHA-256 of the key, which stays closed until the last diagnosis: {digest}")
-        self._diagnose_all(cases, console)
+        engine = engine or InProcess()
+        groups = [list(group) for _, group in groupby(cases, self._machine)]
+        for _ in self._each(self.diagnose_group, groups, engine, console, "diagnosed"):
+            pass
         open_key(self.folder, text)
         console.step(f"the key is open: {self.folder / 'key.json'}")
-        entries = [self._judge(case, console) for case in cases]
+        judged = self._each(self.judge_group, groups, engine, console, "judged")
+        entries = [entry for _, entries in sorted(judged, key=itemgetter(0)) for entry in entries]
         scores = {
             "schema": "blind-check/1",
             "key_sha256": digest,
@@ -74,7 +84,25 @@ class BlindCheck:
         write_atomically(self.folder / "blind_check.md", report_text(scores))
         return scores
 
-    def _diagnose_all(self, cases: Sequence[Case], console: Console) -> None:
+    def _each(
+        self,
+        work: Callable[[list[Case]], Found],
+        groups: list[list[Case]],
+        engine: TaskEngine,
+        console: Console,
+        what: str,
+    ) -> Iterator[tuple[int, Found]]:
+        """What the work gives for each group, with its number, as it comes."""
+        count, total = 0, sum(len(group) for group in groups)
+        for done in engine.map(work, groups):
+            if done.answer is None:
+                raise AgentError(f"blind check: {done.lost}")
+            count += len(groups[done.number])
+            console.progress(f"{count} of {total} runs {what}", count / total)
+            yield done.number, done.answer
+
+    def diagnose_group(self, cases: Sequence[Case]) -> bool:
+        """Record and diagnose those of a machine that are not diagnosed yet."""
         with _Diagnosing(self.folder) as diagnosing:
             for case in cases:
                 answer = self._folder(case) / "diagnosis.json"
@@ -83,7 +111,11 @@ class BlindCheck:
                 job, reason = self._record(case)
                 found = {"error": reason} if reason else diagnosing.ask(job)
                 write_atomically(answer, json.dumps(found) + "\n")
-                console.progress(f"run {case.number + 1} of {len(cases)} diagnosed", (case.number + 1) / len(cases))
+        return True
+
+    def judge_group(self, cases: Sequence[Case]) -> list[dict[str, Any]]:
+        """Entries of the runs of a machine, judged by the key."""
+        return [self._judge(case) for case in cases]
 
     def _record(self, case: Case) -> tuple[dict[str, Any], str]:
         """What a diagnosis is told of a run, or why there is nothing; its machine's model is made where missing."""
@@ -110,7 +142,7 @@ class BlindCheck:
             log.unlink()
         model.save(path)
 
-    def _judge(self, case: Case, console: Console) -> dict[str, Any]:
+    def _judge(self, case: Case) -> dict[str, Any]:
         """The case with its diagnosis, the one without its effect, and the oracle. Logs of clear cases are let go."""
         from agent.blind_check.size import MATTERS
 
@@ -129,7 +161,6 @@ class BlindCheck:
             entry.update(self._second_opinions(case, found["result"]))
         entry["outcome"] = outcome(entry)
         write_atomically(kept, json.dumps(entry) + "\n")
-        console.progress(f"run {case.number + 1}: {entry['outcome']}")
         if entry["outcome"] in ("right", "in class"):
             for log in logs:
                 log.unlink()
@@ -150,9 +181,12 @@ class BlindCheck:
     def _folder(self, case: Case) -> Path:
         return self.folder / "runs" / f"{case.number:04d}"
 
-    def _model(self, case: Case) -> Path:
+    def _machine(self, case: Case) -> int:
         """Machines are numbered as they come: their seed would tell of the key."""
-        return self.folder / "machines" / f"{case.number // self._world.group:04d}.json"
+        return case.number // self._world.group
+
+    def _model(self, case: Case) -> Path:
+        return self.folder / "machines" / f"{self._machine(case):04d}.json"
 
     def _robot(self, case: Case) -> str:
         return self._world.robot(self._model(case).with_suffix(""))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -72,6 +73,8 @@ def check(recipe: opt.RecipePath, as_json: opt.AsJson = False, messages: opt.Mes
 def plan(
     recipe: opt.RecipePath,
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="folder for the plan")] = None,
+    scheduler: opt.Scheduler = None,
+    workers: opt.Workers = None,
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
@@ -80,7 +83,10 @@ def plan(
     from agent.recipe import load_recipe
 
     loaded = load_recipe(recipe)
-    result = plan_recipe(loaded, out or Path(f"{recipe.stem}_plan"), opt.console_for(messages))
+    console = opt.console_for(messages)
+    chosen = scheduler is not None or workers is not None
+    with opt.engine_for(scheduler, workers, console) if chosen else nullcontext() as engine:
+        result = plan_recipe(loaded, out or Path(f"{recipe.stem}_plan"), console, engine)
     opt.print_found(as_json, result)
 
 
@@ -236,14 +242,20 @@ def blind_check(
     world: Annotated[
         str, typer.Option("--world", metavar="WORLD", help="emulator (the fake controller) or mujoco (arms in MuJoCo)")
     ] = "emulator",
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="folder, gone on with")] = Path("blind_check"),
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="DIR", help="folder, gone on with; all workers see it")
+    ] = Path("blind_check"),
+    scheduler: opt.Scheduler = None,
+    workers: opt.Workers = None,
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
     """Simulated runs with a withheld effect, diagnosed without the key, then scored."""
     from agent.blind_check import BlindCheck, summary_text
 
-    scores = BlindCheck(cases, seed, out, world=world).run(opt.console_for(messages))
+    console = opt.console_for(messages)
+    with opt.engine_for(scheduler, workers, console) as engine:
+        scores = BlindCheck(cases, seed, out.absolute(), world=world).run(console, engine)
     opt.print_found(as_json, scores, summary_text(scores))
 
 

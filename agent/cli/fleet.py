@@ -23,10 +23,6 @@ Robot = Annotated[
     str | None,
     typer.Option("--robot", metavar="R", help="of all: built-in robot or robot.yaml; else the one in or above a run"),
 ]
-Scheduler = Annotated[
-    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="of a Dask cluster, tcp://…; else this machine")
-]
-Workers = Annotated[int | None, typer.Option("--workers", metavar="N", min=1, help="local processes; one a core")]
 Memory = Annotated[str | None, typer.Option("--memory", metavar="SIZE", help="limit of a local process, as in 2GiB")]
 ModelName = Annotated[
     str | None, typer.Option("--model", metavar="MODEL", help="of all: a file; or its name in or above every run")
@@ -47,8 +43,8 @@ def estimate(
     structure: opt.Structure = "rigid",
     allow_mixed: opt.AllowMixed = False,
     force: opt.Force = False,
-    scheduler: Scheduler = None,
-    workers: Workers = None,
+    scheduler: opt.Scheduler = None,
+    workers: opt.Workers = None,
     memory: Memory = None,
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
@@ -66,8 +62,8 @@ def validate(
     model: ModelName = "model.json",
     cutoff: opt.Cutoff = None,
     allow_mixed: opt.AllowMixed = False,
-    scheduler: Scheduler = None,
-    workers: Workers = None,
+    scheduler: opt.Scheduler = None,
+    workers: opt.Workers = None,
     memory: Memory = None,
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
@@ -87,8 +83,8 @@ def diagnose(
     without: opt.Without = None,
     allow_mixed: opt.AllowMixed = False,
     force: opt.Force = False,
-    scheduler: Scheduler = None,
-    workers: Workers = None,
+    scheduler: opt.Scheduler = None,
+    workers: opt.Workers = None,
     memory: Memory = None,
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
@@ -146,8 +142,8 @@ def trends(
     ] = None,
     columns: Columns = None,
     robot: Robot = None,
-    scheduler: Scheduler = None,
-    workers: Workers = None,
+    scheduler: opt.Scheduler = None,
+    workers: opt.Workers = None,
     memory: Memory = None,
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,

@@ -44,6 +44,22 @@ UntilSure = Annotated[bool, typer.Option("--until-sure", help="with --record: fu
 Budget = Annotated[str, typer.Option("--budget", metavar="TIME", help="of motion for --until-sure, as '10 min'")]
 
 
+Scheduler = Annotated[
+    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="of a Dask cluster, tcp://…; else this machine")
+]
+Workers = Annotated[int | None, typer.Option("--workers", metavar="N", min=1, help="local processes; one a core")]
+
+
+def engine_for(scheduler: str | None, workers: int | None, console: Any) -> Any:
+    """Where work is done that has many parts: a Dask cluster, or processes of this machine."""
+    from agent.core import DaskEngine, InProcess, LocalProcesses, available_cores
+
+    if scheduler is not None:
+        return DaskEngine(scheduler, say=console.detail)
+    count = workers or available_cores()
+    return InProcess() if count == 1 else LocalProcesses(count)
+
+
 def console_for(messages: bool | None) -> Any:
     """What a person sees while a command works."""
     from agent.core import Console

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
+import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
@@ -97,6 +98,7 @@ def _answer(connection: Connection) -> Any:
 def _work(connection: Connection) -> None:
     for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # they reach every process of the terminal; ours ends us
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that what a task has started ends with it
     packed, function = b"", None
     try:
         while True:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core import Console, InputError
+from agent.core import Console, InputError, TaskEngine
 from agent.link import check_cell
 from agent.pipeline.planning import PlannedMotion, program_text, search_loop
 from agent.recipe import Recipe
@@ -55,8 +55,10 @@ class PlanFiles:
         return "\n".join([*lines, *(str(self.folder / name) for name in ("program.pdl", "plan.html"))])
 
 
-def plan_recipe(recipe: Recipe, folder: Path, console: Console) -> PlanFiles:
+def plan_recipe(recipe: Recipe, folder: Path, console: Console, engine: TaskEngine | None = None) -> PlanFiles:
     """Search, check the cell, and write program, page and data into a new folder. Opens no port.
+
+    Candidates are scored by the `engine`; without one by a process a core.
 
     Raises:
         InputError: as in `plan_once`, or the folder holds a plan already.
@@ -69,7 +71,7 @@ def plan_recipe(recipe: Recipe, folder: Path, console: Console) -> PlanFiles:
     made = not folder.exists()
     make_folder(folder, "the plan")  # before the search, which may take long
     try:
-        motion, found = search_loop(recipe, console)
+        motion, found = search_loop(recipe, console, engine)
         check_cell(recipe, motion.loop.trajectory)
     except BaseException:
         if made:

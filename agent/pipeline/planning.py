@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core import Console, InputError, read_json
+from agent.core import Console, InputError, TaskEngine, read_json
 from agent.link import check_cell, plan_statements
 from agent.recipe import Recipe
 from agent.runs import RunFolder, sha256_file, sha256_text
@@ -83,7 +83,9 @@ def make_plan(recipe: Recipe, console: Console) -> Plan:
     return Plan(excitation, found, tuple(_draw_validation(recipe, console)))
 
 
-def search_loop(recipe: Recipe, console: Console) -> tuple[PlannedMotion, dict[str, Any]]:
+def search_loop(
+    recipe: Recipe, console: Console, engine: TaskEngine | None = None
+) -> tuple[PlannedMotion, dict[str, Any]]:
     """The excitation loop, and how it was found. The loop is kept for later.
 
     Raises:
@@ -104,6 +106,7 @@ def search_loop(recipe: Recipe, console: Console) -> tuple[PlannedMotion, dict[s
         population=settings.population,
         generations=settings.generations,
         seed=settings.seed,
+        engine=engine,
         progress=lambda g: console.progress(
             f"generation {g.number + 1} of {settings.generations}: fitness {g.best:.2f}, "
             f"{g.feasible} of {settings.population} keep all limits",

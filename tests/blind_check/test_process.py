@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from agent.blind_check import BlindCheck
-from agent.core.console import Console
-from agent.core.errors import InputError
+from agent.core import Console, InputError, LocalProcesses, available_cores
 from agent.runs.folder import sha256_text
 
 #: From here on the page is written by people.
@@ -93,7 +92,8 @@ def check(tmp_path_factory) -> BlindCheck:
     """Six short runs, done: two without an effect, three with, and one with an effect outside the catalogue."""
     folder = tmp_path_factory.mktemp("blind")
     whole = BlindCheck(6, 1, folder / "check", robot=str(write_small_arm(folder)), cycle=1.6)
-    whole.run(QUIET)
+    with LocalProcesses(2) as engine:
+        whole.run(QUIET, engine)
     return whole
 
 
@@ -141,19 +141,22 @@ def test_a_rerun_goes_on_and_does_nothing_twice(check, done):
     key = json.loads((done / "key.json").read_text())
     number = next(case["number"] for case in key["cases"] if not case["effects"])
     (lost,) = (path for path in before if int(path.parent.name) == number)
+    first = json.loads(lost.read_text())["result"]
     lost.unlink()
     (lost.parent / "judged.json").unlink()
     check.run(QUIET)
     after = stamps()
     assert {path for path in before if after[path] != before[path]} == {lost}
     assert json.loads((lost.parent / "judged.json").read_text())["number"] == number
+    assert json.loads(lost.read_text())["result"] == first, "another process comes to another answer"
 
 
 @pytest.mark.verify
 def test_blind_check(measured):
     """The whole of it; what is finished is kept in `.verify/`, and the page goes into the documentation."""
     folder = ROOT / ".verify" / "blind_check"
-    scores = BlindCheck(400, 1, folder).run(Console())
+    with LocalProcesses(available_cores()) as engine:
+        scores = BlindCheck(400, 1, folder).run(Console(), engine)
     page = ROOT / "docs" / "blind-check.md"
     _, others, by_hand = page.read_text(encoding="utf-8").partition(BY_HAND)
     page.write_text((folder / "blind_check.md").read_text(encoding="utf-8").rstrip() + "\n\n" + others + by_hand)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.core import InProcess
 from agent.excitation import LoopProblem, search
 from agent.motion import FlyInterpolator, ViaRegions, loop_moves
 from agent.motion.program import (
@@ -70,7 +71,7 @@ def set_points(style: str) -> dict[str, Any]:
 def found(seed: int) -> dict[str, Any]:
     """What a small search ends with."""
     problem = LoopProblem(load_robot("comau_ns16"), regions(), CART)
-    result = search(problem, population=8, generations=4, seed=seed, workers=1)
+    result = search(problem, population=8, generations=4, seed=seed, engine=InProcess())
     return {"genome": result.loop.genome.tolist(), "fitness": result.fitness, "best": result.best.tolist()}
 
 

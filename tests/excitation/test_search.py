@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent.core.errors import InputError
+from agent.core import InProcess, InputError, LocalProcesses
 from agent.excitation import Candidates, Generation, LoopProblem, check_sub_region, search
 from agent.motion import ViaRegions
 from agent.robot import Box
@@ -23,8 +23,9 @@ def genomes(count: int, seed: int = 0) -> np.ndarray:
 
 def test_a_seed_gives_the_same_loop_for_any_number_of_workers(problem: LoopProblem) -> None:
     told: list[list[Generation]] = [[], []]
-    one = search(problem, population=8, generations=3, seed=4, workers=1, progress=told[0].append)
-    two = search(problem, population=8, generations=3, seed=4, workers=2, progress=told[1].append)
+    one = search(problem, population=8, generations=3, seed=4, engine=InProcess(), progress=told[0].append)
+    with LocalProcesses(2) as engine:
+        two = search(problem, population=8, generations=3, seed=4, engine=engine, progress=told[1].append)
     assert one.loop.genome.tobytes() == two.loop.genome.tobytes()
     assert one.fitness == two.fitness
     assert one.to_dict() == two.to_dict()
@@ -34,7 +35,7 @@ def test_a_seed_gives_the_same_loop_for_any_number_of_workers(problem: LoopProbl
 
 
 def test_the_result_is_the_best_of_the_finalists_on_all_samples(problem: LoopProblem, candidates: Candidates) -> None:
-    result = search(problem, method="random", population=7, generations=2, seed=2, workers=1)
+    result = search(problem, method="random", population=7, generations=2, seed=2, engine=InProcess())
     assert result.evaluated == 14
     assert result.feasible.shape == result.best.shape == result.mean.shape == (2,)
     assert result.finalists.shape == (10, 2)
@@ -130,7 +131,7 @@ def test_a_loop_that_winds_the_wrist_up_is_infeasible(candidates: Candidates) ->
 def test_when_nothing_keeps_the_limits_the_nearest_miss_is_told(problem_with: Any) -> None:
     everywhere = Box("everything", (0.6, -1.0, 0.4), (1.6, 1.0, 1.4))  # around the sub-region, clear of the base
     with pytest.raises(InputError, match="everything") as error:
-        search(problem_with(keep_out=(everywhere,)), population=4, generations=2, workers=1)
+        search(problem_with(keep_out=(everywhere,)), population=4, generations=2, engine=InProcess())
     assert "none of" in str(error.value)
 
 

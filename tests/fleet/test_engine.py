@@ -10,6 +10,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from agent.core import on_dask
@@ -17,7 +18,10 @@ from agent.core.console import Console
 from agent.core.errors import InputError
 from agent.core.on_dask import DaskEngine
 from agent.core.parallel import InProcess
+from agent.excitation import LoopProblem, search
 from agent.fleet import make_question, run_fleet
+from agent.motion import MotionSettings, ViaRegions
+from agent.robot import load_robot
 from tests.fleet.conftest import DaskProcesses, rows_of
 
 
@@ -58,6 +62,16 @@ def test_a_killed_worker_changes_no_row(plant: Path, estimated: Path, tmp_path: 
     names = {row["model"] for row in rows_of(tmp_path)} - {None}
     assert names == {f"_models/{path.name}" for path in (tmp_path / "_models").iterdir()}
     assert not any((tmp_path / "_done").iterdir())
+
+
+def test_a_search_on_dask_finds_the_loop_of_this_process():
+    regions = ViaRegions.from_box(6, [1.0, 0.0, 1.0], [0.3] * 3, [0.0, np.pi, 0.0], 0.3)
+    problem = LoopProblem(load_robot("comau_ns16"), regions, MotionSettings(linear_speed=0.5))
+    asked = {"population": 12, "generations": 2, "seed": 3}
+    with DaskEngine(workers=2) as engine:
+        there = search(problem, **asked, engine=engine)
+    here = search(problem, **asked, engine=InProcess())
+    assert there.to_dict() == here.to_dict()
 
 
 def test_a_scheduler_that_is_killed_and_comes_back(cluster: DaskProcesses):
