@@ -41,6 +41,7 @@ _START = datetime(2025, 1, 6, 2, 0, tzinfo=UTC)
 _CYCLES, _PERIOD, _RATE = 4, 5.0, 100.0  # of the motion of a log: cycles, s, Hz
 _REVERSAL = 0.01  # share of the highest speed over which friction changes sign
 _NOISE = 0.003  # of nominal torque
+_UNFINISHED = "_unfinished"  # says what is being written, until all of it is
 
 
 @dataclass(frozen=True)
@@ -107,15 +108,18 @@ def draw_fleet(machines: int, weeks: int, joints: tuple[str, ...], seed: int) ->
 
 def simulate_fleet(robot: str, machines: int, weeks: int, seed: int, out: str, rows: bool) -> list[str]:
     """Write a fleet to a folder or URL: logs with their description, or with `rows` the result of `fleet estimate` on
-    a year of them; returns what was written.
+    a year of them; returns what was written. What was stopped in the middle is made anew by the same call.
 
     Raises:
-        InputError: a robot that is not known, or a folder with something in it.
+        InputError: a robot that is not known, or a folder with something else in it.
     """
     description = load_robot(robot)
     store = Store(out)
-    if store.names("."):
+    asked = f"{robot} {machines} {weeks} {seed} {'rows' if rows else 'logs'}\n".encode()
+    found = store.names(".")
+    if found and not (_UNFINISHED in found and store.read(_UNFINISHED) == asked):
         raise InputError(f"{out}: there is something in it already; name a new folder")
+    store.put(_UNFINISHED, asked)
     fleet = draw_fleet(machines, weeks, description.joint_names, seed)
     written = _write_rows(store, fleet, description, seed) if rows else _write_logs(store, fleet, description, seed)
     columns = [(name, *column) for name, column in zip(fleet.names, fleet.columns, strict=True)]
@@ -131,6 +135,7 @@ def simulate_fleet(robot: str, machines: int, weeks: int, seed: int, out: str, r
         csv.writer(text, lineterminator="\n").writerows(table)
         store.put(f"_{name}" if rows else name, text.getvalue().encode())
         written.append(f"{out}/{'_' if rows else ''}{name}")
+    store.remove(_UNFINISHED)
     return written
 
 

@@ -201,3 +201,27 @@ def test_rows_without_pyarrow_say_what_to_install(arm: str, tmp_path: Path, monk
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(InputError, match=r"pip install 'calibration-agent\[fleet\]'"):
         simulate.simulate_fleet(arm, 1, 1, 1, str(tmp_path), rows=True)
+
+
+def test_a_simulation_that_is_stopped_is_made_anew_by_the_same_call(arm: str, tmp_path: Path, monkeypatch):
+
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    simulate.simulate_fleet(arm, 2, 1, 1, str(whole), rows=False)
+    put, written = simulate.Store.put, []
+
+    def stopped(store, path, content):
+        written.append(path)
+        if len(written) == 4:
+            raise KeyboardInterrupt
+        put(store, path, content)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(simulate.Store, "put", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            simulate.simulate_fleet(arm, 2, 1, 1, str(broken), rows=False)
+    with pytest.raises(InputError, match="something in it"):
+        simulate.simulate_fleet(arm, 2, 1, 2, str(broken), rows=False)
+    simulate.simulate_fleet(arm, 2, 1, 1, str(broken), rows=False)
+    files = sorted(path.relative_to(whole) for path in whole.rglob("*") if path.is_file())
+    assert sorted(path.relative_to(broken) for path in broken.rglob("*") if path.is_file()) == files
+    assert (broken / "truth.csv").read_text() == (whole / "truth.csv").read_text()
