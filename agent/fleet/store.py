@@ -58,12 +58,14 @@ class Store:
     def __init__(self, url: str):
         self.url = str(url)
         needed("fsspec", "a fleet")
+        options = {}
         if self.url.startswith(("s3:", "s3a:")):
             needed("s3fs", self.url)
+            options = {"config_kwargs": {"retries": {"max_attempts": 1}}}  # calls are tried again here, and by s3fs
         from fsspec.core import url_to_fs
 
         try:
-            self._fs, root = url_to_fs(self.url)
+            self._fs, root = url_to_fs(self.url, **options)
         except (ValueError, ImportError) as error:
             raise InputError(f"{self.url}: no store can be opened by this URL: {error}") from None
         except OSError as error:  # some connect at once
