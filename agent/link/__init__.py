@@ -1,4 +1,4 @@
-"""None"""
+"""The open link to a controller: what is planned through it, run and recorded."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""None"""
+"""The commands as steps: calibrate, recalibrate, diagnose, plan, check, and what they say."""
 
 import lazy_loader
 

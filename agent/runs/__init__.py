@@ -1,4 +1,4 @@
-"""None"""
+"""Run folders, their lock and history, trends, stored loops and current models."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""None"""
+"""The guard: what must hold before an arm moves and while it does, and the cell it moves in."""
 
 import lazy_loader
 
