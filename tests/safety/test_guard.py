@@ -17,8 +17,7 @@ from agent.core.errors import ControllerError, InputError, SafetyError
 from agent.safety.motion import PlannedProgram
 from drivers.errors import DriverError
 from drivers.transports.tcp import TcpDriver
-
-HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
+from tests.safety.following import HOME
 
 
 def test_what_is_in_order_runs_once_to_its_end(bench, program):

@@ -16,8 +16,7 @@ from agent.safety.checked import CheckedPrograms
 from agent.safety.first_run import FIRST_SPEED, slow_version
 from agent.safety.motion import PlannedProgram
 from drivers.errors import DriverError
-
-HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
+from tests.safety.following import HOME
 
 
 def test_nobody_watches_a_program_that_nobody_has_watched_before(bench, program, authorisation):

@@ -13,8 +13,8 @@ from agent.motion.trajectory import Trajectory
 from agent.safety.motion import PlannedProgram
 from drivers.errors import DriverError
 from tests.conftest import patience
+from tests.safety.following import HOME
 
-HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
 SECONDS = 4.0
 AXES = np.array([0.5, 0.0, 0.0, 0.4, 0.0, 0.0])
 Motion = Callable[[np.ndarray], np.ndarray]

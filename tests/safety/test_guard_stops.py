@@ -1,0 +1,160 @@
+"""Starts that fail and motions that are ended before their end: one start, and a stop."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.core.errors import AgentError, SafetyError
+from agent.safety.guard import GuardedLink
+from agent.safety.motion import PlannedProgram
+from drivers.errors import DriverError, RefusedError
+from drivers.transports.tcp import TcpDriver
+from drivers.wire.reasons import Refusal
+from tests.safety.following import HOME
+
+
+def test_one_stop_after_the_other(bench, program):
+    """The state asks for one and, while that is on its way, somebody ends the program."""
+    inside, most, second = [], [], threading.Event()
+
+    class Slow(TcpDriver):
+        def stop(self):
+            inside.append(1)
+            most.append(len(inside))
+            if len(inside) > 1:
+                second.set()
+            second.wait(0.2)
+            super().stop()
+            inside.pop()
+
+    bench.driver = Slow
+    bench.controller.pushes, bench.controller.later = True, {"override": 0.9}
+    guard = bench.open()
+    guard.send(program())
+    with pytest.raises(KeyboardInterrupt):
+        _take_and_raise(guard, program(), KeyboardInterrupt, 2)
+    assert most == [1, 1]
+
+
+def test_a_link_that_drops_is_told_with_what_to_do(bench, program):
+    bench.controller.vanish_after = 4
+    with pytest.raises(DriverError, match=r"make sure that the arm rests.*run the command again") as dropped:
+        bench.run(program())
+    assert dropped.value.exit_code == 4
+    assert bench.controller.starts == 1
+
+
+def test_a_start_whose_answer_is_lost_is_not_repeated(bench, program):
+    bench.controller.lose_answer = True
+    with pytest.raises(DriverError, match="make sure that the arm rests"):
+        bench.run(program())
+    assert bench.controller.starts == 1
+
+
+def test_a_start_whose_answer_is_lost_is_watched_from_its_first_sample(bench, program):
+    bench.controller = replace(bench.controller, keep_answer=True, pushes=True)
+    assert bench.run(program()) == 1000
+    bench.guard.close()
+    bench.controller.moves = lambda times: np.tile(HOME - 1.0, (len(times), 1))
+    with pytest.raises(SafetyError, match="what moves is not what was planned"):
+        bench.run(program())
+
+
+def test_what_came_of_a_start_that_failed_is_handed_out(bench, program):
+    class Failing(TcpDriver):
+        def start(self, name, checksum):
+            super().start(name, checksum)
+            raise DriverError("the answer was garbage")
+
+    bench.driver, taken = Failing, []
+    guard = bench.open()
+    guard.send(program())
+    with pytest.raises(DriverError, match=r"garbage.*make sure that the arm rests"), guard.motion(program()) as samples:
+        taken.extend((bench.controller.stops, len(block)) for block in samples)
+    assert taken
+    assert {stops for stops, _ in taken} == {1}, "it was stopped before anybody took a sample"
+
+
+def test_a_start_that_failed_is_told_and_not_how_the_samples_end(bench, program):
+    class Failing(TcpDriver):
+        def start(self, name, checksum):
+            super().start(name, checksum)
+            raise DriverError("the answer was garbage")
+
+        def samples(self):
+            yield next(super().samples())
+            raise DriverError("gone")
+
+    bench.driver = Failing
+    with pytest.raises(DriverError, match="the answer was garbage"):
+        bench.run(program())
+
+
+def test_a_refused_start_is_not_repeated_and_not_stopped(bench, program):
+    bench.controller.refuses = Refusal.ALARM
+    with pytest.raises(RefusedError, match="alarm"):
+        bench.run(program())
+    assert (bench.controller.starts, bench.controller.stops) == (1, 0)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError, AgentError, SystemExit])
+def test_whatever_goes_wrong_with_the_samples_stops_the_arm(bench, error, program):
+    guard = bench.open()
+    guard.send(program())
+    with pytest.raises(error):
+        _take_and_raise(guard, program(), error)
+    assert (bench.controller.starts, bench.controller.stops) == (1, 1)
+    ended = [f"{bench.address}: the arm was stopped and stands; the log of this motion ends here"]
+    assert bench.warned == ([] if issubclass(error, Exception) else ended), "somebody ended the program, or it failed"
+
+
+def test_what_goes_wrong_after_the_end_stops_nothing(bench, program):
+    guard = bench.open()
+    guard.send(program())
+    with pytest.raises(KeyboardInterrupt):
+        _take_and_raise(guard, program(), KeyboardInterrupt, blocks=11)
+    assert bench.controller.stops == 0
+    assert bench.warned == []
+
+
+def test_a_stop_that_is_not_confirmed_closes_the_link_and_says_so(bench, program):
+    bench.controller.confirms_stop = False
+    guard = bench.open()
+    guard.send(program())
+    with pytest.raises(KeyboardInterrupt):
+        _take_and_raise(guard, program(), KeyboardInterrupt)
+    assert len(bench.warned) == 1
+    assert "not confirmed" in bench.warned[0]
+    with pytest.raises(DriverError, match="connect first"):
+        guard.position()
+
+
+def test_a_link_that_is_closed_in_motion_stops_the_arm_first(bench, program):
+    guard = bench.open()
+    guard.send(program())
+    left = guard.motion(program())
+    next(left.__enter__())
+    guard.close()
+    assert bench.controller.stops == 1
+
+
+def test_a_closed_link_is_closed(bench):
+    guard = bench.open()
+    guard.close()
+    with pytest.raises(DriverError, match="connect first"):
+        guard.position()
+
+
+def _take_and_raise(guard: GuardedLink, chosen: PlannedProgram, error: type[BaseException], blocks: int = 1) -> None:
+    with guard.motion(chosen) as samples:
+        for _ in range(blocks):
+            next(samples, None)
+        raise error("disk full, Ctrl-C, anything")
+
+
+def test_where_the_arm_stands(bench):
+    np.testing.assert_array_equal(bench.open().position(), HOME)
