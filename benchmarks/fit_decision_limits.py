@@ -43,9 +43,9 @@ COST = {"right": 0.0, "in class": 0.25, "unknown": 1.0, "missed": 1.0, "no class
 FALSE_ALARM = 4.0
 AS_IS, FITTED = "as they are", "fitted"
 #: Limits by which the data are put together, so that a run with another one starts from its logs.
-IN_DATA = ("stiction", "least_background", "moves", "block", "parity", "near_rest")
+IN_DATA = ("stiction", "least_background", "least_travel", "block", "parity", "near_rest")
 #: Limits that no run drawn here meets: no model given, a simulator's file, one log, a warning only.
-NOT_MET = ("unknown_error", "least_error", "guard", "shortest", "clipped")
+NOT_MET = ("unknown_error", "least_error", "guard", "shortest", "clipped_share")
 
 
 def moved(limits: DecisionLimits, name: str, factor: float) -> DecisionLimits:

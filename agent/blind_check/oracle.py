@@ -1,7 +1,7 @@
 """What a diagnosis could have reached: the true structure refitted to the same data, and two controls that are wrong.
 
 All three go through the diagnosis' own fit, fold by fold (`agent.diagnosis.Trial`): the oracle is told which effects
-sit where and looks for their parameters only; `wrong` is another effect with as much freedom in the same place;
+sit where and looks for their parameters only; `wrong` is another effect with as many parameters in the same place;
 `black box` is as many smooth random functions of that joint's position, speed, acceleration and load.
 """
 
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 
 
 class BlackBox(Effect):
-    """`freedom` smooth random functions on one joint."""
+    """`n_parameters` smooth random functions on one joint."""
 
     name = "black_box"
     formula = "tanh(wᵀ x + b), x of position, speed, acceleration and load, each over its spread"
     source = "random features (Rahimi, Recht, NIPS 2007)"
     signature = look_at = "none"
 
-    def __init__(self, freedom: int, seed: int):
+    def __init__(self, n_parameters: int, seed: int):
         rng = np.random.default_rng([seed, 41])
-        self._weights, self._bias = rng.normal(size=(4, freedom)), rng.uniform(-2, 2, freedom)
+        self._weights, self._bias = rng.normal(size=(4, n_parameters)), rng.uniform(-2, 2, n_parameters)
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return tuple(f"w{k}" for k in range(len(self._bias)))
@@ -65,22 +65,22 @@ def reference_closures(
         if found is None:
             return {}
         chosen.append(found)
-    freedom = max(1, trial.n_parameters(chosen))
+    n_parameters = max(1, trial.n_parameters(chosen))
     joint = next((effect["joints"][0] for effect in effects if effect["joints"]), trial.worst_joint)
-    name = _wrong(trial.freedoms(joint), {effect["effect"] for effect in effects}, freedom, seed)
+    name = _wrong(trial.parameter_counts(joint), {effect["effect"] for effect in effects}, n_parameters, seed)
     wrong = trial.best(name, [joint]) if name else None
-    black_box = trial.best(BlackBox(freedom, seed), [joint])
+    black_box = trial.best(BlackBox(n_parameters, seed), [joint])
     return {
         "oracle": trial.closure(chosen),
         "wrong": trial.closure([wrong]) if wrong else None,
         "wrong_effect": wrong.effect.name if wrong else None,
         "black_box": trial.closure([black_box]) if black_box else None,
-        "freedom": freedom,
+        "n_parameters": n_parameters,
     }
 
 
-def _wrong(freedoms: Mapping[str, int], true: set[str], freedom: int, seed: int) -> str | None:
-    """An effect that is not there, with the freedom nearest to the truth's; drawn among equals."""
-    names = [name for name in freedoms if name not in true]
+def _wrong(parameter_counts: Mapping[str, int], true: set[str], n_parameters: int, seed: int) -> str | None:
+    """An effect that is not there, with the number of parameters nearest to the truth's; drawn among equals."""
+    names = [name for name in parameter_counts if name not in true]
     drawn = [str(name) for name in np.random.default_rng([seed, 42]).permutation(names)]
-    return min(drawn, key=lambda name: abs(freedoms[name] - freedom), default=None)
+    return min(drawn, key=lambda name: abs(parameter_counts[name] - n_parameters), default=None)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.link import moving_stretches
+from agent.link import moving_segments
 from agent.recording import read_log
 from agent.robot import RobotDescription
 
@@ -33,7 +33,7 @@ def torque_change(robot: RobotDescription, logs: Sequence[Path], others: Sequenc
         assert other.effort is not None
         squares, count = np.zeros(robot.dof), 0
         here, there = (
-            moving_stretches(positions, REST) for positions in (log.reference_position, other.reference_position)
+            moving_segments(positions, REST) for positions in (log.reference_position, other.reference_position)
         )
         for (a, b), (c, d) in zip(here, there, strict=False):
             length = min(b - a, d - c)

@@ -99,10 +99,10 @@ def diagnose_job(job: Mapping[str, Any], without: Sequence[str] = ()) -> Diagnos
 def _planned_as(log: Log, set_points: np.ndarray) -> Log:
     """The log with executed set-points (T, n) of another run as its plan, from stop to stop; none if stops differ."""
     from agent.blind_check.size import REST
-    from agent.link import moving_stretches
+    from agent.link import moving_segments
 
     assert log.reference_position is not None
-    here, there = (moving_stretches(points, REST) for points in (log.reference_position, set_points))
+    here, there = (moving_segments(points, REST) for points in (log.reference_position, set_points))
     if len(here) != len(there):
         return replace(log, planned_position=None)
     planned = np.full(log.position.shape, np.nan)

@@ -83,8 +83,8 @@ def history(
         runs = past.runs(robot, serial)
         current, lost = current_runs(logs)
         future = [f"{run.run}: dated in the future; the trends leave it out" for run in runs if run.in_future()]
-        for doubtful in (*past.damaged, *lost, *future):
-            print(f"agent: {doubtful}", file=sys.stderr)
+        for warning in (*past.damaged, *lost, *future):
+            print(f"agent: {warning}", file=sys.stderr)
         if as_json:
             import json
 
@@ -133,7 +133,7 @@ def report(
 ) -> None:
     """Make the HTML page of a run again, or the page over all runs. Prints its path."""
     from agent.core import print_path
-    from agent.pipeline import report_again, write_index
+    from agent.pipeline import rebuild_report, write_index
     from agent.runs import find_run
 
     if (run is None) == (not index):
@@ -141,7 +141,7 @@ def report(
     if run is None:
         page = write_index(logs, robot, serial)
     else:
-        page = report_again(find_run(logs, run), opt.console_for(messages))
+        page = rebuild_report(find_run(logs, run), opt.console_for(messages))
     print_path(page)
     if show:
         import webbrowser

@@ -90,9 +90,9 @@ class DaskEngine:
         Raises:
             AgentError: the scheduler is gone and does not come back.
         """
-        doubtful: list[tuple[int, Task]] = []
-        yield from self._map(function, iter(enumerate(tasks)), doubtful, None)
-        for number, task in doubtful:
+        unconfirmed: list[tuple[int, Task]] = []
+        yield from self._map(function, iter(enumerate(tasks)), unconfirmed, None)
+        for number, task in unconfirmed:
             again: list[tuple[int, Task]] = []
             yield from self._map(function, iter([(number, task)]), again, 1)
             if again:
@@ -105,7 +105,7 @@ class DaskEngine:
         self,
         function: Callable[[Task], Answer],
         tasks: Iterator[tuple[int, Task]],
-        doubtful: list[tuple[int, Task]],
+        unconfirmed: list[tuple[int, Task]],
         width: int | None,
     ) -> Iterator[TaskDone[Answer]]:
         back: deque[tuple[int, Task]] = deque()  # to be sent again
@@ -131,7 +131,7 @@ class DaskEngine:
                     error = future.exception()
                     if not isinstance(error, self._killed):
                         raise error
-                    doubtful.append(one)
+                    unconfirmed.append(one)
                     continue
                 try:
                     answer = future.result()

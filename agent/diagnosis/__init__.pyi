@@ -21,7 +21,12 @@ from .limits import DecisionLimits as DecisionLimits
 from .randomisation import Range as Range, ranges as ranges, ranges_text as ranges_text
 from .regimes import BANDS as BANDS, band_shares as band_shares, masks as masks, motor_phase_share as motor_phase_share
 from .result import Diagnosis as Diagnosis
-from .sizes import intervals as intervals, leading as leading, size_text as size_text, told as told
+from .sizes import (
+    intervals as intervals,
+    leading_parameter as leading_parameter,
+    reported_parameters as reported_parameters,
+    size_text as size_text,
+)
 from .structure import with_structure as with_structure
 from .trial import Trial as Trial
 from .workflow import check_effects as check_effects, diagnose as diagnose

@@ -162,17 +162,17 @@ def _energy(rows: np.ndarray, block: np.ndarray) -> np.ndarray:
 
 
 def _load(found: ReleasedSimulator) -> dict[str, float]:
-    """Mass [kg] and first moments [kg·m] that the last link gained, where it gained more than its own is in doubt."""
+    """Mass [kg] and first moments [kg·m] that the last link gained, where it gained more than its prior deviation."""
     last = found.given.robot.dof - 1
     own = [group for group in found.groups if group.kind == "link inertia" and group.joint == last]
     if not own:
         return {}
     released = np.hstack([group.directions for group in found.groups])
     start = next(k for k, column in enumerate(released.T) if np.array_equal(column, own[0].directions[:, 0]))
-    doubt = found.given.fit.reference.prior_std[ParameterLayout.of(found.given.robot).link(last)]
-    gained = np.linalg.lstsq(released, found.moved.fit.change, rcond=1e-9)[0][start : start + 10] * doubt
+    prior_std = found.given.fit.reference.prior_std[ParameterLayout.of(found.given.robot).link(last)]
+    gained = np.linalg.lstsq(released, found.moved.fit.change, rcond=1e-9)[0][start : start + 10] * prior_std
     names = ("mass", "first_moment_x", "first_moment_y", "first_moment_z")
-    return dict(zip(names, map(float, gained), strict=False)) if gained[0] > doubt[0] else {}
+    return dict(zip(names, map(float, gained), strict=False)) if gained[0] > prior_std[0] else {}
 
 
 def causes_of_steps(found: ReleasedSimulator, steps: Sequence[WaterfallStep], closure: float) -> tuple[Cause, ...]:

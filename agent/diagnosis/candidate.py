@@ -64,12 +64,12 @@ class Fold:
     train: np.ndarray
 
 
-def make_candidates(survey: FitContext, wanted: Sequence[Wanted]) -> list[Candidate]:
-    """Candidates with their columns, filtered as the torque is and over the background of `survey`."""
+def make_candidates(context: FitContext, wanted: Sequence[Wanted]) -> list[Candidate]:
+    """Candidates with their columns, filtered as the torque is and over the background of `context`."""
     parts: list[dict[int, list[np.ndarray]]] = [{} for _ in wanted]
     for kind in {effect for effect, *_ in wanted}:
-        kind.prepare(survey.signals, [(joints, settings) for effect, joints, settings in wanted if effect is kind])
-    for signals, sigma in zip(survey.signals, survey.sigmas, strict=True):
+        kind.prepare(context.signals, [(joints, settings) for effect, joints, settings in wanted if effect is kind])
+    for signals, sigma in zip(context.signals, context.sigmas, strict=True):
         pending: list[tuple[int, int, np.ndarray]] = []
         for number, (effect, joints, settings) in enumerate(wanted):
             for joint, block in effect.columns(signals, joints, settings).items():
@@ -83,7 +83,7 @@ def make_candidates(survey: FitContext, wanted: Sequence[Wanted]) -> list[Candid
     result = []
     for (effect, joints, settings), found in zip(wanted, parts, strict=True):
         blocks = {joint: np.concatenate(block) for joint, block in found.items()}
-        prior_std = effect.prior_std(survey, joints, settings)
+        prior_std = effect.prior_std(context, joints, settings)
         names = effect.names(settings)
-        result.append(Candidate(effect, joints, dict(settings), names, blocks, prior_std, survey.reference))
+        result.append(Candidate(effect, joints, dict(settings), names, blocks, prior_std, context.reference))
     return result

@@ -2,7 +2,7 @@
 
 The background is the model's own error. It is no noise: it follows the motion, comes back with every cycle, and is
 correlated over whole moves. So its signs are drawn anew for segments of a second of the motion, the same for all
-cycles of it: size, correlation and repetition stay, and any likeness to an effect is chance (wild bootstrap: Liu,
+cycles of it: size, correlation and repetition stay, and any correlation with an effect is chance (wild bootstrap: Liu,
 Annals of Statistics 16, 1988; by blocks: Shao, J. American Statistical Association 105, 2010). Every form is then
 fitted and scored out of fold as on the real residual. The highest gain of all forms in all places, over all values of
 their nonlinear parameters, is one draw. So its 99 % point holds for the whole search, and for parameters that mean

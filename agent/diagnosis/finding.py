@@ -46,7 +46,7 @@ class Finding:
     runners: tuple[tuple[str, tuple[int, ...]], ...] = ()
     limits: DecisionLimits = LIMITS
 
-    def doubted(self) -> Finding:
+    def with_uncertain_form(self) -> Finding:
         """The same causes, where the first closes so little that another may do as well: the next best."""
         named = {candidate.place for candidate in self.causes}
         others = [score.candidate.place for score in self.steps[0].scores if score.candidate.place not in named]

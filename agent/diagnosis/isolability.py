@@ -42,5 +42,5 @@ def best_by_place(scores: Sequence[HeldOutScore]) -> dict[Where, HeldOutScore]:
 
 
 def complexity(candidate: Candidate) -> int:
-    """Number of parameters, with a surcharge for what could be anything."""
-    return candidate.effect.n_parameters(candidate.settings) + candidate.effect.complexity_surcharge
+    """Number of parameters, with a penalty for what could be anything."""
+    return candidate.effect.n_parameters(candidate.settings) + candidate.effect.complexity_penalty

@@ -67,36 +67,40 @@ class DecisionLimits:
     )
 
     # Which of several
-    near: float = _limit(0.04, "gain of the best", "forms this close are as good; the simplest is taken", TUNED)
-    near_floor: float = _limit(0.02, "background energy of all rows", "the same, at least", TUNED)
-    alike: float = _limit(
+    equal_gain: float = _limit(0.04, "gain of the best", "forms this close are as good; the simplest is taken", TUNED)
+    equal_gain_floor: float = _limit(0.02, "background energy of all rows", "the same, at least", TUNED)
+    indistinguishable_gain: float = _limit(
         0.003, "gain of the best", "forms this close cannot be told apart, however well the better one fits", TUNED
     )
     further_effect: float = _limit(0.35, "energy still unexplained", "that every further effect must explain", TUNED)
-    in_band: float = _limit(
+    in_band_gain: float = _limit(
         0.5, "gain", "of an effect in fast torque, where measured torque goes with the prediction that has it", "chosen"
     )
-    beside: float = _limit(
+    gain_beside: float = _limit(
         0.05, "excess energy of its joints", "that an effect must explain beside another on one of them", "chosen"
     )
-    simpler: float = _limit(3.0, "times the parameters", "a form has to have before `near` counts in full", "chosen")
-    redundant: float = _limit(0.002, "energy of all rows", "what an effect must add beside the others", TUNED)
-    enough: float = _limit(0.9, "excess energy", "closed by one effect, so that no other start is tried", TUNED)
-    runner_up: float = _limit(0.5, "gain of the cause", "by the next best forms where it fits doubtfully", TUNED)
-    unfit: float = _limit(
+    simpler_ratio: float = _limit(
+        3.0, "times the parameters", "a form has to have before `equal_gain` counts in full", "chosen"
+    )
+    redundant_gain: float = _limit(0.002, "energy of all rows", "what an effect must add beside the others", TUNED)
+    single_effect_closure: float = _limit(
+        0.9, "excess energy", "closed by one effect, so that no other start is tried", TUNED
+    )
+    runner_up_gain: float = _limit(0.5, "gain of the cause", "by the next best forms where it fits doubtfully", TUNED)
+    rival_energy: float = _limit(
         0.5, "energy that a cause leaves", "explained by a shape of its own kind: the two are rivals", TUNED
     )
     good_fit: tuple[float, ...] = _limit(
-        (0.975, 0.98, 0.98), "excess energy", "closed by one, two, three effects, or the forms are in doubt", TUNED
+        (0.975, 0.98, 0.98), "excess energy", "closed by one, two, three effects, or the form is uncertain", TUNED
     )
     most_effects: int = _limit(3, "effects", "sought at most", "chosen: what an answer can be checked for")
     starts: int = _limit(4, "effects", "that the search begins with, best first", "chosen: time")
 
     # What a verdict promises
     explained: float = _limit(0.75, "gap", "that all causes close together, or it is not explained", _CONTRACT)
-    hardly: float = _limit(0.25, "gap", "causes that close less are not named, whatever equals them", "chosen")
-    part: float = _limit(0.03, "gap", "a cause that closes less by itself has no size", "chosen")
-    least_sure: float = _limit(
+    least_closure: float = _limit(0.25, "gap", "causes that close less are not named, whatever equals them", "chosen")
+    least_share: float = _limit(0.03, "gap", "a cause that closes less by itself has no size", "chosen")
+    least_probability: float = _limit(
         0.5, "probability", "of the first cause's class: what is rather wrong than right is not named", "derived"
     )
     probability: tuple[float, float, float] = _limit(
@@ -138,8 +142,8 @@ class DecisionLimits:
     least_error: float = _limit(
         0.01, "RMS torque", "expected of a simulator's file, however little its numbers moved leave", "chosen"
     )
-    clipped: float = _limit(0.002, "samples", "at exactly the largest torque before it looks clipped", "chosen")
-    moves: float = _limit(3e-3, "rad or m", "that a joint travels in one log, or it never moves", "chosen")
+    clipped_share: float = _limit(0.002, "samples", "at exactly the largest torque before it looks clipped", "chosen")
+    least_travel: float = _limit(3e-3, "rad or m", "that a joint travels in one log, or it never moves", "chosen")
 
     # Segments of time
     block: float = _limit(1.0, "s", "of motion that are drawn as one: errors last as long", "chosen")
@@ -164,23 +168,23 @@ _SENSITIVITY = {
             "unexplained_torque",
             "clear_of_background",
             "own_excess",
-            "near",
+            "equal_gain",
             "further_effect",
-            "unfit",
+            "rival_energy",
             "good_fit",
             "plain_gain",
         ),
         "none of 6 runs, too few to tell",
     ),
     **dict.fromkeys(
-        ("least_background", "moves", "block", "parity", "near_rest"),
+        ("least_background", "least_travel", "block", "parity", "near_rest"),
         "not measured: a step filters and fits the logs anew, which takes several times as long",
     ),
     **dict.fromkeys(
         ("unknown_error", "least_error", "guard", "shortest"),
         "not measured: decides without a model, on a simulator's file or on a single log, which no drawn run is",
     ),
-    "clipped": "not moved: decides on a warning only",
+    "clipped_share": "not moved: decides on a warning only",
 }
 
 

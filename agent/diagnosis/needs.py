@@ -32,7 +32,7 @@ class Excursions:
         unit = np.where([joint.prismatic for joint in robot.joints], _METRES, 1.0)
         lowest, highest = (side([side(s.q, axis=0) for s in signals], axis=0) for side in (np.min, np.max))
         speed = np.max([np.abs(s.qd).max(axis=0) for s in signals], axis=0)
-        turns = [sum(_turns(s.q[:, j], limits.moves) for s in signals) for j in range(robot.dof)]
+        turns = [sum(_turns(s.q[:, j], limits.least_travel) for s in signals) for j in range(robot.dof)]
         moved = moves(signals, limits)
         return cls(robot.joint_names, moved, (highest - lowest) / unit, speed / unit, np.array(turns))
 

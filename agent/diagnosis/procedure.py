@@ -58,10 +58,10 @@ class Search:
             error = base.with_chosen(chosen)
             result = self._total(error)
             if best is None or best[0] - result > max(
-                self.limits.near_floor * self.rows, self.limits.near * (base.error() - best[0])
+                self.limits.equal_gain_floor * self.rows, self.limits.equal_gain * (base.error() - best[0])
             ):
                 best = result, chosen
-            if closed_excess(self.limits, before, error) > self.limits.enough and len(chosen) == 1:
+            if closed_excess(self.limits, before, error) > self.limits.single_effect_closure and len(chosen) == 1:
                 break
         nothing = abstained(matters)
         if best is None:
@@ -71,7 +71,9 @@ class Search:
         if closed < self.limits.explained:
             return self._nothing(nothing, steps, closed)
         finding = self._verdict(fit, closed, steps)
-        return finding if finding.probability[0] > self.limits.least_sure else self._nothing(nothing, steps, closed)
+        return (
+            finding if finding.probability[0] > self.limits.least_probability else self._nothing(nothing, steps, closed)
+        )
 
     def _nothing(self, verdict: str, steps: list[Step], closed: float = 0.0) -> Finding:
         return Finding(verdict, self.fit, (), (), (), (), closed, tuple(steps), *self._bounds, limits=self.limits)
@@ -155,7 +157,7 @@ class Search:
                 for limit in effect.simpler(score.candidate.settings, fit.reference.robot)
             ):
                 continue
-            if effect.fast_torque and gain_in_band(fit, score) < self.limits.in_band:
+            if effect.fast_torque and gain_in_band(fit, score) < self.limits.in_band_gain:
                 continue  # it takes noise out of the prediction
             result.append(score)
         return tuple(sorted(result, key=lambda s: -s.gain))
@@ -172,7 +174,7 @@ class Search:
         joints = score.candidate.joints
         places = [(limit, ())] if CATALOGUE[limit].scope != "joint" else [(limit, (j,)) for j in joints]
         simpler = [best[place] for place in places if place in best and plausible(best[place])]
-        margin = max(self.limits.near_floor * self.rows, 0.5 * self.limits.near * score.gain)
+        margin = max(self.limits.equal_gain_floor * self.rows, 0.5 * self.limits.equal_gain * score.gain)
         if score.candidate.effect.rivals_special_cases and limit in self.allowed:
             return False
         return any(score.gain - other.gain < margin for other in simpler)
@@ -197,19 +199,19 @@ class Search:
         return [leader.candidate, *(s.candidate for s in rest[: self.limits.starts - 1])]
 
     def _near(self, step: Step) -> list[HeldOutScore]:
-        """Forms that do as well as the best, as far as that one fits: what it leaves is its own doubt."""
+        """Forms that do as well as the best, as far as that one fits: what it leaves is how uncertain it is."""
         best = step.eligible[0]
         left = self._excess(self.fit.with_chosen((*step.chosen, best.candidate)), tuple(best.candidate.blocks))
         margin = max(
-            self.limits.near_floor * self.rows,
-            min(self.limits.near * best.gain, max(self.limits.alike * best.gain, left)),
+            self.limits.equal_gain_floor * self.rows,
+            min(self.limits.equal_gain * best.gain, max(self.limits.indistinguishable_gain * best.gain, left)),
         )
-        far_simpler = complexity(best.candidate) / self.limits.simpler
+        far_simpler = complexity(best.candidate) / self.limits.simpler_ratio
         return [
             s
             for s in step.eligible
             if best.gain - s.gain <= margin
-            or (complexity(s.candidate) <= far_simpler and best.gain - s.gain <= self.limits.near * best.gain)
+            or (complexity(s.candidate) <= far_simpler and best.gain - s.gain <= self.limits.equal_gain * best.gain)
         ]
 
     def _simplest(self, step: Step) -> HeldOutScore:
@@ -234,7 +236,7 @@ class Search:
         joints = list(score.candidate.blocks)
         least = max(2 * self.least, self.limits.further_effect * self._excess(fit, joints))
         if any(set(joints) & set(c.blocks) for c in fit.chosen):
-            least = max(least, self.limits.beside * self._excess(self.fit, joints))
+            least = max(least, self.limits.gain_beside * self._excess(self.fit, joints))
         return least
 
     def _excess(self, fit: Fit, joints: Sequence[int] | None = None) -> float:
@@ -250,14 +252,14 @@ class Search:
         for candidate in chosen:
             others = tuple(c for c in chosen if c is not candidate)
             if others and self._total(self.fit.with_chosen(others)) - self._total(self.fit.with_chosen(chosen)) < max(
-                self.least, self.limits.redundant * self.fit.error()
+                self.least, self.limits.redundant_gain * self.fit.error()
             ):
                 return self._pruned(others)
         return chosen
 
     def _unfit(self, fit: Fit) -> HeldOutScore | None:
         """A shape of the same kind on the same joint that explains half of what a cause leaves."""
-        least = max(2 * self.least, self.limits.unfit * self._excess(fit))
+        least = max(2 * self.least, self.limits.rival_energy * self._excess(fit))
         left = self.scan(fit).eligible
         return next((s for s in left if s.gain > least and imitates(fit.chosen, s)), None)
 
@@ -271,7 +273,9 @@ class Search:
             step = self.scan(without)
             lost = self._total(without) - total
             margin = max(
-                self.limits.near_floor * self.rows, self.limits.alike * lost, self._excess(fit, tuple(candidate.blocks))
+                self.limits.equal_gain_floor * self.rows,
+                self.limits.indistinguishable_gain * lost,
+                self._excess(fit, tuple(candidate.blocks)),
             )
             level: list[Where] = []
             runners: list[Where] = []
@@ -285,13 +289,13 @@ class Search:
                 if score.candidate.place == candidate.place:
                     continue
                 short = lost - score.gain
-                better = short < -self.limits.near_floor * self.rows
+                better = short < -self.limits.equal_gain_floor * self.rows
                 equal = better or complexity(score.candidate) <= complexity(candidate) + 1
                 if short <= margin and equal:
                     level.append(score.candidate.place)
                 elif short > margin:
                     behind = min(behind, short / margin)
-                    if score.gain > self.limits.runner_up * lost:
+                    if score.gain > self.limits.runner_up_gain * lost:
                         runners.append(score.candidate.place)
             known = [place for place in equals if place[0] in self.allowed]
             beside = tuple(dict.fromkeys([*known, *level]))[:2]
@@ -306,8 +310,8 @@ class Search:
         assert self.null is not None
         p_value = tuple(self.null.p_value(entry[0]) for entry in ranked)
         margin_ratio = tuple(float(entry[3]) for entry in ranked)
-        doubtful = closed < self.limits.good_fit[len(causes) - 1]
-        if doubtful and not rivals[0]:
+        uncertain_form = closed < self.limits.good_fit[len(causes) - 1]
+        if uncertain_form and not rivals[0]:
             rivals[0] = ranked[0][5]
         return Finding(
             named(bool(rivals[0] or ranked[0][4])),

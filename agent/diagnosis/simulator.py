@@ -100,7 +100,7 @@ def search_simulator(
 
     plain = answer(ReleasedSimulator(dataset, dataset, ()))
     found, total = [plain], float(np.mean(plain.gap.before**2))
-    enough = limits.part * total
+    enough = limits.least_share * total
     if len(plain.finding.causes) == 1 and plain.left <= enough:
         return plain
     drives, everything = calibration(dataset, links=False), calibration(dataset)

@@ -55,13 +55,13 @@ def size_text(
     return f"{plus_minus(value, half)} {unit}".rstrip()
 
 
-def told(cause: Mapping[str, Any]) -> list[str]:
+def reported_parameters(cause: Mapping[str, Any]) -> list[str]:
     """The parameters of a cause that say something to people: not the point about which a form is made linear, nor
     that a friction level is one of those that change."""
-    return [name for name in cause["parameters"] if name not in CATALOGUE[cause["effect"]].untold]
+    return [name for name in cause["parameters"] if name not in CATALOGUE[cause["effect"]].not_reported]
 
 
-def leading(cause: Mapping[str, Any]) -> str | None:
+def leading_parameter(cause: Mapping[str, Any]) -> str | None:
     """The parameter that says how large a cause is; None where none of it does."""
     names = {key.rstrip("0123456789") or key: key for key in cause["parameters"]} | {k: k for k in cause["parameters"]}
     return next((names[name] for name in _LEADING if name in names), None)
@@ -99,8 +99,8 @@ def intervals(finding: Finding) -> list[dict[str, tuple[float, float]]]:
     return found
 
 
-def _student(freedom: int) -> float:
+def _student(degrees_of_freedom: int) -> float:
     """97.5 % quantile of Student's t, from three degrees of freedom on; fewer say too little to be taken literally."""
     from scipy.special import stdtrit
 
-    return float(stdtrit(max(freedom, 3), 0.975))
+    return float(stdtrit(max(degrees_of_freedom, 3), 0.975))

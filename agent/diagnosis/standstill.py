@@ -22,7 +22,7 @@ def moves(signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -> 
     logs = {
         motion.log_index: [other.q for other in signals if other.log_index == motion.log_index] for motion in signals
     }
-    return np.max([np.ptp(np.concatenate(parts), axis=0) for parts in logs.values()], axis=0) > limits.moves
+    return np.max([np.ptp(np.concatenate(parts), axis=0) for parts in logs.values()], axis=0) > limits.least_travel
 
 
 def at_rest(signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -> np.ndarray:

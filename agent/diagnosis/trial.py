@@ -30,7 +30,7 @@ class Trial:
         """Where the error before is largest."""
         return self._gap["joints"][int(np.argmax(self._gap["before"]))]
 
-    def freedoms(self, joint: str) -> dict[str, int]:
+    def parameter_counts(self, joint: str) -> dict[str, int]:
         """Number of parameters of every effect that may sit on a joint and repeats, in the first form to be tried."""
         place = (self._dataset.robot.joint_names.index(joint),)
         found = {}

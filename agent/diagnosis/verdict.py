@@ -35,7 +35,7 @@ def judge(dataset: Dataset, finding: Finding, plain: Fit) -> tuple[Finding, Held
         if not finding.causes:
             return finding, gap
         if finding.verdict == "explained" and gap.closure is not None and gap.closure < dataset.limits.explained:
-            finding = finding.doubted()
+            finding = finding.with_uncertain_form()
         causes = causes_of(dataset, finding, gap)
         verdict, kept = settle(finding.verdict, causes, gap.closure, dataset.limits)
         if not kept or gap.hardly_closed:
@@ -86,7 +86,7 @@ def with_path(
 def has_size(cause: Cause, limits: DecisionLimits = LIMITS) -> bool:
     """Whether a cause has parameters, finite and not all zero, and closes a part of its gap by itself."""
     values = cause.parameters.values()
-    closes = cause.closure is not None and cause.closure >= limits.part
+    closes = cause.closure is not None and cause.closure >= limits.least_share
     return closes and all(map(isfinite, values)) and any(values)
 
 
@@ -105,7 +105,7 @@ def settle(
     if closure is None:
         return "no_gap", ()
     left = tuple(cause for cause in causes if has_size(cause, limits))
-    if not left or not closure >= limits.hardly:  # not a number is not enough either
+    if not left or not closure >= limits.least_closure:  # not a number is not enough either
         return "unknown", ()
     if left[0].equivalent_to:
         return "ambiguous", left

@@ -99,11 +99,11 @@ def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool, limits:
         largest = np.abs(log.effort).max(axis=0)
         clipped = np.mean(np.abs(log.effort) >= largest * (1 - 1e-9), axis=0)
         for joint, share in enumerate(clipped):
-            if share > limits.clipped and largest[joint] > 0 and len(np.unique(log.effort[:, joint])) > 50:
+            if share > limits.clipped_share and largest[joint] > 0 and len(np.unique(log.effort[:, joint])) > 50:
                 yield (
                     f"{log.name}: the torque of {robot.joint_names[joint]} stays at its largest value for "
                     f"{100 * share:.1f} % of the time: it looks clipped, and what happens there is not seen"
                 )
     for joint, name in enumerate(robot.joint_names):
-        if all(np.ptp(log.position[:, joint]) <= limits.moves for log in logs):
+        if all(np.ptp(log.position[:, joint]) <= limits.least_travel for log in logs):
             yield f"{name} never moves: nothing but its weight can be judged"

@@ -55,7 +55,7 @@ class _Fit:
     enough: bool
 
 
-def doubts(robot: RobotDescription, logs: Sequence[Log]) -> list[str]:
+def plausibility_warnings(robot: RobotDescription, logs: Sequence[Log]) -> list[str]:
     """Why these logs cannot be of this robot, the likeliest reason first; empty where nothing speaks against them."""
     logs = [log for log in logs if log.effort is not None]
     found = list(_signals(robot, logs)) or list(velocity_doubts(logs)) or list(_stuck(robot, logs))

@@ -5,7 +5,7 @@ spoils the estimate in silence. So there are two hypotheses: links near the desc
 known but what the torques could hold. The description is believed where segments held out are clearly predicted better
 with it (empirical Bayes with held-out error in place of the evidence, since rows are not independent): where the motion
 tells all, it adds nothing, and a placeholder that hardly shows on these motions would show on others. Links that most
-have the mass of another one are placeholders beyond doubt.
+have the mass of another one are certainly placeholders.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ model leaves
 
 over the rows of all earlier logs and of the motion, counted as independent ones (T samples of 0.1 s each), against the
 same background σ as the verdict's. This is the criterion of T-optimality (Atkinson and Fedorov, Biometrika 62, 1975)
-with the model's freedom and the rival's own projected out. The held-out advantage of a is then about normal with mean
-D² and standard deviation 2 D, so it passes the margin m of the verdict with probability Φ((D² − m) / (2 D)), averaged
+with the parameters of model and rival projected out. The held-out advantage of a is then about normal with
+mean D² and standard deviation 2 D, so it passes the margin m of the verdict with probability Φ((D² − m) / (2 D)), averaged
 over the posterior of β, and over which of the two is true. m is at least a share of what a explains by itself: forms of
 effects are not trusted further. Rows at a standstill of their joint count nothing: there the
 torque is what stiction makes of it, and no form of an effect is to be trusted. A motion that is repeated counts once:
@@ -115,14 +115,14 @@ class Outlook:
         for number, comparison in enumerate(self.comparisons):
             gram = comparison.gram if added is None else comparison.gram + added[number]
             alone = _distances(comparison, gram, comparison.own)
-            least, alike = self.pairs[comparison.pair].margin, self.dataset.limits.alike
+            least, alike = self.pairs[comparison.pair].margin, self.dataset.limits.indistinguishable_gain
             rivals = zip(_distances(comparison, gram, len(comparison.prior)), alone, strict=True)
             chance = float(np.mean([_passes(distance, max(least, alike * whole)) for distance, whole in rivals]))
             key = id(comparison.truth)
             of_pair[comparison.pair][key] = min(of_pair[comparison.pair].get(key, 1.0), chance)
         return np.array([np.mean(list(found.values())) if found else 0.0 for found in of_pair])
 
-    def smallest(self, added: Sequence[np.ndarray]) -> list[float | None]:
+    def minimum_detectable_sizes(self, added: Sequence[np.ndarray]) -> list[float | None]:
         """Per pair with nothing as its rival: the size that four of five draws show, over the one asked about."""
         found: list[float | None] = [None] * len(self.pairs)
         for comparison, more in zip(self.comparisons, added, strict=True):

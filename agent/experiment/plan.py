@@ -33,7 +33,7 @@ class Expected:
     pair: OpenPair
     before: float
     after: float
-    smallest: float | None
+    minimum_detectable_size: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +93,10 @@ def plan_experiment(
         chosen = chosen[:-1]
     added = _sum(outlook, chosen)
     after = outlook.probabilities(added)
-    smallest = outlook.smallest(added)
+    detectable = outlook.minimum_detectable_sizes(added)
     expected = tuple(
         Expected(pair, float(a), float(b), size)
-        for pair, a, b, size, asked in zip(pairs, before, after, smallest, within_reach, strict=True)
+        for pair, a, b, size, asked in zip(pairs, before, after, detectable, within_reach, strict=True)
         if asked
     )
     return Experiment(tuple(piece for piece, _ in chosen), expected, len(pool))

@@ -161,4 +161,4 @@ def _covariance(fit: Fit, candidate: Candidate) -> np.ndarray:
 def _margin(found: Diagnosis, fit: Fit) -> float:
     """What the verdict asks of a cause over its rival, in independent rows (point 9 of docs/diagnosis.md)."""
     rows = float(fit.count.sum())
-    return found.dataset.limits.near_floor * rows / fit.repeat
+    return found.dataset.limits.equal_gain_floor * rows / fit.repeat

@@ -24,11 +24,11 @@ PRACTICAL = 0.015
 FEWEST = 3
 
 
-def false_discovery_levels(chances: np.ndarray) -> np.ndarray:
+def false_discovery_levels(p_values: np.ndarray) -> np.ndarray:
     """(M,) for each of the probabilities (M,) by chance the smallest rate of false discoveries at which it is one."""
-    count = len(chances)
-    order = np.argsort(chances)
-    ranked = chances[order] * count / np.arange(1, count + 1)
+    count = len(p_values)
+    order = np.argsort(p_values)
+    ranked = p_values[order] * count / np.arange(1, count + 1)
     levels = np.empty(count)
     levels[order] = np.minimum(np.minimum.accumulate(ranked[::-1])[::-1], 1.0)
     return levels
@@ -131,7 +131,7 @@ def find_families(
                 tried.append((_rank_sum(ranks, members), found))
     if not tried:
         return []
-    levels = false_discovery_levels(np.array([chance for chance, _ in tried]))
+    levels = false_discovery_levels(np.array([p_value for p_value, _ in tried]))
     kept = [
         (level, family)
         for level, (_, family) in zip(levels, tried, strict=True)

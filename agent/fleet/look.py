@@ -29,7 +29,7 @@ _VERDICTS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class MachineSummary:
     """A machine as the page shows it: its latest errors (n,), NaN where unknown, and of every run name, day, status,
     reason and page. `failed`: why its latest run, or one nobody knows
     the time of, has no figures; `verdict`, `causes` of its latest diagnosis."""
@@ -44,7 +44,7 @@ class Sight:
     causes: str
 
 
-def see(machine: MachineRuns) -> Sight:
+def see(machine: MachineRuns) -> MachineSummary:
     """What is kept of a machine."""
     known = [entry for entry in machine.figures if entry is not None]
     errors = known[-1]["errors"] if known else np.empty(0)
@@ -57,7 +57,7 @@ def see(machine: MachineRuns) -> Sight:
         if machine.status[k] != "ok" and (not machine.date(k) or not figures or k > figures[-1])
     ]
     runs = tuple((run, machine.date(k), status, reason, page) for k, (run, status, reason, page) in enumerate(rows))
-    return Sight(
+    return MachineSummary(
         machine.robot,
         machine.joints,
         machine.nominal,
@@ -69,7 +69,7 @@ def see(machine: MachineRuns) -> Sight:
     )
 
 
-def urgency(sight: Sight, courses: Sequence[Course]) -> tuple[float, list[str]]:
+def urgency(sight: MachineSummary, courses: Sequence[Course]) -> tuple[float, list[str]]:
     """How urgent a look at a machine is, and why; no reason where it is not."""
     weights, reasons = [0.0], []
     for one in courses:
@@ -91,7 +91,7 @@ def urgency(sight: Sight, courses: Sequence[Course]) -> tuple[float, list[str]]:
     return max(weights), reasons
 
 
-def _weight(sight: Sight, course: Course) -> float:
+def _weight(sight: MachineSummary, course: Course) -> float:
     if not course.quantity.startswith("friction"):
         return float(course.values[-3:].mean()) / GATE
     days = max(float(course.days[-1] - course.days[0]), 1.0)

@@ -19,7 +19,7 @@ class MachineRuns:
 
     runs, status, reason, page, verdict, causes of every run; started (R,) [µs since 1970], `_NEVER` where unknown.
     Of the runs with figures: errors (one array (n,) a run, share of nominal torque, NaN where unknown), and of an
-    estimate friction and its deviation from run to run (K,) [N·m], rates and their doubts (n,) [1/s]. joints (n,),
+    estimate friction and its deviation from run to run (K,) [N·m], rates and their deviations (n,) [1/s]. joints (n,),
     levels (K joint and speed) and nominal (n,) [N·m] are those of the latest run.
     """
 
@@ -115,7 +115,7 @@ class _Batch:
             self._values = self._flat("friction", "value")
             self._deviations = self._flat("friction", "from_run_to_run")
             self._rates = self._flat("warm_up", "rate_per_s")
-            self._doubts = self._flat("warm_up", "standard_deviation")
+            self._rate_stds = self._flat("warm_up", "standard_deviation")
 
     def add(self, row: int, machine: MachineRuns) -> None:
         """Take a row over into its machine."""
@@ -134,7 +134,7 @@ class _Batch:
         machine.latest = (self._columns, row)
         if "friction" in self._columns:
             figures |= {"friction": self._part(self._values, row), "deviation": self._part(self._deviations, row)}
-            figures |= {"rate": self._part(self._rates, row), "doubt": self._part(self._doubts, row)}
+            figures |= {"rate": self._part(self._rates, row), "rate_std": self._part(self._rate_stds, row)}
         machine.figures.append(figures)
 
     def _flat(self, name: str, field_name: str | None = None) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from agent.fleet.look import GATE, Sight, see, urgency
+from agent.fleet.look import GATE, MachineSummary, see, urgency
 from agent.fleet.store import Store
 from agent.fleet.trends import Course, FleetTrends, fleet_trends, source_of
 
@@ -29,7 +29,7 @@ def write_page(result: str, tables: Sequence[Path] = (), out: str | None = None)
         InputError: no result, or a table that cannot be used.
         AgentError: the page cannot be written.
     """
-    sights: list[Sight] = []
+    sights: list[MachineSummary] = []
     courses: list[list[Course]] = []
 
     def keep(machine: Any, found: list[Course]) -> None:
@@ -45,7 +45,9 @@ def write_page(result: str, tables: Sequence[Path] = (), out: str | None = None)
     return f"{folder.rstrip('/')}/{name}"
 
 
-def fleet_page(found: FleetTrends, sights: Sequence[Sight], courses: Sequence[Sequence[Course]], base: str) -> str:
+def fleet_page(
+    found: FleetTrends, sights: Sequence[MachineSummary], courses: Sequence[Sequence[Course]], base: str
+) -> str:
     """HTML text; links to the pages of runs begin with `base`."""
     from jinja2 import Environment
 
@@ -78,7 +80,7 @@ def fleet_page(found: FleetTrends, sights: Sequence[Sight], courses: Sequence[Se
     )
 
 
-def _machine(found: FleetTrends, sight: Sight, own: Sequence[Course], base: str) -> dict[str, Any]:
+def _machine(found: FleetTrends, sight: MachineSummary, own: Sequence[Course], base: str) -> dict[str, Any]:
     weight, reasons = urgency(sight, own)
     trend = {one.joint: one for one in own}
     return {
@@ -97,7 +99,7 @@ def _machine(found: FleetTrends, sight: Sight, own: Sequence[Course], base: str)
     }
 
 
-def _course(one: Course, sight: Sight) -> dict[str, Any]:
+def _course(one: Course, sight: MachineSummary) -> dict[str, Any]:
     """Values in hundredths of a percent over their median."""
     middle = float(np.median(one.values))
     return {

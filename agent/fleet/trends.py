@@ -34,7 +34,7 @@ class Course:
 
     `quantity` is what is looked at; days (R,) and values (R,) its course. `kind` (drift, step, or none where `level` is
     beyond `RATE`), relative `change` over the course with its 95 % interval (low, high), `since`: run and day before a
-    step. `chance`: probability by chance of as much; `level`: smallest rate of false discoveries at which it is a
+    step. `p_value`: probability by chance of as much; `level`: smallest rate of false discoveries at which it is a
     finding. `drift` is what is linear in time alone, with its deviation. An alarm is a finding of practical size.
     """
 
@@ -49,7 +49,7 @@ class Course:
     high: float
     since: str
     since_day: str
-    chance: float
+    p_value: float
     drift: float
     drift_deviation: float
     level: float = 1.0
@@ -73,7 +73,7 @@ class Course:
             "change": self.change,
             "interval": [self.low, self.high],
             "since": self.since or None,
-            "probability_by_chance": self.chance,
+            "probability_by_chance": self.p_value,
             "false_discovery_level": self.level,
             "alarm": self.alarm,
         }
@@ -94,7 +94,7 @@ class FleetTrends:
     @property
     def alarms(self) -> list[Course]:
         """The surest first."""
-        return sorted((one for one in self.courses if one.alarm), key=lambda one: one.chance)
+        return sorted((one for one in self.courses if one.alarm), key=lambda one: one.p_value)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; courses without an alarm only by their number."""
@@ -186,7 +186,7 @@ def _decide(kind: str, courses: list[Course]) -> None:
     if not courses:
         return
     practical = np.log1p(PRACTICAL if kind == "estimate" else PRACTICAL_ERROR)
-    levels = false_discovery_levels(np.array([one.chance for one in courses]))
+    levels = false_discovery_levels(np.array([one.p_value for one in courses]))
     for one, level in zip(courses, levels, strict=True):
         one.level = float(level)
         if level > RATE:
@@ -199,14 +199,14 @@ def _friction_courses(machine: MachineRuns) -> Iterator[Course]:
     if len(numbers) < FEWEST or not machine.levels:
         return
     n = len(machine.joints)
-    rates, doubts = np.full((2, len(numbers), n), np.nan)
+    rates, rate_stds = np.full((2, len(numbers), n), np.nan)
     for row, k in enumerate(numbers):
         entry = machine.figures[k] or {}
         if len(entry["rate"]) == n:
-            rates[row], doubts[row] = entry["rate"], entry["doubt"]
+            rates[row], rate_stds[row] = entry["rate"], entry["rate_std"]
     axles = tuple(machine.joints.index(joint) for joint, _ in machine.levels)
     days, values = machine.days(numbers), machine.column("friction", numbers)
-    series = FrictionSeries(days, axles, values, machine.column("deviation", numbers), rates, doubts)
+    series = FrictionSeries(days, axles, values, machine.column("deviation", numbers), rates, rate_stds)
     best: dict[int, tuple[SeriesChange, int]] = {}
     counts: dict[int, int] = {}
     for k, background in series.backgrounds():

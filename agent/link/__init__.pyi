@@ -1,4 +1,4 @@
-from .alignment import Aligner as Aligner, moving_stretches as moving_stretches
+from .alignment import Aligner as Aligner, moving_segments as moving_segments
 from .controller import answering as answering
 from .planned import check_cell as check_cell, plan_statements as plan_statements
 from .record import (

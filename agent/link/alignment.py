@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 class Aligner:
     """Lays what we planned, from stop to stop, onto the controller's set-points.
 
-    The controller waits for the arm to settle at each stop, so only the stretches between stops are comparable in
-    time. Where the numbers of stretches differ there is nothing to compare, and nothing is written.
+    The controller waits for the arm to settle at each stop, so only the segments between stops are comparable in
+    time. Where the numbers of segments differ there is nothing to compare, and nothing is written.
     """
 
     #: Shortest rest [s] of the set-points that counts as a stop.
@@ -46,23 +46,23 @@ class Aligner:
         if not self._references:
             return []
         time = np.concatenate(self._times)
-        stretches = moving_stretches(np.concatenate(self._references), round(self.REST / self._period))
+        segments = moving_segments(np.concatenate(self._references), round(self.REST / self._period))
         chains, approaches = self._chains, 1
-        if len(stretches) == len(chains) - 1 and is_there(chains[0]):
+        if len(segments) == len(chains) - 1 and is_there(chains[0]):
             chains, approaches = chains[1:], 0  # the arm stood at the first point already
-        if len(stretches) != len(chains):
+        if len(segments) != len(chains):
             return []
-        for (start, _), chain in zip(stretches, chains, strict=True):
+        for (start, _), chain in zip(segments, chains, strict=True):
             stop = min(start + len(chain.t), len(time))
             write_planned(time[start:stop], chain.q[: stop - start], chain.qd[: stop - start])
-        motion = list(zip(stretches, chains, strict=True))[approaches:]
+        motion = list(zip(segments, chains, strict=True))[approaches:]
         # A program with stops in its cycle repeats where it makes the same way again, not at every stop.
         starts = [start for (start, _), chain in motion if chain is motion[0][1]]
         self.cycle_starts = [float(time[start] - time[0]) for start in starts]
         return [float(time[start]) for start in starts]
 
 
-def moving_stretches(reference: np.ndarray, rest: int) -> list[tuple[int, int]]:
+def moving_segments(reference: np.ndarray, rest: int) -> list[tuple[int, int]]:
     """[start, stop) ranges of (S, n) set-points between rests of at least `rest` samples.
 
     A range starts at the last sample before the first change and ends after the last change.

@@ -28,7 +28,7 @@ from agent.motion.orl_calls import (
     NEED_DATA,
     CallRefused,
     Calls,
-    Told,
+    MoveCall,
 )
 from agent.motion.orl_shim import ShimCalls
 from agent.motion.orl_vendor import vendor_calls
@@ -137,9 +137,9 @@ class OrlInterpolator:
     def _announce(self, index: int, move: Move, start: np.ndarray, first: bool) -> None:
         base, tool, uframe = (tuple(pose_to_pos(frame).tolist()) for frame in self._frames(move))
         via = () if move.via is None else self._coordinates(move.via)
-        told = Told(move, self._to_controller(start), self._coordinates(move.target), via, base, tool, uframe)
+        call = MoveCall(move, self._to_controller(start), self._coordinates(move.target), via, base, tool, uframe)
         try:
-            self._library.announce(told, first)
+            self._library.announce(call, first)
         except CallRefused as refused:
             raise _refusal(index, f"the library refuses the move: {refused}") from None
 

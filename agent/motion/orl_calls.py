@@ -22,7 +22,7 @@ MOST_ANNOUNCED = 2
 MOST_JOINTS = 10
 
 
-class Told(NamedTuple):
+class MoveCall(NamedTuple):
     """A move as the controller writes it: joints in degrees (mm where they slide), poses x y z a e r in mm, degrees."""
 
     move: Move
@@ -42,7 +42,7 @@ class Calls(Protocol):
     """What the interpolator needs of a library. All but `step` raise `CallRefused` where the library does."""
 
     def set_period(self, milliseconds: float) -> None: ...
-    def announce(self, told: Told, first: bool) -> None: ...
+    def announce(self, call: MoveCall, first: bool) -> None: ...
     def step(self, count: int) -> tuple[int, list[float]]: ...
     def cancel(self) -> None: ...
 

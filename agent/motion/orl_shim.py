@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from enum import Enum
 
-from agent.motion.orl_calls import MOST_JOINTS, Told, check_status, configuration_flags
+from agent.motion.orl_calls import MOST_JOINTS, MoveCall, check_status, configuration_flags
 from agent.motion.program import CartesianTarget, JointTarget
 
 #: Settings by their own names: words number from 0 in the order of our enumerations, overrides are in percent.
@@ -41,11 +41,11 @@ class ShimCalls:
     def set_period(self, milliseconds: float) -> None:
         check_status("calibration_interpolator_period", self._library.calibration_interpolator_period(milliseconds))
 
-    def announce(self, told: Told, first: bool) -> None:
-        move, settings = told.move, told.move.settings
+    def announce(self, call: MoveCall, first: bool) -> None:
+        move, settings = call.move, call.move.settings
         data = ShimMove(
             size=ctypes.sizeof(ShimMove),
-            joints=len(told.start),
+            joints=len(call.start),
             first=first,
             fly=move.fly,
             movement=_number(move.type),
@@ -55,7 +55,7 @@ class ShimCalls:
             fly_distance=1e3 * settings.fly_distance,
             **{name: getattr(settings, name) for name in _NUMBERS},
             **{name: 100.0 * getattr(settings, name) for name in _OVERRIDES},
-            **{name: getattr(told, name) for name in (*_POINTS, *_FRAMES)},
+            **{name: getattr(call, name) for name in (*_POINTS, *_FRAMES)},
         )
         if isinstance(move.target, CartesianTarget):
             data.configuration = configuration_flags(move.target)

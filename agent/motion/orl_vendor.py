@@ -13,7 +13,7 @@ from functools import cache
 from typing import Any
 
 from agent.core import InputError
-from agent.motion.orl_calls import ARM, CONTROLLER, MOST_JOINTS, OK, Told, check_status, configuration_flags
+from agent.motion.orl_calls import ARM, CONTROLLER, MOST_JOINTS, OK, MoveCall, check_status, configuration_flags
 from agent.motion.program import (
     CartesianTarget,
     FlyTrajectory,
@@ -141,11 +141,11 @@ class VendorCalls:
     def set_period(self, milliseconds: float) -> None:
         self._call("ORL_set_interpolation_time", milliseconds)
 
-    def announce(self, told: Told, first: bool) -> None:
-        move, settings = told.move, told.move.settings
+    def announce(self, call: MoveCall, first: bool) -> None:
+        move, settings = call.move, call.move.settings
         if first:
-            self._call("ORL_set_position", None, _joints(told.start))
-        self._call("ORL_initialize_frames", *(_pose(frame) for frame in (told.base, told.tool, told.uframe)))
+            self._call("ORL_set_position", None, _joints(call.start))
+        self._call("ORL_initialize_frames", *(_pose(frame) for frame in (call.base, call.tool, call.uframe)))
         self._call("ORL_select_point_accuracy", _ACCURACIES[settings.termination])
         self._call("ORL_orientation_interpolation", _ORIENTATIONS[settings.orientation])
         self._call("ORL_dominant_interpolation", _SPEEDS[settings.speed_option], _ROTATION)
@@ -163,7 +163,7 @@ class VendorCalls:
         elif move.fly:
             self._call("ORL_set_fly_parameter", _FLY_PERCENT, settings.fly_percent)
         # A circle takes two calls: where it ends, then what it passes.
-        for target, values in ((move.target, told.target), (move.via, told.via)):
+        for target, values in ((move.target, call.target), (move.via, call.via)):
             if target is None:
                 continue
             pose = _pose(values, configuration_flags(target)) if isinstance(target, CartesianTarget) else None

@@ -145,9 +145,9 @@ def report(result: GapDiagnosis | TorqueValidation | Calibration | str | Path, o
     from agent.runs import write_atomically
 
     if isinstance(result, (Calibration, str, Path)):
-        from agent.pipeline import report_again
+        from agent.pipeline import rebuild_report
 
-        return report_again(result.outcome.run if isinstance(result, Calibration) else Path(result), quiet())
+        return rebuild_report(result.outcome.run if isinstance(result, Calibration) else Path(result), quiet())
     if out is None:
         raise InputError("report: name the page to write, as in report(result, 'page.html')")
     check_output(Path(out), [])

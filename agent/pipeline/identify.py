@@ -82,16 +82,16 @@ def check_plausible(
     Raises:
         RejectedError: with the likeliest reason first.
     """
-    from agent.estimation import doubts
+    from agent.estimation import plausibility_warnings
 
-    found = doubts(robot, logs)
+    found = plausibility_warnings(robot, logs)
     others = sorted({log.metadata.get("robot", "") for log in logs} - {"", robot.name})
     named = [f"the logs say that they are of robot {' and '.join(others)}, not of {robot.name}"] if others else []
     if found and not force:
         names = ", ".join(log.name for log in logs)
         raise RejectedError(f"{names}: {'; '.join([*named, *found])}. {advice}")
-    for doubt in (*named, *found):
-        console.warn(doubt)
+    for warning in (*named, *found):
+        console.warn(warning)
 
 
 def check_run(robot: Any, logs: Sequence[Any], model: Any, console: Console) -> None:
@@ -218,9 +218,11 @@ def _comments(model: Any, logs: Sequence[Any], result: dict[str, Any]) -> Iterat
         yield f"the model was fitted to {', '.join(known)}: its error there says little about other motions"
     error = result["overall"]["relative_error_all_joints"]
     if error is not None and error > 1:
-        from agent.estimation import doubts
+        from agent.estimation import plausibility_warnings
 
-        reasons = doubts(model.robot, logs) or ["the model is of another robot, tool or unit than the logs"]
+        reasons = plausibility_warnings(model.robot, logs) or [
+            "the model is of another robot, tool or unit than the logs"
+        ]
         yield (
             f"the error is {100 * error:.0f} % of the torque itself: predicting no torque at all would be better. "
             f"Most likely: {'; '.join(reasons)}"

@@ -167,7 +167,7 @@ def _stretches(
     log: Log, statements: Sequence[Statement], robot: RobotDescription, rests: dict[str, list[float]]
 ) -> list[tuple[Any, RecordedMove]]:
     """What was moved between stops, by what tells one motion from another; `rests` [s] grows by what stops took."""
-    from agent.link import Aligner, moving_stretches
+    from agent.link import Aligner, moving_segments
     from agent.motion import FlyInterpolator, Move, RecordedMove, way_key
 
     tool = log.metadata.get("tool", "none")
@@ -180,7 +180,7 @@ def _stretches(
     assert reference is not None
     good = np.isfinite(reference).all(axis=1)
     t, q = log.t[good], reference[good]
-    moving = moving_stretches(q, max(2, round(Aligner.REST * log.sample_rate)))
+    moving = moving_segments(q, max(2, round(Aligner.REST * log.sample_rate)))
     interpolator = FlyInterpolator(robot, period=1.0 / log.sample_rate)
     found: list[tuple[Any, RecordedMove]] = []
     at, stand, left = 0, q[0], None

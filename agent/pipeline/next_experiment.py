@@ -55,7 +55,7 @@ class NextMotion:
                     "pair": [e.pair.first.text(), e.pair.second.text()],
                     "before": e.before,
                     "after": e.after,
-                    "smallest_over_practical": e.smallest,
+                    "smallest_over_practical": e.minimum_detectable_size,
                 }
                 for e in expected
             ],

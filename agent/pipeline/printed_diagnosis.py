@@ -8,7 +8,7 @@ from typing import Any
 
 def diagnosis_text(result: dict[str, Any]) -> str:
     """A diagnosis for people."""
-    from agent.diagnosis import closes, size_text, told, torque_gap
+    from agent.diagnosis import closes, reported_parameters, size_text, torque_gap
     from agent.report import VERDICTS
     from agent.robot import SHARE, figure_text
 
@@ -18,7 +18,10 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         joints = ", ".join(cause["joints"]) or "the whole arm"
         closed = f", {closes(cause)}" if closes(cause) else ""
         lines.append(f"  {cause['effect']} on {joints}{closed}, probability {cause['probability']:.2f}")
-        sizes = (f"{key} {size_text(cause['effect'], key, cause['parameters'][key], None)}" for key in told(cause))
+        sizes = (
+            f"{key} {size_text(cause['effect'], key, cause['parameters'][key], None)}"
+            for key in reported_parameters(cause)
+        )
         parameters = "  ".join(sizes)
         lines.append(f"    {parameters}")
         for other in cause["equivalent_to"]:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from agent.model import IdentifiedModel
 
 
-def report_again(run: Path, console: Console) -> Path:
+def rebuild_report(run: Path, console: Console) -> Path:
     """Make the page of a complete run from its files; returns its path. A diagnosis is made again for it.
 
     Raises:

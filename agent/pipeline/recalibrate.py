@@ -100,8 +100,8 @@ def run_recalibration(
     past = last_accepted(recipe, logs, now)
     if early := too_early(past, recipe.recalibrate.every, now):
         return RecalibrationOutcome(skipped=early)
-    if doubt := wrong_clock(past, now):
-        console.warn(doubt)
+    if warning := wrong_clock(past, now):
+        console.warn(warning)
     with robot_lock(recipe.controller.driver, recipe.controller.address):
         reference = find_reference(recipe, logs, past)
         if authorisation is not None:

@@ -53,12 +53,12 @@ def diagnosis_part(diagnosis: dict[str, Any] | None, reference: str) -> Section:
 
 def conditions_section(conditions: dict[str, Any], joints: Sequence[str]) -> Section:
     """How warm it was, and how friction changed while the arm moved."""
-    rates, doubts = (conditions["warm_up"][key] for key in ("rate_per_s", "standard_deviation"))
+    rates, rate_stds = (conditions["warm_up"][key] for key in ("rate_per_s", "standard_deviation"))
     temperatures = conditions["temperatures_c"] or {}
     first, last = (temperatures.get(key) or [None] * len(joints) for key in ("first", "last"))
     rows = [
-        (joint, _number(rate, 6000, "+.3f"), _number(doubt, 6000, ".3f"), _number(start), _number(end))
-        for joint, rate, doubt, start, end in zip(joints, rates, doubts, first, last, strict=True)
+        (joint, _number(rate, 6000, "+.3f"), _number(std, 6000, ".3f"), _number(start), _number(end))
+        for joint, rate, std, start, end in zip(joints, rates, rate_stds, first, last, strict=True)
     ]
     text = (
         f"{conditions['cycles']} cycles, {conditions['motion_s']:.0f} s of motion. The friction of a cold arm falls "

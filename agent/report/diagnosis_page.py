@@ -5,7 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from agent.diagnosis import REGIMES, Diagnosis, Simulated, Step, closes, name, place, simulation_part, told, torque_gap
+from agent.diagnosis import (
+    REGIMES,
+    Diagnosis,
+    Simulated,
+    Step,
+    closes,
+    name,
+    place,
+    reported_parameters,
+    simulation_part,
+    torque_gap,
+)
 from agent.model import CATALOGUE
 from agent.report.diagnosis_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
 from agent.report.first_screen import about_diagnosis, headline, parameter_text, sentence, sized
@@ -55,7 +66,7 @@ def _cause_section(diagnosis: Diagnosis) -> Section:
     rows = [
         (f"{name(cause['effect'])}, {place(cause)}", key.replace("_", " "), parameter_text(diagnosis, number, key))
         for number, cause in enumerate(result["causes"])
-        for key in told(cause)
+        for key in reported_parameters(cause)
     ]
     if rows:
         text.append(

@@ -7,7 +7,17 @@ from datetime import UTC, datetime
 from typing import Any
 
 from agent.core import package_version
-from agent.diagnosis import Diagnosis, closes, how_sure, intervals, leading, name, place, size_text, torque_gap
+from agent.diagnosis import (
+    Diagnosis,
+    closes,
+    how_sure,
+    intervals,
+    leading_parameter,
+    name,
+    place,
+    size_text,
+    torque_gap,
+)
 from agent.model import CATALOGUE
 from agent.recording import machines_of
 from agent.report.page import About, NextStep
@@ -37,7 +47,7 @@ def headline(result: Mapping[str, Any], size: str = "") -> str:
 def sized(diagnosis: Diagnosis, number: int = 0) -> str:
     """How large a cause is, with its interval; empty where there is no such cause, or no one figure says it."""
     causes = diagnosis.result["causes"]
-    key = leading(causes[number]) if number < len(causes) else None
+    key = leading_parameter(causes[number]) if number < len(causes) else None
     if key is None:
         return ""
     return f"{key.rstrip('0123456789').replace('_', ' ').strip()} {parameter_text(diagnosis, number, key)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from agent.diagnosis import in_torque, size_text, told, torque_gap
+from agent.diagnosis import in_torque, reported_parameters, size_text, torque_gap
 from agent.report.page import Section, Table
 from agent.robot import SHARE, figure_text
 
@@ -37,7 +37,7 @@ def diagnosis_section(result: dict[str, Any]) -> Section:
             ", ".join(cause["joints"]) or "whole arm",
             _percent(cause["closure"]),
             f"{cause['probability']:.2f}",
-            "; ".join(_size(cause, key) for key in told(cause)),
+            "; ".join(_size(cause, key) for key in reported_parameters(cause)),
             ", ".join(other["effect"] for other in cause["equivalent_to"]) or "-",
         )
         for cause in result["causes"]

@@ -26,7 +26,7 @@ class Background:
 
     covariate: np.ndarray
     coefficient: float = 0.0
-    doubt: float = np.inf
+    std: float = np.inf
     noise: float = 0.0
 
     @property
@@ -47,11 +47,11 @@ def fit_course(y: np.ndarray, background: Background, shape: np.ndarray | None) 
         columns.append(shape)
     design = np.column_stack(columns)
     rows, right = design, y
-    if background.varies and np.isfinite(background.doubt):
+    if background.varies and np.isfinite(background.std):
         free = np.linalg.lstsq(design, y, rcond=1e-9)[0]
         variance = float(np.sum((y - design @ free) ** 2)) / (len(y) - design.shape[1])
         knowledge = np.zeros(design.shape[1])
-        knowledge[1] = np.sqrt(max(variance, 1e-12)) / background.doubt
+        knowledge[1] = np.sqrt(max(variance, 1e-12)) / background.std
         rows, right = np.vstack([design, knowledge]), np.append(y, knowledge[1] * background.coefficient)
     return np.linalg.lstsq(rows, right, rcond=1e-9)[0], design
 
@@ -69,29 +69,29 @@ def sizes_of_change(
 
     y = y - y.mean()
     shapes = shapes - shapes.mean(axis=1, keepdims=True)
-    power, freedom = np.sum(shapes**2, axis=1), len(y) - 2 - background.varies
+    power, degrees_of_freedom = np.sum(shapes**2, axis=1), len(y) - 2 - background.varies
     raw = shapes @ y / power
-    coefficient, doubt, along = np.zeros(len(shapes)), np.zeros(len(shapes)), np.zeros(len(shapes))
+    coefficient, std, along = np.zeros(len(shapes)), np.zeros(len(shapes)), np.zeros(len(shapes))
     common = np.zeros(len(y))
     if background.varies:
         common = background.covariate - background.covariate.mean()
         along = shapes @ common / power
         rest, common_rest = y - raw[:, None] * shapes, common - along[:, None] * shapes
-        coefficient, doubt = _coefficients(rest, common_rest, background)
-    known = np.isfinite(doubt)
-    coefficient, doubt = np.where(known, coefficient, 0.0), np.where(known, doubt, 0.0)
+        coefficient, std = _coefficients(rest, common_rest, background)
+    known = np.isfinite(std)
+    coefficient, std = np.where(known, coefficient, 0.0), np.where(known, std, 0.0)
     sizes = raw - coefficient * along
     left = y - coefficient[:, None] * common - sizes[:, None] * shapes
-    variance = _widened(left, freedom) / power + (along * doubt) ** 2
+    variance = _widened(left, degrees_of_freedom) / power + (along * std) ** 2
     deviations = np.sqrt(np.maximum(variance, 1e-30))
-    chances = 2 * stdtr(freedom, -np.abs(sizes) / deviations)
-    return np.where(known, sizes, 0.0), np.where(known, deviations, np.inf), np.where(known, chances, 1.0)
+    p_values = 2 * stdtr(degrees_of_freedom, -np.abs(sizes) / deviations)
+    return np.where(known, sizes, 0.0), np.where(known, deviations, np.inf), np.where(known, p_values, 1.0)
 
 
 def size_of_change(y: np.ndarray, background: Background, shape: np.ndarray) -> tuple[float, float, float]:
     """The same of one shape (R,)."""
-    size, deviation, chance = sizes_of_change(y, background, shape[None])
-    return float(size[0]), float(deviation[0]), float(chance[0])
+    size, deviation, p_value = sizes_of_change(y, background, shape[None])
+    return float(size[0]), float(deviation[0]), float(p_value[0])
 
 
 def _coefficients(y: np.ndarray, common: np.ndarray, background: Background) -> tuple[np.ndarray, np.ndarray]:
@@ -101,16 +101,16 @@ def _coefficients(y: np.ndarray, common: np.ndarray, background: Background) -> 
     seen = np.sum(common**2, axis=1) - noise
     clear = (seen >= _CLEAR * np.sqrt(2 / runs) * noise) & (seen > 1e-12 * runs * np.ptp(background.covariate) ** 2)
     seen = np.where(clear, seen, 1.0)
-    told = np.sum(common * y, axis=1) / seen
-    variance = _widened(y - told[:, None] * common, runs - 3)
-    precision, before = seen / np.maximum(variance, 1e-30), background.doubt**-2
+    slope = np.sum(common * y, axis=1) / seen
+    variance = _widened(y - slope[:, None] * common, runs - 3)
+    precision, before = seen / np.maximum(variance, 1e-30), background.std**-2
     total = precision + before
-    found = (precision * told + before * background.coefficient) / total
-    return np.where(clear, found, background.coefficient), np.where(clear, total**-0.5, background.doubt)
+    found = (precision * slope + before * background.coefficient) / total
+    return np.where(clear, found, background.coefficient), np.where(clear, total**-0.5, background.std)
 
 
-def _widened(left: np.ndarray, freedom: int) -> np.ndarray:
+def _widened(left: np.ndarray, degrees_of_freedom: int) -> np.ndarray:
     """Variance (K,) of the noise from residuals (K, R), for what their autocorrelation makes of a mean."""
     energy = np.sum(left**2, axis=1)
     rho = np.clip(np.sum(left[:, 1:] * left[:, :-1], axis=1) / np.maximum(energy, 1e-300), 0.0, 0.9)
-    return energy / freedom * (1 + rho) / (1 - rho)
+    return energy / degrees_of_freedom * (1 + rho) / (1 - rho)

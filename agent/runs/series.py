@@ -23,7 +23,7 @@ class FrictionSeries:
     """Friction of one machine in runs of one program: R runs, K levels (an axle at a speed), n axles.
 
     times (R,) [d]; `axles` the axle of every level; values, deviations (R, K) [N·m], the latter from run to run; rates,
-    doubts (R, n) [1/s]: relative change of friction while a run lasted and its deviation, NaN where unknown.
+    rate_stds (R, n) [1/s]: relative change of friction while a run lasted and its deviation, NaN where unknown.
     """
 
     times: np.ndarray
@@ -31,7 +31,7 @@ class FrictionSeries:
     values: np.ndarray
     deviations: np.ndarray
     rates: np.ndarray
-    doubts: np.ndarray
+    rate_stds: np.ndarray
 
     def backgrounds(self) -> Iterator[tuple[int, Background]]:
         """What every level that has a logarithm follows besides its own change: the warm-up all axles share."""
@@ -39,7 +39,7 @@ class FrictionSeries:
         logs = np.log(np.where(self.values > 0, self.values, 1.0))
         centred = logs - np.median(logs, axis=0)
         levels = np.flatnonzero(usable)
-        rate = Background(common_rate(self.rates, self.doubts))
+        rate = Background(common_rate(self.rates, self.rate_stds))
         found: dict[int, Background] = {}
         for k in levels:
             axle = self.axles[k]
@@ -76,10 +76,10 @@ def find_change(y: np.ndarray, times: np.ndarray, background: Background) -> Ser
     places = np.arange(_SEGMENT, len(y) - _SEGMENT + 1)
     # age wears, and so does use
     shapes = np.vstack([line(times), line(number), (number >= places[:, None]) - 0.5])
-    sizes, deviations, chances = sizes_of_change(y, background, shapes)
-    paid = chances * 2 * np.repeat([2, len(places)], [2, len(places)])
+    sizes, deviations, p_values = sizes_of_change(y, background, shapes)
+    paid = p_values * 2 * np.repeat([2, len(places)], [2, len(places)])
     best = int(np.argmin(paid))
     kind, place = ("drift", 1) if best < 2 else ("step", int(places[best - 2]))
-    chance = min(1.0, float(paid[best]))
+    p_value = min(1.0, float(paid[best]))
     size, deviation = float(sizes[best]), float(deviations[best])
-    return SeriesChange(kind, place, size, deviation, chance, shapes[best], float(sizes[0]), float(deviations[0]))
+    return SeriesChange(kind, place, size, deviation, p_value, shapes[best], float(sizes[0]), float(deviations[0]))

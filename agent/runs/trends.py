@@ -169,10 +169,10 @@ def _watch(key: tuple[str, str, str], runs: list[PastRun]) -> Watch:
     robot, serial, program = key
     levels = runs[-1].data["conditions"]["friction"]
     runs = [run for run in runs if len(run.data["conditions"]["friction"]) == len(levels)]
-    times, (rates, doubts) = _times(runs), warm_up_rates(runs)
+    times, (rates, rate_stds) = _times(runs), warm_up_rates(runs)
     axles = list(runs[-1].data["joints"])
     of_level = tuple(axles.index(level["joint"]) for level in levels)
-    series = FrictionSeries(times, of_level, _column(runs, "value"), _column(runs, "from_run_to_run"), rates, doubts)
+    series = FrictionSeries(times, of_level, _column(runs, "value"), _column(runs, "from_run_to_run"), rates, rate_stds)
     trends = []
     for k, background in series.backgrounds():
         name = f"friction of {levels[k]['joint']} at {levels[k]['speed']:.2g} rad/s"
@@ -180,7 +180,7 @@ def _watch(key: tuple[str, str, str], runs: list[PastRun]) -> Watch:
         found = _trend(name, levels[k]["joint"], "N·m", runs, times, values, deviations, None, background, len(levels))
         trends.append(found)
     warnings = tuple(_warnings(runs, times, trends))
-    return Watch(robot, serial, program, tuple(trends), warnings, common_rate(rates, doubts))
+    return Watch(robot, serial, program, tuple(trends), warnings, common_rate(rates, rate_stds))
 
 
 def _trend(

@@ -68,9 +68,9 @@ def warm_up_rates(runs: Sequence[PastRun]) -> tuple[np.ndarray, np.ndarray]:
     return tables[0], tables[1]
 
 
-def common_rate(rates: np.ndarray, doubts: np.ndarray) -> np.ndarray:
+def common_rate(rates: np.ndarray, rate_stds: np.ndarray) -> np.ndarray:
     """(R,) median over the axles, 0 where nothing is known."""
-    known = np.isfinite(rates) & np.isfinite(doubts)
+    known = np.isfinite(rates) & np.isfinite(rate_stds)
     if known.all():
         return np.median(rates, axis=1)
     return np.array([np.median(row[good]) if good.any() else 0.0 for row, good in zip(rates, known, strict=True)])

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from agent.core.errors import AgentError, ControllerError, InputError, SafetyError
-from agent.link.alignment import moving_stretches
+from agent.link.alignment import moving_segments
 from agent.runs.folder import RunFolder, sha256_text, write_atomically
 from agent.safety.preconditions import check_ready, have_word
 from drivers.protocol import Identity, Status
@@ -108,13 +108,13 @@ def test_moving_stretches_are_found_where_they_were_put(lengths: list[tuple[int,
         reference += [here + 0.01 * (k + 1) for k in range(moving)]
         here = reference[-1]
         reference += [here] * (rest + pause)
-    found = moving_stretches(np.array(reference)[:, None], rest - 1)
+    found = moving_segments(np.array(reference)[:, None], rest - 1)
     assert found == expected
 
 
 def test_nothing_that_moves_has_no_stretches():
-    assert moving_stretches(np.ones((100, 6)), 3) == []
-    assert moving_stretches(np.ones((1, 6)), 3) == []
+    assert moving_segments(np.ones((100, 6)), 3) == []
+    assert moving_segments(np.ones((1, 6)), 3) == []
 
 
 @pytest.mark.parametrize(

@@ -28,5 +28,5 @@ def test_a_gain_counts_where_the_torque_is_predicted(arm, baseline, runs, case, 
     gear = CATALOGUE["joint_elasticity"]
     score = max(fit.score([fit.candidate(gear, (1,), settings) for settings in tried]), key=lambda score: score.gain)
     assert score.gain > LIMITS.least_gain * fit.count.sum()
-    assert (gain_in_band(fit, score) > LIMITS.in_band) == real
+    assert (gain_in_band(fit, score) > LIMITS.in_band_gain) == real
     assert gain_in_band(fit, score) > 0.9 or not real

@@ -29,7 +29,7 @@ def test_a_limit_that_is_handed_in_decides():
     cause = Cause("stribeck", ("joint_1",), 0.6, 0.9, {"rise": 1.0})
     assert settle("explained", [cause], 0.6)[0] == "unknown"
     assert settle("explained", [cause], 0.6, replace(LIMITS, explained=0.5)) == ("explained", (cause,))
-    assert settle("explained", [cause], 0.6, replace(LIMITS, explained=0.5, part=0.7)) == ("unknown", ())
+    assert settle("explained", [cause], 0.6, replace(LIMITS, explained=0.5, least_share=0.7)) == ("unknown", ())
     surer = replace(LIMITS, probability=(0.0, 0.35, 0.43))
     assert class_probability(3.0, 0.9, surer) > class_probability(3.0, 0.9)
 

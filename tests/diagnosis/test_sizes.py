@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from agent.core.figures import plus_minus
-from agent.diagnosis.sizes import leading, size_text, told, unit_of
+from agent.diagnosis.sizes import leading_parameter, reported_parameters, size_text, unit_of
 
 NUMBER = re.compile(r"-?[\d.]+(?:e[-+]?\d+)?")
 
@@ -38,9 +38,9 @@ def test_figures_have_their_units():
 
 def test_the_leading_figure_and_what_is_not_told():
     payload = {"effect": "payload", "parameters": {"m0": 3.9, "hx0": 0.1, "mass": 4.0, "moment_x": 0.4}}
-    assert leading(payload) == "mass"
-    assert told(payload) == ["mass", "moment_x"]
+    assert leading_parameter(payload) == "mass"
+    assert reported_parameters(payload) == ["mass", "moment_x"]
     one_sided = {"effect": "asymmetric_friction", "parameters": {"coulomb": 1.0, "coulomb_asymmetry": 28.3}}
-    assert told(one_sided) == ["coulomb_asymmetry"]
-    assert leading({"effect": "inertial_mismatch", "parameters": {"link": 3.0, "m3": 1.0}}) == "m3"
-    assert leading({"effect": "other", "parameters": {"odd": 1.0}}) is None
+    assert reported_parameters(one_sided) == ["coulomb_asymmetry"]
+    assert leading_parameter({"effect": "inertial_mismatch", "parameters": {"link": 3.0, "m3": 1.0}}) == "m3"
+    assert leading_parameter({"effect": "other", "parameters": {"odd": 1.0}}) is None

@@ -18,7 +18,9 @@ from agent.diagnosis.verdict import judge, settle, with_path
 
 VERDICTS = st.sampled_from(["no_gap", "explained", "ambiguous", "unknown"])
 closures = st.one_of(
-    st.none(), st.floats(-1, 1), st.sampled_from([0.0, LIMITS.part, LIMITS.hardly, LIMITS.explained, np.nan, -np.inf])
+    st.none(),
+    st.floats(-1, 1),
+    st.sampled_from([0.0, LIMITS.least_share, LIMITS.least_closure, LIMITS.explained, np.nan, -np.inf]),
 )
 causes = st.builds(
     Cause,

@@ -11,7 +11,7 @@ import pytest
 
 from agent.core.console import Console
 from agent.core.errors import InputError, RejectedError
-from agent.estimation.plausible import doubts
+from agent.estimation.plausible import plausibility_warnings
 from agent.pipeline.identify import estimate_files, validate_files
 from agent.recording import read_log, write_log
 from agent.robot import load_robot
@@ -53,14 +53,14 @@ def healthy(shared_data):
 @pytest.mark.parametrize("reason", MISTAKES)
 def test_what_cannot_be_is_said(healthy, reason):
     robot, log = healthy
-    found = doubts(robot, [replace(log, **MISTAKES[reason](log))])
+    found = plausibility_warnings(robot, [replace(log, **MISTAKES[reason](log))])
     assert found
     assert re.search(reason, found[0]), found
 
 
 def test_gravity_in_another_direction_is_named(healthy):
     robot, log = healthy
-    (found,) = doubts(replace(robot, gravity=(9.80665, 0.0, 0.0)), [log])
+    (found,) = plausibility_warnings(replace(robot, gravity=(9.80665, 0.0, 0.0)), [log])
     assert "gravity in the base frame looks like (0, 0, -9.807)" in found
 
 
@@ -78,7 +78,7 @@ def test_gravity_in_another_direction_is_named(healthy):
 def test_real_logs_are_not_refused(shared_data, robot, logs):
     description = load_robot(str(shared_data / robot))
     for path in sorted((shared_data / logs).glob("*.mcap"))[:2]:
-        assert not doubts(description, [read_log(path, description)]), path
+        assert not plausibility_warnings(description, [read_log(path, description)]), path
 
 
 @pytest.mark.parametrize(
@@ -95,14 +95,14 @@ def test_a_short_log_is_not_refused(shared_data, robot, log):
     description = load_robot(str(shared_data / robot))
     whole = read_log(shared_data / log, description)
     for start in np.linspace(0, whole.t[-1] - 2, 3):
-        assert not doubts(description, [whole.between(start, start + 2)])
-    assert not doubts(description, [whole.between(0, 1)])
+        assert not plausibility_warnings(description, [whole.between(start, start + 2)])
+    assert not plausibility_warnings(description, [whole.between(0, 1)])
 
 
 def test_an_unsigned_current_of_a_real_arm_is_refused(shared_data):
     robot = load_robot(str(shared_data / "real-dev/so101/robot.yaml"))
     log = read_log(shared_data / "real-dev/so101/custom_motion.mcap", robot)
-    assert "never negative" in doubts(robot, [log])[0]
+    assert "never negative" in plausibility_warnings(robot, [log])[0]
 
 
 def test_nothing_is_written_unless_forced(healthy, shared_data, tmp_path):

@@ -17,7 +17,7 @@ from hypothesis import given, settings, strategies as st
 from agent.core.console import Console
 from agent.core.errors import AgentError, InputError
 from agent.pipeline.compare import compare_runs
-from agent.pipeline.rebuild_report import report_again
+from agent.pipeline.rebuild_report import rebuild_report
 from agent.pipeline.reports import write_index
 from agent.runs.current import apply_previous, apply_run
 from agent.runs.folder import RunFolder
@@ -44,7 +44,7 @@ def test_a_run_of_another_version_is_pointed_to_its_own_page(write_runs, page: b
         (run / "report.html").write_text("as it was", encoding="utf-8")
     before = sorted(path.name for path in run.iterdir())
     with pytest.raises(InputError, match=r"another version of the agent wrote them \('recipe' is missing") as caught:
-        report_again(run, QUIET)
+        rebuild_report(run, QUIET)
     assert ("report.html" in str(caught.value)) == page
     assert sorted(path.name for path in run.iterdir()) == before
     assert not page or (run / "report.html").read_text(encoding="utf-8") == "as it was"
@@ -76,7 +76,7 @@ def test_a_damaged_file_does_not_hide_the_other_runs(write_runs, file: str, cont
     assert damaged.name in said
     assert file in said
     assert write_index(logs).is_file()
-    for act in (lambda: report_again(damaged, QUIET), lambda: apply_run(logs, damaged)):
+    for act in (lambda: rebuild_report(damaged, QUIET), lambda: apply_run(logs, damaged)):
         with pytest.raises(InputError, match=damaged.name):
             act()
 
@@ -99,7 +99,7 @@ def test_an_unfinished_run_has_nothing_to_report(write_runs, kind: str, status: 
     _edit(run / "state.json", kind=kind, status=status, stopped={"reason": "the emergency stop is pressed"})
     (run / "result.json").unlink()
     with pytest.raises(InputError, match="nothing to report yet") as caught:
-        report_again(run, QUIET)
+        rebuild_report(run, QUIET)
     assert ("--resume" in str(caught.value)) == (kind == "calibrate")
     assert ("emergency stop" in str(caught.value)) == (status == "stopped")
 
@@ -227,7 +227,7 @@ def test_one_bad_folder_is_one_bad_folder(three_runs, data):
             run.in_future()
     write_index(logs)
     for act in (
-        lambda: report_again(bad, QUIET),
+        lambda: rebuild_report(bad, QUIET),
         lambda: apply_run(logs, bad),
         lambda: compare_runs([first, bad], QUIET),
         lambda: RunFolder.open(bad, "s"),

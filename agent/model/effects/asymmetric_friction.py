@@ -28,9 +28,9 @@ class AsymmetricFriction(Effect):
     experiment = RAMPS_AND_STANDSTILLS
     rivals_special_cases = True
     special_cases = ("torque_offset",)
-    untold = ("coulomb", "viscous")
+    not_reported = ("coulomb", "viscous")
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         return [{"coulomb": 1.0}, {"viscous": 1.0}, {"coulomb": 1.0, "viscous": 1.0}]
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:

@@ -26,8 +26,8 @@ class BaseTilt(Effect):
     experiment = WHOLE_RANGE
     why_absent = "no gravity in the robot description"
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
-        return [{}] if np.linalg.norm(survey.reference.robot.gravity) > 0 else []
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+        return [{}] if np.linalg.norm(context.reference.robot.gravity) > 0 else []
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("tilt_1", "tilt_2")

@@ -33,21 +33,21 @@ class Contact(Effect):
     phrase = "something pushed the arm for a while"
     look_at = "what the arm touched at that time: a person, a fixture, a caught hose"
     residual_driven = True
-    complexity_surcharge = 1
+    complexity_penalty = 1
     once = True
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         """Where three force components leave least: the strongest windows that do not overlap, fewest first.
 
         All on the link that explains most, or each on its own. A model's own error and what drifts make windows too: a
         contact stands out from the other segments of its length, those before and after it above all, and does not come
         back at the same place of the next cycle.
         """
-        dof = survey.reference.robot.dof
+        dof = context.reference.robot.dof
         windows = [
             window
             for link in range(dof)
-            for part in zip(survey.signals, survey.residuals, survey.sigmas, strict=True)
+            for part in zip(context.signals, context.residuals, context.sigmas, strict=True)
             for window in _Windows.of(link, *part)
         ]
         found = [_strongest([w for w in windows if w.link == link]) for link in range(dof)]

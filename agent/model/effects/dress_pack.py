@@ -36,12 +36,12 @@ class DressPack(Effect):
     needs_travel = 0.2
     shapes = ("position",)
     experiment = WHOLE_RANGE
-    complexity_surcharge = 1
+    complexity_penalty = 1
     special_cases = ("torque_offset",)
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
-        low = float(min(s.q[:, joints[0]].min() for s in survey.signals))
-        high = max(float(max(s.q[:, joints[0]].max() for s in survey.signals)), low + 1e-9)
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+        low = float(min(s.q[:, joints[0]].min() for s in context.signals))
+        high = max(float(max(s.q[:, joints[0]].max() for s in context.signals)), low + 1e-9)
         curve, rubbing = {"low": low, "high": high}, {"travel": _TRAVEL * (high - low)}
         return [{}, rubbing, curve, {**curve, **rubbing}]
 

@@ -64,7 +64,7 @@ class Effect(ABC):
     `structurally_equivalent` are forms that equal it by definition unless the data tell them apart: where they do as
     well it is not named with confidence, in the catalogue or not. `shapes` are what its torque is a curve over (speed,
     position, twist, mass): a second effect with such a shape on the same joint would only imitate a third.
-    `complexity_surcharge` counts as further parameters where the simplest form is taken: one physical change comes
+    `complexity_penalty` counts as further parameters where the simplest form is taken: one physical change comes
     before a general refit.
 
     `once` marks an effect that happens once, so that another log tells nothing about it; `refined` are the nonlinear
@@ -75,7 +75,7 @@ class Effect(ABC):
     and turns back `needs_reversals` times. One of `fast_torque` is named only where the torque that was measured
     goes with the prediction that has it: fast torque may be noise of the positions.
 
-    `units` are those of parameters whose name alone does not say them, `untold` settings that tell people nothing.
+    `units` are those of parameters whose name alone does not say them, `not_reported` settings that no page shows.
     `numbers` are those of a simulator's file that move under its name: `friction` of its joint, `links`, or the `load`
     that the last link gained. The torque that a drive reports is that of its
     motor times one plus the parameter `scales_report`, plus the parameter `adds_to_report`; most effects have neither.
@@ -98,7 +98,7 @@ class Effect(ABC):
     special_cases: ClassVar[tuple[str, ...]] = ()
     rivals_special_cases: ClassVar[bool] = False
     structurally_equivalent: ClassVar[tuple[str, ...]] = ()
-    complexity_surcharge: ClassVar[int] = 0
+    complexity_penalty: ClassVar[int] = 0
     once: ClassVar[bool] = False
     refined: ClassVar[tuple[str, ...]] = ()
     residual_driven: ClassVar[bool] = False
@@ -108,7 +108,7 @@ class Effect(ABC):
     needs_reversals: ClassVar[int] = 0
     fast_torque: ClassVar[bool] = False
     units: ClassVar[Mapping[str, str]] = MappingProxyType({})
-    untold: ClassVar[tuple[str, ...]] = ()
+    not_reported: ClassVar[tuple[str, ...]] = ()
     numbers: ClassVar[str] = ""
     adds_to_report: ClassVar[str | None] = None
     scales_report: ClassVar[str | None] = None
@@ -122,7 +122,7 @@ class Effect(ABC):
         """Joints (from 0) it may sit on."""
         return [(k,) for k in range(robot.dof)] if self.scope == "joint" else [()]
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         """Nonlinear parameters to try; one empty dictionary where there are none."""
         return [{}]
 
@@ -150,7 +150,7 @@ class Effect(ABC):
         """Torque per unit of each linear parameter."""
 
     def prior_std(
-        self, survey: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
+        self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
     ) -> np.ndarray | None:
         """(k,) what the parameters may be at most, roughly; None: anything."""
         return None
@@ -199,14 +199,14 @@ def rubs(reference: NominalModel, axle: int, **changes: float) -> bool:
     return all(levels[form] + change > -0.1 * abs(levels[form]) for form, change in changes.items() if form in levels)
 
 
-def highest_speed(survey: FitContext, axle: int) -> float:
+def highest_speed(context: FitContext, axle: int) -> float:
     """Of an axle over all motions [rad/s], not below a millionth of what the joint could."""
-    seen = max(float(np.abs(s.axles.speed[:, axle]).max()) for s in survey.signals)
-    return max(seen, 1e-6 * float(survey.reference.robot.max_velocity[axle]))
+    seen = max(float(np.abs(s.axles.speed[:, axle]).max()) for s in context.signals)
+    return max(seen, 1e-6 * float(context.reference.robot.max_velocity[axle]))
 
 
-def travelled(survey: FitContext, axle: int) -> tuple[float, float]:
+def travelled(context: FitContext, axle: int) -> tuple[float, float]:
     """Lowest and highest position of an axle over all motions [rad]."""
-    low = min(float(s.axles.position[:, axle].min()) for s in survey.signals)
-    high = max(float(s.axles.position[:, axle].max()) for s in survey.signals)
+    low = min(float(s.axles.position[:, axle].min()) for s in context.signals)
+    high = max(float(s.axles.position[:, axle].max()) for s in context.signals)
     return low, max(high, low + 1e-9)

@@ -22,10 +22,10 @@ class FrictionChange(Effect):
     needs_speed = 0.02
     needs_reversals = 1
     shapes = ("speed",)
-    untold = ("coulomb", "viscous")
+    not_reported = ("coulomb", "viscous")
     numbers = "friction"
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         return [{"coulomb": 1.0}, {"viscous": 1.0}, {"coulomb": 1.0, "viscous": 1.0}]
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:

@@ -31,8 +31,8 @@ class GravitySpring(Effect):
     why_absent = "a prismatic joint"
     special_cases = ("torque_offset",)
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
-        if survey.reference.robot.joints[joints[0]].prismatic:
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+        if context.reference.robot.joints[joints[0]].prismatic:
             return []
         return [{"harmonics": 1.0}, {"harmonics": 2.0}]
 

@@ -27,12 +27,12 @@ class InertialMismatch(Effect):
     look_at = "what was bolted to or taken off this link; link data of the robot description"
     shapes = ("mass",)
     experiment = POSTURES
-    complexity_surcharge = 8
+    complexity_penalty = 8
     special_cases = ("payload",)
     numbers = "links"
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
-        return [{"link": float(k + 1)} for k in range(survey.reference.robot.dof)]
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+        return [{"link": float(k + 1)} for k in range(context.reference.robot.dof)]
 
     def simpler(self, settings: Mapping[str, float], robot: RobotDescription) -> tuple[str, ...]:
         """A payload is a mismatch of the last link."""
@@ -47,10 +47,10 @@ class InertialMismatch(Effect):
         return {joint: signals.standard[:, joint, link] for joint in range(last)}
 
     def prior_std(
-        self, survey: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
+        self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
     ) -> np.ndarray | None:
-        layout = ParameterLayout.of(survey.reference.robot)
-        return np.asarray(survey.reference.prior_std[layout.link(int(settings["link"]) - 1)])
+        layout = ParameterLayout.of(context.reference.robot)
+        return np.asarray(context.reference.prior_std[layout.link(int(settings["link"]) - 1)])
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return len(LINK_PARAMETERS)

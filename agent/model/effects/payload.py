@@ -36,13 +36,13 @@ class Payload(Effect):
     shapes = ("mass",)
     experiment = POSTURES
     residual_driven = True
-    untold = _START
+    not_reported = _START
     numbers = "load"
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         start: dict[str, float] = {}
         for _ in range(_ROUNDS):
-            mass, *moment = survey.fit(self, joints, start)[:4]
+            mass, *moment = context.fit(self, joints, start)[:4]
             if not mass > 1e-3:
                 return []
             start = dict(zip(_START, map(float, (mass, *moment)), strict=True))
@@ -64,7 +64,7 @@ class Payload(Effect):
         return {joint: link[:, joint] for joint in range(n)}
 
     def prior_std(
-        self, survey: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
+        self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
     ) -> np.ndarray | None:
         return np.array([20.0, 5.0, 5.0, 5.0, *([0.5] if settings else [2.0] * 6)])
 

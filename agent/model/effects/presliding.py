@@ -27,8 +27,8 @@ class Presliding(Effect):
     refined = ("travel",)
     special_cases = ("friction_change",)
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
-        low, high = travelled(survey, joints[0])
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+        low, high = travelled(context, joints[0])
         return [{"travel": (high - low) * fraction} for fraction in (2e-4, 5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016, 0.03)]
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:

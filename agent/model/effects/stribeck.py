@@ -32,8 +32,8 @@ class Stribeck(Effect):
     refined = ("speed",)
     special_cases = ("friction_change",)
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
-        fastest = highest_speed(survey, joints[0])
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+        fastest = highest_speed(context, joints[0])
         return [{"speed": fastest * fraction, "shape": shape} for fraction in _SPEEDS for shape in (1.0, 2.0)]
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:

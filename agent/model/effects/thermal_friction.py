@@ -29,13 +29,13 @@ class ThermalFriction(Effect):
     needs_reversals = 1
     shapes = ("speed",)
     experiment = FROM_COLD
-    complexity_surcharge = 1
+    complexity_penalty = 1
     refined = ("time_constant",)
     special_cases = ("friction_change",)
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
-        longest = max(float(s.time[-1]) for s in survey.signals)
-        session = max(s.started + float(s.time[-1]) for s in survey.signals)
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+        longest = max(float(s.time[-1]) for s in context.signals)
+        session = max(s.started + float(s.time[-1]) for s in context.signals)
         each = [{"time_constant": fraction * longest} for fraction in (0.08, 0.2, 0.5, 1.5, 5.0)]
         if not longest < session < _LONGEST_SESSION:
             return each

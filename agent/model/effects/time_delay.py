@@ -41,19 +41,19 @@ class TimeDelay(Effect):
     fast_torque = True
     moves_arm = False
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         tried = [{"delay": delay} for delay in _TRIED]
-        best = min(tried, key=lambda s: abs(float(survey.fit(self, joints, s)[0]) - 1))
-        plain = self._solved(survey, joints, best)
+        best = min(tried, key=lambda s: abs(float(context.fit(self, joints, s)[0]) - 1))
+        plain = self._solved(context, joints, best)
         if abs(plain["delay"]) < _ABSORBED:
             return [plain]
-        return [plain, *(self._solved(survey, joints, {**plain, "reversal": part}) for part in _SHARPER)]
+        return [plain, *(self._solved(context, joints, {**plain, "reversal": part}) for part in _SHARPER)]
 
-    def _solved(self, survey: FitContext, joints: tuple[int, ...], settings: dict[str, float]) -> dict[str, float]:
+    def _solved(self, context: FitContext, joints: tuple[int, ...], settings: dict[str, float]) -> dict[str, float]:
         """The delay at which the share is one, by two steps of Gauss and Newton."""
         delay = settings["delay"]
         for _ in range(2):
-            share = survey.fit(self, joints, {**settings, "delay": delay})[0]
+            share = context.fit(self, joints, {**settings, "delay": delay})[0]
             delay = float(np.clip(delay * share, -_LONGEST, _LONGEST))
             delay = float(np.copysign(max(abs(delay), _SHORTEST), delay))
         return {**settings, "delay": delay}

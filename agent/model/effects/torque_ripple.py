@@ -29,18 +29,18 @@ class TorqueRipple(Effect):
     residual_driven = True
     fast_torque = True
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         """Highest peaks of the residual's spectrum over the angle, by sums in narrow bins and one transform."""
         (axle,) = joints
-        low, high = travelled(survey, axle)
-        gear = abs(float(survey.reference.robot.gear_ratios[axle]))
+        low, high = travelled(context, axle)
+        gear = abs(float(context.reference.robot.gear_ratios[axle]))
         highest = _HIGHEST * max(gear, 10.0)
         bins = int((high - low) * highest / 2 / np.pi * 4) + 2
         if bins > 2_000_000 or high - low < 3 * 2 * np.pi / highest:
             return []
         sums = np.zeros(bins)
         speeds = []
-        for signals, residual, sigma in zip(survey.signals, survey.residuals, survey.sigmas, strict=True):
+        for signals, residual, sigma in zip(context.signals, context.residuals, context.sigmas, strict=True):
             position = signals.axles.position[signals.kept, axle]
             place = np.clip(((position - low) / (high - low) * bins).astype(int), 0, bins - 1)
             np.add.at(sums, place, residual[:, axle] / sigma[:, axle] ** 2)
@@ -49,7 +49,7 @@ class TorqueRipple(Effect):
         power = np.abs(np.fft.rfft(sums, size)) ** 2
         order = 2 * np.pi * np.arange(len(power)) / size * bins / (high - low)
         speed = np.sort(np.concatenate(speeds))
-        cutoff = survey.reference.model.cutoff
+        cutoff = context.reference.model.cutoff
         passing = np.searchsorted(speed, 2 * np.pi * 0.9 * cutoff / np.maximum(order, 1e-9))
         gain = np.where((order > max(_LOWEST, 6 * np.pi / (high - low))) & (order < highest), power, 0)
         gain = gain / np.maximum(passing, 20)

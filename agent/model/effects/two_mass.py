@@ -83,26 +83,26 @@ class TwoMass(Effect):
     grid: ClassVar[tuple[tuple[float, float, float], ...]]
     few: ClassVar[tuple[tuple[float, float, float], ...]]
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         (k,) = joints
-        if _inertia(survey, k) <= _MASSLESS:
+        if _inertia(context, k) <= _MASSLESS:
             return []
-        tried, columns = self._alone(survey)[k]
-        best, gain = self._best(survey, k, tried, columns)
-        energy = _energy(survey)[k]
+        tried, columns = self._alone(context)[k]
+        best, gain = self._best(context, k, tried, columns)
+        energy = _energy(context)[k]
         for factor in _NEIGHBOURS:
-            if gain < _PROMISING * energy * len(columns) or (survey.given and energy <= 1):
+            if gain < _PROMISING * energy * len(columns) or (context.given and energy <= 1):
                 break
             near = [neighbour for entry in best for neighbour in self._neighbours(entry, factor)]
-            self.prepare(survey.signals, [((k,), entry) for entry in near])
-            best, gain = self._best(survey, k, near, self._on_joint(survey, k, near))
+            self.prepare(context.signals, [((k,), entry) for entry in near])
+            best, gain = self._best(context, k, near, self._on_joint(context, k, near))
         return best
 
     def _best(
-        self, survey: FitContext, k: int, tried: Sequence[dict[str, float]], columns: np.ndarray
+        self, context: FitContext, k: int, tried: Sequence[dict[str, float]], columns: np.ndarray
     ) -> tuple[list[dict[str, float]], float]:
         """The ones that gain most, possible ones first, and the first one's gain."""
-        gain, share = survey.gains_alone(k, columns)
+        gain, share = context.gains_alone(k, columns)
         possible = np.array([self.plausible({}, {"share": value}) for value in share])
         order = np.lexsort((-gain, ~possible))[:_TRIED]
         return [tried[at] for at in order], float(gain[order[0]])
@@ -113,29 +113,29 @@ class TwoMass(Effect):
         values = [[entry[name] * steps[name] ** power for power in (-1, 0, 1)] for name in entry]
         return [dict(zip(entry, combination, strict=True)) for combination in product(*values)]
 
-    def _alone(self, survey: FitContext) -> dict[int, tuple[list[dict[str, float]], np.ndarray]]:
+    def _alone(self, context: FitContext) -> dict[int, tuple[list[dict[str, float]], np.ndarray]]:
         """Per joint: what is tried, and (S', len(tried)) torque on that joint alone, all motions in a row."""
-        known = survey.signals[0].__dict__.setdefault("_alone", {})
+        known = context.signals[0].__dict__.setdefault("_alone", {})
         if self.name not in known:
-            heavy = (k for k in range(survey.reference.robot.dof) if _inertia(survey, k) > _MASSLESS)
-            tried = {k: self._tried(survey, k) for k in heavy}
-            self.prepare(survey.signals, [((k,), entry) for k, entries in tried.items() for entry in entries])
-            known[self.name] = {k: (entries, self._on_joint(survey, k, entries)) for k, entries in tried.items()}
+            heavy = (k for k in range(context.reference.robot.dof) if _inertia(context, k) > _MASSLESS)
+            tried = {k: self._tried(context, k) for k in heavy}
+            self.prepare(context.signals, [((k,), entry) for k, entries in tried.items() for entry in entries])
+            known[self.name] = {k: (entries, self._on_joint(context, k, entries)) for k, entries in tried.items()}
         return known[self.name]
 
-    def _tried(self, survey: FitContext, k: int) -> list[dict[str, float]]:
-        inertia = _inertia(survey, k)
-        energy = _energy(survey)
-        suspect = max(min(_SUSPECT, 0.5 * energy.max()), 1.0 if survey.given else 0.0)
+    def _tried(self, context: FitContext, k: int) -> list[dict[str, float]]:
+        inertia = _inertia(context, k)
+        energy = _energy(context)
+        suspect = max(min(_SUSPECT, 0.5 * energy.max()), 1.0 if context.given else 0.0)
         grid = self.grid if energy[k] > suspect else self.few
         return [
             {"stiffness": inertia * (2 * np.pi * frequency) ** 2, "damping": damping, **({"gap": gap} if gap else {})}
             for frequency, damping, gap in grid
         ]
 
-    def _on_joint(self, survey: FitContext, k: int, tried: Sequence[Mapping[str, float]]) -> np.ndarray:
+    def _on_joint(self, context: FitContext, k: int, tried: Sequence[Mapping[str, float]]) -> np.ndarray:
         parts = []
-        for signals in survey.signals:
+        for signals in context.signals:
             parts.append(signals.low_pass(-np.stack([self._lead(signals, k, entry)[0] for entry in tried]).T))
         return np.concatenate(parts)
 
@@ -168,14 +168,14 @@ class TwoMass(Effect):
         return 2
 
 
-def _inertia(survey: FitContext, k: int) -> float:
+def _inertia(context: FitContext, k: int) -> float:
     """Mean inertia that a joint carries [kg·m², or kg]."""
-    return float(np.mean([s.mass[:, k, k].mean() for s in survey.signals]))
+    return float(np.mean([s.mass[:, k, k].mean() for s in context.signals]))
 
 
-def _energy(survey: FitContext) -> np.ndarray:
+def _energy(context: FitContext) -> np.ndarray:
     """(n,) mean of (e / σ)² of what is left."""
-    parts = zip(survey.residuals, survey.sigmas, strict=True)
+    parts = zip(context.residuals, context.sigmas, strict=True)
     return np.mean(np.concatenate([(left / sigma) ** 2 for left, sigma in parts]), axis=0)
 
 

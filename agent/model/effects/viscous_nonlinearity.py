@@ -26,8 +26,8 @@ class ViscousNonlinearity(Effect):
     shapes = ("speed",)
     special_cases = ("friction_change",)
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
-        fastest = highest_speed(survey, joints[0])
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+        fastest = highest_speed(context, joints[0])
         return [
             *({"speed": fastest * fraction} for fraction in (0.01, 0.03, 0.1, 0.3)),
             {"power": 2.0},

@@ -44,7 +44,7 @@ class WristCoupling(Effect):
         first = max(0, robot.dof - 3)
         return [(i, j) for i in range(first, robot.dof) for j in range(i + 1, robot.dof)]
 
-    def settings(self, survey: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         kinds = [
             *({"ratio": ratio} for ratio in _RATIOS),
             *({"ratio": ratio, "free": 1.0} for ratio in _FREE_RATIOS),

@@ -47,7 +47,7 @@ class Path:
 
 
 @dataclass(eq=False)
-class _Stretch:
+class _PathPart:
     """Knots in a row: `steps` (k,) of s, each from the knot before, and what is known of the knots so far."""
 
     block: int
@@ -77,7 +77,7 @@ def build_path(
         MotionError: out of reach, through a singularity, or not on one branch of the arm.
     """
     corners = [corner.refined(fineness) for corner in corners]
-    stretches: list[_Stretch] = []
+    stretches: list[_PathPart] = []
     deviations = [0.0] * len(corners)
     q, first = np.asarray(start, dtype=float), 0
     running_out = q[None]
@@ -110,10 +110,10 @@ def _body(
     parameters: FlyParameters,
     fineness: float,
     first: int,
-) -> list[_Stretch]:
+) -> list[_PathPart]:
     """Knots of the moves of one unit outside joint-space corners; the first stretch has the first knot, step 0."""
     corners = (lead, *inner, trail)
-    body: list[_Stretch] = []
+    body: list[_PathPart] = []
     for k, segment in enumerate(unit):
         before, after = corners[k], corners[k + 1]
         begin = 0.0 if before is None else before.after
@@ -135,9 +135,9 @@ def _body(
 
 def _on_segment(
     block: int, segment: Segment, sigma: np.ndarray, steps: np.ndarray, parameters: FlyParameters
-) -> _Stretch:
+) -> _PathPart:
     count = len(sigma)
-    stretch = _Stretch(
+    stretch = _PathPart(
         block,
         steps,
         np.full(count, segment.move),
@@ -156,12 +156,12 @@ def _on_segment(
     return stretch
 
 
-def _on_corner(block: int, corner: Corner, before: Segment, after: Segment, parameters: FlyParameters) -> _Stretch:
+def _on_corner(block: int, corner: Corner, before: Segment, after: Segment, parameters: FlyParameters) -> _PathPart:
     assert isinstance(before, CartesianSegment)
     assert isinstance(after, CartesianSegment)
     tau = corner.tau()
     lengths, along = blended_length(corner, before, after, tau)
-    return _Stretch(
+    return _PathPart(
         block,
         lengths,
         np.where(tau[1:] < 0.5, before.move, after.move),
@@ -175,12 +175,12 @@ def _on_corner(block: int, corner: Corner, before: Segment, after: Segment, para
 
 def _solve(
     unit: Sequence[Segment],
-    body: list[_Stretch],
+    body: list[_PathPart],
     lead: Corner | None,
     trail: Corner | None,
     start: np.ndarray,
     parameters: FlyParameters,
-) -> tuple[np.ndarray, list[_Stretch], np.ndarray]:
+) -> tuple[np.ndarray, list[_PathPart], np.ndarray]:
     """Joints of a unit from `start` (n,): on the way in (lead.cells + 1, n), its knots, on the way out."""
     into = np.empty(0) if lead is None else lead.sigma(lead.tau())[1][:-1]
     out = np.empty(0) if trail is None else trail.sigma(trail.tau())[0][1:]
@@ -208,7 +208,7 @@ def _joint_corner(
     running_in: np.ndarray,
     speeds: np.ndarray,
     parameters: FlyParameters,
-) -> _Stretch:
+) -> _PathPart:
     """The knots between two units: joints superposed. One step more than knots: the last leads to the next unit."""
     tau = corner.tau()
     at_corner = running_in[0]
@@ -220,7 +220,7 @@ def _joint_corner(
     moves = [np.linalg.norm(np.diff(way, axis=0) / speeds, axis=1) for way in (q, running_out, running_in)]
     along = np.minimum(moves[0] / np.maximum(moves[1] + moves[2], 1e-300), 1.0)
     count = corner.cells - 1
-    return _Stretch(
+    return _PathPart(
         block,
         before.metric * np.diff(one) + after.metric * np.diff(two),
         np.where(tau[1:-1] < 0.5, before.move, after.move),
@@ -231,7 +231,7 @@ def _joint_corner(
 
 
 def _deviation(
-    corner: Corner, segment: Segment, running_out: np.ndarray, running_in: np.ndarray, blend: _Stretch
+    corner: Corner, segment: Segment, running_out: np.ndarray, running_in: np.ndarray, blend: _PathPart
 ) -> float:
     if not np.isfinite(corner.allowed) or blend.q is None:
         return 0.0
@@ -244,7 +244,7 @@ def _deviation(
     return away / max(corner.allowed, 1e-9)
 
 
-def _assemble(stretches: list[_Stretch], segment: Segment, deviations: tuple[float, ...]) -> Path:
+def _assemble(stretches: list[_PathPart], segment: Segment, deviations: tuple[float, ...]) -> Path:
     q = np.concatenate([stretch.q for stretch in stretches if stretch.q is not None])
     position, orientation = np.empty((len(q), 3)), np.empty((len(q), 4))
     unknown = np.concatenate([np.full(len(stretch.move), stretch.orientation is None) for stretch in stretches])
