@@ -7,8 +7,8 @@ model leaves
 
 over the rows of all earlier logs and of the motion, counted as independent ones (T samples of 0.1 s each), against the
 same background σ as the verdict's. This is the criterion of T-optimality (Atkinson and Fedorov, Biometrika 62, 1975)
-with the parameters of model and rival projected out. The held-out advantage of a is then about normal with
-mean D² and standard deviation 2 D, so it passes the margin m of the verdict with probability Φ((D² − m) / (2 D)), averaged
+with the parameters of model and rival projected out. The held-out advantage of a is then about normal with mean
+D² and standard deviation 2 D, so it passes the margin m of the verdict with probability Φ((D² − m) / (2 D)), averaged
 over the posterior of β, and over which of the two is true. m is at least a share of what a explains by itself: forms of
 effects are not trusted further. Rows at a standstill of their joint count nothing: there the
 torque is what stiction makes of it, and no form of an effect is to be trusted. A motion that is repeated counts once:
