@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from itertools import pairwise
 from pathlib import Path
 
@@ -55,6 +56,24 @@ def test_a_room_is_entered_by_its_door():
                 if room[:1] == ["agent"] and len(room) > 2 and tuple(room[:2]) != own:
                     inside.append(f"{path.relative_to(ROOT).as_posix()}:{node.lineno}: {node.module}")
     assert inside == []
+
+
+def test_a_door_offers_what_somebody_outside_takes():
+    """That each name exists, mypy sees: the doors are stubs, loaded name by name."""
+    texts = {path: path.read_text("utf-8") for top in (*PACKAGES, "tests", "benchmarks") for path in _modules(top)}
+    pages = "\n".join(path.read_text("utf-8") for path in (ROOT / "docs").rglob("*.md"))
+    idle = []
+    for door in sorted((ROOT / "agent").glob("*/__init__.pyi")):
+        room = f"agent.{door.parent.name}"
+        outside = "\n".join([pages, *(t for path, t in texts.items() if room in t and door.parent not in path.parents)])
+        taken = set(re.findall(r"\w+", outside))
+        offered = [name.name for node in ast.parse(door.read_text("utf-8")).body for name in node.names]
+        idle += [f"{room}: {name}" for name in offered if name not in taken]
+    assert idle == []
+
+
+def _modules(top: str) -> list[Path]:
+    return sorted((ROOT / top).rglob("*.py"))
 
 
 def test_no_import_hides_in_a_string():

@@ -1,4 +1,3 @@
-from .answer import Cause as Cause, DiagnosisResult as DiagnosisResult
 from .candidate import Candidate as Candidate
 from .correction import corrected as corrected
 from .dataset import Dataset as Dataset, background_of as background_of

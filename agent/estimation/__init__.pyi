@@ -15,5 +15,4 @@ from .workflow import (
     EstimationSettings as EstimationSettings,
     Estimator as Estimator,
     estimate as estimate,
-    methods as methods,
 )

@@ -1,3 +1,3 @@
 from .pieces import Piece as Piece
-from .plan import Expected as Expected, Experiment as Experiment, plan_experiment as plan_experiment
+from .plan import Experiment as Experiment, plan_experiment as plan_experiment
 from .questions import OpenPair as OpenPair, open_pairs as open_pairs

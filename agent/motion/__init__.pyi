@@ -62,4 +62,4 @@ from .registry import (
     create_interpolator as create_interpolator,
     interpolator_names as interpolator_names,
 )
-from .trajectory import BindingLimit as BindingLimit, Trajectory as Trajectory
+from .trajectory import Trajectory as Trajectory

@@ -7,10 +7,8 @@ from .mcap.foxglove import (
     RESIDUAL as RESIDUAL,
     foxglove_layout as foxglove_layout,
 )
-from .mcap.log_file import LogFile as LogFile, write_log as write_log
-from .mcap.output import RecordingError as RecordingError
+from .mcap.log_file import write_log as write_log
 from .mcap.writer import LogWriter as LogWriter
 from .reading import read_log as read_log
 from .repair.grid import line as line, sample_numbers as sample_numbers, settled as settled
-from .resampling import resampled as resampled
 from .scratch import Scratch as Scratch

@@ -19,7 +19,6 @@ from .drivetrain import (
 from .dynamics import Dynamics as Dynamics, Tool as Tool
 from .friction import PAPER_TERMS as PAPER_TERMS, friction_regressor as friction_regressor
 from .kinematics.base import (
-    InverseSolutions as InverseSolutions,
     Kinematics as Kinematics,
     KinematicsError as KinematicsError,
 )

@@ -36,7 +36,6 @@ from .loop_store import (
     StoredLoop as StoredLoop,
     find_loop as find_loop,
     keep_loop as keep_loop,
-    loop_key as loop_key,
     stored_loops as stored_loops,
 )
 from .past_run import PastRun as PastRun, read_object as read_object, read_run as read_run, readable as readable

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from agent.excitation import Criterion, log_determinant, torque_weights
+from agent.excitation.criterion import Criterion, log_determinant, torque_weights
 from agent.robot import RobotDescription, load_robot
 from agent.robot.base_reduction import base_parameters
 from agent.robot.dynamics import Dynamics

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from agent.core import InProcess, InputError, LocalProcesses
-from agent.excitation import Candidates, Generation, LoopProblem, check_sub_region, search
+from agent.excitation import Candidates, LoopProblem, check_sub_region, search
+from agent.excitation.loop_search import Generation
 from agent.motion import ViaRegions
 from agent.robot import Box
 

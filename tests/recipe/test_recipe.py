@@ -148,7 +148,7 @@ def test_any_address_survives_the_template(recipe_file: Path, address: str) -> N
 
 
 def test_the_names_of_methods_are_those_that_exist() -> None:
-    from agent.estimation import methods
+    from agent.estimation.workflow import methods
     from agent.excitation.loop_search import METHODS as SEARCHES
 
     assert set(ESTIMATION_METHODS) == set(methods())

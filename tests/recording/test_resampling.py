@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.recording import Log, RecordingError, read_log, resampled, write_log
+from agent.recording import Log, read_log, write_log
+from agent.recording.mcap.output import RecordingError
+from agent.recording.resampling import resampled
 
 
 @pytest.fixture

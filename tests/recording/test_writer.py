@@ -15,8 +15,9 @@ from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 
 from agent.core.errors import InputError
-from agent.recording import LogWriter, RecordingError, read_log
+from agent.recording import LogWriter, read_log
 from agent.recording.mcap.joint_state import layout_for
+from agent.recording.mcap.output import RecordingError
 
 names = st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12), min_size=1, max_size=7)
 

@@ -102,14 +102,28 @@ def test_links_lead_somewhere(page: str):
             assert (DOCS / link).exists(), f"{page}: {link}"
 
 
-def test_files_that_the_method_names_exist():
-    text = (DOCS / "method.md").read_text(encoding="utf-8")
-    for row in text.splitlines():
-        folder = None
-        for name in re.findall(r"`([a-z_/]+\.py)`", row.split("|")[-2] if row.startswith("|") else ""):
-            path = ROOT / name if "/" in name else folder / name
-            folder = path.parent
-            assert path.is_file(), name
+#: Written by commands of the pages themselves.
+MADE_BY_A_READER = {"recipes/often.yaml"}
+
+
+def test_places_that_pages_name_exist():
+    """Paths and modules of the tree, whole; names of Python files alone, wherever they are."""
+    tops = "agent|drivers|fake_controller|second_world|tests|benchmarks|docs|recipes"
+    files = {path.name for top in tops.split("|") for path in (ROOT / top).rglob("*.py")}
+    lost = []
+    for page in [*ROOT.glob("*.md"), *DOCS.rglob("*.md")]:
+        text = page.read_text(encoding="utf-8")
+        paths = set(re.findall(rf"(?<![\w/.~-])((?:{tops})/[\w./-]*\w)", text)) - MADE_BY_A_READER
+        lost += [f"{page.name}: {name}" for name in paths if not (ROOT / name).exists()]
+        for name in re.findall(r"`((?:agent|drivers|fake_controller|second_world)(?:\.[a-z_]+)+)(?=[`.:])", text):
+            place = ROOT / name.replace(".", "/")
+            door = [path for path in place.parent.glob("__init__.py*")] + [place.parent.with_suffix(".py")]
+            offered = "\n".join(path.read_text(encoding="utf-8") for path in door if path.is_file())
+            if not (place.is_dir() or place.with_suffix(".py").is_file() or re.search(rf"\b{place.name}\b", offered)):
+                lost.append(f"{page.name}: {name}")
+        if page.name == "method.md":
+            lost += [f"{page.name}: {name}" for name in re.findall(r"`([a-z_]+\.py)`", text) if name not in files]
+    assert lost == []
 
 
 def test_the_reference_is_what_the_code_says():
