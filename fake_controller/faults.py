@@ -135,7 +135,7 @@ class Faults:
         return any(fault.name == "refuse" for fault in self._waiting)
 
     def strike(self, phase: str, motion_time: float = 0.0) -> list[Fault]:
-        """A phase is reached, `motion_time` [s] into the motion; returns what the machine suffers now."""
+        """A phase is reached, `motion_time` [s] into the motion; returns the faults that act now."""
         with self._lock:
             due = [f for f in self._waiting if f.phase == phase and motion_time >= f.after and f.name != "refuse"]
             for fault in due:

@@ -118,7 +118,7 @@ class BlindCheck:
         return [self._judge(case) for case in cases]
 
     def _record(self, case: Case) -> tuple[dict[str, Any], str]:
-        """What a diagnosis is told of a run, or why there is nothing; its machine's model is made where missing."""
+        """What a diagnosis is given of a run, or why there is nothing; its machine's model is made where missing."""
         try:
             self._make_model(case)
             _, planned = self._world.record(case, self._folder(case))
@@ -192,7 +192,7 @@ class BlindCheck:
         return self._world.robot(self._model(case).with_suffix(""))
 
     def _job(self, case: Case, planned: Sequence[Path]) -> dict[str, Any]:
-        """All that a diagnosis is told."""
+        """All that a diagnosis is given."""
         description = self._model(case).with_suffix("").glob("*")
         return {
             "robot": self._robot(case),

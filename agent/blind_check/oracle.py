@@ -1,6 +1,6 @@
 """What a diagnosis could have reached: the true structure refitted to the same data, and two controls that are wrong.
 
-All three go through the diagnosis' own fit, fold by fold (`agent.diagnosis.Trial`): the oracle is told which effects
+All three go through the diagnosis' own fit, fold by fold (`agent.diagnosis.Trial`): the oracle is given which effects
 sit where and looks for their parameters only; `wrong` is another effect with as many parameters in the same place;
 `black box` is as many smooth random functions of that joint's position, speed, acceleration and load.
 """

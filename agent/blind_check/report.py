@@ -38,7 +38,7 @@ def weak_spots(scores: Scores) -> list[str]:
         others = {name: times for name, times in said.items() if name != _right(effect)}
         if others:
             told = ", ".join(f"{name} ({times})" for name, times in sorted(others.items(), key=lambda x: -x[1]))
-            spots.append(f"{effect}: {sum(others.values())} of {total} told as {told}")
+            spots.append(f"{effect}: {sum(others.values())} of {total} named as {told}")
     return spots
 
 

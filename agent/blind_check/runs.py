@@ -14,7 +14,7 @@ from typing import Any
 from agent.core import Console, ControllerError
 from agent.recipe import Recipe, load_recipe
 
-#: Corners that fly joint by joint are held to no FLY distance: the guard and the cell are told how far they may go.
+#: Corners that fly joint by joint are held to no FLY distance: the guard and the cell are given how far they may go.
 _RECIPE = """\
 robot: {robot}
 controller: {{driver: tcp, address: "{address}"}}

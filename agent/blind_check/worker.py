@@ -1,6 +1,6 @@
 """The diagnosing process: `python -m agent.blind_check.worker`, a job a line on stdin, an answer a line on stdout.
 
-It is told logs, robot and model and nothing else, and refuses to open any other file near them, to start a process or
+It is given logs, robot and model and nothing else, and refuses to open any other file near them, to start a process or
 to use the network: it could not find the key if it wanted to.
 """
 
@@ -79,7 +79,7 @@ def _answer(job: dict[str, Any]) -> dict[str, Any]:
 
 
 def diagnose_job(job: Mapping[str, Any], without: Sequence[str] = ()) -> Diagnosis:
-    """Diagnose logs whose plan, if it is told, is in files of set-points.
+    """Diagnose logs whose plan, if it is given, is in files of set-points.
 
     Raises:
         InputError: as in `diagnose`.

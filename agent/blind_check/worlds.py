@@ -47,7 +47,7 @@ class World(Protocol):
         """Logs of the case's machine without an effect, and its description where it has one of its own."""
 
     def record(self, case: Case, folder: Path) -> tuple[list[Path], list[Path]]:
-        """Logs of a run, and for each a file of the set-points that were planned; none where no plan is told."""
+        """Logs of a run, and for each a file of the set-points that were planned; none where no plan is given."""
 
     def size(self, case: Case, folder: Path, machine: Path) -> float:
         """Largest change of torque by the run's effects, over nominal."""

@@ -57,7 +57,7 @@ class Console:
     def progress(self, text: str, done: float | None = None) -> None:
         """The running stage has come this far, of 1 `done` where that can be told; shown now and then.
 
-        With it the time left is told, once the stage has run for two seconds.
+        With it the time left is shown, once the stage has run for two seconds.
         """
         if self.verbosity < 0:
             return

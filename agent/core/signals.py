@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
-#: What ends a program, and how that is told.
+#: What ends a program, and its message.
 WORDS = {
     signal.SIGINT: "interrupted",
     signal.SIGTERM: "terminated",

@@ -70,7 +70,7 @@ class DecisionLimits:
     equal_gain: float = _limit(0.04, "gain of the best", "forms this close are as good; the simplest is taken", TUNED)
     equal_gain_floor: float = _limit(0.02, "background energy of all rows", "the same, at least", TUNED)
     indistinguishable_gain: float = _limit(
-        0.003, "gain of the best", "forms this close cannot be told apart, however well the better one fits", TUNED
+        0.003, "gain of the best", "forms this close are indistinguishable, however well the better one fits", TUNED
     )
     further_effect: float = _limit(0.35, "energy still unexplained", "that every further effect must explain", TUNED)
     in_band_gain: float = _limit(

@@ -28,7 +28,7 @@ def diagnose(
     progress: Callable[[str], None] = lambda text: None,
     limits: DecisionLimits = LIMITS,
 ) -> Diagnosis:
-    """Diagnose logs against a model, or against one fitted to them; `progress` is told how far it has come.
+    """Diagnose logs against a model, or against one fitted to them; `progress` is called with how far it has come.
 
     Raises:
         InputError: no logs, an unknown effect in `without`, or logs that cannot be used (see `assemble`).

@@ -41,7 +41,7 @@ FINALISTS = 10
 
 @dataclass(frozen=True)
 class Generation:
-    """What is told of a generation: its number from 0, best and mean fitness of its feasible candidates (NaN without
+    """Statistics of a generation: its number from 0, best and mean fitness of its feasible candidates (NaN without
     any), how many are feasible, and how many candidates were evaluated so far."""
 
     number: int

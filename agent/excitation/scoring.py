@@ -22,7 +22,7 @@ class LoopScore:
         return self.excess == 0.0
 
 
-#: Scores of genomes (N, genes) in [0, 1]; and who is told of each generation: its genomes and their scores.
+#: Scores of genomes (N, genes) in [0, 1]; and a callback for each generation: its genomes and their scores.
 Evaluate = Callable[[np.ndarray], Sequence[LoopScore]]
 Note = Callable[[np.ndarray, Sequence[LoopScore]], None]
 

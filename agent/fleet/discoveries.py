@@ -18,7 +18,7 @@ from agent.core import InputError, needed
 #: Share of findings that may be chance, expected. Low, as a fleet of few worn machines has few findings to share it.
 RATE = 0.01
 #: Difference between the median relative changes of a family and the others that matters. Wear of one axle is seen on
-#: the others of its machine, by which warm-up is told, with a tenth of its size: that is no family.
+#: the others of its machine, by which warm-up is separated, with a tenth of its size: that is no family.
 PRACTICAL = 0.015
 #: Fewest machines that make a family.
 FEWEST = 3

@@ -111,7 +111,7 @@ def make_question(kind: str, robot: str | None, model: str | None, **options: An
     from agent.pipeline import check_structure
     from agent.robot import builtin_robots, load_robot
 
-    # what no run can answer is told once, before any is asked
+    # what no run can answer is reported once, before any is run
     check_effects(options.get("without", ()))
     EstimationSettings.create(cutoff=options.get("cutoff"), method=options.get("method"))
     check_structure(options.get("structure", "rigid"))

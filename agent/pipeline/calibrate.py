@@ -103,7 +103,7 @@ def run_calibration(recipe: Recipe, console: Console, logs: Path, resume: Path |
 
 
 def _greet(recipe: Recipe, console: Console) -> None:
-    """Ask the controller who it is before the search: a wrong address is told at once, not minutes later."""
+    """Ask the controller who it is before the search: a wrong address is reported at once, not minutes later."""
     with answering(recipe) as (_, identity):
         if not identity.watch_only:
             check_period(identity, recipe.record.rate, recipe.controller.address)
@@ -187,7 +187,7 @@ def _report(
 
 @contextmanager
 def step(run: RunFolder, name: str, console: Console) -> Iterator[None]:
-    """Whatever ends the run inside is noted in the run folder, and told with how to go on.
+    """Whatever ends the run inside is noted in the run folder, and reported with how to go on.
 
     A step that an earlier start finished stays as it is.
     """

@@ -1,4 +1,4 @@
-"""`agent check`: everything that could stop a calibration, found without moving anything, told all at once."""
+"""`agent check`: everything that could stop a calibration, found without moving anything, reported all at once."""
 
 from __future__ import annotations
 

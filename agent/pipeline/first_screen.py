@@ -34,7 +34,7 @@ def identity(recipe: Recipe, result: dict[str, Any], run: str) -> list[tuple[str
     provenance = result["provenance"]
     return [
         ("robot", result["robot"]),
-        ("serial", result["serial"] or "not told"),
+        ("serial", result["serial"] or "not reported"),
         ("tool", "none" if recipe.tool is None else recipe.tool.text()),
         ("controller", f"{recipe.controller.driver} {recipe.controller.address}"),
         ("date", provenance["started"].replace("T", " ").removesuffix("+00:00")[:16] + " UTC"),

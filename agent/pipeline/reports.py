@@ -107,7 +107,7 @@ def write_index(logs: Path, robot: str | None = None, serial: str | None = None)
 
 
 def refresh_index(logs: Path, console: Console) -> None:
-    """The page over all runs, as a run that has just ended leaves it; what stands in its way is told, and no more."""
+    """The page over all runs, as a run that has just ended leaves it; a failure is a warning, and no more."""
     try:
         write_index(logs)
     except AgentError as error:  # the run itself is complete, and `agent report --index` makes the page again

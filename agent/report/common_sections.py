@@ -92,5 +92,5 @@ def _number(value: float | None, scale: float = 1.0, form: str = ".1f") -> str:
 def _known(value: float, deviation: float) -> str:
     """How far a parameter is known: the standard deviation over the value, where that says something."""
     if abs(value) <= _NORMAL_95 * deviation:
-        return "not told from zero"
+        return "not significantly different from zero"
     return f"to {100 * deviation / abs(value):.2g} %"

@@ -28,7 +28,7 @@ def correlation_section(model: IdentifiedModel) -> Section:
     strong = int((np.abs(values[first, second]) > _STRONG).sum())
     text = (
         f"{strong} of {len(first)} pairs of parameters are correlated beyond {_STRONG}: of such a pair the data say "
-        "the sum or the difference, not each. Prediction does not suffer from it; reading one parameter alone does.",
+        "the sum or the difference, not each. Prediction is not affected; the values of single parameters are.",
     )
     table = Table("correlated-pairs", ("parameter", "with", "correlation"), rows)
     return Section("Correlation of parameters", text, (_map(values, model.names), table))

@@ -126,7 +126,7 @@ def _identity(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     model = f"{dataset.model.method}, {len(dataset.model.values)} parameters"
     return [
         ("robot", dataset.robot.name),
-        *((key, ", ".join(values) or "not told") for key, values in machines.items()),
+        *((key, ", ".join(values) or "not reported") for key, values in machines.items()),
         ("recorded", dates[0] if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}"),
         ("logs", str(len(dataset.logs))),
         ("model", model if dataset.given else f"fitted to these logs: {model}"),

@@ -107,9 +107,9 @@ def _machine(one: Watch, parameters: Sequence[Trend], number: int, data: IndexDa
     ]
     header = ("friction", "course", "change [%]", "after run", "by chance", "warm-up explains [%]", "")
     explained = (
-        "Warm-up, which all axles share, is told from wear by the other axles and by how fast friction changed within "
-        "a run. By chance: probability that scatter alone does as much. Single friction parameters lean on each other; "
-        "alarms go by friction at a speed."
+        "Warm-up, which all axles share, is separated from wear by the other axles and by how fast friction changed "
+        "within a run. By chance: probability that scatter alone does as much. Single friction parameters are "
+        "correlated; alarms go by friction at a speed."
     )
     parts: list[Plot | Table] = [machine_plot(one, parameters, number, data.runs, data.current)]
     parts.append(Table(f"friction-trends-{number}", header, rows))

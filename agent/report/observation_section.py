@@ -32,9 +32,9 @@ def observation_section(model: IdentifiedModel, log: Log) -> Section:
     ]
     if found.within_noise:
         names = ", ".join(found.within_noise)
-        text.append(f"Not told from zero by this motion (the 95 % interval takes it in): {names}.")
+        text.append(f"Not significantly different from zero on this motion (the 95 % interval contains it): {names}.")
     else:
-        text.append("Every parameter is told from zero by this motion (95 %).")
+        text.append("Every parameter differs significantly from zero on this motion (95 %).")
     header = ("seen least", "singular value over the largest", "direction")
     rows = [(str(k + 1), f"{value:.2g}", _direction(parts)) for k, (value, parts) in enumerate(found.weakest)]
     return Section(

@@ -45,7 +45,7 @@ def not_judged_text(robot: RobotDescription, gate: float) -> str:
     which = "no joint" if len(names) == robot.dof else f"{', '.join(names)} not"
     return (
         f"the gate of {100 * gate:g} % of nominal torque judges {which}: robot {robot.name} has no "
-        f"nominal_motor_torque {'' if len(names) == robot.dof else 'there '}(errors are told in N·m instead); give it "
+        f"nominal_motor_torque {'' if len(names) == robot.dof else 'there '}(errors are given in N·m instead); give it "
         "in robot.yaml to have them judged"
     )
 

@@ -1,7 +1,7 @@
 """Figures of one machine from run to run, as arrays: what each follows anyway, and the likeliest change beside it.
 
 Nothing is decided here. Of the changes that are tried (a drift along time or along the number of runs, a step after
-every run) the likeliest is told, with the probability that chance does as much; alternatives have paid for their
+every run) the likeliest is reported, with its p-value; alternatives have paid for their
 number.
 """
 

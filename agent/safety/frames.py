@@ -18,7 +18,7 @@ def check_frames(program: PlannedProgram, driver: Driver, address: str) -> None:
     """The controller has the frames that the plan takes for granted.
 
     Raises:
-        ControllerError: it has others; both are told.
+        ControllerError: it has others; the message names both.
         InputError: the program leaves them open, and this link cannot read them.
     """
     if not program.frames:

@@ -7,7 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 from agent.core import AgentError
 
-#: The samples wait for an answer so long [s]; one that comes later is heeded when it comes.
+#: The samples wait for an answer so long [s]; one that comes later counts when it comes.
 PROMPT = 0.05
 
 

@@ -128,7 +128,7 @@ def unsafe_in_motion(status: Status) -> str | None:
 
 
 def _forbidding(status: Status) -> Iterator[tuple[str, str]]:
-    """What forbids motion but the emergency stop: as it is told before a start, and of an arm that moves."""
+    """What forbids motion but the emergency stop: as it is reported before a start, and of an arm that moves."""
     if not status.drives_on:
         yield "the drives are off; switch them on", "the drives went off; look for the fault at the controller"
     if status.alarms:

@@ -41,7 +41,7 @@ _RECEIVE = 64 * 1024
 
 
 class TcpServer:
-    """Listens for clients of one controller. The first to greet holds it; others are told so until it leaves.
+    """Listens for clients of one controller. The first to greet holds it; others are refused until it leaves.
 
     Arguments and errors as of `open_server`.
     """

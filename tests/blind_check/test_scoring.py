@@ -125,7 +125,7 @@ def test_scores_of_a_known_set():
     assert len(scores["not_recorded"]) == 1
     spots = weak_spots(scores)
     assert any("false alarm" in spot or spot.startswith("nothing: 1 of 2") for spot in spots)
-    assert any(spot.startswith("stribeck: 1 of 2 told as presliding") for spot in spots)
+    assert any(spot.startswith("stribeck: 1 of 2 named as presliding") for spot in spots)
     text = report_text({**scores, "key_sha256": "ab", "world": "a world", "robot": "arm"})
     assert text.index("## Weak spots") < text.index("## Figures") < text.index("## Confusion")
     assert "first cause right" in summary_text(scores)

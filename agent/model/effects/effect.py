@@ -67,7 +67,7 @@ class Effect(ABC):
     `complexity_penalty` counts as further parameters where the simplest form is taken: one physical change comes
     before a general refit.
 
-    `once` marks an effect that happens once, so that another log tells nothing about it; `refined` are the nonlinear
+    `once` marks an effect that happens once, so that another log has no information on it; `refined` are the nonlinear
     parameters worth a finer search; `residual_driven` ones are chosen from what is left, so anew in every scan.
     `why_absent` says why `settings` may be empty.
 

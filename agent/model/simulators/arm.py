@@ -73,7 +73,7 @@ def described(arm: SimulatedArm, robot: RobotDescription | None) -> tuple[RobotD
                 f"{arm.path}: {joint.name} {kinds[prismatic]} here and {kinds[joint.prismatic]} in robot {robot.name}: "
                 "it is a model of another arm, or joints are matched wrongly (--map)"
             )
-    # the file says what turns with a joint, so where bodies and rotors are told apart, that is where to start from
+    # the file says what turns with a joint, so where bodies and rotors are distinguished, that is where to start from
     joints = tuple(
         replace(joint, rotor_inertia=float(inertia) / joint.gear_ratio**2 or joint.rotor_inertia)
         for joint, inertia in zip(robot.joints, arm.armature, strict=True)

@@ -40,7 +40,7 @@ def read_listing(text: str) -> dict[str, Listed]:
     """What a listing says of each variable, by its name in small letters.
 
     Left out: other data types, other arms, arrays, and entries that do not give all their numbers, so that a move to
-    one of them is told as a move to a position without a value.
+    one of them is listed as a move to a position without a value.
     """
     entries = list(_ENTRY.finditer(text))
     found = {}

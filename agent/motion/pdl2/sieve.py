@@ -2,7 +2,7 @@
 
 For a job that a recipe's `like` names it matters where the arm goes, not when or under which condition. So statements
 of a program that is more than the motion subset are taken in the order of the text, each branch and each loop of
-unknown length once; lines keep their numbers, so that whatever moves and is not understood is told where it stands.
+unknown length once; lines keep their numbers, so that whatever moves and is not understood is reported with its line.
 """
 
 from __future__ import annotations

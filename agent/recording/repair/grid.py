@@ -72,7 +72,7 @@ def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.n
     """(S,) the numbers with each missing sample where positions (S, n) are smoothest and stamps least off.
 
     `place` (S,) are the stamps in periods. Jitter leaves open by a few rows where a sample is missing; positions are
-    near a cubic of nine rows to either side, and by how far is told by the rows that lie in one piece. Two missing
+    near a cubic of nine rows to either side, by how far, follows from the rows that lie in one piece. Two missing
     samples so near to each other hide each other's place: where moving one leaves the rows rough, both are moved.
     """
     if len(number) < _AROUND:

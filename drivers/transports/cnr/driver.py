@@ -198,7 +198,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
             raise self._still_moves("took" if answer is not None else "did not answer")
 
     def close(self) -> None:
-        """Close the link; where the arm may still move it is told to stop first. Never raises."""
+        """Close the link; where the arm may still move, a stop is sent first. Never raises."""
         sockets, self._link = self._link, None
         broker, self._broker = self._broker, None
         if sockets is not None:

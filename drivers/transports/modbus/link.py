@@ -23,7 +23,7 @@ from drivers.wire.registers import Block
 
 Client = ModbusTcpClient | ModbusSerialClient
 
-# What goes wrong is told by exceptions; the library would print it as well.
+# Errors are raised as exceptions; the library would print it as well.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
 _READ_ATTEMPTS = 2

@@ -23,7 +23,7 @@ class TrajectoryPort(Port):
     Args:
         controller, folder, reports: what it acts on.
         address, port, cut: as of a `Port`.
-        gone: is told when the client has left.
+        gone: called when the client has left.
     """
 
     def __init__(

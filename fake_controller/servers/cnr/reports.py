@@ -22,7 +22,7 @@ PROGRAM_ERROR = 2  # error code of a program that could not be run, or not to it
 _PERIOD_NS = round(PERIOD * 1e9)
 _EVERY = round(TICK / PERIOD)  # samples from one feedback record to the next
 _REST = 250  # samples at rest before and after a motion where the clock does not wait; most that are made up for
-_LATE = 3  # ticks without a record of a moving arm after which the last one is told again
+_LATE = 3  # ticks without a record of a moving arm after which the last one is published again
 
 
 class Reports:
@@ -86,7 +86,7 @@ class Reports:
         return self.moving and not self._by_hand
 
     def begin(self, last_point: int, by_hand: bool = False) -> None:
-        """The arm is about to move; `last_point` is what is told once its program has run to the end.
+        """The arm is about to move; `last_point` is what is published once its program has run to the end.
 
         Of a motion that somebody started by hand the socket programs know nothing.
         """

@@ -149,7 +149,7 @@ class _Connection(ServerRequestHandler):
 
     def send(self, data: bytes, addr: tuple[Any, ...] | None = None) -> None:
         """Called by the library with a whole answer. A delay holds up the loop: there is nobody else to serve."""
-        # The answer to a heartbeat tells nothing.
+        # The answer to a heartbeat holds nothing.
         spare = getattr(self.last_pdu, "address", None) == HEARTBEAT.address
         with contextlib.suppress(ConnectionResetError):
             self._faults.send(data, super().send, self._cut, spare)
