@@ -120,9 +120,9 @@ def agent_side(logs: dict, folder: Path) -> dict:
             start = time.process_time()
             model = estimate(logs["robot"], [logs["fit"]], EstimationSettings.create(CUTOFF, method))
             seconds = time.process_time() - start
-            result = validate(model, [logs["held_out"]])["overall"]
+            result = validate(model, [logs["held_out"]]).overall
             label = f"agent, {method}" if method else f"agent, defaults (chose {model.method})"
-            rows.append((label, result["relative_error_all_joints"], result["relative_error"], seconds))
+            rows.append((label, result.relative_error_all_joints, result.relative_error, seconds))
         for path in sorted(folder.glob("predicted_*.npz")):
             (motion,) = motions(logs["held_out"], FilterSettings(CUTOFF), reduce=False)
             found = np.load(path)

@@ -191,7 +191,7 @@ def record(plant: Plant, cycles: list, seconds: float) -> Log:
 
 def error(model: IdentifiedModel, logs: list[Log]) -> np.ndarray:
     """(n,) normalised RMSE in percent over all samples of all logs."""
-    return 100 * np.array(summary([predict_log(model, log) for log in logs])["overall"]["normalised_rmse"])
+    return 100 * np.array(summary([predict_log(model, log) for log in logs]).overall.normalised_rmse)
 
 
 def document(results: list[dict], seconds: float) -> str:

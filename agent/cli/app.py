@@ -174,7 +174,7 @@ def validate(
     from agent.pipeline import validate_files, validation_text
 
     result = validate_files(model, logs, cutoff, opt.console_for(messages), allow_mixed)
-    opt.print_found(as_json, result, validation_text(result))
+    opt.print_found(as_json, result.to_dict(), validation_text(result))
 
 
 @app.command()

@@ -89,7 +89,7 @@ def validate(
 
     if model is None:
         raise InputError(f"there is no {question.model or 'model'} in or above this run; name a model with --model")
-    result = finite(validate_files(model, logs, question.cutoff, notes, question.allow_mixed))
+    result = finite(validate_files(model, logs, question.cutoff, notes, question.allow_mixed).to_dict())
     overall = result["overall"]
     row = {
         "joints": result["joints"],

@@ -76,16 +76,15 @@ class TorqueValidation(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """The document that `agent validate --json` prints."""
-        return summary(self.predictions)
+        return summary(self.predictions).to_dict()
 
     def headline(self) -> str:
-        result = self.to_dict()
-        error = result["overall"]["relative_error_all_joints"]
+        error = summary(self.predictions).overall.relative_error_all_joints
         figure = "no torque to compare with" if error is None else f"torque predicted to {100 * error:.2f} %"
         return f"{figure} over all joints, {len(self.predictions)} log{'s' if len(self.predictions) != 1 else ''}"
 
     def text(self) -> str:
-        return validation_text(self.to_dict())
+        return validation_text(summary(self.predictions))
 
     def svg(self) -> str:
         first = self.predictions[0]

@@ -13,6 +13,7 @@ from agent.robot import load_robot
 if TYPE_CHECKING:
     from agent.model import IdentifiedModel
     from agent.recording import Log
+    from agent.validation import Validation
 
 
 def import_files(robot: str, mapping: Path, tables: list[Path], out: Path) -> list[str]:
@@ -195,8 +196,8 @@ def check_output(out: Path, paths: Sequence[Path]) -> None:
 
 def validate_files(
     model_path: Path, paths: list[Path], cutoff: float | None, console: Console, allow_mixed: bool = False
-) -> dict[str, Any]:
-    """Prediction of logs by a model, in the contract's schema."""
+) -> Validation:
+    """Prediction of logs by a model."""
     from agent.model import IdentifiedModel
     from agent.validation import validate
 
@@ -204,19 +205,19 @@ def validate_files(
     logs = read_logs(paths, model.robot, console)
     check_one_machine(logs, model, allow_mixed)
     result = validate(model, logs, cutoff)
-    say_used(logs, result["cutoff_hz"], model.order, console)
+    say_used(logs, result.cutoff_hz, model.order, console)
     for comment in _comments(model, logs, result):
         console.warn(comment)
     return result
 
 
-def _comments(model: Any, logs: Sequence[Any], result: dict[str, Any]) -> Iterator[str]:
+def _comments(model: IdentifiedModel, logs: Sequence[Log], result: Validation) -> Iterator[str]:
     """What a person should know before believing the figures of a validation."""
     fitted = {entry.get("sha256") for entry in model.provenance.get("logs", ())} - {None, ""}
     known = [log.name for log in logs if log.sha256 in fitted]
     if known:
         yield f"the model was fitted to {', '.join(known)}: its error there says little about other motions"
-    error = result["overall"]["relative_error_all_joints"]
+    error = result.overall.relative_error_all_joints
     if error is not None and error > 1:
         from agent.estimation import plausibility_warnings
 
@@ -229,16 +230,17 @@ def _comments(model: Any, logs: Sequence[Any], result: dict[str, Any]) -> Iterat
         )
 
 
-def validation_text(result: dict[str, Any]) -> str:
+def validation_text(result: Validation) -> str:
     """A validation as a table for people."""
-    overall = result["overall"]
+    overall = result.overall
     lines = [f"{'joint':12} {'RMSE':>10} {'of nominal':>11} {'relative':>9}"]
-    for k, name in enumerate(result["joints"]):
-        nominal = overall["normalised_rmse"][k]
-        share = "-" if nominal is None else f"{100 * nominal:.2f} %"
-        lines.append(f"{name:12} {overall['rmse'][k]:10.4g} {share:>11} {100 * overall['relative_error'][k]:7.2f} %")
-    logs = ", ".join(log["log"] for log in result["logs"])
-    lines.append(
-        f"all joints: {100 * overall['relative_error_all_joints']:.2f} % at {result['cutoff_hz']:g} Hz ({logs})"
-    )
+    for k, name in enumerate(result.joints):
+        nominal, relative = (_percent(of[k]) for of in (overall.normalised_rmse, overall.relative_error))
+        lines.append(f"{name:12} {overall.rmse[k]:10.4g} {nominal:>11} {relative:>9}")
+    logs = ", ".join(log.log for log in result.logs)
+    lines.append(f"all joints: {_percent(overall.relative_error_all_joints)} at {result.cutoff_hz:g} Hz ({logs})")
     return "\n".join(lines)
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.2f} %"

@@ -137,7 +137,7 @@ def build_result(
     pooled."""
     from agent.validation import pooled_rmse, summary
 
-    overall = summary(predictions)["overall"]
+    overall = summary(predictions).overall
     moving = pooled_rmse(predictions)
     figures = moving / model.robot.nominal_torque
     gate = recipe.gate.normalised_rmse
@@ -170,8 +170,8 @@ def build_result(
             units=list(torque_units(recipe.robot)),
             rmse=moving,
             normalised_rmse=figures,
-            normalised_rmse_all_samples=overall["normalised_rmse"],
-            relative_error_all_joints=overall["relative_error_all_joints"],
+            normalised_rmse_all_samples=list(overall.normalised_rmse),
+            relative_error_all_joints=overall.relative_error_all_joints,
         ),
         recordings=[RecordingFigures.of(recording) for recording in recordings],
         provenance=provenance,

@@ -2,6 +2,7 @@ from .compare import BEYOND as BEYOND, Comparison as Comparison, compare_models 
 from .singular_values import Observability as Observability, observability as observability
 from .torque import (
     Prediction as Prediction,
+    Validation as Validation,
     pooled_rmse as pooled_rmse,
     predict_log as predict_log,
     summary as summary,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,6 +16,39 @@ from agent.recording import Log
 
 SCHEMA = "validation/1"
 _MOVING = 1e-3  # of a joint's highest speed by the robot description
+
+
+@dataclass(frozen=True)
+class TorqueErrors:
+    """Errors of each joint, (n,): `rmse` [N·m, or N of a slide], the same over nominal torque, and over the measured
+    torque (paper, eq. 7-8); the last of all joints together. None where there is nothing to divide by."""
+
+    rmse: tuple[float, ...]
+    normalised_rmse: tuple[float | None, ...]
+    relative_error: tuple[float | None, ...]
+    relative_error_all_joints: float | None
+
+
+@dataclass(frozen=True)
+class LogErrors(TorqueErrors):
+    """Those of one log, with its number of samples."""
+
+    log: str
+    samples: int
+
+
+@dataclass(frozen=True)
+class Validation:
+    """What a model leaves of measured torque, log by log and of all samples: the document of docs/estimation.md."""
+
+    joints: tuple[str, ...]
+    cutoff_hz: float
+    logs: tuple[LogErrors, ...]
+    overall: TorqueErrors
+
+    def to_dict(self) -> dict[str, Any]:
+        """The document `validation/1`."""
+        return {"schema": SCHEMA, **asdict(self), "logs": [{"log": one.log, **asdict(one)} for one in self.logs]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +169,8 @@ def predict_log(model: IdentifiedModel, log: Log, cutoff: float | None = None) -
     )
 
 
-def validate(model: IdentifiedModel, logs: Sequence[Log], cutoff: float | None = None) -> dict[str, Any]:
-    """The result of docs/estimation.md: every sample counts, standstill included.
+def validate(model: IdentifiedModel, logs: Sequence[Log], cutoff: float | None = None) -> Validation:
+    """Errors of the model on these logs: every sample counts, standstill included.
 
     Raises:
         InputError: as `predict_log`.
@@ -145,20 +178,16 @@ def validate(model: IdentifiedModel, logs: Sequence[Log], cutoff: float | None =
     return summary([predict_log(model, log, cutoff) for log in logs])
 
 
-def summary(predictions: Sequence[Prediction]) -> dict[str, Any]:
-    """The same result from predictions at hand (at least one)."""
+def summary(predictions: Sequence[Prediction]) -> Validation:
+    """The same from predictions at hand (at least one)."""
     model = predictions[0].model
-    return {
-        "schema": SCHEMA,
-        "joints": list(model.robot.joint_names),
-        "cutoff_hz": predictions[0].cutoff,
-        "logs": [{"log": p.log, **_figures(model, p.measured, p.error), "samples": len(p.time)} for p in predictions],
-        "overall": _figures(
-            model,
-            np.concatenate([p.measured for p in predictions]),
-            np.concatenate([p.error for p in predictions]),
-        ),
-    }
+    everything = _figures(
+        model,
+        np.concatenate([p.measured for p in predictions]),
+        np.concatenate([p.error for p in predictions]),
+    )
+    logs = [LogErrors(**_figures(model, p.measured, p.error), log=p.log, samples=len(p.time)) for p in predictions]
+    return Validation(model.robot.joint_names, predictions[0].cutoff, tuple(logs), TorqueErrors(**everything))
 
 
 def _figures(model: IdentifiedModel, measured: np.ndarray, error: np.ndarray) -> dict[str, Any]:
@@ -168,8 +197,8 @@ def _figures(model: IdentifiedModel, measured: np.ndarray, error: np.ndarray) ->
         relative = np.linalg.norm(error, axis=0) / length
         together = np.linalg.norm(error) / np.linalg.norm(measured)
     return {
-        "rmse": rmse.tolist(),
-        "normalised_rmse": finite(rmse / model.robot.nominal_torque),
-        "relative_error": finite(relative),
+        "rmse": tuple(rmse.tolist()),
+        "normalised_rmse": tuple(finite(rmse / model.robot.nominal_torque)),
+        "relative_error": tuple(finite(relative)),
         "relative_error_all_joints": finite(together),
     }

@@ -85,8 +85,8 @@ def test_an_installed_effect_is_found_told_of_and_kept_in_the_model(plug_in, tmp
     assert cause["parameters"]["strength"] == pytest.approx(400.0, rel=0.1)
     assert "a magnet pulls the joint" in diagnosis_report(found)
     extended_model(found).save(tmp_path / "model.json")
-    better = validate(IdentifiedModel.load(tmp_path / "model.json"), logs(400.0))["overall"]
-    assert max(better["rmse"]) < 0.5 * max(validate(found.dataset.model, logs(400.0))["overall"]["rmse"])
+    better = validate(IdentifiedModel.load(tmp_path / "model.json"), logs(400.0)).overall
+    assert max(better.rmse) < 0.5 * max(validate(found.dataset.model, logs(400.0)).overall.rmse)
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,6 @@ def test_a_withheld_effect_is_not_replaced_by_a_confident_wrong_name(arm, baseli
 def test_a_model_with_the_effect_predicts_what_the_model_did_not(diagnosed, baseline, runs, tmp_path):
     path = tmp_path / "extended.json"
     extended_model(diagnosed(2)).save(path)
-    before = validate(baseline, runs(2))["overall"]["normalised_rmse"]
-    after = validate(IdentifiedModel.load(path), runs(2))["overall"]["normalised_rmse"]
+    before = validate(baseline, runs(2)).overall.normalised_rmse
+    after = validate(IdentifiedModel.load(path), runs(2)).overall.normalised_rmse
     assert np.max(after) < 0.01 < np.max(before)

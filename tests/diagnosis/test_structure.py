@@ -36,7 +36,7 @@ def test_a_spring_becomes_part_of_the_model(tmp_path):
     assert any(note.startswith("Structure: dress_pack on joint_2 is part") for note in model.notes)
     model.save(tmp_path / "model.json")
     errors = [
-        validate(m, [_recorded(3, 60.0)], 10)["overall"]["relative_error_all_joints"]
+        validate(m, [_recorded(3, 60.0)], 10).overall.relative_error_all_joints
         for m in (rigid, IdentifiedModel.load(tmp_path / "model.json"))
     ]
     assert errors[1] < 0.5 * errors[0]

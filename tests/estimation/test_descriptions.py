@@ -19,7 +19,7 @@ def test_a_measured_arm_is_predicted_whatever_its_description_says(shared_data, 
     robot = load_robot(folder / f"robot_{description}.yaml")
     fit, held_out = [read_log(folder / f"{name}.mcap", robot) for name in "AB"], [read_log(folder / "C.mcap", robot)]
     model = estimate(robot, fit, EstimationSettings.create(cutoff=10.0))
-    error = validate(model, held_out)["overall"]["relative_error_all_joints"]
+    error = validate(model, held_out).overall.relative_error_all_joints
     measured(f"KR300, A and B to C, inertials {description}", 100 * error, "%", "at most 9.5 %", error <= 0.095)
     assert error <= 0.095
     if description != "real":
@@ -62,7 +62,7 @@ def test_measured_arms_are_predicted_better_than_by_plain_least_squares(shared_d
             estimate(robot, logs, EstimationSettings.create(cutoff=10, method=method)),
             [read_log(folder / f"{held_out}.mcap", robot)],
             10,
-        )["overall"]["relative_error_all_joints"]
+        ).overall.relative_error_all_joints
         for method in (None, "plain")
     )
     assert ours <= plain

@@ -37,7 +37,7 @@ def test_tx40_held_out(shared_data, tmp_path, measured):
         logs[part] = read_log(tmp_path / f"{part}.mcap", robot)
     model = estimate(robot, [logs["fit"]], EstimationSettings.create(cutoff=20.0))
     prediction = predict_log(model, logs["held_out"])
-    error = summary([prediction])["overall"]["relative_error_all_joints"]
+    error = summary([prediction]).overall.relative_error_all_joints
     low, high = _bootstrap(prediction, 0.2)
     text = f"{100 * error:.2f} % [{100 * low:.2f}, {100 * high:.2f}]"
     measured("TX40 held out, all joints, every sample, block bootstrap", text, "", "at most 6.0 %", error <= 0.06)
@@ -55,7 +55,7 @@ def test_emps_to_the_pulse_file(shared_data, tmp_path, measured):
         import_log(robot, EXAMPLES / "emps/map.yaml", [shared_data / f"emps/{name}.mat"], tmp_path / f"{name}.mcap")
         logs.append(read_log(tmp_path / f"{name}.mcap", robot))
     model = estimate(robot, logs[:1])
-    error = validate(model, logs[1:], 30.0)["overall"]["relative_error_all_joints"]
+    error = validate(model, logs[1:], 30.0).overall.relative_error_all_joints
     measured("EMPS estimation file to pulse file, 30 Hz", 100 * error, "%", "at most 4.5 %", error <= 0.045)
     assert error <= 0.045
     mass = model.base_values[0]
@@ -67,7 +67,7 @@ def test_a_baseline_predicts_a_second_machine_without_effects(shared_data, measu
     fit = [read_log(shared_data / f"gap-dev/baseline/{name}.mcap", robot) for name in ("excite", "moves")]
     unseen = [read_log(shared_data / f"gap-dev/case_00/logs/{name}.mcap", robot) for name in ("moves", "slow")]
     result = validate(estimate(robot, fit), unseen)
-    worst = max(max(entry["normalised_rmse"]) for entry in result["logs"])
+    worst = max(max(entry.normalised_rmse) for entry in result.logs)
     measured(
         "gap-dev, baseline to case_00, worst joint and log",
         100 * worst,

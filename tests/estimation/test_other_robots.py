@@ -72,7 +72,7 @@ def recorded(multisine, make_log) -> Callable[..., Log]:
 
 
 def held_out(model: IdentifiedModel, log: Log) -> float:
-    return validate(model, [log])["overall"]["relative_error_all_joints"]
+    return validate(model, [log]).overall.relative_error_all_joints
 
 
 def through_file(log: Log, folder: Path) -> Log:

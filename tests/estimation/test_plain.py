@@ -36,7 +36,7 @@ def test_a_seven_joint_arm_logged_slowly_and_briefly_is_predicted_as_well_as_by_
     ours, plain = (
         estimate(unknown, [fitted], EstimationSettings.create(cutoff=10, method=method)) for method in (None, "plain")
     )
-    errors = [validate(m, [held_out], 10)["overall"]["relative_error_all_joints"] for m in (ours, plain)]
+    errors = [validate(m, [held_out], 10).overall.relative_error_all_joints for m in (ours, plain)]
     assert errors[0] <= errors[1]
     assert any("plain " in note for note in ours.notes if note.startswith("Method"))  # it was compared
 

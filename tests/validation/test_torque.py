@@ -11,6 +11,7 @@ import pytest
 from agent.core.errors import InputError
 from agent.estimation import EstimationSettings, estimate
 from agent.estimation.filtering import FilterSettings, motions
+from agent.pipeline import validation_text
 from agent.recording.log import Log
 from agent.robot import load_robot
 from agent.validation import predict_log, summary, validate
@@ -40,7 +41,7 @@ def case(tmp_path_factory):
 
 def test_the_result_is_the_contract_s(case):
     robot, model, logs = case
-    result = json.loads(json.dumps(validate(model, logs, 20.0), allow_nan=False))
+    result = json.loads(json.dumps(validate(model, logs, 20.0).to_dict(), allow_nan=False))
     assert set(result) == {"schema", "joints", "cutoff_hz", "logs", "overall"}
     assert result["schema"] == "validation/1"
     assert result["joints"] == list(robot.joint_names)
@@ -57,21 +58,21 @@ def test_figures_are_those_of_the_filtered_signals(case):
     motion = next(motions(logs[1], FilterSettings(model.cutoff), reduce=False))
     measured = motion.low_pass(motion.torque)
     error = measured - motion.low_pass(model.predict(motion.q, motion.qd, motion.qdd))
-    entry = result["logs"][0]
-    assert entry["samples"] == len(measured)
-    assert np.allclose(entry["rmse"], np.sqrt(np.mean(error**2, axis=0)))
-    assert np.allclose(entry["normalised_rmse"], np.array(entry["rmse"]) / robot.nominal_torque)
-    assert np.allclose(entry["relative_error"], np.linalg.norm(error, axis=0) / np.linalg.norm(measured, axis=0))
-    assert entry["relative_error_all_joints"] == pytest.approx(np.linalg.norm(error) / np.linalg.norm(measured))
+    entry = result.logs[0]
+    assert entry.samples == len(measured)
+    assert np.allclose(entry.rmse, np.sqrt(np.mean(error**2, axis=0)))
+    assert np.allclose(entry.normalised_rmse, np.array(entry.rmse) / robot.nominal_torque)
+    assert np.allclose(entry.relative_error, np.linalg.norm(error, axis=0) / np.linalg.norm(measured, axis=0))
+    assert entry.relative_error_all_joints == pytest.approx(np.linalg.norm(error) / np.linalg.norm(measured))
 
 
 def test_every_sample_but_the_edges_counts_and_logs_are_pooled(case):
     _, model, logs = case
     result = validate(model, logs)
-    samples = [entry["samples"] for entry in result["logs"]]
+    samples = [entry.samples for entry in result.logs]
     assert min(samples) > 4000 - 2 * 500 * 0.25
-    squares = [np.array(entry["rmse"]) ** 2 * entry["samples"] for entry in result["logs"]]
-    assert np.allclose(np.array(result["overall"]["rmse"]) ** 2 * sum(samples), sum(squares))
+    squares = [np.array(entry.rmse) ** 2 * entry.samples for entry in result.logs]
+    assert np.allclose(np.array(result.overall.rmse) ** 2 * sum(samples), sum(squares))
     assert summary([predict_log(model, log) for log in logs]) == result
 
 
@@ -98,10 +99,11 @@ def test_figures_that_do_not_exist_are_null(case):
     bare = replace(robot, joints=tuple(replace(joint, nominal_motor_torque=None) for joint in robot.joints))
     silent = replace(logs[0], effort=np.zeros_like(logs[0].effort))
     result = validate(replace(model, robot=bare), [silent])
-    assert result["overall"]["normalised_rmse"] == [None] * 6
-    assert result["overall"]["relative_error"] == [None] * 6
-    assert result["overall"]["relative_error_all_joints"] is None
-    assert np.all(np.isfinite(result["overall"]["rmse"]))
+    assert result.overall.normalised_rmse == (None,) * 6
+    assert result.overall.relative_error == (None,) * 6
+    assert result.overall.relative_error_all_joints is None
+    assert np.all(np.isfinite(result.overall.rmse))
+    assert "all joints: - at" in validation_text(result)
 
 
 def test_logs_that_cannot_be_validated_say_why(case):
