@@ -10,7 +10,7 @@ from .isolability import best_by_place as best_by_place, plausible as plausible
 from .labels import (
     REGIMES as REGIMES,
     closes as closes,
-    how_sure as how_sure,
+    confidence_phrase as confidence_phrase,
     in_torque as in_torque,
     name as name,
     place as place,

@@ -28,7 +28,7 @@ class Finding:
 
     `rivals[k]` are places that the data cannot tell from cause k, `p_value[k]` is how often anything gains as much as
     it where there is nothing (see `evidence`), `margin_ratio[k]` how many margins the best place outside its class
-    falls behind. `least` is the gain that a cause has to have, and `by_chance` the one that the whole search exceeds in
+    falls behind. `least` is the gain that a cause has to have, and `null_gain` the one that the whole search exceeds in
     one of a hundred cases where there is nothing. `runners` are the next best places beside the first cause: they equal
     it where it turns out to close too little.
     """
@@ -42,7 +42,7 @@ class Finding:
     closed: float
     steps: tuple[Step, ...]
     least: float
-    by_chance: float
+    null_gain: float
     runners: tuple[tuple[str, tuple[int, ...]], ...] = ()
     limits: DecisionLimits = LIMITS
 

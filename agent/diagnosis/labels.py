@@ -43,7 +43,7 @@ def name(effect: str) -> str:
     return effect.replace("_", " ")
 
 
-def how_sure(verdict: str, probability: float) -> str:
+def confidence_phrase(verdict: str, probability: float) -> str:
     """What to put before the first cause."""
     if verdict == "ambiguous":
         return "one of several, first"

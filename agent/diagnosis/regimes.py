@@ -12,7 +12,7 @@ from agent.model import regime_masks, standstill_speed
 
 BANDS = ((0.0, 1.0), (1.0, 5.0), (5.0, 15.0), (15.0, np.inf))  # Hz
 
-_LEAST = 0.05
+_LEAST_SHARE = 0.05
 _BLOCK = 1.0  # s
 _RESAMPLED = 200
 _PROBABILITY = 0.9
@@ -38,7 +38,7 @@ def regimes(dataset: Dataset, error: np.ndarray, joint: int, floor: float = 0.0)
     phase = motor_phase_share(dataset, error, joint)
     if phase is not None:
         found.append(RegimeShare("motor_phase", phase, None, 1.0))
-    return tuple(sorted((entry for entry in found if entry.share >= _LEAST), key=lambda entry: -entry.share))
+    return tuple(sorted((entry for entry in found if entry.share >= _LEAST_SHARE), key=lambda entry: -entry.share))
 
 
 def masks(dataset: Dataset, joint: int) -> dict[str, np.ndarray]:

@@ -31,9 +31,9 @@ _TOO_STRONG = 100.0  # times what the description says of the drive
 _TOO_FAR = 5.0  # times the joint's range
 _TOO_FAST = 10.0  # times its highest speed
 _DRIVING = 0.15  # of a joint's torque, by which friction and inertia together must push the wrong way
-_SURE = 5.0  # standard deviations of that push, and
-_ENOUGH = 4.0  # independent samples for each parameter: a short log tells no mistake from chance
-_FAR = 0.2  # rad or m that a joint that is asked to go does not stay behind, however weak its servo
+_SIGNIFICANT = 5.0  # standard deviations of that push, and
+_SAMPLES_PER_PARAMETER = 4.0  # independent samples for each parameter: a short log tells no mistake from chance
+_MAX_LAG = 0.2  # rad or m that a joint that is asked to go does not stay behind, however weak its servo
 _MOVING = 1e-2  # rad or m that a joint travels to count as moving
 _NOTHING = 1e-12  # N·m or N by which no torque changes that is one
 
@@ -92,7 +92,7 @@ def _stuck(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
     for k, name in enumerate(robot.joint_names):
         set_points = [log.reference_position for log in logs if log.reference_position is not None]
         still = all(np.ptp(log.position[:, k]) == 0 for log in logs)
-        if still and any(_travel(asked[:, k]) > _FAR for asked in set_points):
+        if still and any(_travel(asked[:, k]) > _MAX_LAG for asked in set_points):
             yield f"{name} is stuck, or its position is not recorded: it never changes while its set-points move"
 
 
@@ -189,7 +189,7 @@ def _mechanics(robot: RobotDescription, samples: FitSamples) -> Iterator[str]:
     names = robot.joint_names
     if not plain.enough:
         return
-    pushed = np.flatnonzero(plain.pushing > np.maximum(_DRIVING, _SURE * plain.deviation))
+    pushed = np.flatnonzero(plain.pushing > np.maximum(_DRIVING, _SIGNIFICANT * plain.deviation))
     still = np.flatnonzero(np.ptp(samples.q, axis=0) < 1e-6)
     share = f"a rigid arm explains {100 * max(0.0, 1 - plain.unexplained):.0f} % of the torque, whatever its parameters"
     size = np.std(samples.torque, axis=0)
@@ -268,7 +268,7 @@ def _fit(robot: RobotDescription, s: FitSamples) -> _Fit:
         float(np.linalg.norm(fit.error) / total) if total > 0 else 0.0,
         push @ (fit.solution * fit.length),
         np.sqrt(variance) * scatter,
-        bool(independent > _ENOUGH * np.count_nonzero(fit.known)),
+        bool(independent > _SAMPLES_PER_PARAMETER * np.count_nonzero(fit.known)),
     )
 
 

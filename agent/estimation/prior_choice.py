@@ -20,7 +20,7 @@ from agent.estimation.solving import clear_gain
 from agent.robot import LINK_PARAMETERS
 
 _LEAST_GAIN = 0.05  # of the squared error held out
-_ALIKE = 1e-6  # relative difference of masses that are the same
+_SAME_MASS = 1e-6  # relative difference of masses that are the same
 
 
 def choose_links(problem: Problem) -> Problem:
@@ -46,6 +46,6 @@ def placeholders(standard: np.ndarray) -> bool:
     mass = np.sort(standard[:: len(LINK_PARAMETERS)])
     if mass[-1] <= 0:
         return True
-    same = np.diff(mass) <= _ALIKE * mass[-1]
+    same = np.diff(mass) <= _SAME_MASS * mass[-1]
     shared = np.append(same, False) | np.append(False, same)
     return bool(2 * shared.sum() > len(mass))

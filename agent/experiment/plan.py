@@ -22,7 +22,7 @@ _WAYS = 0.15
 #: A pair that all pieces together leave below this is not asked about: these motions cannot tell.
 _WITHIN_REACH = 0.5
 #: A further piece raises what is expected by at least so much.
-_WORTH = 0.01
+_LEAST_IMPROVEMENT = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ def plan_experiment(
                 continue
             varied = [*chosen[:number], (other, outlook.moments(other.motion)), *chosen[number + 1 :]]
             fits = sum(piece.duration for piece, _ in varied) <= (1 - _WAYS) * seconds
-            if fits and _worth(outlook, varied, within_reach) > _worth(outlook, chosen, within_reach):
+            if fits and _utility(outlook, varied, within_reach) > _utility(outlook, chosen, within_reach):
                 chosen = varied
     while chosen and not runnable([piece for piece, _ in chosen]):
         chosen = chosen[:-1]
@@ -115,15 +115,15 @@ def _greedy(
     outlook: Outlook, pool: Sequence[tuple[Piece, list[np.ndarray]]], seconds: float, within_reach: np.ndarray
 ) -> list[tuple[Piece, list[np.ndarray]]]:
     chosen: list[tuple[Piece, list[np.ndarray]]] = []
-    now = _worth(outlook, chosen, within_reach)
+    now = _utility(outlook, chosen, within_reach)
     while len(chosen) < _MOST_PIECES:
         left = seconds - sum(piece.duration for piece, _ in chosen)
         options = [entry for entry in pool if entry[0].duration <= left and all(entry[0] is not c[0] for c in chosen)]
         if not options:
             break
-        worth = [_worth(outlook, [*chosen, entry], within_reach) for entry in options]
+        worth = [_utility(outlook, [*chosen, entry], within_reach) for entry in options]
         best = int(np.argmax(worth))
-        if worth[best] - now < _WORTH:
+        if worth[best] - now < _LEAST_IMPROVEMENT:
             break
         chosen, now = [*chosen, options[best]], worth[best]
         if outlook.probabilities(_sum(outlook, chosen))[within_reach].min() > _SURE:
@@ -136,7 +136,7 @@ def _sum(outlook: Outlook, chosen: Sequence[tuple[Piece, list[np.ndarray]]]) -> 
     return [sum((moments[k] for _, moments in chosen), start) for k, start in enumerate(zero)]
 
 
-def _worth(outlook: Outlook, chosen: Sequence[tuple[Piece, list[np.ndarray]]], within_reach: np.ndarray) -> float:
+def _utility(outlook: Outlook, chosen: Sequence[tuple[Piece, list[np.ndarray]]], within_reach: np.ndarray) -> float:
     """Log odds of the pairs within reach, the worst first, then the others."""
     chance = np.clip(outlook.probabilities(_sum(outlook, chosen))[within_reach], 1e-9, 1 - 1e-9)
     odds = np.clip(np.log(chance / (1 - chance)), -20, 4)

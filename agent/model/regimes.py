@@ -25,7 +25,7 @@ _OF_ARM = (
 _RESTING = 1e-6  # of its highest speed at all: round-off in a channel that is constant
 _NEAR_REVERSAL = 0.15  # s
 _LOW, _HIGH = 0.1, 0.6  # of the highest speed seen
-_MOST = 0.75  # quantile of load and acceleration, from which on they are high
+_HIGH_QUANTILE = 0.75  # quantile of load and acceleration, from which on they are high
 
 
 def standstill_speed(speeds: Sequence[np.ndarray], max_velocity: np.ndarray, share: float = _STANDSTILL) -> np.ndarray:
@@ -56,8 +56,8 @@ def regime_masks(
         near & ~standing,
         (magnitude < _LOW * fastest) & ~standing,
         magnitude > _HIGH * fastest,
-        load > np.quantile(load, _MOST),
-        acceleration > np.quantile(acceleration, _MOST),
+        load > np.quantile(load, _HIGH_QUANTILE),
+        acceleration > np.quantile(acceleration, _HIGH_QUANTILE),
         q < low + third,
         (q >= low + third) & (q <= high - third),
         q > high - third,

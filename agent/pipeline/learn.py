@@ -22,7 +22,7 @@ _SHORTER, _LONGER = 0.5, 2.0
 #: [rad, m] A stretch ends where a move does; a way shorter than this is none.
 _THERE = 2e-3
 #: Stretches that are learned from at most, the longest first: more tell little that is new.
-_MOST = 6
+_MAX_MOVES = 6
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def learn_files(robot: str, paths: Sequence[Path], out: Path, console: Console) 
             stretches.setdefault(key, stretch)
     if not stretches:
         raise InputError(f"{logs[0].path}: no stretch between two stops is whole; record one loop without gaps")
-    chosen = sorted(stretches.values(), key=lambda one: -float(one.t[-1] - one.t[0]))[:_MOST]
+    chosen = sorted(stretches.values(), key=lambda one: -float(one.t[-1] - one.t[0]))[:_MAX_MOVES]
     learner = Learner(description, chosen, 1.0 / logs[0].sample_rate)
     try:
         parameters = learner.learn(lambda text: console.step(f"learning from {len(chosen)} stretches: {text}"))

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from agent.runs import StoredLoop
     from agent.validation import Comparison, Prediction
 
-_SURE = 3.0
+_SIGNIFICANT = 3.0
 
 
 @dataclass(frozen=True)
@@ -258,12 +258,12 @@ def gate_faults(
             "run: something has changed that these parameters do not describe"
         )
     for level in met["friction"]:
-        if level["value"] + _SURE * level["standard_deviation"] < 0:
+        if level["value"] + _SIGNIFICANT * level["standard_deviation"] < 0:
             faults.append(f"{level['joint']}: its friction at {level['speed']:.3g} rad/s comes out negative")
     inertial = set(last.names[: len(last.independent)])
     rigid = [c for c in comparison.parameters if c.moved and c.name in inertial]
     far = (comparison.torque.rmse > gate * robot.nominal_torque) & (
-        comparison.torque.rmse > _SURE * comparison.torque.standard_deviation
+        comparison.torque.rmse > _SIGNIFICANT * comparison.torque.standard_deviation
     )
     if rigid and np.any(far):
         names = ", ".join(np.array(robot.joint_names)[far])

@@ -221,7 +221,7 @@ def _steps_section(diagnosis: Diagnosis) -> Section:
     finding = diagnosis.finding
     text.append(
         f"Over the signs of its background drawn anew {finding.limits.draws} times, the highest gain of the whole "
-        f"search exceeds {finding.by_chance / rows:.3f} in one of a hundred; a cause needs {finding.least / rows:.3f}."
+        f"search exceeds {finding.null_gain / rows:.3f} in one of a hundred; a cause needs {finding.least / rows:.3f}."
     )
     if finding.p_value:
         text.append(

@@ -10,7 +10,7 @@ from agent.core import package_version
 from agent.diagnosis import (
     Diagnosis,
     closes,
-    how_sure,
+    confidence_phrase,
     intervals,
     leading_parameter,
     name,
@@ -35,7 +35,7 @@ def headline(result: Mapping[str, Any], size: str = "") -> str:
         text = _HEADLINES.get(result["verdict"], _HEADLINES["unknown"])
         return text + (f" It is on {worst_joints(result)}." if result["verdict"] == "unknown" else "")
     cause = result["causes"][0]
-    sure = how_sure(result["verdict"], cause["probability"])
+    sure = confidence_phrase(result["verdict"], cause["probability"])
     effect = CATALOGUE[cause["effect"]]
     found = [size, closes(cause), f"probability {cause['probability']:.2f}"]
     text = f"{place(cause)}: {sure} {name(effect.name)}: {effect.phrase} ({', '.join(part for part in found if part)})."

@@ -34,7 +34,7 @@ _NAMES = {
     "rate": "the recipe's record.rate",
     "interpolator": "the recipe's search.interpolator",
 }
-_MOST = 5  # differences that are listed; the others are counted
+_MAX_LISTED = 5  # differences that are listed; the others are counted
 _ABSENT = object()
 
 
@@ -123,8 +123,10 @@ def differences(then: dict[str, Any], now: dict[str, Any]) -> str:
         found.setdefault(part, []).append(f"{rest} {_change(before, after)}".strip())
     sentences = []
     for part, changes in found.items():
-        more = f" and {len(changes) - _MOST} more" if len(changes) > _MOST else ""
-        sentences.append(f"{part} differs from the one this run was planned with: {', '.join(changes[:_MOST])}{more}")
+        more = f" and {len(changes) - _MAX_LISTED} more" if len(changes) > _MAX_LISTED else ""
+        sentences.append(
+            f"{part} differs from the one this run was planned with: {', '.join(changes[:_MAX_LISTED])}{more}"
+        )
     return "; ".join(sentences)
 
 

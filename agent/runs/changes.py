@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_CLEAR = 4.0  # deviations by which a background must stand out from its noise to tell its coefficient
+_SIGNIFICANT = 4.0  # deviations by which a background must stand out from its noise to tell its coefficient
 
 
 def line(values: np.ndarray) -> np.ndarray:
@@ -99,7 +99,9 @@ def _coefficients(y: np.ndarray, common: np.ndarray, background: Background) -> 
     runs = y.shape[1]
     noise = runs * background.noise
     seen = np.sum(common**2, axis=1) - noise
-    clear = (seen >= _CLEAR * np.sqrt(2 / runs) * noise) & (seen > 1e-12 * runs * np.ptp(background.covariate) ** 2)
+    clear = (seen >= _SIGNIFICANT * np.sqrt(2 / runs) * noise) & (
+        seen > 1e-12 * runs * np.ptp(background.covariate) ** 2
+    )
     seen = np.where(clear, seen, 1.0)
     slope = np.sum(common * y, axis=1) / seen
     variance = _widened(y - slope[:, None] * common, runs - 3)

@@ -11,7 +11,7 @@ from agent.runs.past_run import PastRun
 #: Fewest runs that say anything.
 FEWEST = 8
 _UNKNOWN_RESPONSE = 1.0  # deviation of how an axle warms, as a multiple of the others
-_CLEAR = 4.0  # deviations by which a warm-up in the rates must stand out from their noise to tell anything
+_SIGNIFICANT = 4.0  # deviations by which a warm-up in the rates must stand out from their noise to tell anything
 _SPEEDS_DIFFER = 0.15  # of it: at one speed friction may answer so much more or less than along the whole motion
 
 
@@ -28,7 +28,7 @@ def warm_up_response(rates: np.ndarray, axle: int) -> tuple[float, float]:
     known = known - known.mean(axis=0)
     common, noise = _shared(np.delete(known, axle, axis=1))
     power = float(common @ common) - len(known) * noise
-    if power < _CLEAR * noise * (2 * len(known)) ** 0.5:  # what noise alone makes of it scatters by that root
+    if power < _SIGNIFICANT * noise * (2 * len(known)) ** 0.5:  # what noise alone makes of it scatters by that root
         return 1.0, _UNKNOWN_RESPONSE
     ratio = float(common @ known[:, axle]) / power
     left = known[:, axle] - ratio * common

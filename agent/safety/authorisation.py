@@ -55,10 +55,10 @@ class AuthorisationDocument(_AuthorisedPart):
 
 @dataclass(frozen=True)
 class Authorisation:
-    """A person's word, in the file `path`, that one program may run on one machine, within limits, until a day ends."""
+    """A person permits, in the file `path`, that one program runs on one machine, within limits, until a day ends."""
 
     path: Path
-    word: AuthorisationDocument
+    document: AuthorisationDocument
 
     def check(
         self, robot: str, serial: str, program: str, speed: float, duration: float, now: datetime | None = None
@@ -72,20 +72,20 @@ class Authorisation:
         Raises:
             InputError: it is not; everything that differs is listed.
         """
-        word, limits = self.word, self.word.limits
+        document, limits = self.document, self.document.limits
         faults = []
-        if robot != word.robot:
-            faults.append(f"it is for {word.robot}, the controller drives {robot}")
-        if serial != word.serial:
-            faults.append(f"it is for serial {word.serial}, this machine is {serial}")
-        if program != word.program:
-            faults.append(f"it is for program {word.program[:12]}…, what would run is {program}")
+        if robot != document.robot:
+            faults.append(f"it is for {document.robot}, the controller drives {robot}")
+        if serial != document.serial:
+            faults.append(f"it is for serial {document.serial}, this machine is {serial}")
+        if program != document.program:
+            faults.append(f"it is for program {document.program[:12]}…, what would run is {program}")
         if not speed <= limits.speed * (1 + 1e-9):
             faults.append(f"the motion reaches {speed:.3f} m/s, {limits.speed:g} m/s are allowed")
         if not duration <= limits.duration:
             faults.append(f"the motion takes {duration:.0f} s, {limits.duration:.0f} s are allowed")
-        if not (now or datetime.now(UTC)).date() <= word.expires:
-            faults.append(f"it ended on {word.expires}")
+        if not (now or datetime.now(UTC)).date() <= document.expires:
+            faults.append(f"it ended on {document.expires}")
         if faults:
             raise InputError(
                 f"{self.path}: this authorisation does not cover the motion: {'; '.join(faults)}. Nothing was moved; "
@@ -101,16 +101,16 @@ class Authorisation:
         Raises:
             InputError: it was not.
         """
-        if problem != self.word.problem:
+        if problem != self.document.problem:
             raise InputError(
-                f"{self.path}: this authorisation is for problem {self.word.problem[:12]}…, this recipe, its robot and "
-                f"cell make {problem}. Nothing was moved; somebody who knows the cell has to write a new one"
+                f"{self.path}: this authorisation is for problem {self.document.problem[:12]}…, this recipe, its robot "
+                f"and cell make {problem}. Nothing was moved; somebody who knows the cell has to write a new one"
             )
 
     def ends_soon(self, now: datetime | None = None) -> str | None:
         """What to say where it ends within two weeks."""
-        left = self.word.expires - (now or datetime.now(UTC)).date()
-        return f"{self.path}: this authorisation ends on {self.word.expires}" if left <= _SOON else None
+        left = self.document.expires - (now or datetime.now(UTC)).date()
+        return f"{self.path}: this authorisation ends on {self.document.expires}" if left <= _SOON else None
 
 
 def load_authorisation(path: Path, now: datetime | None = None) -> Authorisation:

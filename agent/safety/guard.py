@@ -27,7 +27,7 @@ from agent.safety.preconditions import (
     check_period,
     check_plan,
     check_ready,
-    have_word,
+    confirm_clear_cell,
     standing,
 )
 from agent.safety.watch import MotionWatch
@@ -112,7 +112,7 @@ class GuardedLink:
         return isinstance(self._driver, AcceptsViaPoints)
 
     def open(self) -> None:
-        """Connect, see who is there, and have a person's word where one is needed.
+        """Connect, see who is there, and have a person confirm where that is needed.
 
         Raises:
             ControllerError: another robot, another period than the recipe's rate, samples that are too few, or nobody
@@ -135,7 +135,7 @@ class GuardedLink:
         if identity.unguarded:
             self._warn(f"{self.address}: {identity.unguarded}; till then, stay at the emergency stop")
         if self._authorisation is None and not self._yes:
-            have_word(identity, status, self.address, self._ask)
+            confirm_clear_cell(identity, status, self.address, self._ask)
         self._identity, self._emulator = identity, status.emulator
 
     def position(self) -> np.ndarray:

@@ -154,8 +154,8 @@ def is_loopback(address: str) -> bool:
         return host == "localhost"
 
 
-def have_word(identity: Identity, status: Status, address: str, ask: Callable[[str], bool]) -> None:
-    """A person's word that the cell is clear: always asked for, but for the emulator on loopback.
+def confirm_clear_cell(identity: Identity, status: Status, address: str, ask: Callable[[str], bool]) -> None:
+    """A person confirms that the cell is clear: always asked for, but for the emulator on loopback.
 
     Raises:
         InputError: nobody said yes.

@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.core import AgentError, ControllerError, SafetyError
 from agent.safety.adherence import Adherence
-from agent.safety.looks import Looks
+from agent.safety.background_poll import BackgroundPoll
 from agent.safety.patience import Patience
 from agent.safety.preconditions import unsafe_in_motion
 from drivers.errors import DriverError, MotionStopped
@@ -73,11 +73,11 @@ class MotionWatch:
         patience = Patience(SILENCE, self._clock, self._stop)
         looked, looked_at = -np.inf, self._clock()
         now, last = np.nan, -1
-        looks = Looks(self._poll_status, self._stop)
+        polling = BackgroundPoll(self._poll_status, self._stop)
         try:
             for block in patience.each(self._driver.samples()):
                 began = float(block.time[0]) if began is None else began
-                fault = fault or looks.found
+                fault = fault or polling.found
                 reason = self._overdue(block, began) or self._adherence.take(block) if fault is None else None
                 if reason is not None:
                     fault = SafetyError(f"{self._address}: the arm was stopped: {reason}")
@@ -86,11 +86,11 @@ class MotionWatch:
                 now, last = float(block.time[-1]), int(block.sequence[-1])
                 recently = now - looked < WATCH_INTERVAL and self._clock() - looked_at < WATCH_INTERVAL
                 if not recently:
-                    looks.look(now)
+                    polling.poll(now)
                     looked, looked_at = now, self._clock()
-            fault = fault or looks.result()
+            fault = fault or polling.result()
         except DriverError as error:
-            fault = fault or looks.result()
+            fault = fault or polling.result()
             if not patience.lost and (not isinstance(fault, SafetyError) or isinstance(error, MotionStopped)):
                 raise
         if patience.lost and fault is None:

@@ -15,7 +15,7 @@ from hypothesis import given, strategies as st
 from agent.core.errors import AgentError, ControllerError, InputError, SafetyError
 from agent.link.alignment import moving_segments
 from agent.runs.folder import RunFolder, sha256_text, write_atomically
-from agent.safety.preconditions import check_ready, have_word
+from agent.safety.preconditions import check_ready, confirm_clear_cell
 from drivers.protocol import Identity, Status
 
 READY = Status(
@@ -149,7 +149,7 @@ def test_only_an_emulator_on_this_machine_moves_unasked(address: str, local: boo
         return False
 
     with contextlib.nullcontext() if local else pytest.raises(AgentError, match="nobody confirmed"):
-        have_word(who, replace(READY, emulator=True), address, nobody)
+        confirm_clear_cell(who, replace(READY, emulator=True), address, nobody)
     assert len(asked) == (not local)
     with pytest.raises(AgentError, match="nobody confirmed"):
-        have_word(who, READY, address, nobody)
+        confirm_clear_cell(who, READY, address, nobody)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agent.core.errors import ControllerError, SafetyError
-from agent.safety.looks import Looks
+from agent.safety.background_poll import BackgroundPoll
 from drivers.errors import DriverError, MotionStopped
 from drivers.transports.tcp import TcpDriver
 from drivers.wire.reasons import EndReason
@@ -65,7 +65,7 @@ def test_the_controllers_own_word_comes_before_what_the_state_says(bench, progra
 
 
 def test_a_look_costs_a_request_and_is_taken_five_times_a_second_of_motion(bench, program, monkeypatch):
-    monkeypatch.setattr("agent.safety.looks.PROMPT", 5.0)
+    monkeypatch.setattr("agent.safety.background_poll.PROMPT", 5.0)
     bench.controller.blocks, bench.controller.pushes, bench.controller.spacing = 40, True, 250_000
     guard = bench.open(clock=lambda: 0.0)
     before = bench.controller.asked.count("AskStatus") + 2  # the two before the start
@@ -74,7 +74,7 @@ def test_a_look_costs_a_request_and_is_taken_five_times_a_second_of_motion(bench
 
 
 def test_a_controller_whose_time_stands_still_is_looked_at_all_the_same(bench, program, monkeypatch):
-    monkeypatch.setattr("agent.safety.looks.PROMPT", 5.0)
+    monkeypatch.setattr("agent.safety.background_poll.PROMPT", 5.0)
     bench.controller.blocks, bench.controller.pushes, bench.controller.spacing = 40, True, 1
     ticks = iter(range(10**6))
     guard = bench.open(clock=lambda: 0.1 * next(ticks))
@@ -129,7 +129,7 @@ def test_a_state_that_is_not_answered_delays_no_watch(bench, program):
 
 def test_a_state_that_comes_late_stops_the_arm_without_another_sample(bench, program, monkeypatch):
     """The stop is asked for when the answer comes, not with the next block."""
-    monkeypatch.setattr("agent.safety.looks.PROMPT", 0.0)
+    monkeypatch.setattr("agent.safety.background_poll.PROMPT", 0.0)
     over = threading.Event()
 
     class Waiting(TcpDriver):
@@ -180,18 +180,18 @@ def test_one_look_at_a_time_and_what_it_raises_is_raised():
             raise ValueError("as told")
         return ControllerError(f"at {now}") if now else None
 
-    looks = Looks(ask, lambda: stops.append(looks.found))
-    looks.look(0.0)
+    polling = BackgroundPoll(ask, lambda: stops.append(polling.found))
+    polling.poll(0.0)
     assert asked.wait(patience(5.0))
-    looks.look(1.0)
-    looks.look(2.0)
+    polling.poll(1.0)
+    polling.poll(2.0)
     assert told == [0.0], "the others had to wait for its answer"
     answer.set()
-    assert looks.result() is None
-    looks.look(4.0)
-    assert str(looks.result()) == str(stops[0]) == "at 4.0"
-    looks.look(3.0)
+    assert polling.result() is None
+    polling.poll(4.0)
+    assert str(polling.result()) == str(stops[0]) == "at 4.0"
+    polling.poll(3.0)
     with pytest.raises(ValueError, match="as told"):
-        looks.result()
+        polling.result()
     with pytest.raises(ValueError, match="as told"):
-        looks.look(5.0)
+        polling.poll(5.0)

@@ -35,7 +35,7 @@ def _write(folder: Path, mode: int = 0o644, **changes: object) -> Path:
 
 def test_a_file_is_read_in_si(tmp_path: Path):
     allowed = load_authorisation(_write(tmp_path), NOW)
-    word = allowed.word
+    word = allowed.document
     assert (word.limits.speed, word.limits.duration, word.expires) == (1.0, 1200.0, date(2026, 12, 31))
     allowed.check("comau_ns16", "NS16-42", PROGRAM, 1.0, 1200.0, NOW)
 

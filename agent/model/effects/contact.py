@@ -14,9 +14,9 @@ _DURATIONS = (0.2, 0.3, 0.4, 0.55, 0.75, 1.0, 1.35, 1.8, 2.4, 3.2, 4.2, 6.0, 8.5
 _STARTS = 0.05  # s
 _EDGE = 0.15  # of the duration, at either end
 _USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of the other windows of a length, and how far above it a contact is
-_NEAR = 2.0  # durations before and after, where no window comes near it
+_CLEARANCE = 2.0  # durations before and after, where no window comes near it
 _ALONE = 2.0  # times the window at the same place of another cycle
-_MOST, _LEAST = 6, 0.1  # pushes, and part of the strongest one's gain that another has
+_MAX_PUSHES, _LEAST_GAIN_RATIO = 6, 0.1  # pushes, and part of the strongest one's gain that another has
 _LINKS = 3  # tried as the one that all pushes are on
 
 
@@ -150,7 +150,7 @@ class _Windows:
 
     def near(self, push: _Push) -> float:
         """Largest gain of the windows right before and after a push."""
-        reach = (1 + _NEAR) * push.duration
+        reach = (1 + _CLEARANCE) * push.duration
         around = (np.abs(self.starts - push.start) <= reach) & ~self._shared([push])
         return float(self.gain[around].max(initial=0.0))
 
@@ -175,10 +175,10 @@ class _Windows:
 def _strongest(windows: Sequence[_Windows]) -> list[_Push]:
     """The strongest windows that do not overlap, as far as they stand out; strongest first."""
     taken: list[_Push] = []
-    while len(taken) < _MOST:
+    while len(taken) < _MAX_PUSHES:
         candidates = [push for push in (w.best(taken) for w in windows) if push is not None]
         push = max(candidates, key=lambda push: push.gain, default=None)
-        if push is None or (taken and push.gain < _LEAST * taken[0].gain):
+        if push is None or (taken and push.gain < _LEAST_GAIN_RATIO * taken[0].gain):
             break
         taken.append(push)
     while taken:

@@ -13,7 +13,8 @@ from agent.robot import ParameterLayout
 
 _ROUNDS = 6
 _START = ("m0", "hx0", "hy0", "hz0")
-_LESS, _NEAR = 0.1, 0.05  # of m r², r at least 0.05 m: an inertia that is estimated below nought by no more is none
+_INERTIA_TOLERANCE = 0.1  # of m r²: an inertia that is estimated below zero by no more is none
+_LEAST_RADIUS = 0.05  # m, of that r
 _BALL = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
 
 
@@ -73,7 +74,7 @@ class Payload(Effect):
         mass, far = values["mass"], float(np.linalg.norm(moment))
         if not (mass > 0.01 and far < mass):
             return False
-        return values.get("inertia", 0.0) > -_LESS * mass * max(far / mass, _NEAR) ** 2
+        return values.get("inertia", 0.0) > -_INERTIA_TOLERANCE * mass * max(far / mass, _LEAST_RADIUS) ** 2
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 4

@@ -99,7 +99,7 @@ def _changes(correction: Correction, text: MjcfText | UrdfText) -> Iterator[File
             ("armature", released.rotors),
         ):
             old, new = float(getattr(before, key)[k]), float(getattr(after, key)[k])
-            if k in reasons and _differ(old, new) and text.can_say(key):
+            if k in reasons and _differ(old, new) and text.is_supported(key):
                 text.set_joint(k, joint, key, new)
                 yield FileChange(f"joint {joint}", key, old, new, reasons[k])
         if k in released.springs:

@@ -19,7 +19,7 @@ _FORMS = (*(name[1:] for name in vars(standalone_effects.Effects) if name[1:] in
 _OTHERS = ("joint_elasticity", "backlash", "wrist_coupling", "torque_constant", "torque_offset", "time_delay")
 
 
-def can_say(entry: ModelEffect) -> bool:
+def is_supported(entry: ModelEffect) -> bool:
     """Whether the file has a form for an effect: all built-in ones that are part of a simulator, none installed."""
     ahead = entry.effect == "time_delay" and entry.parameters["delay"] <= 0
     return entry.effect in (*_FORMS, *_OTHERS) and not ahead
@@ -27,7 +27,7 @@ def can_say(entry: ModelEffect) -> bool:
 
 def effects_text(correction: Correction, source: str, out: str) -> str | None:
     """The file's text; None where nothing is to be said beside the simulator's file."""
-    effects = [_entry(correction, entry) for entry in correction.effects if can_say(entry)]
+    effects = [_entry(correction, entry) for entry in correction.effects if is_supported(entry)]
     arm, n = correction.arm, len(correction.arm.joint_names)
     unsaid = arm.armature if arm.path.suffix.lower() == ".urdf" else np.zeros(n)
     if not effects and not np.any(unsaid):

@@ -103,7 +103,7 @@ class MjcfText:
                     tag.set("file", places[part].name)
         return {places[path]: self._texts[path].changed() for path in (main, *sorted(changed - {main}))}
 
-    def can_say(self, key: str) -> bool:
+    def is_supported(self, key: str) -> bool:
         """Whether a joint has such a number."""
         return key in _JOINT
 

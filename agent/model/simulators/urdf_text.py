@@ -42,7 +42,7 @@ class UrdfText:
         """What to write."""
         return {self._out: self._xml.changed()}
 
-    def can_say(self, key: str) -> bool:
+    def is_supported(self, key: str) -> bool:
         """Whether a joint has such a number."""
         return key in _KEYS
 

@@ -22,7 +22,7 @@ _MOST_TURNS = 100
 #: So many samples in a row may be wrong and dropped; a longer stretch is where the joint was.
 _TORN = 5
 #: With other jumps in more than this part of the samples it is the description or a unit that is wrong.
-_MOST = 0.01
+_MAX_SHARE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ def mend_jumps(stamp: np.ndarray, position: np.ndarray, robot: RobotDescription,
     turning = ~np.array([joint.prismatic for joint in robot.joints])[joints]
     turns = np.round(steps / _TURN)
     wrapped = turning & (turns != 0) & (np.abs(turns) <= _MOST_TURNS) & (np.abs(steps - turns * _TURN) <= limits)
-    if np.count_nonzero(~wrapped) > _MOST * len(stamp):
+    if np.count_nonzero(~wrapped) > _MAX_SHARE * len(stamp):
         return Mended()
     time = (stamp - stamp[0]) / _NANO
     repairs = []

@@ -12,7 +12,7 @@ from agent.recording.scratch import Scratch
 #: What no joint reaches in any unit that people mistake for SI: 1600 turns [rad], N·mm of the largest arms.
 LIMITS = {"position": 1e4, "velocity": 1e6, "effort": 1e9}
 _TIMES = 1e3  # of what 99 % of the samples keep: no impact, no spike of a current sensor
-_MOST = 0.01  # of the samples: beyond, it is what the channel is like
+_MAX_SHARE = 0.01  # of the samples: beyond, it is what the channel is like
 _EVERY = 8  # samples, of those that tell what is usual
 
 
@@ -29,4 +29,4 @@ def impossible(values: np.ndarray, field: str, scratch: Scratch) -> np.ndarray:
         size = np.abs(values[part])
         absurd[part] = np.any(size > LIMITS[field], axis=1)
         alone[part] = np.any(size > usual, axis=1)
-    return absurd | alone if np.count_nonzero(alone) <= _MOST * len(values) else absurd
+    return absurd | alone if np.count_nonzero(alone) <= _MAX_SHARE * len(values) else absurd

@@ -14,7 +14,7 @@ _TIMES = 12.0  # the usual step from sample to sample
 _SHARE = 1.5  # of the range that 98 % of the samples keep: no friction comes back that far
 _EVERY = 8  # samples, of those that tell what is usual
 #: In more than this part of the samples it is what the channel is like.
-_MOST = 0.01
+_MAX_SHARE = 0.01
 
 
 def find_spikes(effort: np.ndarray, scratch: Scratch) -> np.ndarray:
@@ -32,4 +32,4 @@ def find_spikes(effort: np.ndarray, scratch: Scratch) -> np.ndarray:
             inside = part.start <= first + place < part.stop
             if inside and len(window) == 5 and np.any(np.abs(values[place] - np.median(window, axis=0)) > limit):
                 found.append(first + int(place))
-    return np.array(found if len(found) <= _MOST * len(effort) else [], dtype=int)
+    return np.array(found if len(found) <= _MAX_SHARE * len(effort) else [], dtype=int)

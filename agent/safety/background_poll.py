@@ -1,4 +1,4 @@
-"""Looks at the controller's state that delay nobody."""
+"""Polls of the controller's state in a thread of its own, so that samples do not wait for them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from agent.core import AgentError
 PROMPT = 0.05
 
 
-class Looks:
+class BackgroundPoll:
     """Asks in a thread of its own, one question at a time.
 
     Args:
@@ -22,16 +22,16 @@ class Looks:
     def __init__(self, ask: Callable[[float], AgentError | None], stop: Callable[[], object]) -> None:
         self._ask = ask
         self._stop = stop
-        self._thread = ThreadPoolExecutor(1, "look")
+        self._thread = ThreadPoolExecutor(1, "poll")
         self._last: Future[None] = self._thread.submit(lambda: None)
         #: Why the arm had to stop.
         self.found: AgentError | None = None
 
-    def look(self, now: float) -> None:
+    def poll(self, now: float) -> None:
         """Ask, unless an answer is still to come; raises what was raised by the last question."""
         if self._last.done():
             self._last.result()
-            self._last = self._thread.submit(self._look, now)
+            self._last = self._thread.submit(self._run, now)
             wait([self._last], PROMPT)
 
     def result(self) -> AgentError | None:
@@ -39,7 +39,7 @@ class Looks:
         self._last.result()
         return self.found
 
-    def _look(self, now: float) -> None:
+    def _run(self, now: float) -> None:
         reason = self._ask(now)
         if reason is not None:
             self.found = reason
