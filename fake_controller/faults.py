@@ -1,8 +1,8 @@
 """What goes wrong on a shop floor, on command: at the wire and at the machine.
 
 A fault waits for its phase and acts once. Those of the wire sit between a server and its line: servers send every
-frame through `Faults.send` and take what came through `Faults.heard`. Those of the machine are the controller's to
-suffer. Neither knows which wire it is; `NOT_ON` has what makes no sense on which.
+frame through `Faults.send` and take what came through `Faults.heard`. Those of the machine are applied by the
+controller. Neither knows which wire it is; `NOT_ON` has what makes no sense on which.
 """
 
 from __future__ import annotations

@@ -69,35 +69,35 @@ def see(machine: MachineRuns) -> MachineSummary:
     )
 
 
-def urgency(sight: MachineSummary, courses: Sequence[Course]) -> tuple[float, list[str]]:
+def urgency(summary: MachineSummary, courses: Sequence[Course]) -> tuple[float, list[str]]:
     """How urgent a look at a machine is, and why; no reason where it is not."""
     weights, reasons = [0.0], []
     for one in courses:
         if one.alarm:
             reasons.append(one.text())
-            weights.append(_weight(sight, one))
-    worst = [(error, joint) for error, joint in zip(sight.errors, sight.joints, strict=True) if np.isfinite(error)]
+            weights.append(_weight(summary, one))
+    worst = [(error, joint) for error, joint in zip(summary.errors, summary.joints, strict=True) if np.isfinite(error)]
     if worst:
         error, joint = max(worst)
         weights.append(float(error) / GATE if error > GATE or reasons else 0.0)
         if error > GATE:
             reasons.append(f"{joint}: error of {100 * error:.1f} % of nominal torque; {100 * GATE:g} % is the gate")
-    if sight.verdict in _VERDICTS:
-        reasons.append(_VERDICTS[sight.verdict] + (f": {sight.causes}" if sight.causes else ""))
+    if summary.verdict in _VERDICTS:
+        reasons.append(_VERDICTS[summary.verdict] + (f": {summary.causes}" if summary.causes else ""))
         weights.append(max([0.5, *(float(error) / GATE for error, _ in worst)]))
-    if sight.failed:
-        reasons.append(f"a run has no figures; {sight.failed}")
+    if summary.failed:
+        reasons.append(f"a run has no figures; {summary.failed}")
         weights.append(1.0)
     return max(weights), reasons
 
 
-def _weight(sight: MachineSummary, course: Course) -> float:
+def _weight(summary: MachineSummary, course: Course) -> float:
     if not course.quantity.startswith("friction"):
         return float(course.values[-3:].mean()) / GATE
     days = max(float(course.days[-1] - course.days[0]), 1.0)
     going_on = course.change * AHEAD / days if course.kind == "drift" else 0.0
     change = abs(course.change) + abs(going_on)
-    nominal = sight.nominal[sight.joints.index(course.joint)]
+    nominal = summary.nominal[summary.joints.index(course.joint)]
     if not np.isfinite(nominal):
         return change / _LIKE_GATE
     return change * float(np.median(course.values)) / (GATE * float(nominal))

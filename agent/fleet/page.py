@@ -29,34 +29,34 @@ def write_page(result: str, tables: Sequence[Path] = (), out: str | None = None)
         InputError: no result, or a table that cannot be used.
         AgentError: the page cannot be written.
     """
-    sights: list[MachineSummary] = []
+    summaries: list[MachineSummary] = []
     courses: list[list[Course]] = []
 
     def keep(machine: Any, found: list[Course]) -> None:
-        sights.append(see(machine))
+        summaries.append(see(machine))
         courses.append(found)
 
     found = fleet_trends(result, tables, keep)
     folder, name = (result, "_report.html") if out is None else (os.path.dirname(out) or ".", os.path.basename(out))
     store = Store(folder)
     source = source_of(result)
-    page = fleet_page(found, sights, courses, _link_base(source, store))
+    page = fleet_page(found, summaries, courses, _link_base(source, store))
     store.put(name, page.encode())
     return f"{folder.rstrip('/')}/{name}"
 
 
 def fleet_page(
-    found: FleetTrends, sights: Sequence[MachineSummary], courses: Sequence[Sequence[Course]], base: str
+    found: FleetTrends, summaries: Sequence[MachineSummary], courses: Sequence[Sequence[Course]], base: str
 ) -> str:
     """HTML text; links to the pages of runs begin with `base`."""
     from jinja2 import Environment
 
     machines = [
-        _machine(found, sight, own, base) | {"courses": [_course(one, sight) for one in own]}
-        for sight, own in zip(sights, courses, strict=True)
+        _machine(found, summary, own, base) | {"courses": [_course(one, summary) for one in own]}
+        for summary, own in zip(summaries, courses, strict=True)
     ]
     machines.sort(key=lambda one: (-one["urgency"], one["robot"]))
-    joints = list(dict.fromkeys(joint for sight in sights for joint in sight.joints))
+    joints = list(dict.fromkeys(joint for summary in summaries for joint in summary.joints))
     data = {
         "kind": found.kind,
         "joints": joints,
@@ -72,7 +72,7 @@ def fleet_page(
     return environment.from_string(_asset("fleet.html")).render(
         found=found,
         look=look,
-        runs=sum(len(sight.runs) for sight in sights),
+        runs=sum(len(summary.runs) for summary in summaries),
         urgent=machines[: min(look, 15)],
         script=_asset("fleet.js"),
         css=_asset("fleet.css"),
@@ -80,26 +80,26 @@ def fleet_page(
     )
 
 
-def _machine(found: FleetTrends, sight: MachineSummary, own: Sequence[Course], base: str) -> dict[str, Any]:
-    weight, reasons = urgency(sight, own)
+def _machine(found: FleetTrends, summary: MachineSummary, own: Sequence[Course], base: str) -> dict[str, Any]:
+    weight, reasons = urgency(summary, own)
     trend = {one.joint: one for one in own}
     return {
-        "robot": sight.robot,
+        "robot": summary.robot,
         "urgency": round(weight, 3),
         "why": [text[:_LONGEST] for text in reasons],
-        "joints": list(sight.joints),
-        "gap": [round(1e4 * float(error)) if np.isfinite(error) else None for error in sight.errors],
-        "trend": [round(1e4 * trend[j].change) if j in trend else None for j in sight.joints],
-        "alarm": [int(trend[j].alarm) if j in trend else 0 for j in sight.joints],
-        "of": [values.get(sight.robot) for values in found.tables.values()],
+        "joints": list(summary.joints),
+        "gap": [round(1e4 * float(error)) if np.isfinite(error) else None for error in summary.errors],
+        "trend": [round(1e4 * trend[j].change) if j in trend else None for j in summary.joints],
+        "alarm": [int(trend[j].alarm) if j in trend else 0 for j in summary.joints],
+        "of": [values.get(summary.robot) for values in found.tables.values()],
         "runs": [
-            [run.removeprefix(f"{sight.robot}/"), day, status, reason[:_LONGEST], base + quote(page) if page else ""]
-            for run, day, status, reason, page in sight.runs
+            [run.removeprefix(f"{summary.robot}/"), day, status, reason[:_LONGEST], base + quote(page) if page else ""]
+            for run, day, status, reason, page in summary.runs
         ],
     }
 
 
-def _course(one: Course, sight: MachineSummary) -> dict[str, Any]:
+def _course(one: Course, summary: MachineSummary) -> dict[str, Any]:
     """Values in hundredths of a percent over their median."""
     middle = float(np.median(one.values))
     return {

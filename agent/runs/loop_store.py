@@ -14,7 +14,7 @@ from agent.recipe import Recipe
 from agent.runs.approved import digest, problem
 from agent.runs.folder import make_folder, sha256_text, write_json
 
-#: Where loops are kept unless told otherwise: among the runs.
+#: Where loops are kept by default: among the runs.
 FOLDER = Path("logs") / "trajectories"
 _SCHEMA = "loop/1"
 
