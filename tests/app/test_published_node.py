@@ -39,9 +39,7 @@ def record(broker, write_recipe, run_agent, tmp_path: Path) -> Callable[..., Pat
                 "record", recipe_for(write_recipe, server.address), "--program", folder / f"{name}.pdl", "-o", log
             )
             assert run.returncode == 0, run.stderr
-            assert ("taken from the set-points" in run.stderr or "come from the set-points" in run.stderr) == bool(
-                period
-            )
+            assert ("times come from the set-points" in run.stderr) == bool(period)
         return log
 
     return make
