@@ -1,4 +1,4 @@
-"""`python -m second_world draw N SEED` prints the runs; `… run` makes the logs of one, told as JSON on stdin."""
+"""`python -m second_world draw N SEED` prints the runs; `… run` makes the logs of one, given as JSON on stdin."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
         rng = np.random.default_rng([machine, 7])
         write_description(arm, Path(job["describe"]), float(rng.choice(PLACEHOLDERS)) if as_recorded else None)
     faults = build_in(arm, effects)
-    out, told = simulate(arm, faults, machine, motions)
+    out, reported = simulate(arm, faults, machine, motions)
     folder.mkdir(parents=True, exist_ok=True)
     for number, (name, (_, cycles)) in enumerate(motions.items()):
         seed = 10 * job["motion"] + number
-        write_motion(folder / f"{name}.mcap", arm, out[name], told[number], cycles, seed, as_recorded)
+        write_motion(folder / f"{name}.mcap", arm, out[name], reported[number], cycles, seed, as_recorded)
     size = None
     if effects:
         whole = draw_arm(machine)
         _, plain = simulate(whole, build_in(whole, ()), machine, motions)
-        size = largest_change(told, plain, arm.torque)
+        size = largest_change(reported, plain, arm.torque)
     return {"logs": [str(folder / f"{name}.mcap") for name in motions], "size": size}
 
 

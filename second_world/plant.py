@@ -131,26 +131,26 @@ def measured(plant_out: Mapping[str, np.ndarray], faults: RecorderFaults) -> np.
     if late:
         at = np.arange(len(torque)) - late
         torque = np.stack([np.interp(at, np.arange(len(torque)), column) for column in torque.T], axis=1)
-    told = torque * faults.scale + faults.offset
+    reported = torque * faults.scale + faults.offset
     for source, joint, share in faults.leaks:
-        told[:, joint] += share * torque[:, source]
-    told = np.clip(told, -faults.clip, faults.clip)
+        reported[:, joint] += share * torque[:, source]
+    reported = np.clip(reported, -faults.clip, faults.clip)
     for joint, every, length, seed in faults.holding:
-        rng = np.random.default_rng([int(seed), len(told)])
+        rng = np.random.default_rng([int(seed), len(reported)])
         moment = 0.0
-        while (moment := moment + rng.exponential(every)) * RATE < len(told) - 1:
+        while (moment := moment + rng.exponential(every)) * RATE < len(reported) - 1:
             first = int(moment * RATE)
             last = first + max(2, int(rng.exponential(length) * RATE))
-            told[first:last, joint] = told[first, joint]
-    return told
+            reported[first:last, joint] = reported[first, joint]
+    return reported
 
 
 def largest_change(
-    told: Sequence[np.ndarray], plain: Sequence[np.ndarray], nominal: np.ndarray, mean: int = 50
+    reported: Sequence[np.ndarray], plain: Sequence[np.ndarray], nominal: np.ndarray, mean: int = 50
 ) -> float:
     """Root mean square over nominal of what effects change, in the motion and on the joint of the most."""
     largest = 0.0
-    for a, b in zip(told, plain, strict=True):
+    for a, b in zip(reported, plain, strict=True):
         change = np.cumsum((a - b) / nominal, axis=0)
         smooth = (change[mean:] - change[:-mean]) / mean
         largest = max(largest, float(np.sqrt(np.mean(smooth**2, axis=0)).max()))

@@ -108,11 +108,11 @@ class BrokerLink:
 
     def begin(self) -> None:
         """A motion is about to start: count anew from here on; says so where rows are not the controller's samples."""
-        told = self.clock.active
+        before = self.clock.active
         self.joiner.forget_counts()
         self.clock.begin()
         facts = self.clock.facts
-        if self.clock.active and not told:
+        if self.clock.active and not before:
             _log.warning(
                 "the C5G Open node at %s publishes %.0f rows/s, uneven by %.2f ms: times come from the set-points, "
                 "velocities that it does not fill from positions; samples that it leaves out are missing",

@@ -32,7 +32,7 @@ _RESOLUTION = 0.001
 class Alignment:
     """Sample time = controller time + `offset` at controller time `middle` [s], growing by `drift` seconds a second.
 
-    Deviations: `offset_deviation` [s] includes the controller's resolution; `count` feedbacks told it.
+    Deviations: `offset_deviation` [s] includes the controller's resolution; `count` feedbacks it is taken from.
     """
 
     middle: float
@@ -173,8 +173,8 @@ def _offsets(
         offset = np.clip(offset + step, start - _REACH, start + _REACH)
     inside = (when + offset > times[0]) & (when + offset < times[-1]) & (np.abs(offset - start) < 0.99 * _REACH)
     left = np.abs(where - _interpolated(when + offset, times, positions)).max(axis=1)
-    told = inside & (speed > _FAST**2) & (left < _ASTRAY)
-    return [(float(t), float(o)) for t, o in zip(when[told], offset[told], strict=True)]
+    usable = inside & (speed > _FAST**2) & (left < _ASTRAY)
+    return [(float(t), float(o)) for t, o in zip(when[usable], offset[usable], strict=True)]
 
 
 def _interpolated(at: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -90,12 +90,12 @@ def insist_on_stop(
 
     `tell`: says to a person what to do, where one has started the motion.
     """
-    until, told = time.monotonic() + timeout, False
+    until, said = time.monotonic() + timeout, False
     while answer is not None and not answer.success and not motion.wait(_STOP_AGAIN):
         if time.monotonic() > until:
             return answer
-        if tell is not None and not told:
-            told = True
+        if tell is not None and not said:
+            said = True
             tell("the controller does not take the stop command: press HOLD at the teach pendant, now")
         answer = sockets.command(stop)
     return answer

@@ -141,8 +141,8 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
     def frames(self) -> dict[str, np.ndarray]:
         """`ReportsFrames`: as the last feedback has them."""
         feedback = self._connected().feedback()
-        told = {"$BASE": feedback.base, "$TOOL": feedback.tool, "$UFRAME": feedback.user}
-        return {name: pose_of_frame(fields) for name, fields in told.items()}
+        frames = {"$BASE": feedback.base, "$TOOL": feedback.tool, "$UFRAME": feedback.user}
+        return {name: pose_of_frame(fields) for name, fields in frames.items()}
 
     def upload(self, name: str, text: str) -> str:
         """Store a program by FTP; returns the SHA-256 (hex) of what was read back.

@@ -101,7 +101,7 @@ class SnapshotClock:
         self._given = 0  # of them: rows before are kept to tell the phase
         self._estimated = 0  # rows that had come when the phase was estimated last
         self._phase: float | None = None  # [µs]
-        self._told = False  # by set-points, that is
+        self._determined = False  # by set-points, that is
         self._zero: float | None = None  # time of snapshot number 0 [µs]
         self._last = -(2**62)  # number of the last snapshot given out
 
@@ -177,7 +177,7 @@ class SnapshotClock:
 
         cell = period / _PHASES
         best, good = smooth(cell * np.arange(_PHASES))
-        if good.all() or (self._told and good[0]):
+        if good.all() or (self._determined and good[0]):
             return
         low = high = best
         while good[(high + 1) % _PHASES]:
@@ -189,8 +189,8 @@ class SnapshotClock:
             trials = cell * (best + np.linspace(-1, 1, _FINE))
             edges = trials[np.flatnonzero(smooth(trials)[1])[[0, -1]]]
         edges -= period * np.round(edges.mean() / period)  # the phase is the same a period on
-        self._phase = start + float(np.clip(0.0, *edges) if self._told else edges.mean())
-        self._told = True
+        self._phase = start + float(np.clip(0.0, *edges) if self._determined else edges.mean())
+        self._determined = True
 
     def _samples(self, rows: Rows, start: int, stop: int, phase: float) -> tuple[np.ndarray, np.ndarray]:
         """Times [µs] and values of rows `start` to `stop`, each snapshot once."""

@@ -16,7 +16,7 @@ _KEPT_FREE = 2  # the queue is busy from here on
 class PointQueue:
     """Takes points while they fit; once started, the interpolator reads them away as they come.
 
-    `complete` says that the sender has told its last, `started` that the trajectory is to run.
+    `complete` says that the sender has sent its last, `started` that the trajectory is to run.
     """
 
     def __init__(self, robot: RobotDescription) -> None:
