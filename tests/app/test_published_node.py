@@ -51,14 +51,12 @@ def test_a_torque_model_is_nearly_as_good_as_through_an_ideal_node(record, measu
     unseen = ca.read_logs(record("unseen", 2, 16, None), "comau_ns16")
 
     def error(period: float | None) -> float:
-        logs = ca.read_logs(record("excite", 1, 40, period), "comau_ns16")
-        model = ca.estimate("comau_ns16", logs)
-        return float(np.sqrt(np.mean(np.square(ca.validate(model, unseen).to_dict()["overall"]["normalised_rmse"]))))
+        logs = ca.read_logs([record(f"excite_{seed}", seed, 40, period) for seed in (1, 3)], "comau_ns16")
+        result = ca.validate(ca.estimate("comau_ns16", logs), unseen).to_dict()
+        return float(np.sqrt(np.mean(np.square(result["overall"]["normalised_rmse"]))))
 
     ideal = error(None)
-    for period in (2.0e-3, 2.1e-3, 2.4e-3, 2.7e-3, 3.0e-3):
+    for period in (2.0e-3, 2.02e-3, 2.05e-3, 2.5e-3, 3.0e-3):  # next to 2 ms stamps and snapshots beat in the band
         ratio = error(period) / ideal
-        measured(
-            f"cnr_comau, published node, loop of {1e3 * period:.2f} ms: error over that of the ideal node", ratio, ""
-        )
+        measured(f"cnr_comau, published node, loop of {1e3 * period:.2f} ms: error over the ideal node's", ratio, "")
         assert ratio < 1.2

@@ -23,6 +23,9 @@ _UNEVEN, _SHARE = 0.005, 0.02  # of a period; of the rows: more that are off the
 _SHORT = 0.75  # of a period: no turn of the loop takes less
 _LOOKED_AT = 500  # rows that tell whether they are
 _TELLING = 1e-3  # deg of set-points' travel below which they tell no phase
+_CUBIC = 4  # snapshots through which the set-points are continued to the next row
+_TRIALS = np.array([0.0, -1.0, 1.0])  # numbers that it may be off by
+_CLEARLY = 0.3  # times the distance from there
 _WORSE = 2.0  # times the smallest roughness: such a phase is wrong
 _IDLE = 0.3  # s without a row after which what waits is given out
 
@@ -99,6 +102,7 @@ class SnapshotClock:
     def _forget(self) -> None:
         self._rows: Rows | None = None
         self._given = 0  # of them: rows before are kept to tell the phase
+        self._numbers = np.empty(0)  # of these
         self._estimated = 0  # rows that had come when the phase was estimated last
         self._phase: float | None = None  # [µs]
         self._determined = False  # by set-points, that is
@@ -171,23 +175,25 @@ class SnapshotClock:
         if not targets.size:
             return
 
-        def smooth(trials: np.ndarray) -> tuple[int, np.ndarray]:
-            rough = [_roughness(np.floor((rows.times - start - trial) / period), targets) for trial in trials]
-            return int(np.argmin(rough)), np.array(rough) <= _WORSE * min(rough)
+        def rough(trials: np.ndarray) -> np.ndarray:
+            return np.array([_roughness(np.floor((rows.times - start - trial) / period), targets) for trial in trials])
 
         cell = period / _PHASES
-        best, good = smooth(cell * np.arange(_PHASES))
-        if good.all() or (self._determined and good[0]):
-            return
+        coarse = rough(cell * np.arange(_PHASES))
+        best, good = int(np.argmin(coarse)), coarse <= _WORSE * coarse.min()
         low = high = best
-        while good[(high + 1) % _PHASES]:
+        while not good.all() and good[(high + 1) % _PHASES]:
             high += 1
-        while good[(low - 1) % _PHASES]:
+        while not good.all() and good[(low - 1) % _PHASES]:
             low -= 1
         edges = cell * np.array([low, high])
-        if low == high:
+        if low == high:  # between the trials one may be better still
             trials = cell * (best + np.linspace(-1, 1, _FINE))
-            edges = trials[np.flatnonzero(smooth(trials)[1])[[0, -1]]]
+            fine = rough(trials)
+            good = np.append(coarse[:1], fine) <= _WORSE * fine.min()
+            edges = trials[np.flatnonzero(good[1:])[[0, -1]]]
+        if good[0] and (self._determined or good.all()):
+            return
         edges -= period * np.round(edges.mean() / period)  # the phase is the same a period on
         self._phase = start + float(np.clip(0.0, *edges) if self._determined else edges.mean())
         self._determined = True
@@ -195,7 +201,11 @@ class SnapshotClock:
     def _samples(self, rows: Rows, start: int, stop: int, phase: float) -> tuple[np.ndarray, np.ndarray]:
         """Times [µs] and values of rows `start` to `stop`, each snapshot once."""
         period = self._period
-        number = np.maximum.accumulate(np.floor((rows.times - phase) / period))
+        place = (rows.times - phase) / period
+        number = np.floor(place)
+        number[:start] = self._numbers
+        number = _followed(number, rows.values[:, _TARGET], start, stop + _CUBIC)
+        self._numbers = number[max(0, stop - _BEHIND) : stop]
         new = np.flatnonzero(np.diff(number, prepend=-np.inf) > 0)  # the first row of each snapshot
         chosen = new[(new >= start) & (new < stop)]
         chosen = chosen[number[chosen] > self._last]
@@ -208,7 +218,8 @@ class SnapshotClock:
             if not self._filled[target] and len(new) > 1:
                 rate = np.gradient(rows.values[new, source], number[new] * period * 1e-6, axis=0)
                 values[:, target] = rate[np.searchsorted(new, chosen)]
-        currents = np.maximum.accumulate(np.floor((rows.times + rows.late - phase) / period))
+        ahead = np.median(number - np.floor(place))  # where the set-points say that the phase is a period off
+        currents = np.maximum.accumulate(np.maximum(number, np.floor(place + rows.late / period) + ahead))
         kinds, at = np.unique(currents, return_index=True)
         series = rows.values[at, _CURRENT]
         values[:, _CURRENT] = np.column_stack([np.interp(number[chosen], kinds, column) for column in series.T])
@@ -224,6 +235,27 @@ class SnapshotClock:
             repeated=facts.repeated + rows - given,
             currents_between=facts.currents_between + between,
         )
+
+
+def _followed(number: np.ndarray, targets: np.ndarray, start: int, stop: int) -> np.ndarray:
+    """Numbers (K,) of snapshots that rise, each off by one at most; those before row `start` are right.
+
+    Rows from `start` to `stop` are of the snapshot that continues the set-points (K, n), where that is clearly another.
+    """
+    others = ~np.eye(_CUBIC, dtype=bool)
+    for k in range(start, min(stop, len(number))):
+        first = max(0, k - 2 * _CUBIC)
+        at = first + np.unique(number[first:k], return_index=True)[1][-_CUBIC:]
+        nodes = number[at] - number[k]
+        if len(nodes) < _CUBIC or nodes[-1] - nodes[0] > 4 * _CUBIC:
+            continue
+        weights = np.prod(np.where(others, _TRIALS[:, None, None] - nodes, 1.0), axis=2)
+        weights /= np.prod(nodes[:, None] - nodes, axis=1, where=others)
+        off = np.linalg.norm(weights @ targets[at] - targets[k], axis=1)
+        best = int(np.argmin(off))
+        if off[best] < _CLEARLY * off[0]:
+            number[k] += _TRIALS[best]
+    return np.maximum.accumulate(number)
 
 
 def _roughness(number: np.ndarray, targets: np.ndarray) -> float:
