@@ -15,6 +15,7 @@ from agent.core.console import Console
 from agent.pipeline.check import check_recipe
 from agent.robot import load_robot
 from agent.robot.drivetrain import torque_per_ampere
+from drivers.conformance import _connect_when_free as connect_when_free
 from drivers.errors import DriverError
 from drivers.protocol import ViaPoint
 from drivers.registry import create
@@ -47,7 +48,7 @@ NS16 = PROGRAM.replace("FIRST", "20, 10, -80, 20, 20, 20").replace("SECOND", "0,
 def connected(address, robot):
     with closing(create("cnr_comau", address)) as driver:
         driver.torque_per_ampere = torque_per_ampere(load_robot(robot))
-        driver.connect()
+        connect_when_free(driver)
         yield driver
 
 
