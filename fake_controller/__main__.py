@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import signal
 import sys
 import threading
@@ -11,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core import AgentError, InputError, read_json
+from agent.core import AgentError, InputError, read_json, write_atomically
 from fake_controller.servers import WIRES
 
 if TYPE_CHECKING:
@@ -62,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     try:
         if options.ready_file is not None:
-            _write_whole(options.ready_file, server.address + "\n")
+            write_atomically(options.ready_file, server.address + "\n")
         print(f"fake controller: {controller.robot.name} at {server.address}, clock {options.clock}", flush=True)
         done.wait()
     except OSError as error:
@@ -180,12 +179,6 @@ def _broker(text: str) -> tuple[str, float]:
     if not colon or not port.isdigit():
         raise argparse.ArgumentTypeError(f"{text!r} is no broker; host:port is")
     return host.strip("[]"), _port(port)
-
-
-def _write_whole(path: Path, text: str) -> None:
-    beside = path.with_name(path.name + ".part")
-    beside.write_text(text, encoding="utf-8")
-    os.replace(beside, path)
 
 
 if __name__ == "__main__":

@@ -18,8 +18,7 @@ from agent.blind_check.cases import Case
 from agent.blind_check.key import key_text, open_key, seal
 from agent.blind_check.scoring import outcome, score
 from agent.blind_check.worlds import EmulatorWorld, MujocoWorld, World
-from agent.core import AgentError, Console, InProcess, InputError, TaskEngine
-from agent.runs import write_atomically
+from agent.core import AgentError, Console, InProcess, InputError, TaskEngine, write_atomically
 from drivers.errors import DriverError
 
 Found = TypeVar("Found")

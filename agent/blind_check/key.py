@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from agent.blind_check.cases import Case
-from agent.core import InputError
-from agent.runs import sha256_text, write_atomically
+from agent.core import InputError, sha256_text, write_atomically
 
 #: The hash, there from the start; and the key itself, there after the last diagnosis.
 SEAL, KEY = "key.sha256", "key.json"

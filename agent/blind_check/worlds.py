@@ -14,8 +14,7 @@ import numpy as np
 
 from agent.blind_check.cases import GROUP, Case, draw_cases
 from agent.blind_check.runs import link_recipe, record_motions
-from agent.core import Console, ControllerError, InputError
-from agent.runs import write_atomically
+from agent.core import Console, ControllerError, InputError, write_atomically
 
 _PLAIN = "without_effect"
 _NOWHERE = "127.0.0.1:9"  # plans are drawn without a controller

@@ -25,6 +25,12 @@ from .errors import (
     SafetyError as SafetyError,
 )
 from .figures import error_text as error_text, plus_minus as plus_minus
+from .files import (
+    sha256_file as sha256_file,
+    sha256_text as sha256_text,
+    write_atomically as write_atomically,
+    written_whole as written_whole,
+)
 from .memory import keep_freed_memory as keep_freed_memory
 from .on_dask import DaskEngine as DaskEngine
 from .output import (

@@ -7,7 +7,6 @@ fetched is compared with the size, and where it is one with the MD5, that the st
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 import shutil
 import time
@@ -17,7 +16,7 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any, TypeVar
 
-from agent.core import AgentError, InputError, needed
+from agent.core import AgentError, InputError, needed, written_whole
 
 #: How often a store is asked before it counts as unavailable, and the first pause between [s]; each is twice the last.
 TRIES = 4
@@ -194,24 +193,18 @@ class Store:
 
 def _put_local(path: Path, content: bytes | Path) -> None:
     """Write beside, flush to the disk and rename."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file to write")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with open(beside, "wb") as file:
+        with written_whole(path) as beside:
             if isinstance(content, Path):
-                with open(content, "rb") as source:
-                    shutil.copyfileobj(source, file)
+                shutil.copyfile(content, beside)
             else:
-                file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
+                beside.write_bytes(content)
     except (NotADirectoryError, FileExistsError):
         raise InputError(f"{path}: a file is where its folder should be; name another place") from None
     except OSError as error:
-        beside.unlink(missing_ok=True)
         raise AgentError(f"{path}: cannot be written: {error.strerror}; free space or rights?") from None
 
 

@@ -17,6 +17,7 @@ import io
 import json
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
+from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from agent.core import RejectedError
+from agent.core import RejectedError, written_whole
 from agent.model.friction_terms import ODD, steady_columns
 from agent.model.identified import IdentifiedModel
 from agent.model.sdf import sdf_text
@@ -59,17 +60,12 @@ def export_model(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
         folder / FOXGLOVE_LAYOUT: foxglove_layout(model.robot.joint_names),
     }
     folder.mkdir(parents=True, exist_ok=True)
-    parts = {path: path.with_name(path.name + ".part") for path in texts}
-    try:
-        for path, text in texts.items():
-            parts[path].write_text(text, encoding="utf-8")
-        urdf, mujoco, friction, *_ = parts.values()
+    with ExitStack() as stack:
+        parts = [stack.enter_context(written_whole(path)) for path in texts]
+        for part, text in zip(parts, texts.values(), strict=True):
+            part.write_text(text, encoding="utf-8")
+        urdf, mujoco, friction, *_ = parts
         _read_back(model, urdf, mujoco, friction)
-        for path, part in parts.items():
-            part.replace(path)
-    finally:
-        for part in parts.values():
-            part.unlink(missing_ok=True)
     return tuple(texts)
 
 

@@ -159,7 +159,7 @@ class IdentifiedModel(RigidFrictionModel):
         Raises:
             AgentError: the disk is full or not writable; what was there stays.
         """
-        from agent.runs import write_atomically
+        from agent.core import write_atomically
 
         write_atomically(Path(path), json.dumps(self.to_dict(), allow_nan=False))
 

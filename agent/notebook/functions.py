@@ -141,8 +141,8 @@ def report(result: GapDiagnosis | TorqueValidation | Calibration | str | Path, o
     Raises:
         InputError: `out` is missing or cannot be written, or the run folder is not complete.
     """
+    from agent.core import write_atomically
     from agent.pipeline import check_output
-    from agent.runs import write_atomically
 
     if isinstance(result, (Calibration, str, Path)):
         from agent.pipeline import rebuild_report

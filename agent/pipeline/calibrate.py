@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from agent.core import Console, error_text
+from agent.core import Console, error_text, sha256_file
 from agent.link import Recording, answering
 from agent.pipeline import planning
 from agent.pipeline.ending import current_run, ending_text, going_on
@@ -17,7 +17,7 @@ from agent.pipeline.reports import refresh_index
 from agent.pipeline.result import CalibrationResult, build_result, provenance, run_data, typical_motion
 from agent.recipe import Recipe
 from agent.robot import not_judged_text, outcome_text
-from agent.runs import RunFolder, approve, check_approved, register_run, robot_lock, run_key, sha256_file
+from agent.runs import RunFolder, approve, check_approved, register_run, robot_lock, run_key
 from agent.safety import check_period
 
 

@@ -31,8 +31,8 @@ def compare_runs(runs: Sequence[Path], console: Console, report: Path | None = N
         for run, model in zip(runs[1:], models[1:], strict=True)
     ]
     if report is not None:
+        from agent.core import write_atomically
         from agent.report import comparison_page
-        from agent.runs import write_atomically
 
         by_name = {run.name: model for run, model in zip(runs, models, strict=True)}
         predictions = [predict_log(model, motion) for model in models]

@@ -55,9 +55,9 @@ def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: 
     Raises:
         InputError, RejectedError: the file cannot be changed in place, or did not read back as meant.
     """
+    from agent.core import write_atomically
     from agent.diagnosis import corrected, ranges, ranges_text
     from agent.model import CATALOGUE, write_corrected
-    from agent.runs import write_atomically
 
     correction = corrected(found, simulator)
     for note in correction.notes:

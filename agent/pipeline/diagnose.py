@@ -68,6 +68,7 @@ def diagnose_recording(
     Raises:
         AgentError, DriverError: as in `agent calibrate`, before anything moves or after a controlled stop.
     """
+    from agent.core import write_atomically
     from agent.pipeline import planning
     from agent.pipeline.calibrate import step
     from agent.pipeline.ending import ending_text
@@ -75,7 +76,7 @@ def diagnose_recording(
     from agent.pipeline.reports import refresh_index
     from agent.pipeline.until_sure import until_sure
     from agent.recipe import load_recipe
-    from agent.runs import RunFolder, approve, robot_lock, write_atomically
+    from agent.runs import RunFolder, approve, robot_lock
 
     loaded = load_recipe(recipe)
     _check(question, [])
@@ -161,9 +162,9 @@ def _diagnose(
     if question.next_recipe is not None:
         result["next_experiment"] = _next(found, question, console) or result["next_experiment"]
     if question.report is not None:
+        from agent.core import write_atomically
         from agent.pipeline.first_screen import after_diagnosis
         from agent.report import diagnosis_report
-        from agent.runs import write_atomically
 
         steps = after_diagnosis(found.result, source, paths, question.model)
         page = diagnosis_report(found, simulated, result.get("forward"), steps)

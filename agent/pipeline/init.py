@@ -9,10 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from agent.core import Bare, Dimension, InputError, parse_quantity
+from agent.core import Bare, Dimension, InputError, parse_quantity, write_atomically
 from agent.recipe import BARE_ANGLE, BARE_LEAN, BARE_PLACE, BARE_REACH, load_recipe, recipe_schema, template
 from agent.robot import builtin_robots, load_robot
-from agent.runs import write_atomically
 
 #: Beside the recipe; editors with a YAML language server read it.
 SCHEMA = "recipe.schema.json"

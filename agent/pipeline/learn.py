@@ -72,9 +72,9 @@ def learn_files(robot: str, paths: Sequence[Path], out: Path, console: Console) 
         InputError: logs without set-points, of another robot or of several, at rest, without their program, or that do
             not follow it.
     """
+    from agent.core import write_atomically
     from agent.motion import FlyParameters, LearnedLaw, Learner, MotionError, robot_digest
     from agent.robot import load_robot
-    from agent.runs import write_atomically
 
     check_output(out, paths)
     if out.suffix.lower() not in (".yaml", ".yml"):

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core import Console, InputError
+from agent.core import Console, InputError, write_atomically
 from agent.pipeline.planning import checked_chains, loop_problem
 from agent.recipe import Recipe
-from agent.runs import make_folder, write_atomically, write_json
+from agent.runs import make_folder, write_json
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis

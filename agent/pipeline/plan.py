@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core import Console, InputError, TaskEngine
+from agent.core import Console, InputError, TaskEngine, write_atomically
 from agent.link import check_cell
 from agent.pipeline.planning import PlannedMotion, program_text, search_loop
 from agent.recipe import Recipe
-from agent.runs import make_folder, write_atomically, write_json
+from agent.runs import make_folder, write_json
 
 if TYPE_CHECKING:
     from agent.model import IdentifiedModel

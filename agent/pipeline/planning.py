@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core import Console, InputError, TaskEngine, read_json
+from agent.core import Console, InputError, TaskEngine, read_json, sha256_file, sha256_text
 from agent.link import check_cell, plan_statements
 from agent.recipe import Recipe
-from agent.runs import RunFolder, sha256_file, sha256_text
+from agent.runs import RunFolder
 
 if TYPE_CHECKING:
     from agent.excitation import Loop, LoopProblem

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core import Console, InputError
+from agent.core import Console, InputError, sha256_file, write_atomically
 from agent.pipeline.reports import recalibration_page
 from agent.recipe import Recipe, load_recipe
-from agent.runs import PastRun, read_object, read_run, readable, sha256_file, write_atomically
+from agent.runs import PastRun, read_object, read_run, readable
 
 if TYPE_CHECKING:
     from agent.model import IdentifiedModel

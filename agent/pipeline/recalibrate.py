@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core import Console, ControllerError, error_text
+from agent.core import Console, ControllerError, error_text, sha256_file
 from agent.link import Recording, RobotLink, open_link
 from agent.pipeline.calibrate import step
 from agent.pipeline.drift_check import diagnose_if_worse, worse_joints
@@ -20,17 +20,7 @@ from agent.pipeline.reports import refresh_index, watch_lines
 from agent.pipeline.result import RecordingFigures, provenance
 from agent.recipe import Recipe
 from agent.robot import not_judged_text, outcome_text, torque_units, without_nominal
-from agent.runs import (
-    RunFolder,
-    apply_run,
-    approve,
-    register_run,
-    robot_lock,
-    run_key,
-    sha256_file,
-    too_early,
-    wrong_clock,
-)
+from agent.runs import RunFolder, apply_run, approve, register_run, robot_lock, run_key, too_early, wrong_clock
 from agent.safety import Authorisation
 
 if TYPE_CHECKING:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agent.core import Console, ControllerError, InputError
+from agent.core import Console, ControllerError, InputError, sha256_file
 from agent.link import MotionOfMany, Recording, RobotLink, open_link, report_losses
 from agent.pipeline.planning import Plan, checked_chains, programs
 from agent.recipe import Recipe
-from agent.runs import RunFolder, sha256_file
+from agent.runs import RunFolder
 
 EXCITATION = "excitation.mcap"
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core import AgentError, Console, InputError
+from agent.core import AgentError, Console, InputError, write_atomically
 from agent.pipeline.drift_check import diagnose_if_worse, joint_moves, moving_rmse, worse_joints
 from agent.recipe import Recipe
-from agent.runs import RunFolder, current_runs, last_accepted, open_history, write_atomically
+from agent.runs import RunFolder, current_runs, last_accepted, open_history
 
 if TYPE_CHECKING:
     from agent.recording import Log

@@ -230,7 +230,7 @@ def typical_motion(predictions: Sequence[Prediction]) -> Prediction:
 
 def provenance(run_path: Path, state: dict[str, Any], logs: Sequence[Path]) -> dict[str, str]:
     """Versions and SHA-256 of everything that went into a run, as names and text."""
-    from agent.runs import sha256_file
+    from agent.core import sha256_file
 
     entries = {f"version of {name}": version for name, version in state["versions"].items()}
     entries |= {f"SHA-256 of {name}": value for name, value in state["inputs_sha256"].items()}

@@ -15,9 +15,9 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from agent.core import InputError
+from agent.core import InputError, write_atomically
 from agent.recipe import Recipe
-from agent.runs import make_folder, write_atomically
+from agent.runs import make_folder
 
 _HOUR = 3600.0
 _DAY = 24 * _HOUR

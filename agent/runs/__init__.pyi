@@ -18,9 +18,6 @@ from .due import too_early as too_early, wrong_clock as wrong_clock
 from .folder import (
     RunFolder as RunFolder,
     make_folder as make_folder,
-    sha256_file as sha256_file,
-    sha256_text as sha256_text,
-    write_atomically as write_atomically,
     write_json as write_json,
 )
 from .history import (

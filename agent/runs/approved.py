@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import InputError, read_json
+from agent.core import InputError, read_json, sha256_file, sha256_text
 from agent.recipe import Recipe, ViaPointsSection
-from agent.runs.folder import RunFolder, sha256_file, sha256_text
+from agent.runs.folder import RunFolder
 
 FILE = "approved.json"
 _SCHEMA = "approved/1"

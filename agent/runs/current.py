@@ -15,8 +15,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core import AgentError, Console, InputError, read_json
-from agent.runs.folder import RunFolder, sha256_file, write_json
+from agent.core import AgentError, Console, InputError, read_json, sha256_file
+from agent.runs.folder import RunFolder, write_json
 from agent.runs.history import open_history
 from agent.runs.past_run import read_run
 

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
-import os
 import platform
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from agent.core import AgentError, InputError, finite, fit_to_show, package_version, read_json
-from drivers.texts import hide
+from agent.core import (
+    AgentError,
+    InputError,
+    finite,
+    fit_to_show,
+    package_version,
+    read_json,
+    sha256_file,
+    sha256_text,
+    write_atomically,
+)
 
 _STATE = "state.json"
 
@@ -163,42 +170,6 @@ def make_folder(folder: Path, what: str) -> None:
 def write_json(path: Path, data: Any) -> Path:
     """Write JSON as `write_atomically` does; a number that is not finite becomes null."""
     return write_atomically(path, json.dumps(finite(data), indent=2, allow_nan=False) + "\n")
-
-
-def write_atomically(path: Path, text: str) -> Path:
-    """Write beside, flush to the disk and rename. A password that this process has read is left out.
-
-    A device or a pipe is written to as it is: a rename would put a file in its place.
-
-    Raises:
-        AgentError: disk full, read-only or no rights; the old file is untouched.
-    """
-    special = path.exists() and not path.is_file()
-    beside = path if special else path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with open(beside, "w", encoding="utf-8") as file:
-            file.write(hide(text))
-            file.flush()
-            if not special:
-                os.fsync(file.fileno())
-        if not special:
-            os.replace(beside, path)
-    except OSError as error:
-        if not special:
-            beside.unlink(missing_ok=True)
-        raise AgentError(f"{path}: cannot be written: {error.strerror}; free space or rights?") from None
-    return path
-
-
-def sha256_text(text: str) -> str:
-    """SHA-256 (hex) of the UTF-8 text."""
-    return hashlib.sha256(text.encode("utf-8")).hexdigest()
-
-
-def sha256_file(path: Path) -> str:
-    """SHA-256 (hex) of a file."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def versions() -> dict[str, str]:

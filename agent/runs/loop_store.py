@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import InputError, read_json
+from agent.core import InputError, read_json, sha256_text
 from agent.recipe import Recipe
 from agent.runs.approved import digest, problem
-from agent.runs.folder import make_folder, sha256_text, write_json
+from agent.runs.folder import make_folder, write_json
 
 #: Where loops are kept by default: among the runs.
 FOLDER = Path("logs") / "trajectories"

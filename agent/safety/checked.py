@@ -36,7 +36,7 @@ class CheckedPrograms:
         Raises:
             AgentError: the file cannot be written, or it is damaged.
         """
-        from agent.runs import write_atomically
+        from agent.core import write_atomically
 
         if self.has(serial, checksum):
             return

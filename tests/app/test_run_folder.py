@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from agent.core import sha256_text, write_atomically
 from agent.core.errors import AgentError, ControllerError, InputError, SafetyError
 from agent.link.alignment import moving_segments
-from agent.runs.folder import RunFolder, sha256_text, write_atomically
+from agent.runs.folder import RunFolder
 from agent.safety.preconditions import check_ready, confirm_clear_cell
 from drivers.protocol import Identity, Status
 

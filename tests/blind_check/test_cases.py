@@ -10,10 +10,10 @@ import pytest
 
 from agent.blind_check.cases import OUTSIDE, draw_cases, draw_effect
 from agent.blind_check.key import key_text, open_key, seal
+from agent.core import sha256_text
 from agent.core.errors import InputError
 from agent.model import CATALOGUE
 from agent.robot import load_robot
-from agent.runs.folder import sha256_text
 from fake_controller import actuation
 from fake_controller.plant import Plant
 

@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from agent.blind_check import BlindCheck
-from agent.core import Console, InputError, LocalProcesses, available_cores
-from agent.runs.folder import sha256_text
+from agent.core import Console, InputError, LocalProcesses, available_cores, sha256_text
 
 #: From here on the page is written by people.
 BY_HAND = "## Draws before this one"

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from agent.core import sha256_text
 from agent.core.errors import AgentError, InputError
 from agent.recipe import Recipe, load_recipe, template
 from agent.runs import StoredLoop, find_loop, keep_loop, stored_loops
-from agent.runs.folder import sha256_text
 from agent.runs.loop_store import loop_key
 
 

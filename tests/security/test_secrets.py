@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, strategies as st
 
-from agent.runs.folder import write_atomically
+from agent.core import write_atomically
 from drivers.errors import ConfigurationError, DriverError
 from drivers.registry import available, create
 from drivers.secrets import read_secret

@@ -17,13 +17,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 import agent.robot
+from agent.core import sha256_file, sha256_text
 from agent.core.console import Console
 from agent.core.errors import InputError
 from agent.pipeline.planning import plan_once, replan
 from agent.pipeline.reference import check_loop
 from agent.recipe import Recipe, load_recipe, template
 from agent.runs.approved import approve, check_approved, differences, digest, problem
-from agent.runs.folder import RunFolder, sha256_file, sha256_text
+from agent.runs.folder import RunFolder
 from agent.runs.loop_store import stored_loops
 
 CATALOGUE = Path(agent.robot.__file__).parent / "catalogue" / "comau_ns16"

@@ -63,7 +63,7 @@ def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> 
         RejectedError: what was written does not read back as what was meant.
         AgentError: the disk is full or not writable.
     """
-    from agent.runs import write_atomically
+    from agent.core import write_atomically
 
     source = simulator.arm.path
     arm = simulator.arm

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
 import struct
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-from agent.core import package_version
+from agent.core import package_version, written_whole
 from agent.recording.log import MACHINE, Log
 from agent.recording.mcap.foxglove import FOXGLOVE_LAYOUT as LAYOUT_NAME, foxglove_layout
 from agent.recording.mcap.joint_state import SCHEMA_NAME, SCHEMA_TEXT, JointStateLayout, layout_for
@@ -244,18 +242,13 @@ def write_log(path: Path, log: Log, further: Mapping[str, Sequence[np.ndarray]] 
     Raises:
         RecordingError: the file cannot be written.
     """
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        beside.unlink(missing_ok=True)
-        _write_whole(beside, log, further or {})
-        os.replace(beside, path)
+        with written_whole(path) as beside:
+            _write_whole(beside, log, further or {})
     except OSError as error:
         raise RecordingError(path, error.strerror) from None
     except RecordingError as error:
         raise RecordingError(path, error.reason) from None
-    finally:
-        with suppress(OSError):
-            beside.unlink(missing_ok=True)
 
 
 def _write_whole(path: Path, log: Log, further: Mapping[str, Sequence[np.ndarray]]) -> None:

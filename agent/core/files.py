@@ -1,0 +1,59 @@
+"""Files that are there whole or not at all, and their checksums."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from agent.core.errors import AgentError
+from drivers.texts import hide
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Gives the place beside `path` to write to; at the end of the block it is flushed to the disk and renamed.
+
+    An error in the block, or in the end of it, leaves what was at `path` as it was.
+    """
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        beside.unlink(missing_ok=True)
+        yield beside
+        with open(beside, "rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+    finally:
+        with contextlib.suppress(OSError):
+            beside.unlink(missing_ok=True)
+
+
+def write_atomically(path: Path, text: str) -> Path:
+    """Write a text, whole or not at all. A password that this process has read is left out.
+
+    A device or a pipe is written to as it is: a rename would put a file in its place.
+
+    Raises:
+        AgentError: disk full, read-only or no rights; the old file is untouched.
+    """
+    special = path.exists() and not path.is_file()
+    try:
+        with contextlib.nullcontext(path) if special else written_whole(path) as place:
+            place.write_text(hide(text), encoding="utf-8")
+    except OSError as error:
+        raise AgentError(f"{path}: cannot be written: {error.strerror}; free space or rights?") from None
+    return path
+
+
+def sha256_text(text: str) -> str:
+    """SHA-256 (hex) of the UTF-8 text."""
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def sha256_file(path: Path) -> str:
+    """SHA-256 (hex) of a file."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
