@@ -75,7 +75,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("agent.runs.folder.os.fsync", full)
+    monkeypatch.setattr("agent.core.files.os.fsync", full)
     with pytest.raises(AgentError, match="No space left"):
         write_atomically(path, "new")
     assert path.read_text(encoding="utf-8") == "old"
