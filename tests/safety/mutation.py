@@ -76,7 +76,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     "authorisation.py": {
         "left <= _SOON": "dates",
         "document.expires <= latest": "dates",
-        "(now or datetime.now(UTC)).date() <= word.expires": "dates",
+        "(now or datetime.now(UTC)).date() <= document.expires": "dates",
     },
     "cell.py": {"widest < 0": "of distances that were found to be numbers"},
     "clearance.py": {"self.margin > 0": "a margin that was found to be a number"},
