@@ -14,6 +14,7 @@ import pytest
 
 from agent.core import InProcess, InputError, LocalProcesses
 from agent.robot import load_robot
+from tests.conftest import end_with_tests
 
 ROOT = Path(__file__).parents[2]
 
@@ -56,13 +57,20 @@ def test_no_process_outlives_what_it_works_for(tmp_path: Path, how: signal.Signa
     script = tmp_path / "endless.py"
     script.write_text(ENDLESS, encoding="utf-8")
     main = subprocess.Popen(
-        [sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment()
+        [sys.executable, str(script)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment(),
+        preexec_fn=end_with_tests,
     )
     assert main.stdout is not None
     assert main.stdout.readline() == "working\n"
     main.send_signal(how)
-    # The workers share its pipes: these end when the last of them does.
-    main.communicate(timeout=60)
+    try:  # the workers share its pipes: these end when the last of them does
+        main.communicate(timeout=60)
+    finally:
+        main.kill()
     assert main.returncode != 0
 
 
