@@ -80,6 +80,12 @@ _SYSTEM = ctypes.CDLL(None)
 _PR_SET_PDEATHSIG = 1
 
 
+# A job that a shell starts in the background ignores these, and so would every program that is tested from there.
+for _number, _usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGQUIT, signal.SIG_DFL)):
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, _usual)
+
+
 def end_with_tests() -> None:
     """`preexec_fn` of what would run for ever: it ends when its tests are killed, where the system can do that."""
     if hasattr(_SYSTEM, "prctl"):
