@@ -21,6 +21,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from agent.robot import RobotDescription, load_robot
+from tests.browser import Browser, browser as start_browser
 
 # The same examples every time, so that a test tells of the change and not of the draw; `make verify` draws fresh ones.
 # No deadline, and no complaint about slow examples: how long one takes is the machine's affair.
@@ -257,3 +258,10 @@ joints:
   - {name: elbow, gear_ratio: -80, nominal_motor_torque: 1, torque_constant: 0.4, max_velocity: 3,
      max_acceleration: 9}
 """
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """One Chromium for all tests of pages."""
+    with start_browser() as started:
+        yield started

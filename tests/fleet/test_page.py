@@ -6,13 +6,13 @@ import base64
 import gzip
 import json
 import re
-import shutil
 from pathlib import Path
 
 import pytest
 
 from agent.fleet.page import write_page
 from agent.fleet.simulate import simulate_fleet
+from tests.browser import Browser
 
 
 def _data(page: Path) -> dict:
@@ -57,18 +57,9 @@ def test_a_run_that_failed_is_a_reason_and_pages_of_runs_are_linked(command, pla
     assert (tmp_path / links[0]).read_text(encoding="utf-8") == "<p>the run</p>"
 
 
-def _opened(page: Path, machines: int, longest: float) -> dict:
-    playwright = pytest.importorskip("playwright.sync_api")
-    chromium = next((path for path in map(shutil.which, ("chromium", "chromium-browser")) if path), None)
-    if chromium is None:
-        pytest.skip("needs Chromium")
-    with playwright.sync_playwright() as run:
-        browser = run.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        view = browser.new_page(viewport={"width": 1200, "height": 900})
-        wrong: list[str] = []
-        view.on("pageerror", lambda error: wrong.append(str(error)))
-        view.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
-        view.goto(page.as_uri())
+def _opened(browser: Browser, page: Path, machines: int, longest: float) -> dict:
+    with browser.page(page, width=1200) as opened:
+        view = opened.tab
         view.wait_for_selector("body[data-ready]", timeout=1000 * longest)
         found = {"nodes": view.evaluate("document.querySelectorAll('*').length")}
         assert f"{machines} of {machines} machines" in view.inner_text("#count")
@@ -92,25 +83,24 @@ def _opened(page: Path, machines: int, longest: float) -> dict:
         view.fill("#search", found["second"])
         found["count"] = view.inner_text("#count")
         view.keyboard.press("Tab")
-        assert wrong == []
-        browser.close()
+        assert opened.console == []
     return found
 
 
-def test_a_browser_opens_it_and_draws_what_is_looked_at(tmp_path: Path):
+def test_a_browser_opens_it_and_draws_what_is_looked_at(browser: Browser, tmp_path: Path):
     simulate_fleet("comau_ns16", 300, 2, 6, str(tmp_path / "f"), rows=True)
     write_page(str(tmp_path / "f"))
-    found = _opened(tmp_path / "f" / "_report.html", 300, 30)
+    found = _opened(browser, tmp_path / "f" / "_report.html", 300, 30)
     assert found["second"] == "robot_0001"
     assert found["count"] == "1 of 300 machines"
     assert found["nodes"] < 300, "machines are drawn, not elements of the page"
 
 
 @pytest.mark.verify
-def test_ten_thousand_machines_open_without_freezing(tmp_path: Path, measured):
+def test_ten_thousand_machines_open_without_freezing(browser: Browser, tmp_path: Path, measured):
     simulate_fleet("comau_ns16", 10_000, 8, 7, str(tmp_path / "f"), rows=True)
     write_page(str(tmp_path / "f"))
-    found = _opened(tmp_path / "f" / "_report.html", 10_000, 60)
+    found = _opened(browser, tmp_path / "f" / "_report.html", 10_000, 60)
     measured("page of 10 000 machines: longest frame while scrolling", found["frame_ms"], "ms", "at most 100 ms")
     size = (tmp_path / "f" / "_report.html").stat().st_size / 1e6
     measured("page of 10 000 machines x 8 runs: size", size, "MB")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.browser import Browser, browser as start_browser
+from tests.browser import Browser
 
 ROOT = Path(__file__).resolve().parents[2]
 JOINTS = [f"joint_{k + 1}" for k in range(6)]
@@ -79,13 +79,6 @@ def shop(calibrated: Path, tmp_path: Path) -> Path:
 def run_agent(shop: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
     """Runs the command line in that copy."""
     return lambda *arguments, **environment: agent(shop, *arguments, **environment)
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    """One Chromium for all tests of pages."""
-    with start_browser() as started:
-        yield started
 
 
 @pytest.fixture
