@@ -19,8 +19,7 @@ import numpy as np
 from agent.cli.main import main as agent
 from agent.core.errors import InputError
 from agent.excitation import Candidates, LoopProblem
-from agent.motion import ViaRegions
-from agent.motion.pdl2 import write_program
+from agent.motion import ViaRegions, write_program
 from agent.motion.program import (
     NO_FRAME,
     Delay,
