@@ -16,7 +16,8 @@ from fake_controller.servers import WIRES
 from tests.conftest import end_with_tests
 
 ROOT = Path(__file__).resolve().parents[2]
-MOTIONS = 40  # on each wire
+MOTIONS = 10  # on each wire in a piece
+PIECES = 4
 
 
 def start(*arguments: str) -> subprocess.Popen[str]:
@@ -34,19 +35,21 @@ def run(wire: str, first: int) -> list[dict]:
 
 
 @pytest.mark.verify
-def test_no_healthy_motion_is_stopped_on_a_loaded_machine(measured):
+@pytest.mark.parametrize("piece", range(PIECES))
+def test_no_healthy_motion_is_stopped_on_a_loaded_machine(piece, measured):
     """Two wires at a time, each with an agent and an emulator, beside a loop that keeps each core busy."""
+    firsts = itertools.count(piece * MOTIONS * len(WIRES), MOTIONS)
     busy = [start("-c", "while True: pass") for _ in range(os.cpu_count() or 1)]
     try:
         with ThreadPoolExecutor(2) as two:
-            ended = list(itertools.chain.from_iterable(two.map(run, WIRES, itertools.count(0, MOTIONS))))
+            ended = list(itertools.chain.from_iterable(two.map(run, WIRES, firsts)))
     finally:
         for process in busy:
             process.kill()
             process.wait()
     stopped = [one for one in ended if one["code"] != 0]
     measured(
-        "healthy motions on all wires, real time, loaded machine: stopped",
+        f"healthy motions on all wires, real time, loaded machine, piece {piece + 1} of {PIECES}: stopped",
         len(stopped),
         f"of {len(ended)}",
         "none",
