@@ -28,7 +28,7 @@ from agent.estimation.solving import reweight, solve_scaled
 from agent.estimation.summary import build_model
 from agent.estimation.uncertainty import jackknife
 from agent.estimation.workflow import ESTIMATORS
-from agent.model import IdentifiedModel
+from agent.model import IdentifiedModel, ParameterPrior
 from agent.recording import Log
 from agent.robot import Tool, rigid_bodies
 
@@ -76,6 +76,7 @@ def refit(model: IdentifiedModel, logs: Sequence[Log], parameters: str = "fricti
         covariance=_covariance(problem, found, model),
         condition_number=model.condition_number,
         effects=model.effects,
+        prior=_held(model.prior, fresh.prior, len(model.independent)),
         notes=notes,
     )
     return _judged(problem, found, fresh, model)
@@ -107,6 +108,14 @@ def _friction(problem: Problem, model: IdentifiedModel) -> Estimate:
         weights = reweight(moments, parameters)
         parameters = solver(moments.weighted(weights))
     return replace(problem.estimate(weights, solver=solver), standard=model.standard)
+
+
+def _held(before: ParameterPrior | None, fresh: ParameterPrior | None, base: int) -> ParameterPrior | None:
+    """The prior of friction, and that of base parameters which are those of the model before."""
+    if before is None or fresh is None:
+        return None
+    arrays = zip(vars(before).values(), vars(fresh).values(), strict=True)
+    return ParameterPrior(*(np.append(old[:base], new[base:]) for old, new in arrays))
 
 
 def _covariance(problem: Problem, found: Estimate, model: IdentifiedModel) -> np.ndarray:

@@ -13,7 +13,7 @@ from agent.estimation.moments import Moments, observed_standstill_speed
 from agent.estimation.observation import Observation
 from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
-from agent.estimation.uncertainty import covariance, silent_directions
+from agent.estimation.uncertainty import covariance, parameter_prior, silent_directions
 from agent.model import IdentifiedModel, condition_text
 from agent.recording import Log, machines_of
 
@@ -56,6 +56,7 @@ def build_model(
         standard=found.standard,
         group_rmse=_group_rmse(moments, found),
         standstill_speed=observed_standstill_speed(observation),
+        prior=parameter_prior(problem, found),
         provenance={**_provenance(observation, logs), "link_prior": problem.links},
     )
     return replace(model, notes=tuple(_notes(model, problem, found, times, len(logs))))

@@ -20,6 +20,7 @@ from agent.estimation.moments import Moments, standstill
 from agent.estimation.prior import Prior
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.solving import inverse, pseudo_inverse, scaled_rank
+from agent.model import ParameterPrior
 
 _SPECTRUM = 256  # rows in one piece of the estimate of a spectrum
 
@@ -48,6 +49,20 @@ def jackknife(problem: Problem, found: Estimate) -> np.ndarray:
     estimates = np.array([found.solver(total - part) for part in left_out])
     count = len(estimates)
     return np.asarray((count - 1) / count * np.sum((estimates - estimates.mean(axis=0)) ** 2, axis=0))
+
+
+def parameter_prior(problem: Problem, found: Estimate) -> ParameterPrior | None:
+    """What was held before the data, and how much of its variance they took away; None for an estimate without prior.
+
+    The share is 1 - diag(A⁻¹) / diag((k Λ)⁻¹), a prior that counts as much as rows that are not independent do.
+    """
+    if found.prior_weight == 0:
+        return None
+    precision = found.prior_weight * problem.prior.precision
+    before = np.diag(inverse(precision))
+    after = np.diag(inverse(problem.moments.weighted(found.weights)[:-1, :-1] + precision))
+    deviation = np.sqrt(found.prior_weight * before)
+    return ParameterPrior(problem.prior.mean, deviation, np.clip(1 - after / before, 0.0, 1.0))
 
 
 def _left_open(matrix: np.ndarray, prior: Prior) -> np.ndarray:

@@ -29,6 +29,7 @@ def check_model(model: RigidFrictionModel) -> None:
         "standard_parameters": (model.standard, (size,)),
         "group_rmse": (model.group_rmse, (2, n)),
         "standstill_speed": (model.standstill_speed, (n,)),
+        **({} if model.prior is None else {f"prior.{key}": (array, (p,)) for key, array in vars(model.prior).items()}),
     }
     if (model.group_rmse is None) != (model.standstill_speed is None):
         raise ValueError("group_rmse and standstill_speed belong together")
@@ -36,7 +37,7 @@ def check_model(model: RigidFrictionModel) -> None:
         if array is None:
             continue
         if array.shape != shape:
-            raise ValueError(f"{key} is an array of {shape} for {n} joints, not of {array.shape}")
+            raise ValueError(f"{key} is an array of {shape} here, not of {array.shape}")
         if not np.isfinite(array).all():
             raise ValueError(f"{key} has to be finite")
     if not all(np.isfinite(array).all() for array in (model.values, model.covariance, model.projection)):

@@ -12,7 +12,7 @@ import numpy as np
 from agent.core import InputError
 from agent.model.checks import check_model
 from agent.model.friction_terms import FrictionTerm, Reversal
-from agent.model.rigid_friction import ModelEffect, RigidFrictionModel
+from agent.model.rigid_friction import ModelEffect, ParameterPrior, RigidFrictionModel
 from agent.model.with_effects import effect_torque
 from agent.robot import RobotDescription
 
@@ -78,17 +78,24 @@ class IdentifiedModel(RigidFrictionModel):
         return term.meaning(self.robot.joint_names[term.axle])
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Table of parameters like the paper's Table I, header first."""
+        """Table of parameters like the paper's Table I, and what was held of them before the data; header first."""
         deviations = self.standard_deviations
-        rows: list[tuple[str, ...]] = [("parameter", "value", "std. dev.", "rel. [%]", "unit", "stands for")]
+        before = ("prior mean", "prior std. dev.", "from the data [%]")
+        rows: list[tuple[str, ...]] = [("parameter", "value", "std. dev.", "rel. [%]", "unit", "stands for", *before)]
         for k, name in enumerate(self.names):
             b = len(self.independent)
             unit = _standard_unit(name) if k < b else self._term_unit(self.terms[k - b])
             meaning = self.combinations[k] if k < b else self._term_meaning(self.terms[k - b])
             value, deviation = self.values[k], deviations[k]
             relative = f"{100 * deviation / abs(value):.1f}" if value != 0 else "-"
-            rows.append((name, f"{value:.5g}", f"{deviation:.2g}", relative, unit, meaning))
+            rows.append((name, f"{value:.5g}", f"{deviation:.2g}", relative, unit, meaning, *self._prior_cells(k)))
         return rows
+
+    def _prior_cells(self, k: int) -> tuple[str, str, str]:
+        if self.prior is None:
+            return "-", "-", "-"
+        share = 100 * self.prior.data_share[k]
+        return f"{self.prior.mean[k]:.5g}", f"{self.prior.standard_deviation[k]:.2g}", f"{share:.0f}"
 
     def text(self) -> str:
         """The table, what there is to say about it, and the held-out error, for people."""
@@ -149,6 +156,7 @@ class IdentifiedModel(RigidFrictionModel):
             "group_rmse": None if self.group_rmse is None else self.group_rmse.tolist(),
             "standstill_speed": None if self.standstill_speed is None else self.standstill_speed.tolist(),
             "condition_number": self.condition_number if np.isfinite(self.condition_number) else None,
+            "prior": None if self.prior is None else {key: array.tolist() for key, array in vars(self.prior).items()},
             "notes": list(self.notes),
             "provenance": self.provenance,
         }
@@ -220,6 +228,7 @@ class IdentifiedModel(RigidFrictionModel):
             standard=_optional(data, "standard_parameters"),
             group_rmse=_optional(data, "group_rmse"),
             standstill_speed=_optional(data, "standstill_speed"),
+            prior=_prior(data.get("prior")),
             notes=tuple(data["notes"]),
             effects=tuple(ModelEffect(e["effect"], tuple(e["joints"]), dict(e["parameters"])) for e in data["effects"]),
             provenance=data["provenance"],
@@ -230,6 +239,13 @@ class IdentifiedModel(RigidFrictionModel):
 
 def _optional(data: dict[str, Any], key: str) -> np.ndarray | None:
     return None if data.get(key) is None else np.array(data[key], dtype=float)
+
+
+def _prior(data: dict[str, Any] | None) -> ParameterPrior | None:
+    if data is None:
+        return None
+    keys = ("mean", "standard_deviation", "data_share")
+    return ParameterPrior(*(np.array(data[key], dtype=float) for key in keys))
 
 
 def _axle(robot: RobotDescription, joint: str) -> int:

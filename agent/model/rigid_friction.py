@@ -22,6 +22,16 @@ class ModelEffect:
 
 
 @dataclass(frozen=True, eq=False)
+class ParameterPrior:
+    """What was held of the parameters before any data: `mean` and `standard_deviation` (p,); and `data_share` (p,), the
+    part of that variance which the data took away: near 1 the data say what a parameter is, near 0 the prior does."""
+
+    mean: np.ndarray
+    standard_deviation: np.ndarray
+    data_share: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class RigidFrictionModel:
     """A fitted model of one robot: rigid bodies and friction, which is all of it but for its `effects`.
 
@@ -31,7 +41,7 @@ class RigidFrictionModel:
     `weights` (2, n) are the fit's, in motion and at standstill; `group_rmse` (2, n) is the held-out RMSE of the same
     groups, and `standstill_speed` (n,) up to which a joint stands still (None in older files); `cutoff` [Hz] and
     `order` are the filter's; `standard` (10 n + n,) are physical inertial parameters behind the base parameters, where
-    the method found them.
+    the method found them; `prior` is None where the method has none, and in older files.
     """
 
     robot: RobotDescription
@@ -52,6 +62,7 @@ class RigidFrictionModel:
     standard: np.ndarray | None = None
     group_rmse: np.ndarray | None = None
     standstill_speed: np.ndarray | None = None
+    prior: ParameterPrior | None = None
     notes: tuple[str, ...] = ()
     effects: tuple[ModelEffect, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)

@@ -12,6 +12,10 @@ from agent.report.gap_section import diagnosis_section
 from agent.report.page import Section, Table
 
 _NORMAL_95 = 1.96
+_PRIOR = (
+    "Prior: what the description, or the torque there was, says before any data. From the data: how much of the "
+    "prior's variance the data took away; near 100 % they say what a parameter is, near 0 % the prior does."
+)
 
 
 def current_sentence(result: dict[str, Any]) -> str:
@@ -31,12 +35,24 @@ def parameters_section(table: Sequence[Sequence[str]], notes: Sequence[str] = ()
             plus_minus(float(value), _NORMAL_95 * float(deviation)),
             unit,
             _known(float(value), float(deviation)),
+            "-" if mean == "-" else plus_minus(float(mean), _NORMAL_95 * float(doubt)),
+            share,
             meaning,
         )
-        for name, value, deviation, _, unit, meaning in rows
+        for name, value, deviation, _, unit, meaning, mean, doubt, share in rows
     ]
-    header = ("parameter", "value ± 95 %", "unit", "how well it is known", "stands for")
-    return Section("Parameters", notes, (Table("parameters", header, shown),))
+    header = (
+        "parameter",
+        "value ± 95 %",
+        "unit",
+        "how well it is known",
+        "prior ± 95 %",
+        "from the data [%]",
+        "stands for",
+    )
+    priors = any(row[6] != "-" for row in rows)
+    text = (*notes, _PRIOR) if priors else notes
+    return Section("Parameters", text, (Table("parameters", header, shown),))
 
 
 def diagnosis_part(diagnosis: dict[str, Any] | None, reference: str) -> Section:

@@ -89,6 +89,7 @@ def test_a_model_that_lacks_a_part_says_so(model, tmp_path, key):
     [
         (lambda data: data.update(weights=[[1.0, 2.0]]), "weights is an array"),
         (lambda data: data.update(held_out_rmse=[1.0]), "held_out_rmse is an array"),
+        (lambda data: data["prior"].update(data_share=[1.0]), r"prior\.data_share is an array"),
         (lambda data: data.update(standard_parameters=[1.0]), "standard_parameters is an array"),
         (lambda data: data.update(residual_rmse=[None] * len(data["residual_rmse"])), "residual_rmse has to be finite"),
         (lambda data: data["independent"].__setitem__(0, 999), "independent counts standard parameters"),
@@ -130,6 +131,20 @@ def test_the_table_names_units_and_meanings(model):
     assert by_name["f1_2"][4] == "N·m·s/rad"
     assert "joint_3" in by_name["f0_3"][5]
     assert "condition number" in model.text()
+
+
+def test_the_table_says_what_came_from_the_data_and_what_from_the_prior(arm, multisine, make_log):
+    robot = arm(2)
+    t = np.arange(3000) / 500
+    q, qd, qdd = multisine(2, t)
+    for values in (q, qd, qdd):
+        values[:, 1] = 0.0
+    torque = np.tanh(qd / 0.01) + 2 * qdd + 5 * np.cos(q) + 0.1 * np.random.default_rng(0).normal(size=q.shape)
+    log = make_log(robot, t, q, torque)
+    share = {row[0]: row[8] for row in estimate(robot, [log], EstimationSettings.create(method="weighted")).rows()}
+    assert (share["f0_1"], share["f0_2"]) == ("100", "0")
+    paper = estimate(robot, [log], EstimationSettings.create(method="paper"))
+    assert {row[6:] for row in paper.rows()[1:]} == {("-", "-", "-")}
 
 
 def test_the_interval_grows_where_the_data_were_silent(model, motion):
