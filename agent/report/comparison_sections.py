@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.report.common_sections import percent
-from agent.report.figures import Figure, new_plot, to_figure
+from agent.report.figures import Figure, answer_along, new_plot, to_figure
 from agent.report.page import Section, Table
 from agent.report.plots import SERIES
 
@@ -78,6 +78,11 @@ def changes_figure(comparison: Comparison, name: str = "changes") -> Figure:
     colours = [SERIES[3] if change.moved else SERIES[0] for change in changes]
     shown = np.clip(values, -_SHOWN, _SHOWN)
     axes[0, 0].bar(place, shown, color=colours)
+    texts = (
+        f"{c.name}: {c.before:.4g} before, {c.after:.4g} {c.unit} after, {c.deviations:+.1f} standard deviations"
+        for c in changes
+    )
+    answer_along(axes[0, 0].axvspan, texts)
     axes[0, 0].axhline(BEYOND, linestyle=":", color=SERIES[3])
     axes[0, 0].axhline(-BEYOND, linestyle=":", color=SERIES[3])
     top = max(5.0, float(np.abs(shown).max(initial=0.0)))

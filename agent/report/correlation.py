@@ -54,9 +54,9 @@ def _map(values: np.ndarray, names: tuple[str, ...]) -> Figure:
             value = float(values[k, other])
             if abs(value) >= _SHOWN:
                 drawn.append(
+                    f'<g class="answer"><title>{escape(name)}, {escape(names[other])}: {value:+.2f}</title>'
                     f'<rect x="{left + size * other}" y="{size * k}" width="{size - 1}" height="{size - 1}" '
-                    f'fill="{_LIKE if value > 0 else _AGAINST}" fill-opacity="{abs(value):.2f}">'
-                    f"<title>{escape(name)}, {escape(names[other])}: {value:+.2f}</title></rect>"
+                    f'fill="{_LIKE if value > 0 else _AGAINST}" fill-opacity="{abs(value):.2f}"/></g>'
                 )
     svg = (
         f'<svg viewBox="0 0 {side} {side}" style="max-width:{1.4 * side:.0f}px" font-size="9" fill="currentColor">'

@@ -9,7 +9,7 @@ import numpy as np
 from agent.diagnosis import BANDS, Diagnosis, Simulated, band_shares, masks, motor_phase_share
 from agent.model import REGIMES
 from agent.recording import Log
-from agent.report.figures import Figure, cell_map, new_plot, to_figure
+from agent.report.figures import Figure, answer_along, cell_map, new_plot, to_figure
 from agent.report.plots import SERIES, Panel, Plot, Series
 from agent.report.torque_section import worst_first
 from agent.robot import SHARE, torque_units
@@ -52,7 +52,8 @@ def band_map(diagnosis: Diagnosis) -> Figure:
         "Share of each joint's squared error by frequency, and that of it which goes with the angle of the motor "
         "(- where the motor turns too fast or too little to tell), in %."
     )
-    return cell_map("bands", caption, values, [*labels, "motor angle"], dataset.robot.joint_names)
+    names = dataset.robot.joint_names
+    return cell_map("bands", caption, values, [*labels, "motor angle"], names, ["%"] * len(names))
 
 
 def timeline(diagnosis: Diagnosis) -> Plot:
@@ -89,20 +90,27 @@ def before_and_after(diagnosis: Diagnosis) -> Figure:
     scale = np.where(shares, 100.0, np.nan) if shares.any() else np.ones(len(count))
     before, after = (scale * np.array(gap[side]) for side in ("before", "after"))
     floor = np.full(len(count), np.nan) if gap["floor"] is None else scale * np.array(gap["floor"])
+    rows = np.column_stack([before, after, floor])
     plot, axes = new_plot(height=0.42 * len(count) + 1.2)
     axis = axes[0, 0]
     axis.barh(count - 0.18, before, 0.34, label="model alone", color=SERIES[1])
     axis.barh(count + 0.18, after, 0.34, label="with the effects", color=SERIES[0])
     axis.plot(floor, count, "|", markersize=16, markeredgewidth=2, color=SERIES[3], label="floor", linestyle="none")
+    unit = "% of nominal" if shares.any() else "N·m"
+    answer_along(axis.axhspan, (_sides(joint, row, unit) for joint, row in zip(gap["joints"], rows, strict=True)))
     axis.set_yticks(count, gap["joints"])
     axis.invert_yaxis()
     axis.grid(visible=False, axis="y")
-    unit = "% of nominal" if shares.any() else "N·m"
     axis.set_xlabel(f"torque error held out [{unit}]")
     axis.legend(fontsize=7, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     caption = "Torque error before and after, and the floor: what does not even repeat from cycle to cycle."
-    rows = np.column_stack([before, after, floor])
     return to_figure("before-after", caption, plot, ("before", "after", "floor"), rows)
+
+
+def _sides(joint: str, row: np.ndarray, unit: str) -> str:
+    known = zip(("before", "after", "floor"), row, strict=True)
+    said = [f"{what} {value:.3g}" for what, value in known if np.isfinite(value)]
+    return f"{joint}: {', '.join(said)} {unit}" if said else f"{joint}: in the table"
 
 
 def simulated_torque(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Plot:

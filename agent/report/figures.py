@@ -1,10 +1,13 @@
-"""Plots of a report: matplotlib SVG that follows the page's light or dark colours, each with its data."""
+"""Plots of a report: matplotlib SVG that follows the page's light or dark colours, each with its data.
+
+What a part of a picture shows is written into it (`answer`): the page says it under the pointer.
+"""
 
 from __future__ import annotations
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +17,8 @@ from agent.report.plots import SERIES, Panel, Plot, Series, joint_series
 
 #: A colour no plot uses: replaced by `currentColor`, so axes and text follow the page.
 _INK = "#010203"
+#: What begins the id of a part that knows what it shows.
+_ANSWER = "answer:"
 
 
 @dataclass(frozen=True)
@@ -47,9 +52,22 @@ def svg_text(name: str, plot: Any, fitted: bool = True) -> str:
     plt.close(plot)
     svg = buffer.getvalue()
     svg = svg[svg.index("<svg") :].replace(_INK, "currentColor")
+    svg = re.sub(rf'<g id="{_ANSWER}([^"]*)">', r'<g class="answer"><title>\1</title>', svg)
     # ids repeat from plot to plot on one page, and a clip path would then be another plot's
     svg = re.sub(r"(\d{1,4}\.\d\d)\d+", r"\1", svg)  # a hundredth of a point is finer than paper
     return re.sub(r'(id="|url\(#|href="#)', rf"\g<1>{name}-", svg)
+
+
+def answer(part: Any, text: str) -> None:
+    """Let a part of a plot say what it shows."""
+    part.set_gid(_ANSWER + text)
+
+
+def answer_along(span: Any, texts: Iterable[str], first: int = 0) -> None:
+    """Let every unit of an axis say what it shows; `span` is `axvspan` or `axhspan` of the plot's axes."""
+    for place, text in enumerate(texts, start=first):
+        # not quite transparent: a pointer falls through what is
+        answer(span(place - 0.5, place + 0.5, facecolor=(0.5, 0.5, 0.5, 0.002), linewidth=0), text)
 
 
 def new_plot(width: float = 10.0, height: float = 3.2, rows: int = 1, columns: int = 1, **options: Any) -> Any:
@@ -131,6 +149,13 @@ def motion_box_plot(rmse: np.ndarray, nominal: np.ndarray, names: tuple[str, ...
         flierprops={"markeredgecolor": SERIES[3], "markersize": 4},
         medianprops={"color": SERIES[0], "linewidth": 2},
     )
+    quartiles = np.quantile(values, (0.0, 0.25, 0.5, 0.75, 1.0), axis=0)
+    texts = (
+        f"{name}: median {middle:.3g}, middle half {low:.3g} to {high:.3g}, all {least:.3g} to {most:.3g} "
+        f"{'%' if has else 'N·m'}"
+        for name, has, (least, low, middle, high, most) in zip(names, known, quartiles.T, strict=True)
+    )
+    answer_along(axes[0, 0].axvspan, texts, first=1)
     axes[0, 0].set_ylabel("RMSE / nominal torque [%]" if known.any() else "RMSE [N·m]")
     axes[0, 0].set_ylim(bottom=0)
     if known.any():
@@ -143,7 +168,8 @@ def motion_box_plot(rmse: np.ndarray, nominal: np.ndarray, names: tuple[str, ...
 def cell_map(
     name: str, caption: str, values: np.ndarray, columns: Sequence[str], rows: Sequence[str], units: Sequence[str] = ()
 ) -> Figure:
-    """Cells (rows, columns) with their values, shaded by them: against the largest of the rows of the same unit."""
+    """Cells (rows, columns) with their values in the `units` of the rows, shaded by them: against the largest of the
+    rows of the same unit."""
     from matplotlib.patches import Rectangle
 
     units = units or [""] * len(rows)
@@ -157,11 +183,14 @@ def cell_map(
             text = f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
             shade = min(0.08 + 0.82 * max(value, 0.0) / largest[units[row]], 1.0)  # reads on light and on dark
             corner = column - 0.48, row - 0.46
-            axis.add_patch(Rectangle(corner, 0.96, 0.92, facecolor=SERIES[1], alpha=shade, linewidth=0))
+            cell = axis.add_patch(Rectangle(corner, 0.96, 0.92, facecolor=SERIES[1], alpha=shade, linewidth=0))
+            answer(cell, f"{rows[row]}, {columns[column]}: {value:.3g} {units[row]}".replace("\n", " ").rstrip())
         axis.text(column, row, text, ha="center", va="center")
     axis.set_xlim(-0.5, len(columns) - 0.5)
     axis.set_ylim(len(rows) - 0.5, -0.5)
     axis.set_xticks(range(len(columns)), columns, fontsize=8)
-    axis.set_yticks(range(len(rows)), rows)
+    axis.set_yticks(
+        range(len(rows)), [f"{row} [{unit}]" if unit else row for row, unit in zip(rows, units, strict=True)]
+    )
     header = ("row", *(column.replace("\n", "_") for column in columns))
     return to_figure(name, caption, plot, header, np.column_stack([np.arange(1, len(rows) + 1), values]))

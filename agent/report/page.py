@@ -92,6 +92,7 @@ def render(page: Page) -> str:
     library = _uplot() if Plot in kinds else {}
     scripts = [library["uPlot.iife.js"], _asset("plots.js")] if library else []
     scripts += [_asset("scene.js")] if Scene in kinds else []
+    scripts += [_asset("figures.js")] if Figure in kinds else []
     css = library.get("uPlot.min.css", "") + _asset("page.css")
     return template.render(page=page, sections=sections, css=css, scripts=scripts, plots=bool(library))
 

@@ -63,5 +63,4 @@ def heat_map(
     known = np.isfinite(prediction.model.robot.nominal_torque)
     shown = np.where(known[:, None], 100 * values, values)
     units = ["%" if has else unit for has, unit in zip(known, torque_units(prediction.model.robot), strict=True)]
-    rows = [f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)]
-    return cell_map(name, caption, shown, [regime.replace("_", "\n") for regime in REGIMES], rows, units)
+    return cell_map(name, caption, shown, [regime.replace("_", "\n") for regime in REGIMES], names, units)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from agent.diagnosis import Diagnosis, Range, ranges
-from agent.report.figures import Figure, new_plot, to_figure
+from agent.report.figures import Figure, answer_along, new_plot, to_figure
 from agent.report.page import Section, Table
 from agent.report.plots import SERIES
 
@@ -55,6 +55,8 @@ def _picture(steps: Sequence[Mapping[str, Any]]) -> Figure:
     places = np.arange(len(steps))
     axes.barh(places[:-1], closes[:-1], left=before[:-1] - closes[:-1], color=SERIES[0])
     axes.barh(places[-1:], closes[-1:], color=SERIES[1])
+    texts = (f"{entry['step']}: {part:.3g} % of the gap" for entry, part in zip(steps, closes, strict=True))
+    answer_along(axes.axhspan, texts)
     axes.set_yticks(places, [entry["step"] for entry in steps])
     axes.invert_yaxis()
     axes.set_xlabel("% of the gap that is left")

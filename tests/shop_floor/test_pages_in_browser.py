@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from agent.pipeline.reports import write_index
+from agent.report.figures import cell_map
 from agent.report.page import About, NextStep, Page, Section, Table, render
 from agent.report.plots import Panel, Plot, Series
 from agent.report.scene import ArmPoses, Scene
@@ -41,11 +42,15 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     line = np.column_stack([np.cos(t[every]), np.sin(t[every]), 0 * t[every]])
     arm = ArmPoses(np.array([0.0, 1.0]), np.arange(24.0).reshape(2, 2, 2, 3) / 24, np.array([0.1, 0.05]))
     boxes = {"keep-out: table": (np.zeros(3), np.ones(3))}
+    cells = np.array([[1.0, np.nan], [0.25, 0.5]])
     left = {"loop": np.abs(line[:, 0])}
     scene = Scene("path", "The arm.", {"loop": line}, {"points": line[:3]}, boxes, arm, left, "left [%]")
     sections = (
         Section("Plots", ("Text.",), (Plot("waves", "Waves.", "time", panels, t, "s", columns=2),)),
         Section("Dates", (), (Plot("dates", "Dates.", "date", (dates,), 1.7e9 + 3600 * t[every], dates=True),)),
+        Section(
+            "Map", (), (cell_map("cells", "Cells.", cells, ["slow", "fast"], ["joint_1", "joint_2"], ["%", "N·m"]),)
+        ),
         Section("Scene", (), (scene, Table("table", ("joint", "value"), [("joint_1", "1.0"), ("joint_2", "2.0")]))),
     )
     about = About("What is it?", ("A fact.",), (NextStep("do", "agent check recipe.yaml"),), (("robot", "arm"),))
@@ -113,6 +118,19 @@ def test_plots_are_read_and_zoomed_by_keyboard_and_linked(small: Path, browser):
         assert "N·m" in said
         assert "N·m" in second.locator(".legend b").first.inner_text(), "the other panel shows the same time"
         opened.tab.keyboard.press("0")
+        assert opened.console == []
+
+
+def test_a_map_says_its_values_to_a_pointer_and_to_keys(small: Path, browser):
+    with browser.page(small) as opened:
+        figure = opened.tab.locator("#map figure")
+        figure.locator(".answer").nth(1).hover()
+        assert figure.locator(".said").inner_text() == "joint_2, slow: 0.25 N·m"
+        figure.locator(".scroll").focus()
+        opened.tab.keyboard.press("ArrowRight")
+        assert figure.locator(".said").inner_text() == "joint_2, fast: 0.5 N·m"
+        opened.tab.keyboard.press("ArrowRight")
+        assert figure.locator(".said").inner_text() == "joint_1, slow: 1 %"
         assert opened.console == []
 
 
