@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,6 +33,35 @@ class Opened:
     def draw(self) -> None:
         """Scroll through the page until all its plots are drawn."""
         self.tab.evaluate(_SCROLL)
+
+
+def picture(opened: Opened, cell: int = 12) -> Any:
+    """The whole page as it is laid out (rows, columns): mean grey, 0 to 255, of squares of so many pixels.
+
+    Squares as large as a letter: a page keeps its picture where letters have another shape, and loses it where
+    anything is missing, moved or of another colour.
+    """
+    import numpy as np
+    from PIL import Image
+
+    grey = np.asarray(Image.open(io.BytesIO(opened.tab.screenshot(full_page=True))).convert("L"), dtype=float)
+    rows, columns = (size // cell for size in grey.shape)
+    return grey[: rows * cell, : columns * cell].reshape(rows, cell, columns, cell).mean(axis=(1, 3))
+
+
+def differs(now: Any, kept: Any, window: int = 6) -> str:
+    """How a picture differs from a kept one; empty where it is the same page, if in other letters: those changed the
+    mean of a window of so many squares by up to 23, a curve that is missing by 35 and more."""
+    import numpy as np
+
+    if now.shape[1] != kept.shape[1] or abs(len(now) - len(kept)) > 2:
+        return f"its size is {now.shape}, and was {kept.shape} squares"
+    rows = min(len(now), len(kept))
+    sums = np.pad(np.abs(now[:rows] - kept[:rows]), ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
+    means = sums[window:, window:] - sums[:-window, window:] - sums[window:, :-window] + sums[:-window, :-window]
+    row, column = np.unravel_index(means.argmax(), means.shape)
+    worst = float(means.max()) / window**2
+    return f"off by {worst:.0f} of 255 at square {row}, {column}" if worst > 28 else ""
 
 
 class Browser:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from agent.pipeline.reports import write_index
 from agent.report.figures import cell_map
 from agent.report.page import About, NextStep, Page, Section, Table, render
 from agent.report.plots import Panel, Plot, Series
 from agent.report.scene import ArmPoses, Scene
+from tests.browser import differs, picture
 
 WIDTHS = (390, 1440, 2560)
 MOST_BYTES = 3_000_000
@@ -153,6 +156,24 @@ def test_data_comes_as_plain_text_with_a_click(small: Path, browser):
         header, *rows = text.splitlines()
         assert header.startswith('"time [s]","first gravity [N·m]"')
         assert 1000 < len(rows) < 30_000, "thinned for the screen"
+
+
+@pytest.mark.parametrize(("width", "look"), [(390, "dark"), (1440, "light"), (1440, "print"), (2560, "light")])
+def test_a_page_looks_as_it_did(small: Path, browser, width: int, look: str):
+    """`KEEP_PICTURES=1` keeps what it looks like now; look at the page itself before."""
+    file = Path(__file__).with_name("pictures") / f"{width}_{look}.png"
+    with browser.page(small, width, "dark" if look == "dark" else "light") as opened:
+        opened.draw()
+        if look == "print":
+            opened.tab.emulate_media(media="print")
+        now = picture(opened)
+        if os.environ.get("KEEP_PICTURES"):
+            Image.fromarray(now.round().astype(np.uint8)).save(file, optimize=True)
+        kept = np.asarray(Image.open(file), dtype=float)
+        assert differs(now, kept) == ""
+        if look == "light":
+            opened.tab.add_style_tag(content="canvas { visibility: hidden }")
+            assert differs(picture(opened), kept).startswith("off by")
 
 
 def test_thinning_keeps_the_extremes(small: Path):
