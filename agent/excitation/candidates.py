@@ -124,9 +124,8 @@ class Candidates:
 
     def clear(self, trajectory: Trajectory) -> bool:
         """Whether a motion keeps clear of the arm, of the boxes and of the ends of joint ranges, within max_torque."""
-        q, qd, qdd = trajectory.q[::EVERY], trajectory.qd[::EVERY], trajectory.qdd[::EVERY]
         collision = self._cell.check(trajectory, self.problem.settings.fly_distance).collision
-        return collision is None and self._overload(self._dynamics.regressor(q, qd, qdd), qdd) is None
+        return collision is None and self._overload(_tenth(trajectory)) is None
 
     def _joints(self, poses: np.ndarray) -> np.ndarray | None:
         """(K, n) of a redundant arm at the via-points, nearest to its posture, so that a loop ends where it began."""
@@ -145,9 +144,30 @@ class Candidates:
         """What the result is judged by: the regressor at every sample too, and from each one the way to a stop."""
         return self._score(genome, 1, self._cell.check_with_stopping)
 
+    def broken(self, genome: np.ndarray) -> LoopScore | None:
+        """What `score` says of a loop that breaks a limit, None of one that keeps all: without the fitness."""
+        checked = self._checked(genome, self._cell.check)
+        return checked if isinstance(checked, LoopScore) else self._overload(_tenth(checked))
+
     def _score(
         self, genome: np.ndarray, every: int, check_cell: Callable[[Trajectory, float], CellReport]
     ) -> LoopScore:
+        trajectory = self._checked(genome, check_cell)
+        if isinstance(trajectory, LoopScore):
+            return trajectory
+        tenth = _tenth(trajectory)
+        regressor = self._dynamics.regressor(*tenth)
+        overload = self._overload(tenth, regressor)
+        if overload is not None:
+            return overload
+        if every == EVERY:
+            return LoopScore(self._criterion(*tenth, regressor))
+        return LoopScore(self._criterion(trajectory.q[::every], trajectory.qd[::every], trajectory.qdd[::every]))
+
+    def _checked(
+        self, genome: np.ndarray, check_cell: Callable[[Trajectory, float], CellReport]
+    ) -> Trajectory | LoopScore:
+        """The motion of a genome, or what it breaks other than the torques."""
         try:
             trajectory = self.loop(genome).trajectory
         except (MotionError, KinematicsError) as error:
@@ -161,21 +181,19 @@ class Candidates:
         report = check_cell(trajectory, self.problem.settings.fly_distance)
         if report.collision is not None:
             return infeasible(report.depth / CELL_SCALE, str(report.collision))
-        tenth = trajectory.q[::EVERY], trajectory.qd[::EVERY], trajectory.qdd[::EVERY]
-        regressor = self._dynamics.regressor(*tenth)
-        overload = self._overload(regressor, tenth[2])
-        if overload is not None:
-            return overload
-        if every == EVERY:
-            return LoopScore(self._criterion(*tenth, regressor))
-        return LoopScore(self._criterion(trajectory.q[::every], trajectory.qd[::every], trajectory.qdd[::every]))
+        return trajectory
 
-    def _overload(self, regressor: np.ndarray, qdd: np.ndarray) -> LoopScore | None:
-        """The joint that the description's inertias ask most beyond its max_torque, at every tenth sample."""
+    def _overload(
+        self, tenth: tuple[np.ndarray, np.ndarray, np.ndarray], regressor: np.ndarray | None = None
+    ) -> LoopScore | None:
+        """The joint that the description's inertias ask most beyond its max_torque, at every tenth sample.
+
+        `regressor` is that of the rigid bodies there, where it is known already.
+        """
         if np.isinf(self._max_torque).all():
             return None
-        rigid = regressor @ self._standard
-        torque = np.abs(rigid + rotor_regressor(self.problem.robot, qdd) @ self._rotors)
+        rigid = self._dynamics.inverse_dynamics(*tenth) if regressor is None else regressor @ self._standard
+        torque = np.abs(rigid + rotor_regressor(self.problem.robot, tenth[2]) @ self._rotors)
         excess = (torque / self._max_torque).max(axis=0) - 1.0
         joint = int(np.argmax(excess))
         if excess[joint] <= 0:
@@ -187,6 +205,10 @@ class Candidates:
         )
 
 
+def _tenth(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return trajectory.q[::EVERY], trajectory.qd[::EVERY], trajectory.qdd[::EVERY]
+
+
 def via_joints(kinematics: Kinematics, loop: Loop) -> list[np.ndarray]:
     """Joints (n,) at every via-point of a loop, on the branch that it passes them on.
 
@@ -195,11 +217,8 @@ def via_joints(kinematics: Kinematics, loop: Loop) -> list[np.ndarray]:
     Raises:
         KinematicsError: such a point.
     """
-    joints = [loop.start]
-    for move, pose in enumerate(loop.poses[1:]):
-        there = loop.trajectory.q[np.flatnonzero(loop.trajectory.move == move)[-1]]
-        joints.append(kinematics.solve(pose, there))
-    return joints
+    there = np.searchsorted(loop.trajectory.move, np.arange(len(loop.poses) - 1), side="right") - 1
+    return [loop.start, *kinematics.solve_each(loop.poses[1:], loop.trajectory.q[there])]
 
 
 def posture(kinematics: Kinematics, regions: ViaRegions) -> np.ndarray:

@@ -107,11 +107,12 @@ def _feasible(recipe: Recipe, speed: float, seed: int, console: Console) -> str:
 
     candidates = Candidates(loop_problem(recipe, speed))
     rng = np.random.default_rng(seed)
-    scores = []
+    broken = []
     for number in range(LOOPS):
-        scores.append(candidates.score(rng.uniform(size=candidates.problem.genes)))
+        score = candidates.broken(rng.uniform(size=candidates.problem.genes))
+        if score is not None:
+            broken.append(score)
         console.progress(f"{number + 1} of {LOOPS} random loops at {speed:g} m/s tried", (number + 1) / LOOPS)
-    broken = [score for score in scores if not score.feasible]
     text = f"{LOOPS - len(broken)} of {LOOPS} random loops at {speed:g} m/s keep all limits and clear of the cell"
     if not broken:
         return text

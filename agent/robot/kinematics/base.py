@@ -127,26 +127,38 @@ class Kinematics(ABC):
         Raises:
             KinematicsError: no such solution; index 0.
         """
-        pose = np.asarray(pose, dtype=float)
-        found = self._candidates(pose, near)
-        valid = found.valid[0]
-        if not valid.any():
-            self._refuse(pose)
-        candidates = self.turned_into_limits(self.nearest_turn(found.q[0, valid], near))
+        return self._nearest(np.asarray(pose, dtype=float)[None], np.asarray(near, dtype=float)[None])[0]
+
+    def solve_each(self, poses: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """(S, n) as `solve` for each of poses (S, 4, 4), nearest to `near` (S, n).
+
+        Raises:
+            KinematicsError: as `solve`, of the first pose without solution.
+        """
+        return self._nearest(np.asarray(poses, dtype=float), np.asarray(near, dtype=float))
+
+    def _nearest(self, poses: np.ndarray, near: np.ndarray) -> np.ndarray:
+        found = self._candidates(poses, near)
+        candidates = self.turned_into_limits(self.nearest_turn(found.q, near[:, None]))
+        allowed = found.valid & self.within_limits(candidates)
+        for k in np.flatnonzero(~allowed.any(axis=1)):
+            if not found.valid[k].any():
+                self._refuse(poses[k])
+            self._refuse_limits(poses[k], candidates[k, found.valid[k]])
+        away = np.where(allowed, np.linalg.norm(candidates - near[:, None], axis=2), np.inf)
+        return candidates[np.arange(len(poses)), away.argmin(axis=1)]
+
+    def _refuse_limits(self, pose: np.ndarray, candidates: np.ndarray) -> NoReturn:
         beyond = np.maximum(candidates - self.upper, self.lower - candidates)
-        allowed = self.within_limits(candidates)
-        if not allowed.any():
-            best = beyond[beyond.max(axis=1).argmin()]
-            joint = int(best.argmax())
-            raise KinematicsError(
-                0,
-                "unreachable",
-                f"the pose at {position_text(pose)} is out of reach: every solution breaks a joint limit, the best one "
-                f"that of {self.robot.joint_names[joint]} by {best[joint]:.3g} {self.unit(joint)}",
-                float(best[joint]),
-            )
-        candidates = candidates[allowed]
-        return candidates[np.linalg.norm(candidates - near, axis=1).argmin()]
+        best = beyond[beyond.max(axis=1).argmin()]
+        joint = int(best.argmax())
+        raise KinematicsError(
+            0,
+            "unreachable",
+            f"the pose at {position_text(pose)} is out of reach: every solution breaks a joint limit, the best one "
+            f"that of {self.robot.joint_names[joint]} by {best[joint]:.3g} {self.unit(joint)}",
+            float(best[joint]),
+        )
 
     @abstractmethod
     def inverse(self, poses: np.ndarray) -> InverseSolutions:
@@ -184,8 +196,8 @@ class Kinematics(ABC):
         return ""
 
     @abstractmethod
-    def _candidates(self, pose: np.ndarray, near: np.ndarray) -> InverseSolutions:
-        """Solutions for one pose from which `solve` chooses."""
+    def _candidates(self, poses: np.ndarray, near: np.ndarray) -> InverseSolutions:
+        """Solutions for poses (S, 4, 4), some of them near (S, n), from which `solve` chooses."""
 
     @abstractmethod
     def _refuse(self, pose: np.ndarray) -> NoReturn:

@@ -207,6 +207,12 @@ class NumericalKinematics(Kinematics):
                     return q
         return super().solve(pose, near)
 
+    def solve_each(self, poses: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """As in `Kinematics`."""
+        if self.dof > 6:
+            return np.array([self.solve(pose, there) for pose, there in zip(poses, near, strict=True)])
+        return super().solve_each(poses, near)
+
     def singularity(self, q: np.ndarray) -> SingularityDistance:
         """One kind, "arm": smallest over largest singular value of the Jacobian (rotations weighed by the length)."""
         jacobian = self.jacobian(q)
@@ -222,8 +228,8 @@ class NumericalKinematics(Kinematics):
             )
         return self.solve(pose, self.middle)
 
-    def _candidates(self, pose: np.ndarray, near: np.ndarray) -> InverseSolutions:
-        return self._solutions(pose[None], np.asarray(near, dtype=float)[None])
+    def _candidates(self, poses: np.ndarray, near: np.ndarray) -> InverseSolutions:
+        return self._solutions(poses, near)
 
     def _refuse(self, pose: np.ndarray) -> NoReturn:
         q, error = self._converge(np.repeat(pose[None], _SEEDS, axis=0), self._seeds)
@@ -231,9 +237,12 @@ class NumericalKinematics(Kinematics):
         self._raise(0, pose, q[best], error[best])
 
     def _solutions(self, poses: np.ndarray, extra: np.ndarray | None = None) -> InverseSolutions:
-        seeds = self._seeds if extra is None else np.vstack([extra, self._seeds])
-        samples, tried = len(poses), len(seeds)
-        q, error = self._converge(np.repeat(poses, tried, axis=0), np.tile(seeds, (samples, 1)))
+        samples = len(poses)
+        seeds = np.broadcast_to(self._seeds, (samples, *self._seeds.shape))
+        if extra is not None:
+            seeds = np.concatenate([extra[:, None], seeds], axis=1)
+        tried = seeds.shape[1]
+        q, error = self._converge(np.repeat(poses, tried, axis=0), seeds.reshape(-1, self.dof))
         distance = self.singularity(q).smallest.reshape(samples, tried)
         q = self.nearest_turn(q, self.middle).reshape(samples, tried, self.dof)
         error = error.reshape(samples, tried)

@@ -113,8 +113,8 @@ class SphericalWristKinematics(Kinematics):
     def configuration_text(self, q: np.ndarray) -> str:
         return str(self.configuration(q))
 
-    def _candidates(self, pose: np.ndarray, near: np.ndarray) -> InverseSolutions:
-        return self.inverse(pose[None])
+    def _candidates(self, poses: np.ndarray, near: np.ndarray) -> InverseSolutions:
+        return self.inverse(poses)
 
     def _refuse(self, pose: np.ndarray) -> NoReturn:
         wrist = self._wrist(pose[None])
