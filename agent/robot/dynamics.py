@@ -149,8 +149,8 @@ class Dynamics:
         """(S, 4, 4) pose of the tip frame in the base frame."""
         poses = np.empty((len(q), 4, 4))
         for k in range(len(poses)):
-            pin.framesForwardKinematics(self._model, self._data, q[k])
-            poses[k] = self._data.oMf[self._tip].homogeneous
+            pin.forwardKinematics(self._model, self._data, q[k])
+            poses[k] = pin.updateFramePlacement(self._model, self._data, self._tip).homogeneous
         return poses
 
     def tcp_jacobian(self, q: np.ndarray) -> np.ndarray:

@@ -154,17 +154,9 @@ class Adherence:
         fits, speed = self._fitting(what, leading, allowed, time, ways)
         reached = np.zeros(len(ways), dtype=bool)
         reached[: len(self._fits)] = self._fits
-        firsts, lasts = np.zeros(len(time), dtype=int), np.zeros(len(time), dtype=int)
-        for k in range(len(time)):
-            expected = passed[k] + path.when[first + np.flatnonzero(reached)[-1]]
-            reached = path.onward(reached, first, ahead[k])
-            if not np.any(reached & fits[k]):
-                return self._wrong(what, leading[k], speed[k], allowed, time[k], ways[reached])
-            reached &= fits[k]
-            if passed[k] > GAP:  # in this cycle or in a later one: where it would be at its pace
-                reached = path.runs_near(reached, first, expected, ALLOWANCE)
-            found = np.flatnonzero(reached)
-            firsts[k], lasts[k] = first + found[0], first + found[-1]
+        firsts, lasts, reached = path.lay(fits, reached, first, passed, ahead, GAP, ALLOWANCE)
+        if (k := len(firsts)) != len(time):
+            return self._wrong(what, leading[k], speed[k], allowed, time[k], ways[reached])
         self._first, self._fits = int(firsts[-1]), reached[firsts[-1] - first : lasts[-1] - first + 1]
         if given is not None:
             reason = self._follow(measured, time, firsts, lasts)
@@ -195,18 +187,22 @@ class Adherence:
     ) -> tuple[np.ndarray, np.ndarray]:
         """(K, W) which of the places `ways` (W,) fit positions (K, n), and (K, n) the speed that those come with."""
         speed, over = self._speed(what, allowed.span, time, positions)
-        near = self._near(positions, allowed, ways)
-        slow = np.all(speed[:, None] <= self._fastest(allowed, ways), axis=2)
-        return near & (slow | (over > GAP)[:, None]), speed
+        near, lost = self._near(positions, allowed, ways), (over > GAP)[:, None]
+        for of_joint, fastest in zip(speed.T, self._fastest(allowed, ways).T, strict=True):
+            if not of_joint.max() <= fastest.min():
+                near &= (of_joint[:, None] <= fastest) | lost
+        return near, speed
 
     def _near(self, positions: np.ndarray, allowed: Tolerance, ways: np.ndarray) -> np.ndarray:
         """(K, W) whether places are near enough to positions (K, n)."""
         rows = self._path.rows[ways]
         tool = self._dynamics.tcp_pose(positions)[:, :3, 3]
         near = self._path.distance(tool, rows) <= self._margin + allowed.tool
-        for joint in range(positions.shape[1]):
-            off = np.abs(positions[:, None, joint] - self._path.q[rows, joint])
-            near &= off <= self._path.reach[rows, joint] + allowed.joint
+        for joint, here in enumerate(positions.T):
+            there, within = self._path.q[rows, joint], self._path.reach[rows, joint] + allowed.joint
+            farthest = max(here.max() - there.min(), there.max() - here.min())
+            if not farthest <= within.min():
+                near &= np.abs(here[:, None] - there) <= within
         return near
 
     def _fastest(self, allowed: Tolerance, ways: np.ndarray) -> np.ndarray:

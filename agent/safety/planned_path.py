@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -69,6 +70,48 @@ class PlannedPath:
         """The last place [places, of the shape of `when`] that is no later than a moment [s] of the plan."""
         return np.clip(np.searchsorted(self.when, when, side="right") - 1, 0, len(self.when) - 1)
 
+    def lay(
+        self,
+        fits: np.ndarray,
+        reached: np.ndarray,
+        first: int,
+        passed: np.ndarray,
+        ahead: np.ndarray,
+        gap: float,
+        within: float,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Lay samples, one after the other, onto those of W places from `first` on that each of them `fits` (K, W).
+
+        Each goes `onward` by its `ahead` [s] from those that the one before `reached` (W,); after more than `gap` [s]
+        had `passed`, only `runs_near` its pace count. Returns the first and last place of each sample, up to one that
+        fits nowhere, and the places (W,) that the last one reached, or where the one that fits nowhere could have been.
+        """
+        firsts, lasts = np.zeros((2, len(fits)), dtype=int)
+        when: list[float] = self.when[first : first + len(reached)].tolist()
+        begin, end = _ends(fits)
+        one_run = fits.sum(axis=1) == end - begin
+        (low,), (high,) = (edge.tolist() for edge in _ends(reached[None]))
+        whole = bool(reached[low:high].all())
+        for k in range(len(fits)):
+            if whole and one_run[k]:  # nearly always; then the edges say everything
+                beyond = bisect.bisect_right(when, when[high - 1] + ahead[k] + self.step)
+                places = slice(max(low, int(begin[k])), min(beyond, int(end[k])))
+                if not places.start < places.stop:
+                    return firsts[:k], lasts[:k], _run(low, beyond, len(reached))
+                low, high = places.start, places.stop
+            else:
+                reached = _run(low, high, len(reached)) if whole else reached
+                onward = self.onward(reached, first, ahead[k])
+                reached = onward & fits[k]
+                if not reached.any():
+                    return firsts[:k], lasts[:k], onward
+                if passed[k] > gap:  # in this cycle or in a later one: where it would be at its pace
+                    reached = self.runs_near(reached, first, passed[k] + when[high - 1], within)
+                (low,), (high,) = (edge.tolist() for edge in _ends(reached[None]))
+                whole = bool(reached[low:high].all())
+            firsts[k], lasts[k] = first + low, first + high - 1
+        return firsts, lasts, _run(low, high, len(reached)) if whole else reached
+
     def onward(self, reached: np.ndarray, first: int, ahead: float) -> np.ndarray:
         """(W,) the places, of those from `first` on, up to a step and `ahead` [s] after one that was `reached` (W,)."""
         when = self.when[first : first + len(reached)]
@@ -98,6 +141,17 @@ class PlannedPath:
     def apart(self, position: np.ndarray, places: np.ndarray) -> np.ndarray:
         """(W,) [m] from a position (n,) to each of the places, all joints together."""
         return np.linalg.norm((self.q[self.rows[places]] - position) * self.levers, axis=1)
+
+
+def _ends(masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(K,) where the first true of each of the masks (K, W) is, and (K,) where there is none any more."""
+    return masks.argmax(axis=1), masks.shape[1] - masks[:, ::-1].argmax(axis=1)
+
+
+def _run(low: int, high: int, count: int) -> np.ndarray:
+    run = np.zeros(count, dtype=bool)
+    run[low:high] = True
+    return run
 
 
 def _along(chain: Trajectory, dynamics: Dynamics, margin: float) -> tuple[np.ndarray, ...]:

@@ -29,7 +29,7 @@ NO_NUMBERS = [np.nan, np.inf, -np.inf, 5e-324, -5e-324, 1e308]
 FALSE_STOPS = {
     "adherence.py": {
         "self._path.distance(tool, rows) <= self._margin + allowed.tool": "true is near",
-        "speed[:, None] <= self._fastest(allowed, ways)": "true is slow",
+        "of_joint[:, None] <= fastest": "true is slow",
     },
     "first_run.py": {"peak <= FIRST_SPEED": "true is slow enough, anything else is planned again or refused"},
     "watch.py": {

@@ -208,7 +208,6 @@ class NumericalKinematics(Kinematics):
         return super().solve(pose, near)
 
     def solve_each(self, poses: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """As in `Kinematics`."""
         if self.dof > 6:
             return np.array([self.solve(pose, there) for pose, there in zip(poses, near, strict=True)])
         return super().solve_each(poses, near)

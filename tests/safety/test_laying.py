@@ -1,0 +1,59 @@
+"""Samples laid onto the places of a plan: by the edges of runs as place by place."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, strategies as st
+
+from agent.safety.planned_path import PlannedPath
+
+GAP, WITHIN = 0.1, 0.3
+STEP = 0.02
+
+
+def path_of(count: int) -> PlannedPath:
+    nothing = np.zeros((count, 1))
+    when = STEP * np.arange(count)
+    return PlannedPath(np.arange(count), when, nothing, nothing, nothing, nothing, nothing, np.ones(1), STEP)
+
+
+def place_by_place(path, fits, reached, first, passed, ahead):
+    firsts, lasts = [], []
+    for k in range(len(fits)):
+        expected = passed[k] + path.when[first + np.flatnonzero(reached)[-1]]
+        onward = path.onward(reached, first, ahead[k])
+        if not np.any(onward & fits[k]):
+            return firsts, lasts, onward
+        reached = onward & fits[k]
+        if passed[k] > GAP:
+            reached = path.runs_near(reached, first, expected, WITHIN)
+        found = np.flatnonzero(reached)
+        firsts.append(first + found[0])
+        lasts.append(first + found[-1])
+    return firsts, lasts, reached
+
+
+@st.composite
+def layings(draw):
+    """Some samples; most fit a run of places, some several, some none."""
+    width, samples, first = draw(st.integers(1, 40)), draw(st.integers(1, 12)), draw(st.integers(0, 30))
+    place = st.integers(0, width)
+    fits = np.zeros((samples, width), dtype=bool)
+    for row in fits:
+        for a, b in draw(st.lists(st.tuples(place, place), min_size=1, max_size=3)):
+            row[min(a, b) : max(a, b) + 1] = True
+    reached = np.zeros(width, dtype=bool)
+    for a, b in draw(st.lists(st.tuples(place, place), min_size=1, max_size=2)):
+        reached[min(a, width - 1) : max(a, b) + 1] = True
+    passed = np.array(draw(st.lists(st.sampled_from([0.0, 0.004, 0.05, 0.2]), min_size=samples, max_size=samples)))
+    return fits, reached, first, passed
+
+
+@given(layings())
+def test_runs_are_laid_as_their_places_one_by_one(laying):
+    fits, reached, first, passed = laying
+    path = path_of(first + fits.shape[1])
+    ahead = 4.0 * passed
+    found = path.lay(fits, reached, first, passed, ahead, GAP, WITHIN)
+    for one, other in zip(found, place_by_place(path, fits, reached, first, passed, ahead), strict=True):
+        np.testing.assert_array_equal(one, other)
