@@ -9,10 +9,10 @@ from agent.robot import load_robot
 
 ROBOT = load_robot("comau_ns16")
 START = np.radians([5.0, 10.0, -95.0, 10.0, 40.0, 0.0])
-_model = pinocchio.buildModelFromXML(ROBOT.urdf)
-DATA = _model.createData()
+MODEL = pinocchio.buildModelFromXML(ROBOT.urdf)
+DATA = MODEL.createData()
 
 
 def flange(q: np.ndarray) -> pinocchio.SE3:
-    pinocchio.framesForwardKinematics(_model, DATA, q)
-    return DATA.oMf[_model.getFrameId(ROBOT.tip_frame)].copy()
+    pinocchio.framesForwardKinematics(MODEL, DATA, q)
+    return DATA.oMf[MODEL.getFrameId(ROBOT.tip_frame)].copy()
