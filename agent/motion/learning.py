@@ -26,6 +26,8 @@ _AROUND, _FINE = 0.03, np.linspace(0.0, 1.0, 1001)
 _BETTER = 0.9
 #: A simplex ends where it tells so little of the cost, or after so many plans; of a family on trial, so many.
 _ENOUGH, _PLANS, _TRIAL = 1e-3, 120, 40
+#: [m/rad] A move that travels at all is measured by its way alone.
+_NO_LEVER = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,14 +117,14 @@ class Learner:
             free.append(("auto_tightness", 0.0, 1.0))
         if any(move.settings.fly_type is FlyType.FLY_NORM for move in flying):
             free.append(("norm_acceleration", 0.3, 20.0))
-        families = [
-            (replace(start, blend="polynomial"), [("blend_shape", 0.0, 1.0), *free]),
-            (replace(start, blend="parabola"), free),
-            (replace(start, blend="circle"), free),
-            (replace(start, blend="parabola", blend_turn="slerp"), free),
-            (replace(start, blend="circle", blend_turn="slerp"), free),
+        # A parabola or a circle touches both moves where it takes equal parts of the tool's way, however that turns.
+        curves = [
+            replace(start, blend=blend, blend_turn=turn, turn_lever=_NO_LEVER)
+            for turn in ("path", "slerp")
+            for blend in ("parabola", "circle")
         ]
-        return self._best(families, self._off_path)
+        families = [(replace(start, blend="polynomial"), [("blend_shape", 0.0, 1.0), *free])]
+        return self._best([*families, *((curve, free) for curve in curves)], self._off_path)
 
     def _time(self, path: FlyParameters) -> FlyParameters:
         slowed = any(move.settings.arm_override < 0.99 for stretch, _ in self._taught for move in stretch.moves)
@@ -133,7 +135,8 @@ class Learner:
             known = replace(path, override_power=power)
             averaged = [*shares, ("ramp", 0.1, 6.0), ("stress_floor", 0.05, 1.0)]
             families.append((known, averaged))
-            for turns in (False, True):
+            # Where the loop does not tell, the rotational limit holds in curves as it does elsewhere.
+            for turns in (True, False):
                 blocks = replace(known, ramps="blocks", curve_turns=turns, acceleration=0.95, curve_share=0.9)
                 families.append((replace(blocks, rise=0.0), shares))
                 families.append((blocks, [*shares, ("rise", 0.0, 0.6)]))

@@ -47,13 +47,14 @@ class FlyInterpolator:
         self.period = period
         self.parameters = parameters or FlyParameters()
         self._planner = RunPlanner(robot, ArmLimits.of(robot, self.parameters), period, self.parameters)
-        self._maker = SegmentMaker(robot, tool)
+        self._maker = SegmentMaker(robot, tool, self.parameters.turn_lever)
 
     def with_parameters(self, parameters: FlyParameters) -> FlyInterpolator:
         """The same with other parameters; what it knows of the arm is shared."""
         other = copy(self)
         other.parameters = parameters
         other._planner = RunPlanner(self.robot, ArmLimits.of(self.robot, parameters), self.period, parameters)
+        other._maker = self._maker.with_lever(parameters.turn_lever)
         return other
 
     def plan(self, statements: Sequence[Statement], start: np.ndarray) -> Trajectory:

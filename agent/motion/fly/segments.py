@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -49,10 +50,14 @@ _SPEEDS = ("linear_speed", "rotational_speed")
 
 
 class SegmentMaker:
-    """Makes segments for one arm; keeps the kinematics of every tool it has met."""
+    """Makes segments for one arm; keeps the kinematics of every tool it has met.
 
-    def __init__(self, robot: RobotDescription, tool: Tool | None):
+    `lever` [m/rad]: what the rotation of a Cartesian move counts for where it does little else.
+    """
+
+    def __init__(self, robot: RobotDescription, tool: Tool | None, lever: float):
         self.robot = robot
+        self._lever = lever
         self._speeds = robot.max_velocity
         lower, upper = robot.position_limits
         prismatic = np.array([joint.prismatic for joint in robot.joints])
@@ -60,6 +65,12 @@ class SegmentMaker:
         self.kinematics = kinematics_for(robot, tool)
         own = tool_frame(tool)
         self._of_tool: dict[Any, Kinematics] = {None: self.kinematics, _key(own): self.kinematics}
+
+    def with_lever(self, lever: float) -> SegmentMaker:
+        """The same with another lever."""
+        other = copy(self)
+        other._lever = lever
+        return other
 
     def checked_start(self, start: np.ndarray) -> np.ndarray:
         """The start (n,) as floats.
@@ -116,7 +127,7 @@ class SegmentMaker:
             turn = single_axis(start_turn, end_turn, curve if along else None)
         careful = move.settings.configuration_care or move.settings.turn_care
         flags = move.target.configuration if careful and isinstance(move.target, CartesianTarget) else ""
-        segment = CartesianSegment(index, label, move.settings, kinematics, curve, turn, flags)
+        segment = CartesianSegment(index, label, move.settings, kinematics, curve, turn, flags, lever=self._lever)
         if self.robot.dof > 6:
             segment = replace(segment, ends=self._ends(segment, move.target, _end_joints(pending, rest)))
         return None if segment.length < _NOTHING and segment.angle < _NOTHING else segment

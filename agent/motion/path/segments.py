@@ -147,6 +147,7 @@ class CartesianSegment:
     `configuration` is what $CNFG_CARE and $TURN_CARE ask for at the target, empty where they ask for nothing. `ends`
     (2, n) are the joints at start and target of an arm that has more than the pose needs (else None): of the joints
     that give a pose it takes those nearest to the straight way between them in joint space, so it arrives at both.
+    `lever` [m/rad]: what its rotation counts for where it does little else.
     """
 
     move: int
@@ -157,6 +158,7 @@ class CartesianSegment:
     turn: SingleAxis | EulerAngles
     configuration: str = ""
     ends: np.ndarray | None = None
+    lever: float = ROTATION_LEVER
 
     def near(self, sigma: np.ndarray) -> np.ndarray | None:
         """(S, n) the straight way in joint space, None where the pose alone says what the joints are."""
@@ -179,7 +181,7 @@ class CartesianSegment:
     @cached_property
     def turning(self) -> float:
         """[m] what the rotation adds to the path: 0 where the TCP travels enough to measure the path by its length."""
-        return _turning(self.length, self.angle)
+        return _turning(self.length, self.angle, self.lever)
 
     @cached_property
     def extent(self) -> float:
@@ -250,8 +252,8 @@ class JointSegment:
         return max(travel, ROTATION_LEVER * float(np.max(np.abs(self.end - self.start))))
 
 
-def _turning(length: float, angle: float) -> float:
-    return ROTATION_LEVER * angle if length < 0.5 * ROTATION_LEVER * angle else 0.0
+def _turning(length: float, angle: float, lever: float = ROTATION_LEVER) -> float:
+    return lever * angle if length < 0.5 * lever * angle else 0.0
 
 
 Segment = CartesianSegment | WristSegment | JointSegment

@@ -20,7 +20,7 @@ _MOVES = re.compile(r"\b(?:SYNC)?MOVE(?:FLY)?\b", re.IGNORECASE)
 _MOVE = re.compile(r"MOVE(?:FLY)?\b", re.IGNORECASE)
 _OF_A_MOVE = re.compile(r"(?:WITH|ADVANCE|VIA|ENDMOVE)\b|,|\$\w+\s*=", re.IGNORECASE)
 _ARM = re.compile(r"(?<=MOVE |EFLY )\s*ARM\s*\[\s*(\w+)\s*\]", re.IGNORECASE)
-_STRING = re.compile(r"'(?:[^']|'')*'")
+_STRING = re.compile(r"""'(?:[^']|'')*'|"[^"]*\"""")
 _HEADER = re.compile(r"PROGRAM\s+(\w+)", re.IGNORECASE)
 _SECTION = re.compile(r"(VAR|CONST|TYPE)\b\s*", re.IGNORECASE)
 _VARIABLE = re.compile(
@@ -28,12 +28,13 @@ _VARIABLE = re.compile(
     r"(?:\s+FOR\s+ARM\s*\[\s*1\s*\])?)(\s*\([^()]*(?:\([^()]*\)[^()]*)*\))?",
     re.IGNORECASE,
 )
-_CONSTANT = re.compile(r"(\w+)\s*=\s*(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?|TRUE|FALSE|ON|OFF)$", re.IGNORECASE)
+_CONSTANT = re.compile(r"(\w+)\s*=\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?|TRUE|FALSE|ON|OFF)$", re.IGNORECASE)
 _ROUTINE = re.compile(r"ROUTINE\s+(\w+)", re.IGNORECASE)
-_ASSIGNED = re.compile(r"(\w+)\s*(?:\[[^\]]*\]\s*)?:=\s*(.+)")
+_ASSIGNED = re.compile(r"(\w+)\s*(?:\[([^\]]*)\]\s*)?:=\s*(.+)")
+_SYSTEM_NAME = re.compile(r"\$\w+(?:\[\w*\]\.\w+)?")
 _SYSTEM = re.compile(r"(\$[\w.\[\]]+)\s*:=")
 _FOR = re.compile(r"FOR\s+(\w+)\s*:=\s*(.+)", re.IGNORECASE)
-_NAMES = re.compile(r"(?<![\w.$])[A-Za-z]\w*")
+_NAMES = re.compile(r"(?<![\w.$])[A-Za-z_]\w*|(?<![\w.$])0[xX]\w+")  # a hexadecimal number holds nothing known here
 #: Words that begin a statement and are not in `OUTSIDE_SUBSET`, and forms of statements that begin with another word.
 _BEGIN = {"if", "else", "endif", "delay", "cycle", "with", "for", "endfor", "endopen", "end", "or", "and", "not"}
 _CALL = re.compile(r"[$\w.]+(?:\[[^\]]*\][.$\w]*)*\s*(?:\(.*|:=.*|:|)$")
@@ -60,6 +61,8 @@ class _Sieve:
         self._bare = [_without_comment(line) for line in lines]
         self.passed: Counter[str] = Counter()
         self._known: set[str] = set()
+        self._constants: dict[str, str] = {}
+        self._valued: set[str] = set()  # of these, what holds a value by here
         self._moving_routines: dict[str, int] = {}
         self._fors: list[bool] = []
 
@@ -99,7 +102,8 @@ class _Sieve:
         if section == "VAR" and variable:
             return "VAR " + "; ".join(self._variable(name.strip(), variable) for name in variable[1].split(","))
         if section == "CONST" and constant:
-            self._known.add(constant[1].lower())
+            self._constants[constant[1].lower()] = constant[2]
+            self._valued.add(constant[1].lower())
             return f"CONST {bare}"
         return self._pass(section or bare)
 
@@ -113,6 +117,8 @@ class _Sieve:
             data_type = re.sub("XTNDPOS", "POSITION", data_type, flags=re.IGNORECASE)
         known = self._listed.get(name.lower())
         value = f" ({known.value})" if known is not None and known.type == named else declared[4] or ""
+        if value:
+            self._valued.add(name.lower())
         return f"{name}: {data_type}{value}"
 
     def _routine(self, at: int, name: str) -> int:
@@ -180,9 +186,9 @@ class _Sieve:
         return at
 
     def _check_arm(self, at: int, arm: str) -> None:
-        """It is arm 1: by its number, or by a variable that is never anything else."""
-        values = {arm}
-        if not arm.isdigit():
+        """It is arm 1: by its number, a constant, or a variable that is never anything else."""
+        values = {self._constants.get(arm.lower(), arm)}
+        if values == {arm} and not arm.isdigit():
             pattern = re.compile(rf"\b{arm}\s*:=\s*(\w+)", re.IGNORECASE)
             values = {found[1] for bare in self._bare for found in pattern.finditer(bare)}
         if values != {"1"}:
@@ -190,20 +196,27 @@ class _Sieve:
 
     def _keeps_loop(self, bare: str) -> bool:
         loop = _FOR.match(bare)
-        self._fors.append(loop is not None and self._is_known(loop[1]) and self._is_known(loop[2]))
+        self._fors.append(loop is not None and loop[1].lower() in self._known and self._has_value(loop[2]))
+        if loop and self._fors[-1]:
+            self._valued.add(loop[1].lower())
         return self._fors[-1]
 
     def _keeps_assignment(self, bare: str) -> bool:
         system, assigned = _SYSTEM.match(bare), _ASSIGNED.match(bare)
         if system:
-            name = system[1].upper().replace("$ARM_DATA[1].", "$")
-            return name in SYSTEM_VARIABLES and self._is_known(bare[system.end() :])
-        return assigned is not None and self._is_known(assigned[1]) and self._is_known(assigned[2])
+            return _is_system(system[1]) and self._has_value(bare[system.end() :])
+        if assigned is None or assigned[1].lower() not in self._known:
+            return False
+        if not self._has_value(f"{assigned[2] or ''} {assigned[3]}"):
+            return False
+        self._valued.add(assigned[1].lower())
+        return True
 
-    def _is_known(self, expression: str) -> bool:
-        """Whether every name in it is declared here, which those of other programs and functions are not."""
-        names = {name.lower() for name in _NAMES.findall(_STRING.sub("", expression))}
-        return names <= self._known | _KNOWN_WORDS
+    def _has_value(self, expression: str) -> bool:
+        """Whether every name in it holds a value by here, which those of other programs and functions do not."""
+        bare = _STRING.sub("", expression)
+        names = {name.lower() for name in _NAMES.findall(bare)}
+        return names <= self._valued | _KNOWN_WORDS and all(map(_is_system, _SYSTEM_NAME.findall(bare)))
 
     def _pass(self, word: str) -> str:
         self.passed[word.split()[0]] += 1
@@ -211,6 +224,10 @@ class _Sieve:
 
     def _place(self, at: int, word: str) -> TextPosition:
         return TextPosition(at + 1, self._lines[at].lower().find(word.lower()) + 1, word)
+
+
+def _is_system(name: str) -> bool:
+    return name.upper().replace("$ARM_DATA[1].", "$") in SYSTEM_VARIABLES
 
 
 def _without_comment(line: str) -> str:

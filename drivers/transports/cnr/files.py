@@ -20,8 +20,8 @@ from drivers.wire import cnr as wire
 #: How long either end waits for the other while the arm moves, where the identity file says nothing [s].
 WATCHDOG = 0.5
 _UNGUARDED = (
-    f"nothing says that this controller stops the arm where the agent is gone: the published programs run on. Add the "
-    f"watchdog of docs/real-robot.md to the feedback program, try it, and write its time into {wire.IDENTITY_FILE}"
+    f"nothing says that this controller stops the arm where the agent is gone: the published programs run on. Have "
+    f"agent_watch of docs/controller-programs.md active, try it, and write its time into {wire.IDENTITY_FILE}"
 )
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,31}", re.ASCII)
 _NO_SUCH_FILE = "550"

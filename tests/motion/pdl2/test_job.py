@@ -121,6 +121,46 @@ def test_a_routine_that_moves_is_not_passed_over():
     assert error.value.line == 25
 
 
+OF_A_DRIVER = """PROGRAM handler &PA, HOLD, PROG_ARM = 1, STACK = 10003
+CONST
+  K_ARM = 1
+  K_NONE = 0x00000
+VAR
+  _enabled : BOOLEAN EXPORTED FROM other NOSAVE
+  _frequency : INTEGER EXPORTED FROM other NOSAVE
+  joints : JOINTPOS FOR ARM[K_ARM] EXPORTED FROM other
+  lun : INTEGER (0)NOSAVE
+  kinds : ARRAY[6] OF INTEGER
+  known, at : INTEGER
+  was : BOOLEAN
+BEGIN
+  known := _frequency
+  was := _enabled
+  kinds[at] := 1
+  lun := K_NONE
+  _enabled := FALSE
+  WRITE lun("do not MOVE TO home -- now", NL)
+  FOR at := 1 TO $LAST_JNT_AXIS DO
+    kinds[at] := 0x1F;
+  ENDFOR
+  SYS_CALL('ML', 'UD:\\other.cod')
+  joints := {0, 0, -90, 0, 60, 0}
+  MOVEFLY ARM[K_ARM] JOINT TO joints ADVANCE
+  MOVE ARM[K_ARM] JOINT TO {0, 0, -90, 0, 50, 0}
+END handler
+"""
+
+
+def test_variables_of_other_programs_hold_nothing_that_is_known_here():
+    """Names with an underscore before, constants for the arm, numbers of other systems, strings of either kind."""
+    assert [move.line for move in moves(OF_A_DRIVER)] == [25, 26]
+    with pytest.raises(Pdl2Error, match="joints has no value") as error:
+        moves(OF_A_DRIVER.replace("  joints := {0, 0, -90, 0, 60, 0}\n", "\n"))
+    assert error.value.line == 25
+    with pytest.raises(Pdl2Error, match="another arm"):
+        moves(OF_A_DRIVER.replace("K_ARM = 1", "K_ARM = 2"))
+
+
 LISTED = """PROGRAM weld HOLD, PROG_ARM=1
 VAR
   pnt0001P, pnt0002P : POSITION FOR ARM[1] NOSAVE
