@@ -20,10 +20,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+import workers
+
 from agent.blind_check.cases import draw_effect
 from agent.core.errors import AgentError
-from agent.core.on_dask import DaskEngine
-from agent.core.parallel import InProcess
 from agent.diagnosis import diagnose
 from agent.estimation import estimate
 from agent.model import CATALOGUE, IdentifiedModel
@@ -178,8 +178,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", help="these effects")
     parser.add_argument("--withheld", action="store_true", help="diagnose again without the true effect")
     parser.add_argument("--keep", type=Path, help="folder for models that are reused")
-    parser.add_argument("--workers", type=int, default=1, help="local processes")
-    parser.add_argument("--scheduler", help="of a Dask cluster, tcp://…")
+    workers.add_options(parser)
     arguments = parser.parse_args()
     robot = load_robot(arguments.robot)
     rng = np.random.default_rng(arguments.seed)
@@ -192,21 +191,13 @@ def main() -> None:
         (arguments.robot, arguments.seed * 100 + number // 8, number, *truth, arguments.withheld, arguments.keep)
         for number, truth in enumerate(truths)
     ]
-    found: dict[int, tuple[str, str]] = {}
-    alone = arguments.workers == 1 and arguments.scheduler is None
-    with InProcess() if alone else DaskEngine(arguments.scheduler, arguments.workers) as engine:
-        for done in engine.map(try_case, cases):
-            if done.answer is None:
-                print(done.lost)
-                continue
-            text, outcome, without = done.answer
-            print(text, flush=True)
-            found[done.number] = outcome, without
     outcomes: dict[tuple[str, float], list[str]] = {}
-    for number in sorted(found):
-        if found[number][0]:
-            outcomes.setdefault(truths[number][:2], []).append(found[number][0])
-    withheld = Counter(without for _, without in found.values() if without)
+    withheld: Counter[str] = Counter()
+    for truth, (text, outcome, without) in zip(truths, workers.worked(try_case, cases, arguments), strict=True):
+        print(text, flush=True)
+        if outcome:
+            outcomes.setdefault(truth[:2], []).append(outcome)
+        withheld.update([without] if without else [])
     print(table(outcomes, [0.0, *arguments.sizes]))
     if withheld:
         print(f"with the true effect withheld: {dict(withheld)}")

@@ -1,8 +1,8 @@
 """Few data: fits to a fifth of one excitation loop, judged by motions in the whole sub-region.
 
-    python benchmarks/few_data.py [MACHINES]
+    python benchmarks/few_data.py [MACHINES] [--workers N | --scheduler ADDRESS]
 
-On the emulated COMAU NS16, in this process; about three minutes of one core a machine. A loop of six points is searched
+On the emulated COMAU NS16; about three minutes of one core a machine. A loop of six points is searched
 for (small search) and recorded once at 1 m/s. Its first pass is cut into five segments of equal length, each with what
 the filter's edges take (0.25 s on either side), and each is fitted alone: nothing of the other four fifths is known.
 Three fits of the same columns: the paper's weighted least squares with nothing else, the same with the prior, and the
@@ -11,6 +11,7 @@ physically consistent one. Ten unseen motions at 0.1 m/s judge: RMSE over nomina
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -22,6 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 
 import local_vs_global  # noqa: E402  beside this file
+import workers  # noqa: E402  beside this file
 
 from agent.estimation import FilterSettings  # noqa: E402
 from agent.estimation.blocks import partition  # noqa: E402
@@ -60,10 +62,14 @@ FITS: dict[str, Callable[[Problem], Estimate]] = {
 
 def main() -> None:
     """Print the table."""
-    machines = int(sys.argv[1]) if len(sys.argv) > 1 else 3
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("machines", type=int, nargs="?", default=3)
+    workers.add_options(parser)
+    arguments = parser.parse_args()
+    seeds = range(1, arguments.machines + 1)
     print("| machine | fit | mean of five | each fifth | whole loop |\n| --- | --- | --- | --- | --- |")
-    for seed in range(1, machines + 1):
-        for name, (fifths, whole) in errors(seed).items():
+    for seed, found in zip(seeds, workers.worked(errors, seeds, arguments), strict=True):
+        for name, (fifths, whole) in found.items():
             each = " ".join(f"{value:.2f}" for value in fifths)
             print(f"| {seed} | {name} | {np.mean(fifths):.2f} | {each} | {whole:.2f} |", flush=True)
 

@@ -1,14 +1,15 @@
 """Local against global calibration, criteria against each other, and the genetic search against others.
 
-    python benchmarks/local_vs_global.py [MACHINES] > docs/local-vs-global.md
+    python benchmarks/local_vs_global.py [MACHINES] [--workers N | --scheduler ADDRESS] > docs/local-vs-global.md
 
-Everything happens on the emulated COMAU NS16, in this process: about five minutes of one core a machine. Each of the
+Everything happens on the emulated COMAU NS16: about five minutes of one core a machine. Each of the
 emulated machines (bodies, rotors and friction drawn around the nominal ones) is calibrated from as many seconds of
 motion in each way and judged by the same motions in the sub-region that no fit saw.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 from collections.abc import Callable
@@ -19,6 +20,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+import workers  # noqa: E402  beside this file
 from cma_es import cma_es  # noqa: E402  beside this file
 
 from agent.estimation import EstimationSettings, estimate  # noqa: E402
@@ -94,12 +96,20 @@ class GlobalLoops(LocalLoops):
 
 def main() -> None:
     """Print the document."""
-    machines = int(sys.argv[1]) if len(sys.argv) > 1 else 3
-    recipe = load_recipe(ROOT / "recipes/ns16_quickstart.yaml")
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("machines", type=int, nargs="?", default=3)
+    workers.add_options(parser)
+    arguments = parser.parse_args()
+    results = list(workers.worked(machine, range(1, arguments.machines + 1), arguments))
+    print(document(results, sum(result["seconds"] for result in results)))
+
+
+def machine(seed: int) -> dict:
+    """All calibrations of one machine, the searches with the same seed, and the processor time of it all [s]."""
     started = time.process_time()
     with one_blas_thread():
-        results = [calibrate_all(recipe, seed) for seed in range(1, machines + 1)]
-    print(document(results, time.process_time() - started))
+        found = calibrate_all(load_recipe(ROOT / "recipes/ns16_quickstart.yaml"), seed)
+    return {**found, "seconds": time.process_time() - started}
 
 
 def calibrate_all(recipe: Recipe, seed: int) -> dict:

@@ -32,7 +32,7 @@ from .files import (
     written_whole as written_whole,
 )
 from .memory import keep_freed_memory as keep_freed_memory
-from .on_dask import DaskEngine as DaskEngine
+from .on_dask import DaskEngine as DaskEngine, worker_folder as worker_folder
 from .output import (
     flush_results as flush_results,
     open_standard_descriptors as open_standard_descriptors,

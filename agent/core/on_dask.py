@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -29,6 +30,16 @@ _LOOK = 2.0
 _AHEAD = 2
 #: How often Dask tries a task again whose worker died.
 _TRIES = 2
+
+
+def worker_folder() -> str | None:
+    """Folder on disk of the Dask worker that this runs on: if the worker is killed, the next one of its machine clears
+    it away. None elsewhere."""
+    dask = sys.modules.get("distributed")
+    try:
+        return None if dask is None else str(dask.get_worker().local_directory)
+    except ValueError:  # no worker
+        return None
 
 
 class DaskEngine:

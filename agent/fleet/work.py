@@ -18,7 +18,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from agent.core import AgentError, InputError, read_yaml
+from agent.core import AgentError, InputError, read_yaml, worker_folder
 from agent.fleet.store import Store, StoredFile, StoreError
 from agent.fleet.tasks import Task
 
@@ -66,7 +66,7 @@ def run_task(task: Task) -> TaskRow:
     from agent.excitation import one_blas_thread
 
     began = time.process_time()
-    with tempfile.TemporaryDirectory(prefix="agent-fleet-") as folder:
+    with tempfile.TemporaryDirectory(prefix="agent-fleet-", dir=worker_folder()) as folder:
         inputs = _Inputs(Store(task.source), Path(folder) / "source")
         row: dict[str, Any] | None
         model = b""

@@ -64,6 +64,32 @@ def test_a_killed_worker_changes_no_row(plant: Path, estimated: Path, tmp_path: 
     assert not any((tmp_path / "_done").iterdir())
 
 
+def test_what_a_killed_worker_had_on_disk_is_cleared_away(tmp_path: Path):
+    marks = str(tmp_path / "marks")
+    os.mkdir(marks)
+
+    def begun(number: int) -> int:
+        import os
+        import signal
+        import tempfile
+
+        from agent.core import worker_folder
+
+        with tempfile.TemporaryDirectory(prefix="agent-fleet-", dir=worker_folder()) as folder:
+            if not os.listdir(marks):
+                open(f"{marks}/{number}", "w").close()
+                os.kill(os.getpid(), signal.SIGKILL)
+            assert folder.startswith(str(tmp_path))
+        return number
+
+    dask = pytest.importorskip("dask")
+    with dask.config.set({"temporary-directory": str(tmp_path)}), DaskEngine(workers=1) as engine:
+        assert [done.answer for done in engine.map(begun, range(2))] == [0, 1]
+    assert os.listdir(marks) == ["0"]
+    assert (tmp_path / "dask-scratch-space").is_dir()
+    assert list(tmp_path.rglob("agent-fleet-*")) == []
+
+
 def test_a_search_on_dask_finds_the_loop_of_this_process():
     regions = ViaRegions.from_box(6, [1.0, 0.0, 1.0], [0.3] * 3, [0.0, np.pi, 0.0], 0.3)
     problem = LoopProblem(load_robot("comau_ns16"), regions, MotionSettings(linear_speed=0.5))
