@@ -55,7 +55,7 @@ def engine_for(scheduler: str | None, workers: int | None, console: Any) -> Any:
     from agent.core import DaskEngine, InProcess, LocalProcesses, available_cores
 
     if scheduler is not None:
-        return DaskEngine(scheduler, say=console.detail)
+        return DaskEngine(scheduler, say=console.say)
     count = workers or available_cores()
     return InProcess() if count == 1 else LocalProcesses(count)
 

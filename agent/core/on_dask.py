@@ -81,6 +81,7 @@ class DaskEngine:
         if self._scheduler is None:
             self._start_local()
         else:
+            self._say(f"{self._scheduler}: connecting to the scheduler")
             try:
                 # a client of an address that is none would keep a thread, and the process would not end
                 self._dask.comm.get_address_host_port(self._scheduler)

@@ -14,6 +14,7 @@ from agent.fleet.tasks import RunQuestion
 if TYPE_CHECKING:
     from agent.model import IdentifiedModel
     from agent.recording import Log
+    from agent.robot import RobotDescription
 
 
 class Notes(Console):
@@ -29,7 +30,7 @@ class Notes(Console):
 
 
 def estimate(
-    question: RunQuestion, robot: str | None, model: Path | None, logs: list[Path], notes: Notes
+    question: RunQuestion, robot: str | RobotDescription | None, model: Path | None, logs: list[Path], notes: Notes
 ) -> tuple[dict[str, Any], bytes]:
     """`agent estimate`: the columns, and the model file but for when it was made."""
     from agent.pipeline import fit_files
@@ -82,7 +83,7 @@ def _conditions(model: IdentifiedModel, logs: list[Log]) -> dict[str, Any]:
 
 
 def validate(
-    question: RunQuestion, robot: str | None, model: Path | None, logs: list[Path], notes: Notes
+    question: RunQuestion, robot: str | RobotDescription | None, model: Path | None, logs: list[Path], notes: Notes
 ) -> tuple[dict[str, Any], bytes]:
     """`agent validate`: the columns, with the whole result."""
     from agent.pipeline import validate_files
@@ -104,7 +105,7 @@ def validate(
 
 
 def diagnose(
-    question: RunQuestion, robot: str | None, model: Path | None, logs: list[Path], notes: Notes
+    question: RunQuestion, robot: str | RobotDescription | None, model: Path | None, logs: list[Path], notes: Notes
 ) -> tuple[dict[str, Any], bytes]:
     """`agent diagnose`: the columns, with the whole result."""
     from agent.pipeline import GapQuestion, diagnose_files
@@ -140,7 +141,7 @@ def diagnose(
     return row, b""
 
 
-def _needed(robot: str | None) -> str:
+def _needed(robot: str | RobotDescription | None) -> str | RobotDescription:
     if robot is None:
         raise InputError("there is no robot.yaml in or above this run; put one there, or name the robot with --robot")
     return robot

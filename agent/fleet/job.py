@@ -50,8 +50,8 @@ class Summary:
     def text(self) -> str:
         """For people."""
         lines = [
-            f"{self.runs} runs of {self.robots} robots: {self.done} done, {self.kept} known; {self.rows} rows in "
-            f"{self.result}",
+            f"{_counted(self.runs, 'run')} of {_counted(self.robots, 'robot')}: {self.done} done, {self.kept} known; "
+            f"{_counted(self.rows, 'row')} in {self.result}",
             f"{self.cpu_s:.1f} CPU s in {self.seconds:.1f} s, {self.read_bytes / 1e6:.1f} MB read, "
             f"{self.written_bytes / 1e6:.1f} MB written",
         ]
@@ -87,7 +87,7 @@ def run_fleet(
         known = result.known()
         todo = [task for task in _marked(plant, question.key, known) if task is not None]
         summary.kept = len(plant.tasks) - len(todo)
-        console.say(f"{len(plant.tasks)} runs of {len(robots)} robots; {len(todo)} to be done")
+        console.say(f"{_counted(len(plant.tasks), 'run')} of {_counted(len(robots), 'robot')}; {len(todo)} to be done")
         failed = {
             task.run: {"run": task.run, "status": known[task.run]["status"], "reason": known[task.run]["reason"]}
             for task in plant.tasks
@@ -101,6 +101,10 @@ def run_fleet(
         summary.written_bytes = result.written
         summary.seconds = time.monotonic() - began
     return summary
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def _work(
@@ -129,7 +133,7 @@ def _work(
             summary.done += 1
             if row["status"] != "ok":
                 failed[task.run] = {key: row[key] for key in ("run", "status", "reason")}
-        console.progress(f"{number} of {len(todo)} runs, {len(failed)} without figures")
+        console.progress(f"{number} of {_counted(len(todo), 'run')}, {len(failed)} without figures", number / len(todo))
         if time.monotonic() - kept > _KEEP:
             result.keep()
             kept = time.monotonic()

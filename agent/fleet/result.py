@@ -10,6 +10,8 @@ Names that begin with _ are left out by what reads a folder as a data set (Arrow
 from __future__ import annotations
 
 import hashlib
+import os
+import shutil
 import tempfile
 import uuid
 from collections import OrderedDict
@@ -144,8 +146,11 @@ class Result:
     def __enter__(self) -> Result:
         if self.store.local is not None and self.store.local.is_file():
             raise InputError(f"{self.store.url}: is a file; name a folder for the result")
-        self._temporary = tempfile.TemporaryDirectory(prefix="agent-fleet-")
-        self._folder = Path(self._temporary.name)
+        # one run at a time writes a result, so what is there was left by one that was killed
+        digest = hashlib.sha256(self.store.absolute.encode()).hexdigest()[:16]
+        self._folder = Path(tempfile.gettempdir()) / f"agent-fleet-{os.getuid()}-{digest}"
+        shutil.rmtree(self._folder, ignore_errors=True)
+        self._folder.mkdir(mode=0o700)
         found = _find_rows(self.store, self._folder)
         if found is not None and found[0] != self.kind:
             raise InputError(f"{self.store.url}: holds a result of `fleet {found[0]}`; name another folder with -o")
@@ -162,7 +167,7 @@ class Result:
         except StoreError:
             pass  # the error that is on its way says more
         finally:
-            self._temporary.cleanup()
+            shutil.rmtree(self._folder, ignore_errors=True)
 
     def known(self) -> dict[str, dict[str, Any]]:
         """Of every run that has a row: `status`, `reason`, `asked`, and `inputs`."""

@@ -28,6 +28,8 @@ _OF_A_RUN = {
     "diagnose": ("excitation.mcap", "validation_*.mcap"),
 }
 _STATE, _ROBOT, _PAGE = "state.json", "robot.yaml", "report.html"
+#: In a run folder of the agent: says what the robot was, too.
+RUN_MODEL = "model.json"
 
 
 @dataclass(frozen=True)
@@ -69,8 +71,8 @@ class RunQuestion:
 @dataclass(frozen=True)
 class Task:
     """One robot and run. `run` is the folder below the source, "." for the source itself; `files` are its logs, and
-    description, model and state where the store has them; `known` the SHA-256 of the inputs of the row that is there
-    already, by path."""
+    description (or a run folder's model), model and state where the store has them; `known` the SHA-256
+    of the inputs of the row that is there already, by path."""
 
     question: RunQuestion
     source: str
@@ -137,7 +139,7 @@ def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
     Raises:
         InputError: there is no folder with logs, or none of them has the model that was named.
     """
-    wanted = {_STATE, _ROBOT, _PAGE, question.model}
+    wanted = {_STATE, _ROBOT, _PAGE, RUN_MODEL, question.model}
     folders: dict[str, dict[str, StoredFile]] = {}
     listing: dict[str, tuple[int, str]] = {}
     for file in store.files():
@@ -148,6 +150,10 @@ def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
     tasks = [task for folder in folders for task in _task(store, question, folders, folder)]
     if not tasks:
         raise InputError(f"{store.url}: no folder in it has logs (*.mcap) for {question.kind}")
+    if _needs_robot(question) and all(task.description is None and task.state is None for task in tasks):
+        raise InputError(
+            f"{store.url}: there is no {_ROBOT} in or above any run; put one there, or name the robot with --robot"
+        )
     model = question.model
     if model and all(task.model is None for task in tasks) and model not in (one.name for one in question.given):
         raise InputError(
@@ -156,6 +162,12 @@ def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
         )
     tasks.sort(key=lambda task: (task.robot, task.run))
     return SourceTasks(tuple(tasks), listing)
+
+
+def _needs_robot(question: RunQuestion) -> bool:
+    """Whether nothing but the source can say what robot it is; a validation's model does, and a diagnosis's."""
+    given = any(PurePosixPath(one.name).name == _ROBOT for one in question.given)
+    return not (question.robot or given or question.kind == "validate" or question.model)
 
 
 def _task(
@@ -169,10 +181,12 @@ def _task(
     if not logs:
         return
     given = {PurePosixPath(one.name).name for one in question.given}
-    described = None if question.robot or _ROBOT in given else _nearest(folders, folder, _ROBOT)
+    asked = question.robot or _ROBOT in given
+    above = None if asked else _nearest(folders, folder, _ROBOT)
+    described = above or (here.get(RUN_MODEL) if state is not None and not asked else None)
     model = None if not question.model or question.model in given else _nearest(folders, folder, question.model)
     page = here[_PAGE].path if _PAGE in here else ""
-    robot = _whose(store, folder, described, state)
+    robot = _whose(store, folder, above, state)
     yield Task(question, store.url, robot, folder, tuple(logs), described, model, state, page)
 
 

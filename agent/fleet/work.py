@@ -16,11 +16,14 @@ import time
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from agent.core import AgentError, InputError, read_yaml, worker_folder
 from agent.fleet.store import Store, StoredFile, StoreError
-from agent.fleet.tasks import Task
+from agent.fleet.tasks import RUN_MODEL, Task
+
+if TYPE_CHECKING:
+    from agent.robot import RobotDescription
 
 #: Statuses of rows that another try may mend; a rerun tries them again.
 PASSING = ("unavailable", "memory", "killed")
@@ -50,6 +53,8 @@ class _Inputs:
     read: list[dict[str, Any]] = field(default_factory=list)
 
     def fetch(self, file: StoredFile) -> Path:
+        if file.path in (entry["path"] for entry in self.read):
+            return (self.store.local or self.folder) / file.path
         path = self.store.fetch(file, self.folder)
         with open(path, "rb") as content:
             digest = hashlib.file_digest(content, "sha256").hexdigest()
@@ -107,8 +112,9 @@ def _work(task: Task, inputs: _Inputs, folder: Path) -> tuple[dict[str, Any] | N
     return row | _when(task, state, logs), content
 
 
-def _robot(task: Task, inputs: _Inputs, folder: Path) -> str | None:
-    """What `--robot` would be: a name, or the path of the description with its URDF beside it."""
+def _robot(task: Task, inputs: _Inputs, folder: Path) -> str | RobotDescription | None:
+    """What `--robot` would be: a name, or the path of the description with its URDF beside it; of a run folder of the
+    agent without one, the robot of its model, or the built-in one that it names."""
     if task.question.robot:
         return task.question.robot
     for one in task.question.given:
@@ -116,8 +122,12 @@ def _robot(task: Task, inputs: _Inputs, folder: Path) -> str | None:
             _lay_out(task, folder)
             return str(folder / "given" / one.name)
     if task.description is None:
-        return None
+        return None if task.state is None else _builtin(inputs.fetch(task.state))
     path = inputs.fetch(task.description)
+    if path.name == RUN_MODEL:
+        from agent.model import IdentifiedModel
+
+        return IdentifiedModel.load(path).robot
     with contextlib.suppress(InputError, FileNotFoundError):  # whoever reads the description will say so
         data = read_yaml(path)
         if isinstance(data, dict) and isinstance(data.get("urdf"), str):
@@ -125,6 +135,21 @@ def _robot(task: Task, inputs: _Inputs, folder: Path) -> str | None:
             if not urdf.startswith(("..", "/")):
                 inputs.fetch(inputs.store.find(urdf))
     return str(path)
+
+
+def _builtin(state: Path) -> str | None:
+    from agent.robot import builtin_robots
+
+    name = _told(state).get("robot")
+    return name if name in builtin_robots() else None
+
+
+def _told(state: Path) -> dict[str, Any]:
+    """What the state of a run says; nothing where it is none."""
+    with contextlib.suppress(ValueError):
+        told = json.loads(state.read_text(encoding="utf-8"))
+        return told if isinstance(told, dict) else {}
+    return {}
 
 
 def _model(task: Task, inputs: _Inputs, folder: Path) -> Path | None:
@@ -147,13 +172,13 @@ def _when(task: Task, state: Path | None, logs: list[Path]) -> dict[str, Any]:
     by its first log."""
     from agent.recording import read_log
 
-    told = {} if state is None else json.loads(state.read_text(encoding="utf-8"))
+    told = {} if state is None else _told(state)
     log = read_log(logs[0])
     metadata, stamp = log.metadata, log.stamp
     machine = {key: metadata.get(key) or None for key in ("serial", "tool")}
     started = None
     with contextlib.suppress(ValueError, OverflowError):  # no such day
-        if isinstance(told, dict) and isinstance(told.get("started"), str):
+        if isinstance(told.get("started"), str):
             started = datetime.fromisoformat(told["started"])
             started = started if started.tzinfo else started.replace(tzinfo=UTC)
         elif stamp >= _FIRST_DATE:

@@ -47,7 +47,9 @@ class GapQuestion:
     next_recipe: Path | None = None
 
 
-def diagnose_files(robot: str | None, paths: Sequence[Path], question: GapQuestion, console: Console) -> dict[str, Any]:
+def diagnose_files(
+    robot: str | RobotDescription | None, paths: Sequence[Path], question: GapQuestion, console: Console
+) -> dict[str, Any]:
     """Diagnose logs; returns the result of docs/diagnosis.md, and writes what is asked for.
 
     Without a `robot` the model says what the arm is.
@@ -55,7 +57,9 @@ def diagnose_files(robot: str | None, paths: Sequence[Path], question: GapQuesti
     Raises:
         InputError: a robot, model or log that cannot be used, an unknown effect, or an output that cannot be written.
     """
-    return _diagnose(None if robot is None else load_robot(robot), paths, question, console, robot)
+    if robot is None or isinstance(robot, str):
+        return _diagnose(None if robot is None else load_robot(robot), paths, question, console, robot)
+    return _diagnose(robot, paths, question, console, robot.name)
 
 
 def diagnose_recording(

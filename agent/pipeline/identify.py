@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.core import Console, InputError, RejectedError
-from agent.robot import load_robot
+from agent.robot import RobotDescription, load_robot
 
 if TYPE_CHECKING:
     from agent.model import IdentifiedModel
@@ -151,7 +151,7 @@ def estimate_files(
 
 
 def fit_files(
-    robot: str,
+    robot: str | RobotDescription,
     paths: list[Path],
     cutoff: float | None,
     method: str | None,
@@ -164,7 +164,7 @@ def fit_files(
     from agent.estimation import EstimationSettings, estimate
 
     check_structure(structure)
-    description = load_robot(robot)
+    description = load_robot(robot) if isinstance(robot, str) else robot
     logs = read_logs(paths, description, console)
     check_one_machine(logs, None, allow_mixed)
     check_plausible(description, logs, force, console)

@@ -128,6 +128,32 @@ def test_whose_a_run_is(tmp_path: Path):
     assert robots("a/run/state.json", "a/run/excitation.mcap", "a/run/validation_00.mcap") == ["a a/run"]
 
 
+def test_run_folders_of_the_agent_say_which_robot_they_are(command, plant: Path, estimated: Path, tmp_path: Path):
+    row = rows_of(estimated)[0]
+    run = tmp_path / "logs" / "20250106T020000Z_arm"
+    run.mkdir(parents=True)
+    shutil.copy(plant / row["run"] / row["logs"][0], run / "excitation.mcap")
+    shutil.copy(estimated / row["model"], run / "model.json")
+    (run / "state.json").write_text(json.dumps({"robot": "arm", "serial": "S1"}), encoding="utf-8")
+    command("fleet", "estimate", tmp_path / "logs", "-o", tmp_path / "out", "-q")
+    (found,) = rows_of(tmp_path / "out")
+    assert (found["robot"], found["status"], found["rmse"]) == ("S1", "ok", row["rmse"])
+    (run / "model.json").unlink()
+    command("fleet", "estimate", tmp_path / "logs", "-o", tmp_path / "out", "-q")
+    (found,) = rows_of(tmp_path / "out")
+    assert (found["status"], found["reason"].split(";")[0]) == (
+        "unreadable",
+        "there is no robot.yaml in or above this run",
+    )
+
+
+def test_logs_of_nobody_knows_what_robot_are_usage(command, plant: Path, tmp_path: Path):
+    (tmp_path / "a").mkdir()
+    shutil.copy(next(plant.rglob("*.mcap")), tmp_path / "a")
+    with pytest.raises(InputError, match=r"no robot\.yaml in or above any run"):
+        command("fleet", "estimate", tmp_path, "-o", tmp_path / "out")
+
+
 def test_a_source_without_logs_is_usage(command, tmp_path: Path):
     for source in (tmp_path, tmp_path / "nothing"):
         with pytest.raises(InputError, match=r"no such folder|no folder in it has logs"):
