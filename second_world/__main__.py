@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+_PAUSE = 5.0  # s between motions, in which nothing cools down
+
 
 def main(arguments: list[str]) -> int:
     """Returns the exit code: 0, or 2 with a message where MuJoCo is missing."""
@@ -31,7 +33,7 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
     from second_world.arms import PLACEHOLDERS, draw_arm, write_description
     from second_world.draw import recorder
     from second_world.faults import build_in
-    from second_world.motions import draw_motions
+    from second_world.motions import RATE, draw_motions
     from second_world.plant import largest_change, simulate
     from second_world.recorder import write_motion
 
@@ -45,9 +47,11 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
     faults = build_in(arm, effects)
     out, reported = simulate(arm, faults, machine, motions)
     folder.mkdir(parents=True, exist_ok=True)
+    began = 0.0
     for number, (name, (_, cycles)) in enumerate(motions.items()):
         seed = 10 * job["motion"] + number
-        write_motion(folder / f"{name}.mcap", arm, out[name], reported[number], cycles, seed, as_recorded)
+        write_motion(folder / f"{name}.mcap", arm, out[name], reported[number], cycles, seed, as_recorded, began)
+        began += len(reported[number]) / RATE + _PAUSE
     size = None
     if effects:
         whole = draw_arm(machine)

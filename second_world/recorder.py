@@ -23,9 +23,13 @@ def write_motion(
     cycles: tuple[float, ...],
     seed: int,
     as_recorded: bool,
+    began: float = 0.0,
 ) -> None:
-    """Sample one motion, with noise; `as_recorded` rounds positions to 1e-4 rad, stamps rows late by 0.4 ms on the
-    average (exponential, in the order of arrival) and loses 3 % of them."""
+    """Sample one motion that `began` [s] in the session, with noise.
+
+    `as_recorded` rounds positions to 1e-4 rad, stamps rows late by 0.4 ms on the average (exponential, in the order of
+    arrival) and loses 3 % of them.
+    """
     rng = np.random.default_rng([seed, 8])
     position, velocity, effort = (values[::EVERY] for values in (motion["position"], motion["velocity"], torque))
     samples = len(position)
@@ -51,7 +55,7 @@ def write_motion(
         reference_position=None,
         planned_position=None,
         sample_rate=RATE / EVERY,
-        stamp=_STAMP + start,
+        stamp=_STAMP + began + start,
         segments=((0, len(t)),),
         cycle_starts=cycles,
         metadata={"robot": arm.build.name, "motion": path.stem},

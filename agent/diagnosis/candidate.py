@@ -19,14 +19,17 @@ _AT_ONCE = 64  # blocks of columns filtered together
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An effect somewhere, with nonlinear parameters chosen. `blocks`: joint → (S', k) over σ, all motions in a row."""
+    """An effect somewhere, with nonlinear parameters chosen.
+
+    `blocks`: joint → (S', k) over σ, all motions in a row; `prior` (k, k): precision of its parameters, None without.
+    """
 
     effect: Effect
     joints: tuple[int, ...]
     settings: Mapping[str, float]
     names: tuple[str, ...]
     blocks: dict[int, np.ndarray]
-    prior_std: np.ndarray | None
+    prior: np.ndarray | None
     reference: NominalModel
 
     @property
@@ -83,7 +86,7 @@ def make_candidates(context: FitContext, wanted: Sequence[Wanted]) -> list[Candi
     result = []
     for (effect, joints, settings), found in zip(wanted, parts, strict=True):
         blocks = {joint: np.concatenate(block) for joint, block in found.items()}
-        prior_std = effect.prior_std(context, joints, settings)
+        prior = effect.prior_precision(context, joints, settings)
         names = effect.names(settings)
-        result.append(Candidate(effect, joints, dict(settings), names, blocks, prior_std, context.reference))
+        result.append(Candidate(effect, joints, dict(settings), names, blocks, prior, context.reference))
     return result

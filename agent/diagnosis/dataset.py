@@ -83,9 +83,9 @@ def assemble(
     signals: list[MotionSignals] = []
     rows: list[list[np.ndarray]] = [[] for _ in range(n)]
     index: list[np.ndarray] = []
+    begun = _begun(logs)
     for segment in observation.segments:
         motion = segment.motion
-        started = logs[segment.log_index].stamp - min(entry.stamp for entry in logs)
         signals.append(
             MotionSignals(
                 reference,
@@ -96,7 +96,7 @@ def assemble(
                 segment.log_index,
                 motion.kept,
                 tuple(motion.cycle_starts),
-                started,
+                begun[segment.log_index],
                 motion.low_pass,
             )
         )
@@ -135,6 +135,15 @@ def assemble(
         observation.segments[0].motion.cutoff,
         limits,
     )
+
+
+def _begun(logs: Sequence[Log]) -> list[float]:
+    """Per log, when it began [s] from the first on. Stamps that have logs of one arm overlap are no times of day: the
+    logs are taken to follow one another as they are given."""
+    order = sorted(logs, key=lambda log: log.stamp)
+    if all(b.stamp >= a.stamp + a.t[-1] for a, b in pairwise(order)):
+        return [log.stamp - order[0].stamp for log in logs]
+    return [float(end) for end in np.cumsum([0.0, *(log.t[-1] for log in logs[:-1])])]
 
 
 def _links(model: IdentifiedModel) -> str:

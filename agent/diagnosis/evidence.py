@@ -89,7 +89,7 @@ def null_gains(fit: Fit, candidates: Sequence[Candidate], limits: DecisionLimits
             x_z = both[fold.train].sum(axis=0)[:-1] / fit.repeat
             follows = inverse @ x_z
             schur = alone[fold.train].sum(axis=0) / fit.repeat - x_z.T @ follows
-            schur += np.diag(fit.ridge(c, np.maximum(alone.sum(axis=0).diagonal(), 1e-9)))
+            schur += fit.ridge(c, np.maximum(alone.sum(axis=0).diagonal(), 1e-9))
             values = np.linalg.solve(schur, (z_train[:, spans[c]] - x_train @ follows).T).T
             x_z_test = both[fold.test].sum(axis=0)[:-1]
             beyond = x_z_test - gram @ follows

@@ -81,16 +81,15 @@ class Fit:
                 both = self._moments.between(other, candidate)
                 self.gram[:, other_span, span] = both
                 self.gram[:, span, other_span] = np.swapaxes(both, 1, 2)
-            diagonal = np.arange(span.start, span.stop)
-            self.prior[diagonal, diagonal] = self.ridge(candidate, own.sum(axis=0).diagonal())
+            self.prior[span, span] = self.ridge(candidate, own.sum(axis=0).diagonal())
         self.pull = np.zeros(size)
         self.pull[:base] = self.shift
         self._solved: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
     def ridge(self, candidate: Candidate, energy: np.ndarray) -> np.ndarray:
-        """(k,) prior precision of a candidate's parameters, from the energy (k,) of its columns."""
-        weak = 1e-7 * energy / self.repeat + 1e-12
-        return weak if candidate.prior_std is None else weak + 1 / candidate.prior_std**2
+        """(k, k) prior precision of a candidate's parameters, from the energy (k,) of its columns."""
+        weak = np.diag(1e-7 * energy / self.repeat + 1e-12)
+        return weak if candidate.prior is None else weak + candidate.prior
 
     def with_chosen(self, chosen: Sequence[Candidate]) -> Fit:
         """The same data with these effects as part of the model."""
@@ -253,7 +252,7 @@ class Fit:
         energy = own.sum(axis=0).diagonal()
         if not np.all(np.isfinite(energy)) or np.all(energy <= 1e-9):
             return HeldOutScore(candidate, self.error(single), 0.0, np.zeros(len(candidate.names)))
-        ridge = np.diag(self.ridge(candidate, np.maximum(energy, 1e-9)))
+        ridge = self.ridge(candidate, np.maximum(energy, 1e-9))
         total = 0.0
         for fold in self.single if single else self.folds:
             change, values = self._both(fold.train, cross, own, ridge)

@@ -24,8 +24,10 @@ _UNITS = {
     "Ixx": "kg·m²", "Ixy": "kg·m²", "Iyy": "kg·m²", "Ixz": "kg·m²", "Iyz": "kg·m²", "Izz": "kg·m²",
     "rise": "N·m", "level": "N·m", "coulomb": "N·m", "viscous": "N·m·s/rad", "bend": "N·m",
     "cosine": "N·m", "sine": "N·m", "constant": "N·m", "torque": "N·m", "hysteresis": "N·m",
-    "stiffness": "N·m/rad", "damping": "N·m·s/rad", "speed": "rad/s", "force": "N", "tilt": "rad",
-    "gap": "rad", "travel": "rad", "low": "rad", "high": "rad", "order": "1/rad",
+    "stiffness": "N·m/rad", "quadratic": "N·m/rad²", "cubic": "N·m/rad³",
+    "damping": "N·m·s/rad", "speed": "rad/s", "force": "N", "tilt": "rad",
+    "gap": "rad", "travel": "rad", "way": "rad", "low": "rad", "high": "rad", "middle": "rad", "reach": "rad",
+    "order": "1/rad",
     "delay": "s", "shift": "s", "blend": "s", "start": "s", "end": "s", "duration": "s", "time": "s",
 }  # fmt: skip
 _SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad")}  # where the figure is small

@@ -127,7 +127,7 @@ def _practical(fit: Fit, form: Candidate) -> Form:
     energy = sum((np.sum(block**2, axis=0) for block in form.blocks.values()), np.zeros(count))
     if np.all(energy > 1e-9):
         return Form(form, fit.practical(form), np.zeros((count, count)))
-    deviation = np.ones(count) if form.prior_std is None else np.asarray(form.prior_std, dtype=float)
+    deviation = np.ones(count) if form.prior is None else 1 / np.sqrt(np.diag(form.prior))
     return Form(form, deviation, np.zeros((count, count)))
 
 
@@ -152,7 +152,7 @@ def _covariance(fit: Fit, candidate: Candidate) -> np.ndarray:
     (_, (cross, own)), *_ = fit.moments([candidate])
     reach, total = cross.sum(axis=0)[:-1] / fit.repeat, own.sum(axis=0) / fit.repeat
     inverse = fit.solve(np.ones(fit.cells, dtype=bool))[0]
-    information = total + np.diag(fit.ridge(candidate, np.maximum(np.diag(own.sum(axis=0)), 1e-9)))
+    information = total + fit.ridge(candidate, np.maximum(np.diag(own.sum(axis=0)), 1e-9))
     schur = information - reach.T @ inverse @ reach
     scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     return np.linalg.inv(schur * np.outer(scale, scale) + 1e-9 * np.eye(len(schur))) * np.outer(scale, scale)

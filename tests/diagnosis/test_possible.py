@@ -45,6 +45,8 @@ def test_friction_does_not_fall_below_nought(reference):
 
 def test_no_gear_warms_up_in_a_second(reference):
     drift = {"coulomb_change": 0.1, "coulomb_drift": 0.1, "viscous_change": 0.0, "viscous_drift": 0.0}
+    assert possible(reference, "thermal_friction", {"way": 20.0}, drift)
+    assert not possible(reference, "thermal_friction", {"way": 0.3}, drift)
     assert not possible(reference, "thermal_friction", {"time_constant": 0.9}, drift)
 
 
@@ -60,6 +62,8 @@ def test_a_spring_pulls_no_harder_than_the_joint_could_bear(reference):
     for size, fine in ((0.5 * nominal, True), (-13905.0 * max(nominal / 100, 1.0), False)):
         assert possible(reference, "gravity_spring", {"harmonics": 1.0}, {"cosine_1": size, "sine_1": 0.0}) == fine
         assert possible(reference, "dress_pack", {}, {"constant": 0.0, "stiffness": size}) == fine
+        hardening = {"constant": 0.0, "stiffness": 0.0, "quadratic": 0.0, "cubic": size}
+        assert possible(reference, "dress_pack", {"middle": 0.0, "reach": 0.5}, hardening) == fine
 
 
 def test_torque_within_stiction_at_rest_keeps_no_cause_from_closing_the_gap(diagnosed):

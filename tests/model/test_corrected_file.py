@@ -164,6 +164,15 @@ CASES = {
         "asymmetric_friction", "lift", coulomb=1, viscous=1, coulomb_asymmetry=0.3, viscous_asymmetry=0.1
     ),
     "load_dependent_friction": entry("load_dependent_friction", "lift", coefficient=0.08),
+    "load_dependent_friction, another power": entry(
+        "load_dependent_friction", "lift", power=2, load=20, coefficient=0.08
+    ),
+    "load_dependent_friction, sheared": entry(
+        "load_dependent_friction", "lift", sheared=1, coefficient=0.05, sheared_coefficient=0.1
+    ),
+    "load_dependent_friction, driven": entry(
+        "load_dependent_friction", "lift", driven=1, coefficient=0.1, driven_coefficient=0.04
+    ),
     "shear": entry("viscous_nonlinearity", "pan", speed=0.3, bend=0.8, viscous_change=-0.2),
     "power": entry("viscous_nonlinearity", "pan", power=3, bend=0.1, viscous_change=0.1),
     "thermal_friction": entry(
@@ -174,6 +183,9 @@ CASES = {
         coulomb_drift=1,
         viscous_change=0,
         viscous_drift=0.1,
+    ),
+    "warming by the way gone": entry(
+        "thermal_friction", "pan", way=0.8, coulomb_change=0.2, coulomb_drift=1, viscous_change=0, viscous_drift=0.1
     ),
     "presliding": entry("presliding", "lift", travel=0.02, level=1.2),
     "torque_ripple": entry(
@@ -188,6 +200,9 @@ CASES = {
         travel=0.03,
         hysteresis=0.5,
         **{f"torque_{k}": v for k, v in enumerate((0.1, 0.4, 0.2, -0.3, -0.5, -1.5))},
+    ),
+    "hose that hardens": entry(
+        "dress_pack", "lift", middle=0.1, reach=0.4, constant=0.2, stiffness=0.8, quadratic=-0.6, cubic=3
     ),
     "wrist_coupling": entry("wrist_coupling", "lift", "turn", ratio=0.3, rotor=0.1, share=1.1),
     "wrist_coupling, free": entry(

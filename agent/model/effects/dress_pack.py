@@ -11,22 +11,27 @@ from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.friction_terms import dahl
 from agent.model.signals import MotionSignals, NominalModel
+from agent.robot import RobotDescription
 
 N_NODES = 6
 _STIFFEST = 5.0  # nominal torque a radian
-_TRAVEL = 0.03  # of the range, until the hose slides in itself
+_BEND = 0.1  # nominal torque: deviation from a straight line at a node, before any data
+_TRAVELS = (0.002, 0.03)  # of the range, until the hose slides: on the arm, at once, or in itself
 
 
 class DressPack(Effect):
-    """τ = a + b q, or a smooth curve through torques at N_NODES positions; with hysteresis d z(q), z Dahl's state.
+    """τ = a + b x (+ c x² + e x³), or a curve through torques at N_NODES positions; with hysteresis d z(q) (Dahl's z).
 
     The curve is the natural cubic spline over the travelled range `low` to `high`, straight beyond it: a hose may be
-    slack up to some angle, harden, or give way, and its curve has no formula of its own.
+    slack up to some angle, harden, or give way, and its curve has no formula of its own. Where a motion that is fitted
+    ends short of that range its curve is held straight from there on, by a prior on its bends. One that hardens goes on
+    hardening, so that a motion that goes further than all others is better told by the cubic: x is q there from the
+    `middle` of the range, which is `reach` to both sides.
     """
 
     name = "dress_pack"
     family = "load"
-    formula = "a + b · q + d · z(q), or curve(q) + d · z(q)"
+    formula = "a + b · x (+ c · x² + e · x³) + d · z(q), or curve(q) + d · z(q)"
     source = "hose as a spring with inner friction (Dahl, AIAA J. 14, 1976); natural splines (de Boor, 1978)"
     signature = "residual that depends on the joint's own position, without the shape of gravity"
     confused_with = ("gravity_spring", "torque_offset", "friction_change")
@@ -37,24 +42,48 @@ class DressPack(Effect):
     shapes = ("position",)
     experiment = WHOLE_RANGE
     complexity_penalty = 1
+    refined = ("travel",)
     special_cases = ("torque_offset",)
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         low = float(min(s.q[:, joints[0]].min() for s in context.signals))
         high = max(float(max(s.q[:, joints[0]].max() for s in context.signals)), low + 1e-9)
-        curve, rubbing = {"low": low, "high": high}, {"travel": _TRAVEL * (high - low)}
-        return [{}, rubbing, curve, {**curve, **rubbing}]
+        curve, rubbing = {"low": low, "high": high}, [{"travel": share * (high - low)} for share in _TRAVELS]
+        shapes: list[dict[str, float]] = [{}, {"middle": (low + high) / 2, "reach": (high - low) / 2}, curve]
+        return [{**shape, **kind} for shape in shapes for kind in ({}, *rubbing)]
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
-        nodes = tuple(f"torque_{k}" for k in range(N_NODES)) if "low" in settings else ("constant", "stiffness")
+        straight = ("constant", "stiffness", *(("quadratic", "cubic") if "middle" in settings else ()))
+        nodes = tuple(f"torque_{k}" for k in range(N_NODES)) if "low" in settings else straight
         return (*nodes, "hysteresis") if "travel" in settings else nodes
+
+    def simpler(self, settings: Mapping[str, float], robot: RobotDescription) -> tuple[str, ...]:
+        return (*self.special_cases, "friction_change") if "travel" in settings else self.special_cases
+
+    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+        return values.get("hysteresis", 0.0) >= 0
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         q = signals.q[:, joints[0]]
-        parts = _curve(q, settings["low"], settings["high"]) if "low" in settings else [np.ones(len(q)), q]
+        if "low" in settings:
+            parts = _curve(q, settings["low"], settings["high"])
+        else:
+            x = q - settings.get("middle", 0.0)
+            parts = [x**power for power in range(4 if "middle" in settings else 2)]
         if "travel" in settings:
             parts = [*parts, dahl(q, np.array([settings["travel"]]))[:, 0]]
         return {joints[0]: np.column_stack(parts)}
+
+    def prior_precision(
+        self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
+    ) -> np.ndarray | None:
+        """Of a curve: at a node it bends by a tenth of the joint's nominal torque, roughly."""
+        if "low" not in settings:
+            return None
+        bends = np.diff(np.eye(N_NODES), 2, axis=0) / (_BEND * float(context.reference.scale[joints[0]]))
+        precision = np.zeros((len(self.names(settings)),) * 2)
+        precision[:N_NODES, :N_NODES] = bends.T @ bends
+        return precision
 
     def possible(
         self,
@@ -63,7 +92,9 @@ class DressPack(Effect):
         settings: Mapping[str, float],
         values: Mapping[str, float],
     ) -> bool:
-        return abs(values.get("stiffness", 0.0)) < _STIFFEST * float(reference.scale[joints[0]])
+        reach = settings.get("reach", 0.0)
+        bent = 2 * abs(values.get("quadratic", 0.0)) * reach + 3 * abs(values.get("cubic", 0.0)) * reach**2
+        return abs(values.get("stiffness", 0.0)) + bent < _STIFFEST * float(reference.scale[joints[0]])
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return len(self.names(settings))

@@ -149,10 +149,10 @@ class Effect(ABC):
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         """Torque per unit of each linear parameter."""
 
-    def prior_std(
+    def prior_precision(
         self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
     ) -> np.ndarray | None:
-        """(k,) what the parameters may be at most, roughly; None: anything."""
+        """(k, k) how far the parameters are known before, none of them being likelier than its opposite; None: not."""
         return None
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:

@@ -46,11 +46,11 @@ class InertialMismatch(Effect):
         link = ParameterLayout.of(signals.reference.robot).link(last - 1)
         return {joint: signals.standard[:, joint, link] for joint in range(last)}
 
-    def prior_std(
+    def prior_precision(
         self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
     ) -> np.ndarray | None:
         layout = ParameterLayout.of(context.reference.robot)
-        return np.asarray(context.reference.prior_std[layout.link(int(settings["link"]) - 1)])
+        return np.diag(1 / context.reference.prior_std[layout.link(int(settings["link"]) - 1)] ** 2)
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return len(LINK_PARAMETERS)

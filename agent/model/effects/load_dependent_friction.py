@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, on_axle
+from agent.model.effects.effect import Columns, Effect, FitContext, on_axle
 from agent.model.signals import MotionSignals
+from agent.robot import RobotDescription
 
 
 class LoadDependentFriction(Effect):
-    """τ = a s |τ_load|."""
+    """τ = a s |τ_load|, or a s τ₁ (|τ_load| / τ₁)^p, with b w |τ_load| or b τ_load besides.
+
+    Teeth rub in proportion to the load, preloaded rollers and flexsplines with another power of it; a film of oil under
+    load rubs more the faster it is sheared (`sheared`); and a gear that is driven by its load loses another part of it
+    than one that drives (`driven`): a s |τ| + b τ is (a + b) |τ| one way and (a − b) |τ| the other.
+    """
 
     name = "load_dependent_friction"
     family = "friction"
-    formula = "a · s · |τ_load|"
-    source = "Bittencourt, Wernholt, Sander-Tavallaey, Brogårdh, IROS (2010)"
+    formula = "a · s · |τ_load|, or a · s · τ₁ · (|τ_load| / τ₁)^p; with b · w · |τ_load| or b · τ_load"
+    source = "Bittencourt, Wernholt, Sander-Tavallaey, Brogårdh, IROS (2010); Dohring, Lee, Newman, ICRA (1993)"
     signature = "residual with the sign of the speed, larger where the arm reaches out or accelerates"
     confused_with = ("friction_change", "torque_constant")
     phrase = "friction grows with the load on the gear"
@@ -25,11 +32,38 @@ class LoadDependentFriction(Effect):
     needs_reversals = 1
     shapes = ("speed",)
     special_cases = ("friction_change",)
+    units = MappingProxyType({"load": "N·m"})
+    not_reported = ("sheared", "driven")
+
+    def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
+        nominal = float(context.reference.scale[joints[0]])
+        return [
+            {},
+            *({"power": power, "load": nominal} for power in (0.5, 2.0)),
+            {"sheared": 1.0},
+            {"driven": 1.0},
+        ]
+
+    def simpler(self, settings: Mapping[str, float], robot: RobotDescription) -> tuple[str, ...]:
+        return (*self.special_cases, "torque_constant") if "driven" in settings else self.special_cases
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
-        return ("coefficient",)
+        return ("coefficient", *(f"{kind}_coefficient" for kind in ("sheared", "driven") if kind in settings))
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         (axle,) = joints
         assert signals.axles.load is not None
-        return on_axle(signals.reference, axle, signals.direction(axle) * np.abs(signals.axles.load[:, axle]))
+        load, slide = signals.axles.load[:, axle], signals.direction(axle)
+        nominal = settings.get("load", 1.0)
+        columns = [slide * nominal * (np.abs(load) / nominal) ** settings.get("power", 1.0)]
+        if "sheared" in settings:
+            columns.append(signals.axles.speed[:, axle] * np.abs(load))
+        if "driven" in settings:
+            columns.append(load)
+        return on_axle(signals.reference, axle, *columns)
+
+    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+        return abs(values.get("driven_coefficient", 0.0)) <= abs(values["coefficient"])
+
+    def n_parameters(self, settings: Mapping[str, float]) -> int:
+        return 1 + bool(settings)

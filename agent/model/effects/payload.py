@@ -64,10 +64,10 @@ class Payload(Effect):
             link = link @ ball(settings)
         return {joint: link[:, joint] for joint in range(n)}
 
-    def prior_std(
+    def prior_precision(
         self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
     ) -> np.ndarray | None:
-        return np.array([20.0, 5.0, 5.0, 5.0, *([0.5] if settings else [2.0] * 6)])
+        return np.diag(1 / np.array([20.0, 5.0, 5.0, 5.0, *([0.5] if settings else [2.0] * 6)]) ** 2)
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
         moment = np.array([values["moment_x"], values["moment_y"], values["moment_z"]])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,14 +12,20 @@ from agent.model.signals import MotionSignals, NominalModel
 
 _LONGEST_SESSION = 12 * 3600.0  # s
 _SHORTEST = 5.0  # s: no gear warms up faster
+_LEAST_WAY = 1.0  # rad: nor within a sixth of a turn
 
 
 class ThermalFriction(Effect):
-    """τ = (a + b exp(−t / T)) s + (c + d exp(−t / T)) w, t from the start of each log, or of the first of a session."""
+    """τ = (a + b c(t)) s + (d + e c(t)) w with c(t) how cold the drive still is.
+
+    c = exp(−t / T), t from the start of each log, or of the first of a session. Where the arm pauses or goes at very
+    different speeds, heat comes from the friction's own work and not from the clock: c = exp(−x / W) with x the way
+    that the joint has gone, likewise.
+    """
 
     name = "thermal_friction"
     family = "friction"
-    formula = "(a + b · exp(−t / T)) · s + (c + d · exp(−t / T)) · w"
+    formula = "(a + b · c) · s + (d + e · c) · w, c = exp(−t / T) or exp(−∫|w| dt / W)"
     source = "Bittencourt, Wernholt, Sander-Tavallaey, Brogårdh, IROS (2010)"
     signature = "residual with the sign of the speed that changes from cycle to cycle"
     confused_with = ("friction_change", "torque_constant")
@@ -30,29 +36,58 @@ class ThermalFriction(Effect):
     shapes = ("speed",)
     experiment = FROM_COLD
     complexity_penalty = 1
-    refined = ("time_constant",)
+    refined = ("time_constant", "way")
     special_cases = ("friction_change",)
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
-        longest = max(float(s.time[-1]) for s in context.signals)
-        session = max(s.started + float(s.time[-1]) for s in context.signals)
-        each = [{"time_constant": fraction * longest} for fraction in (0.08, 0.2, 0.5, 1.5, 5.0)]
+        (axle,) = joints
+        motions = context.signals
+        longest = max(float(s.time[-1]) for s in motions)
+        session = max(s.started + float(s.time[-1]) for s in motions)
+        each = {s.log_index: 0.0 for s in motions}
+        for s in motions:
+            each[s.log_index] += float(_way(s, axle)[-1])
+        furthest, whole = max(each.values()), sum(each.values())
+        found = [
+            *({"time_constant": fraction * longest} for fraction in (0.08, 0.2, 0.5, 1.5, 5.0)),
+            *({"way": fraction * furthest} for fraction in (0.1, 0.3, 1.0)),
+        ]
         if not longest < session < _LONGEST_SESSION:
-            return each
-        return each + [{"time_constant": fraction * session, "session": 1.0} for fraction in (0.1, 0.3, 0.8, 2.0)]
+            return found
+        return [
+            *found,
+            *({"time_constant": fraction * session, "session": 1.0} for fraction in (0.1, 0.3, 0.8, 2.0)),
+            *({"way": fraction * whole, "session": 1.0} for fraction in (0.03, 0.1, 0.3, 1.0)),
+        ]
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("coulomb_change", "coulomb_drift", "viscous_change", "viscous_drift")
 
+    def prepare(
+        self, motions: Sequence[MotionSignals], wanted: Sequence[tuple[tuple[int, ...], Mapping[str, float]]]
+    ) -> None:
+        """Note in every motion how far the axles have gone before it, in its log and in the session."""
+        gone: dict[int, np.ndarray] = {}
+        whole = np.zeros(motions[0].q.shape[1])
+        for motion in sorted(motions, key=lambda s: (s.started, s.log_index, float(s.time[0]))):
+            before = gone.setdefault(motion.log_index, np.zeros(len(whole)))
+            motion.__dict__["_gone"] = before, whole
+            way = np.array([float(_way(motion, axle)[-1]) for axle in range(len(whole))])
+            gone[motion.log_index], whole = before + way, whole + way
+
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         (axle,) = joints
-        since = signals.time + (signals.started if "session" in settings else 0.0)
-        fading = np.exp(-since / settings["time_constant"])
+        if "way" in settings:
+            before = signals.__dict__.get("_gone", (np.zeros(signals.q.shape[1]),) * 2)["session" in settings][axle]
+            fading = np.exp(-(before + _way(signals, axle)) / settings["way"])
+        else:
+            since = signals.time + (signals.started if "session" in settings else 0.0)
+            fading = np.exp(-since / settings["time_constant"])
         slide, speed = signals.direction(axle), signals.axles.speed[:, axle]
         return on_axle(signals.reference, axle, slide, slide * fading, speed, speed * fading)
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
-        return settings["time_constant"] > _SHORTEST
+        return settings.get("time_constant", np.inf) > _SHORTEST and settings.get("way", np.inf) > _LEAST_WAY
 
     def possible(
         self,
@@ -66,3 +101,13 @@ class ThermalFriction(Effect):
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 5
+
+
+def _way(signals: MotionSignals, axle: int) -> np.ndarray:
+    """(S,) that an axle has gone since the first sample [rad]."""
+    known = signals.__dict__.setdefault("_ways", {})
+    if axle not in known:
+        known[axle] = np.cumsum(
+            np.abs(np.diff(signals.axles.position[:, axle], prepend=signals.axles.position[0, axle]))
+        )
+    return known[axle]

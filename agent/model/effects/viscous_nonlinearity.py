@@ -11,7 +11,7 @@ from agent.model.signals import MotionSignals
 
 
 class ViscousNonlinearity(Effect):
-    """τ = a f(w) + b w with f(w) = v asinh(w / v) (shear thinning, Eyring), w |w| or w³."""
+    """τ = a f(w) + b w with f(w) = v asinh(w / v) (shear thinning, Eyring), or a power of the speed."""
 
     name = "viscous_nonlinearity"
     family = "friction"
@@ -24,14 +24,14 @@ class ViscousNonlinearity(Effect):
     needs_speed = 0.1
     needs_reversals = 1
     shapes = ("speed",)
+    refined = ("speed", "power")
     special_cases = ("friction_change",)
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         fastest = highest_speed(context, joints[0])
         return [
             *({"speed": fastest * fraction} for fraction in (0.01, 0.03, 0.1, 0.3)),
-            {"power": 2.0},
-            {"power": 3.0},
+            *({"power": power} for power in (0.5, 1.5, 2.0, 3.0)),
         ]
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:

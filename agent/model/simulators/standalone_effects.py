@@ -113,7 +113,9 @@ class Effects:
     def _load_dependent_friction(
         self, state: Any, j: int, p: Any, q: Array, qd: Array, load: Array, qdd: Array
     ) -> Array:
-        return p["coefficient"] * self._slide(j, qd) * np.abs(load + ROTORS[j] * qdd)
+        load, nominal = load + ROTORS[j] * qdd, p.get("load", 1.0)
+        torque = p["coefficient"] * self._slide(j, qd) * nominal * (np.abs(load) / nominal) ** p.get("power", 1.0)
+        return torque + p.get("sheared_coefficient", 0.0) * qd * np.abs(load) + p.get("driven_coefficient", 0.0) * load
 
     def _viscous_nonlinearity(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
         power = p.get("power", 1.0)
@@ -121,7 +123,12 @@ class Effects:
         return p["bend"] * bent + p["viscous_change"] * qd
 
     def _thermal_friction(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
-        cold = np.exp(-self.time / p["time_constant"])
+        if "way" in p:
+            state["gone"] = state.get("gone", np.zeros_like(q)) + np.abs(q - state.get("q", q))
+            state["q"] = q
+            cold = np.exp(-state["gone"] / p["way"])
+        else:
+            cold = np.exp(-self.time / p["time_constant"])
         coulomb = p["coulomb_change"] + p["coulomb_drift"] * cold
         return coulomb * self._slide(j, qd) + (p["viscous_change"] + p["viscous_drift"] * cold) * qd
 
@@ -144,7 +151,8 @@ class Effects:
             slope = sum(k * powers[k][piece] * way ** (k - 1) for k in range(1, 4))
             torque = torque + slope * (q - inside)
         else:
-            torque = p["constant"] + p["stiffness"] * q
+            x = q - p.get("middle", 0.0)
+            torque = p["constant"] + (p["stiffness"] + (p.get("quadratic", 0.0) + p.get("cubic", 0.0) * x) * x) * x
         if "travel" in p:
             torque = torque + p["hysteresis"] * self._dahl(state, q, p["travel"])
         return np.asarray(torque)

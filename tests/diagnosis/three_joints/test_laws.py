@@ -1,0 +1,105 @@
+"""Effects by other laws than the fitted ones, added to what a healthy arm measured: how far the forms follow them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import savgol_filter
+
+from agent.diagnosis.dataset import assemble
+from agent.diagnosis.isolability import best_by_place
+from agent.model import CATALOGUE, IdentifiedModel
+from agent.model.friction_terms import dahl
+from agent.recording.log import Log
+from fake_controller.plant import Plant
+from tests.small_arms import record
+
+JOINT = 2
+#: (positions (S,), torque of the bodies (S,), way gone before (float)) -> torque (S,) of the law
+Law = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def healthy(arm) -> list[Log]:
+    """Three motions of the arm as the model has it; the last goes further than the others."""
+    plant = Plant(arm, seed=3)
+    return [record(plant, name, seed, share) for name, seed, share in (("a", 21, 1), ("b", 22, 1), ("c", 23, 1.6))]
+
+
+@pytest.fixture(scope="module")
+def left(arm, model, healthy) -> Callable[[str, Law], float]:
+    """Part of the law's torque, squared, that the best possible form of an effect leaves held out."""
+
+    def measure(name: str, law: Law) -> float:
+        fit = assemble(arm, model, _with(model, healthy, law), None).fit
+        effect, place = CATALOGUE[name], (JOINT,)
+        wanted = [(effect, place, settings) for settings in effect.settings(fit, place)]
+        best = best_by_place(fit.score(fit.candidates(wanted)))[name, place]
+        for factor in (1.25, 1.1, 1.04):
+            finer = [(effect, place, near) for near in effect.nearby(best.candidate.settings, factor)]
+            best = max([best, *fit.score(fit.candidates(finer))], key=lambda score: score.gain)
+        background = float(fit.count.sum()) / len(fit.rows)  # of one joint
+        return (fit.error() - best.gain - 3 * background) / (fit.error() - 3 * background)
+
+    return measure
+
+
+def _with(model: IdentifiedModel, logs: Sequence[Log], law: Law) -> list[Log]:
+    gone, found = 0.0, []
+    for log in logs:
+        q, effort = log.position[:, JOINT], log.effort.copy()
+        qdd = np.gradient(savgol_filter(log.velocity, 25, 2, axis=0), log.t, axis=0)
+        load = model.rigid.torque(log.position, log.velocity, qdd, model.base_values)
+        effort[:, JOINT] += law(q, load[:, JOINT], gone)
+        gone += float(np.abs(np.diff(q)).sum())
+        found.append(replace(log, effort=effort))
+    return found
+
+
+def _slide(q: np.ndarray) -> np.ndarray:
+    return dahl(q, np.array([2e-3]))[:, 0]
+
+
+@pytest.mark.parametrize(("power", "slack", "rubs_over"), [(1, 0.0, 0.05), (2, 0.2, 0.005), (3, 0.1, 0.001)])
+def test_a_hose_that_hardens_and_rubs_also_where_one_motion_goes_further(left, power, slack, rubs_over):
+    def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
+        x = q - 0.05
+        hardens = np.sign(x) * np.maximum(np.abs(x) - slack, 0) ** power
+        return 40 * hardens + 4 * dahl(q, np.array([rubs_over]))[:, 0]
+
+    assert left("dress_pack", law) < 0.03
+
+
+def test_friction_that_warms_with_the_way_gone_through_all_logs(left):
+    def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
+        way = gone + np.cumsum(np.abs(np.diff(q, prepend=q[0])))
+        return 4 * np.exp(-way / 5) * _slide(q)
+
+    assert left("thermal_friction", law) < 0.05
+
+
+@pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
+def test_friction_that_grows_with_a_power_of_the_load(left, power):
+    def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
+        return 3 * _slide(q) * (np.abs(load) / 20) ** power
+
+    assert left("load_dependent_friction", law) < 0.1
+
+
+def test_a_gear_that_loses_less_when_its_load_drives_it(left):
+    def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
+        drives = load * np.gradient(q) > 0
+        return np.where(drives, 0.15, 0.05) * np.abs(load) * _slide(q)
+
+    assert left("load_dependent_friction", law) < 0.15
+
+
+def test_viscous_friction_that_thins_out(left):
+    def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
+        speed = np.gradient(q, 0.002)
+        return 12 * speed / (1 + (speed / 0.02) ** 2) ** 0.25
+
+    assert left("viscous_nonlinearity", law) < 0.05
