@@ -33,6 +33,10 @@ settings.register_profile(
 )
 settings.load_profile("same")
 
+# Hundreds of processes are started here: what they compile is kept, wherever the environment forbids it or not.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT / "../shared/data"
 
