@@ -46,9 +46,15 @@ def read_yaml(path: Path) -> Any:
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
     text = read_text(Path(path), LARGEST_YAML)
+    yaml, look = YAML(typ="rt"), _Bounds(path).look
+
+    class BoundedParser(yaml.Parser):  # type: ignore[misc, name-defined]
+        def get_event(self) -> Any:
+            return look(super().get_event())
+
+    yaml.Parser = BoundedParser
     try:
-        _bounded(path, YAML(typ="rt").parse(text))
-        data = YAML(typ="rt").load(text)
+        data = yaml.load(text)
     except InputError:
         raise
     except MarkedYAMLError as error:
@@ -85,45 +91,47 @@ def read_text(path: Path, largest: int) -> str:
         raise InputError(f"{path}: cannot be read as text: {error}") from None
 
 
-def _bounded(path: Path, events: Iterable[Any]) -> None:
-    """A YAML document stays small when it is built.
+class _Bounds:
+    """A YAML document stays small when it is built: what its parser says is looked at on the way."""
 
-    Raises:
-        InputError: nested too deep, a value that is too long, or aliases that grow into too many values.
-    """
-    from ruamel.yaml import events as kinds
+    def __init__(self, path: Path):
+        self._path = path
+        self._sizes: dict[str, int] = {}
+        self._open: list[tuple[str | None, int]] = []  # anchor, and values before it
+        self._total = 0
 
-    sizes: dict[str, int] = {}
-    open_ones: list[tuple[str | None, int]] = []  # anchor, and values before it
-    total = 0
-    for event in events:
-        line = event.start_mark.line + 1
+    def look(self, event: Any) -> Any:
+        """The event itself.
+
+        Raises:
+            InputError: nested too deep, a value that is too long, or aliases that grow into too many values.
+        """
+        from ruamel.yaml import events as kinds
+
+        place = f"{self._path}:{event.start_mark.line + 1}"
         anchor = getattr(event, "anchor", None)
         if isinstance(event, kinds.AliasEvent) and anchor is not None:
-            if any(anchor == name for name, _ in open_ones):
-                raise InputError(f"{path}:{line}: *{anchor[:40]} stands within what it names")
-            total += sizes.get(anchor, 0)
+            if any(anchor == name for name, _ in self._open):
+                raise InputError(f"{place}: *{anchor[:40]} stands within what it names")
+            self._total += self._sizes.get(anchor, 0)
         elif isinstance(event, kinds.ScalarEvent):
             if len(event.value) > LONGEST_VALUE:
-                raise InputError(
-                    f"{path}:{line}: a value of {len(event.value)} characters; {LONGEST_VALUE} are allowed"
-                )
-            total += 1
+                raise InputError(f"{place}: a value of {len(event.value)} characters; {LONGEST_VALUE} are allowed")
+            self._total += 1
             if anchor:
-                sizes[anchor] = 1
+                self._sizes[anchor] = 1
         elif isinstance(event, kinds.CollectionStartEvent):
-            open_ones.append((anchor, total))
-            total += 1
-            if len(open_ones) > DEEPEST:
-                raise InputError(
-                    f"{path}:{line}: lists and mappings are nested more than {DEEPEST} deep; a bracket missing?"
-                )
+            self._open.append((anchor, self._total))
+            self._total += 1
+            if len(self._open) > DEEPEST:
+                raise InputError(f"{place}: lists and mappings are nested more than {DEEPEST} deep; a bracket missing?")
         elif isinstance(event, kinds.CollectionEndEvent):
-            name, before = open_ones.pop()
+            name, before = self._open.pop()
             if name:
-                sizes[name] = total - before
-        if total > MOST_VALUES:
-            raise InputError(f"{path}:{line}: more than {MOST_VALUES} values, aliases written out; leave aliases out")
+                self._sizes[name] = self._total - before
+        if self._total > MOST_VALUES:
+            raise InputError(f"{place}: more than {MOST_VALUES} values, aliases written out; leave aliases out")
+        return event
 
 
 def read_json(path: Path) -> Any:
