@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -40,6 +40,17 @@ class HeldOutGap:
     def closure(self) -> float | None:
         """(B² − A²) / (B² − F²); None where there is nothing to close."""
         return self._part(self.before, self.after)
+
+    @property
+    def unclosed(self) -> HeldOutGap:
+        """The same without causes: what the model leaves as it is, though its own parameters may move."""
+        return replace(self, left=self.raw, after=self.before)
+
+    @property
+    def absorbed(self) -> float:
+        """Part of the squared error that is taken away."""
+        whole = float(np.mean(self.before**2))
+        return 1 - float(np.mean(self.after**2)) / whole if whole > 0 else 0.0
 
     def closure_without(self, left: np.ndarray) -> float | None:
         """What is lost of the closure where (S', n) [N·m] is left instead."""

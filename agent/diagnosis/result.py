@@ -76,6 +76,10 @@ def build(
     and all figures are of the gap of the simulator as given.
     """
     robot = dataset.robot
+    if dataset.given and calibrated is None and not finding.causes:
+        if gap.absorbed > dataset.limits.least_closure:
+            warnings = (*warnings, _within_uncertainty(gap.absorbed))
+        gap = gap.unclosed
     causes, verdict, closure = causes_of(dataset, finding, gap), finding.verdict, gap.closure
     if motion is not None and motion.described:
         of_path = [name for name in _of_path() if name in search.allowed][:1]
@@ -113,6 +117,13 @@ def build(
         steps,
     )
     return Diagnosis(answer, finding, dataset, motion, gap, calibrated)
+
+
+def _within_uncertainty(share: float) -> str:
+    return (
+        f"the model's own parameters, moved no further than their stored uncertainty allows, would take away "
+        f"{100 * share:.0f} % of the squared error: estimate it again with motions like these"
+    )
 
 
 def _of_path() -> list[str]:

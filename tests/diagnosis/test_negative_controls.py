@@ -68,3 +68,15 @@ def test_a_model_of_the_end_of_a_log_of_a_tx40_finds_no_cause_in_its_beginning(s
     robot, end = _imported(shared_data, tmp_path, "tx40/map_held_out.yaml", *tables)
     _, beginning = _imported(shared_data, tmp_path, "tx40/map_fit.yaml", *tables)
     _control(robot, [end], [beginning])
+
+
+def test_where_nothing_is_named_nothing_is_closed(shared_data):
+    """A model of too few motions takes most of the gap of another into its own parameters."""
+    source = shared_data / "real-dev/bam_xl330"
+    robot = load_robot(source / "robot.yaml")
+    logs = {path.stem: read_log(path, robot) for path in source.glob("kp400_*.mcap")}
+    held_out = logs.pop("kp400_sin_sin")
+    found = diagnose(robot, [held_out], estimate(robot, list(logs.values()))).result
+    assert (found["verdict"], found["causes"], found["closure"]) == ("no_gap", [], 0.0)
+    assert found["gap"]["after"] == found["gap"]["before"]
+    assert any("stored uncertainty" in text for text in found["warnings"])

@@ -15,7 +15,7 @@ class ViscousNonlinearity(Effect):
 
     name = "viscous_nonlinearity"
     family = "friction"
-    formula = "a · v · asinh(w / v) + b · w, or a · |w|^(p−1) w + b · w"
+    formula = "a · v · asinh(w / v) + b · w, or a · sign(w) · |w|^p + b · w"
     source = "Waiboer, Aarts, Jonker, ECCOMAS (2005); Eyring, J. Chem. Phys. 4 (1936)"
     signature = "residual with the sign of the speed, bent at high speed"
     confused_with = ("friction_change", "stribeck")
@@ -41,7 +41,7 @@ class ViscousNonlinearity(Effect):
         (axle,) = joints
         speed = signals.axles.speed[:, axle]
         if "power" in settings:
-            bent = speed * np.abs(speed) ** (settings["power"] - 1)
+            bent = np.sign(speed) * np.abs(speed) ** settings["power"]
         else:
             bent = settings["speed"] * np.arcsinh(speed / settings["speed"])
         return on_axle(signals.reference, axle, bent, speed)

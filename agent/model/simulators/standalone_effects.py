@@ -119,7 +119,7 @@ class Effects:
 
     def _viscous_nonlinearity(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
         power = p.get("power", 1.0)
-        bent = p["speed"] * np.arcsinh(qd / p["speed"]) if "speed" in p else qd * np.abs(qd) ** (power - 1)
+        bent = p["speed"] * np.arcsinh(qd / p["speed"]) if "speed" in p else np.sign(qd) * np.abs(qd) ** power
         return p["bend"] * bent + p["viscous_change"] * qd
 
     def _thermal_friction(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:

@@ -97,6 +97,15 @@ def test_a_gear_that_loses_less_when_its_load_drives_it(left):
     assert left("load_dependent_friction", law) < 0.15
 
 
+def test_a_joint_that_stands_exactly_still_has_forms(arm, model, healthy):
+    stands = [replace(log, position=np.repeat(log.position[:1], len(log.t), axis=0), velocity=None) for log in healthy]
+    fit = assemble(arm, model, [healthy[0], *stands[1:]], None).fit
+    for effect in CATALOGUE.values():
+        wanted = [(effect, place, settings) for place in effect.places(arm) for settings in effect.settings(fit, place)]
+        found = fit.candidates(wanted[-40:])
+        assert all(np.isfinite(block).all() for one in found for block in one.blocks.values()), effect.name
+
+
 def test_viscous_friction_that_thins_out(left):
     def law(q: np.ndarray, load: np.ndarray, gone: float) -> np.ndarray:
         speed = np.gradient(q, 0.002)
