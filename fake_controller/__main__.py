@@ -18,11 +18,15 @@ if TYPE_CHECKING:
 
 #: Shortest watchdog [s] by clock: an arm that is simulated as fast as it goes keeps no rhythm on the wall.
 WATCHDOGS = {"fast": 5.0, "real": 0.05}
+#: How long [s] the simulated arm may keep the interpreter from the servers' threads: a link with many short exchanges
+#: waits for it in each of them, and a controller answers while it plans.
+SWITCH_INTERVAL = 0.0005
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Serve until SIGTERM or SIGINT; returns the exit code."""
     options = _parser().parse_args(arguments)
+    sys.setswitchinterval(SWITCH_INTERVAL)
     done = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: done.set())

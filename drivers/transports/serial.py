@@ -27,6 +27,7 @@ from drivers.wire.tcp import MAX_BATCH, End, Fetch, Samples
 
 _FRAMES_IN_WATCHDOG = 3
 _RTU_EXCHANGE = 8 + 255  # bytes of the longest request and its answer
+_RTU_WATCHDOG = 0.5  # s: nothing is sent unasked, so a busy machine wakes both ends for each of many short exchanges
 _BUFFERED = 8192  # bytes that may be on their way, in buffers that nobody can look into
 _PATIENCE = 0.25  # s, beyond what is on its way
 _REST_POLL = 0.05  # s
@@ -121,6 +122,9 @@ class SerialDriver(FrameDriver):
 
 class RtuDriver(ModbusDriver):
     """`drivers.protocol.Driver` over Modbus RTU; the address is `port,baud,rtu`."""
+
+    def __init__(self, address: str, *, watchdog: float = _RTU_WATCHDOG, **options: Any) -> None:
+        super().__init__(address, watchdog=watchdog, **options)
 
     def start(self, name: str, checksum: str) -> None:
         """Run the stored program once; tells where its samples will come later than the motion."""
