@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.diagnosis import Diagnosis, Range, ranges
+from agent.diagnosis import Diagnosis, Range, ranges, ranges_text
 from agent.report.figures import Figure, answer_along, new_plot, to_figure
 from agent.report.page import Section, Table
 from agent.report.plots import SERIES
@@ -92,6 +92,7 @@ def _ranges(found: Sequence[Range]) -> Section:
     ]
     text = [
         "How far the numbers that were moved may still be off (90 %): the ranges over which it is justified to "
-        "randomise a simulator that policies are trained in. What is not listed was not moved.",
+        "randomise a simulator that policies are trained in. What is not listed was not moved. Below, the same as YAML.",
     ]
-    return Section("For training policies", text, (Table("ranges", ("number", "value", "range", "unit"), rows),))
+    table = Table("ranges", ("number", "value", "range", "unit"), rows)
+    return Section("For training policies", text, (table,), ranges_text(tuple(found)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
 import runpy
@@ -15,8 +16,11 @@ from ruamel.yaml import YAML
 from agent.core.console import Console
 from agent.core.errors import InputError, RejectedError
 from agent.diagnosis import diagnose, extended_model, forward_windows
+from agent.diagnosis.dataset import assemble
 from agent.diagnosis.randomisation import ranges, ranges_text
 from agent.diagnosis.rollout import MujocoEngine
+from agent.diagnosis.simulator import with_expected_error
+from agent.model import CATALOGUE
 from agent.model.identified import IdentifiedModel
 from agent.model.simulators import load_joint_map, load_simulator
 from agent.pipeline.corrected_simulator import write_simulator
@@ -325,6 +329,16 @@ def test_a_simulator_that_is_wrong_in_many_ways_is_corrected_step_by_step(nomina
     json.dumps(result, allow_nan=False)
 
 
+def test_sharp_friction_of_a_simulator_has_no_part_that_a_delay_would_sharpen(tmp_path, robot):
+    """An effects file could not say it: there torque is late, friction and all."""
+    model = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model
+    log = read_log(recorded(tmp_path / "1.mcap", model, 1), model.robot)
+    late = replace(log, effort=np.roll(log.effort, 1, axis=0))
+    fit = assemble(model.robot, with_expected_error(model, [late]), [late], None).fit
+    (found,) = CATALOGUE["time_delay"].settings(fit, ())
+    assert found == {"delay": pytest.approx(1 / RATE, rel=0.2)}
+
+
 def test_the_corrected_simulator_predicts_the_robot(nominal):
     model, robot, found = nominal
     corrected = extended_model(found)
@@ -392,6 +406,7 @@ def test_ranges_hold_what_is_true_and_stand_on_the_page(nominal, tmp_path):
     page = diagnosis_report(found)
     for title in ("What the simulator gets wrong", "For training policies"):
         assert title in page
+    assert html.escape(text, quote=True).replace("&quot;", "&#34;") in page  # the YAML, to be copied
     assert page.count("<svg") > 3
 
 

@@ -11,11 +11,13 @@ from agent.core import cubic_spline
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import SHARP_REVERSALS
 from agent.model.friction_terms import axle_columns
+from agent.model.rigid_friction import RigidFrictionModel
 from agent.model.signals import MotionSignals
 
 _TRIED = (-0.02, -0.012, -0.007, -0.004, -0.002, -0.001, 0.001, 0.002, 0.004, 0.007, 0.012, 0.02)
 _ABSORBED = 1e-3  # s, from where on a fitted reversal of friction may have taken part of the delay
 _SHARPER = (0.5, 0.25)
+_SHARP = 2.5e-3  # of a joint's highest speed: friction that turns over less was not fitted to late torque
 _SHORTEST, _LONGEST = 1e-4, 0.05  # s
 
 
@@ -23,7 +25,7 @@ class TimeDelay(Effect):
     """τ = a (τ_model(t − d) − τ_model(t)), a near 1: the whole predicted torque is shifted.
 
     A model that was fitted to late torque lets friction turn over too long a way, as that looks late too. So what is
-    shifted may turn over a part `reversal` of the model's way.
+    shifted may turn over a part `reversal` of the model's way; a simulator's friction turns sharply and has no such part.
     """
 
     name = "time_delay"
@@ -45,7 +47,7 @@ class TimeDelay(Effect):
         tried = [{"delay": delay} for delay in _TRIED]
         best = min(tried, key=lambda s: abs(float(context.fit(self, joints, s)[0]) - 1))
         plain = self._solved(context, joints, best)
-        if abs(plain["delay"]) < _ABSORBED:
+        if abs(plain["delay"]) < _ABSORBED or not _turns_slowly(context.reference.model):
             return [plain]
         return [plain, *(self._solved(context, joints, {**plain, "reversal": part}) for part in _SHARPER)]
 
@@ -72,6 +74,12 @@ class TimeDelay(Effect):
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return len(settings)
+
+
+def _turns_slowly(model: RigidFrictionModel) -> bool:
+    """Whether friction turns over a way, or a speed, that may have taken up a delay."""
+    turns = [(term.axle, term.reversal) for term in model.terms if term.reversal is not None]
+    return any(r.kind == "travel" or r.scale > _SHARP * model.robot.max_velocity[axle] for axle, r in turns)
 
 
 def _turning_faster(signals: MotionSignals, part: float) -> np.ndarray:
