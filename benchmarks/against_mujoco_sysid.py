@@ -1,14 +1,16 @@
-"""The same arm, logs and parameters for MuJoCo's own system identification and for a diagnosis.
+"""The same arm, logs and parameters for MuJoCo's own system identification (`mujoco.sysid`) and for a diagnosis.
 
-    python benchmarks/against_mujoco_sysid.py arm.xml
+    python benchmarks/against_mujoco_sysid.py arm.xml [SEED …]     (needs pip install "mujoco[sysid]")
 
-MuJoCo's fits every joint's frictionloss, damping and armature and every body's mass to windows of 0.2 s that start at
-measured states and run by recorded torque. Two motions are fitted to, the third is run forward by either. First without
-an effect that neither can move, then with friction that grows with the load on the third joint.
+MuJoCo's fits every joint's frictionloss, damping and armature and every body's mass, each from the file's value or a
+tenth of the joint's torque, to windows of 0.2 s that start at measured states and run by recorded torque: positions and
+speeds, its own roll-outs, residuals and optimizer, on one core. Two motions are fitted to, the third is run forward by
+either. First without an effect that neither can move, then with friction that grows with the load on the third joint.
 """
 
 from __future__ import annotations
 
+import copy
 import sys
 import tempfile
 import time
@@ -16,21 +18,39 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from diagnose_simulators import load_dependent_friction, recorded
-from mujoco.sysid._src import optimize, parameter
+from diagnose_simulators import RATE, load_dependent_friction, recorded
+from mujoco import sysid
 
 from agent.core.console import Console
 from agent.diagnosis.rollout import MujocoEngine
 from agent.pipeline.diagnose import GapQuestion, diagnose_files
 from agent.recording import read_log
 
-WINDOW, HORIZONS, STARTS, ITERATIONS = 0.2, np.array([0.2, 0.5, 1.0]), 12, 12
+WINDOW, HORIZONS, STARTS = 0.2, np.array([0.2, 0.5, 1.0]), 40
 
 
-def with_parameters(path, x):
-    """The file's model with frictionloss, damping, armature of every joint and masses of bodies, from x."""
-    model = mujoco.MjModel.from_xml_path(str(path))
-    n = model.nv
+def torque_driven(path, names):
+    """The file with a motor, a position and a speed sensor on every joint, and without contacts."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    for unused in (*spec.actuators, *spec.keys):
+        spec.delete(unused)
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    for name in names:
+        motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.gainprm[0] = 1.0
+        for kind in ("POS", "VEL"):
+            spec.add_sensor(
+                name=f"{name}_{kind}",
+                type=getattr(mujoco.mjtSensor, f"mjSENS_JOINT{kind}"),
+                objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                objname=name,
+            )
+    return spec
+
+
+def with_parameters(given, x):
+    """A compiled model with frictionloss, damping, armature of every joint and masses of bodies, from x."""
+    model, n = copy.copy(given), given.nv
     model.dof_frictionloss[:], model.dof_damping[:], model.dof_armature[:] = x[:n], x[n : 2 * n], x[2 * n : 3 * n]
     heavy = np.flatnonzero(model.body_mass > 0)
     factor = x[3 * n :] / model.body_mass[heavy]
@@ -40,49 +60,62 @@ def with_parameters(path, x):
     return model
 
 
+def windows(spec, logs, names):
+    """What MuJoCo's identification fits to: initial states, torque and measured motion of the windows."""
+    model, found = spec.compile(), []
+    size = int(WINDOW * RATE) + 1
+    time_ = np.arange(size) / RATE
+    for log in logs:
+        for first in np.linspace(250, len(log.t) - 300, STARTS).astype(int):
+            rows = slice(first, first + size)
+            state = sysid.create_initial_state(model, log.position[first], log.velocity[first])
+            motion = np.stack([log.position[rows], log.velocity[rows]], axis=2).reshape(size, -1)
+            control = sysid.TimeSeries.from_control_names(time_, log.effort[rows], model)
+            found.append((state, control, sysid.TimeSeries.from_names(time_, motion, model)))
+    labels = [f"window {k}" for k in range(len(found))]
+    return sysid.ModelSequences("arm", spec, labels, *map(list, zip(*found, strict=True)))
+
+
 def drift(which, log, horizons, starts):
     """(windows, horizons, n) position error."""
     errors = []
     for first in starts:
 
         def drive(t, q, qd, at=first):
-            return log.effort[min(at + round(t * 250), len(log.t) - 1)]
+            return log.effort[min(at + round(t * RATE), len(log.t) - 1)]
 
         q, _ = which.run(log.position[first], log.velocity[first], drive, horizons)
-        errors.append(q - log.position[first + np.round(horizons * 250).astype(int)])
+        errors.append(q - log.position[first + np.round(horizons * RATE).astype(int)])
     return np.nan_to_num(np.array(errors), nan=np.pi).clip(-np.pi, np.pi)
 
 
 def by_sysid(path, names, logs):
     """A roll-out engine with what MuJoCo's identification finds, and its processor time."""
-    model = mujoco.MjModel.from_xml_path(str(path))
+    started = time.process_time()
+    spec = torque_driven(path, names)
+    given = spec.compile()
     size = np.std(logs[0].effort, axis=0)
-    mass = model.body_mass[model.body_mass > 0]
+    mass = given.body_mass[given.body_mass > 0]
     nominal = np.concatenate([0.1 * size, 0.1 * size, 0.01 * size, mass])
     low, high = np.concatenate([0 * size, 0 * size, 1e-6 * size, 0.5 * mass]), 5 * nominal
-    unknown = parameter.ParameterDict()
-    unknown.add(parameter.Parameter("x", nominal, low, high))
-    which = MujocoEngine(path, names)
-    starts = np.linspace(250, len(logs[0].t) - 300, STARTS).astype(int)
-
-    def residual(x, *_, **__):
-        which._model = with_parameters(path, np.asarray(x).ravel())
-        which._model.opt.disableflags |= 1 << 4
-        return np.concatenate([drift(which, log, np.array([WINDOW]), starts).ravel() for log in logs])
-
-    started = time.process_time()
-    found, _ = optimize.optimize(
-        unknown, residual, optimizer="scipy", verbose=False, max_iters=ITERATIONS, x_scale="jac", diff_step=1e-3
+    unknown = sysid.ParameterDict()
+    unknown.add(sysid.Parameter("x", nominal, low, high))
+    residual = sysid.build_residual_fn(
+        models_sequences=[windows(spec, logs, names)],
+        build_model=lambda parameters, _: with_parameters(given, parameters.as_vector()),
+        n_threads=1,
     )
+    found, _ = sysid.optimize(unknown, residual, verbose=False)
     seconds = time.process_time() - started
-    residual(found.as_vector())
-    return which, seconds
+    engine = MujocoEngine(path, names)
+    engine._model = with_parameters(engine._model, found.as_vector())
+    return engine, seconds
 
 
-def compare(path, effects):
+def compare(path, seed, effects):
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        logs, put_in = recorded(path, 5, folder, effects)
+        logs, put_in = recorded(path, seed, folder, effects)
         fixed = folder / "fixed.xml"
         started = time.process_time()
         result = diagnose_files(None, logs[:2], GapQuestion(path, out=fixed), Console(-1))
@@ -104,5 +137,6 @@ def compare(path, effects):
 
 
 if __name__ == "__main__":
-    compare(Path(sys.argv[1]), [])
-    compare(Path(sys.argv[1]), [(load_dependent_friction, 2)])
+    for seed in map(int, sys.argv[2:] or ("5",)):
+        compare(Path(sys.argv[1]), seed, [])
+        compare(Path(sys.argv[1]), seed, [(load_dependent_friction, 2)])

@@ -19,10 +19,10 @@ class HeldOutGap:
     At rest both are what is beyond stiction, of which `open` (S', n) [N·m] is left: there the torque is anything below
     the Coulomb level, and no model knows it, though it comes back with every cycle.
 
-    `before`, `after`, `floor` (n,) are their RMSE over `unit` (n,), nominal torque or 1 N·m; `floor` is what does not
-    repeat from cycle to cycle, None without repeats. `gain` is the part of the plain
-    squared error that the causes take away on their own joints while these move, and `largest` the greatest error there
-    over a scale that every joint has; both are 0 without causes.
+    `before`, `after`, `floor` (n,) are their RMSE over `unit` (n,), nominal torque or 1 N·m if not said; `floor` is
+    what does not repeat from cycle to cycle, None without repeats. `gain` is the part of the plain squared error that
+    the causes take away on their own joints while these move, and `largest` the greatest error there over a scale that
+    every joint has; both are 0 without causes.
     """
 
     raw: np.ndarray
@@ -60,12 +60,6 @@ class HeldOutGap:
         """(S', n) [N·m] what of an error is beyond stiction."""
         return _beyond(rows, self.open)
 
-    def part_of(self, other: HeldOutGap, closure: float | None) -> float | None:
-        """A closure of another gap to the same floor, as a part of this one."""
-        f = 0.0 if self.floor is None else float(np.mean(self.floor**2))
-        whole = float(np.mean(self.before**2)) - f
-        return None if closure is None or whole <= 0 else closure * (float(np.mean(other.before**2)) - f) / whole
-
     @property
     def hardly_closed(self) -> bool:
         """Whether causes gain where the background is small, and leave the gap of their own joints open."""
@@ -91,10 +85,10 @@ def closure(
     return float((np.mean(worse**2) - np.mean(better**2)) / (b - f))
 
 
-def held_out_gap(dataset: Dataset, fit: Fit) -> HeldOutGap:
+def held_out_gap(dataset: Dataset, fit: Fit, unit: np.ndarray | None = None) -> HeldOutGap:
     """The gap with the effects of a fit: every row under the parameters that did not see it."""
-    robot = dataset.robot
-    unit = np.nan_to_num(robot.nominal_torque, nan=1.0)
+    if unit is None:
+        unit = np.nan_to_num(dataset.robot.nominal_torque, nan=1.0)
     left = fit.out_of_fold(fit.once)
     raw = dataset.residual if dataset.given else dataset.fit.out_of_fold()
     raw = np.where(np.isnan(left[:, :1]), np.nan, raw)

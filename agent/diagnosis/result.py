@@ -89,9 +89,10 @@ def build(
     steps: tuple[WaterfallStep, ...] = ()
     if calibrated is not None:
         dataset = replace(dataset, residual=calibrated.given.residual)
-        left, gap = gap, held_out_gap(dataset, finding.fit)
+        gap = held_out_gap(dataset, finding.fit)
         closure = gap.closure if closure is None or gap.closure is not None else closure
-        causes = tuple(replace(cause, closure=gap.part_of(left, cause.closure)) for cause in causes)
+        closes = {(cause.effect, cause.joints): cause.closure for cause in causes_of(dataset, finding, gap)}
+        causes = tuple(replace(c, closure=closes.get((c.effect, c.joints), c.closure)) for c in causes)
         steps = waterfall(calibrated, finding, gap)
         if verdict == "no_gap" and calibrated.groups and gap.closure is not None:
             named = causes_of_steps(calibrated, steps, gap.closure)

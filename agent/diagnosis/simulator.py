@@ -96,7 +96,8 @@ def search_simulator(
 
     def answer(calibrated: ReleasedSimulator) -> Explanation:
         search = Search(calibrated.moved.fit, without, True, progress, limits)
-        return Explanation(calibrated, search, *judge(calibrated.moved, search.run(), calibrated.moved.fit))
+        moved = calibrated.moved
+        return Explanation(calibrated, search, *judge(moved, search.run(), moved.fit, moved.fit.reference.scale))
 
     plain = answer(ReleasedSimulator(dataset, dataset, ()))
     found, total = [plain], float(np.mean(plain.gap.before**2))

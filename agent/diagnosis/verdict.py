@@ -10,6 +10,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import isfinite
 
+import numpy as np
+
 from agent.diagnosis.answer import Cause, EffectPlace
 from agent.diagnosis.dataset import Dataset
 from agent.diagnosis.finding import Finding
@@ -28,10 +30,13 @@ def named(equalled: bool) -> str:
     return "ambiguous" if equalled else "explained"
 
 
-def judge(dataset: Dataset, finding: Finding, plain: Fit) -> tuple[Finding, HeldOutGap]:
-    """A finding as far as its figures on motion held out bear it out, and these figures; `plain`: without effects."""
+def judge(dataset: Dataset, finding: Finding, plain: Fit, unit: np.ndarray | None = None) -> tuple[Finding, HeldOutGap]:
+    """A finding as far as its figures on motion held out bear it out, and these figures; `plain`: without effects.
+
+    `unit` is that of `held_out_gap`.
+    """
     while True:
-        gap = held_out_gap(dataset, finding.fit)
+        gap = held_out_gap(dataset, finding.fit, unit)
         if not finding.causes:
             return finding, gap
         if finding.verdict == "explained" and gap.closure is not None and gap.closure < dataset.limits.explained:

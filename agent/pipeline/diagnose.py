@@ -16,7 +16,7 @@ from agent.robot import RobotDescription, load_robot
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
     from agent.model import IdentifiedModel, Simulator
-    from agent.pipeline.until_sure import Found
+    from agent.pipeline.until_sure import Found, Rounds
 
 
 #: The model that was the simulator, as a run folder keeps it: the file that was named may be another one later.
@@ -99,23 +99,31 @@ def diagnose_recording(
             plan = planning.plan_once(loaded, run, console)
         with step(run, "record", console):
             recordings = record_plan(loaded, plan, run, console, runs, yes)
-        paths, rounds, last = [recording.path for recording in recordings], None, None
-        if budget is not None:
-            with step(run, "rounds", console):
-                further, rounds, last = until_sure(
-                    lambda logs: _find(loaded.robot, logs, question, console),
-                    paths, loaded, run, console, runs, yes, budget - sum(one.duration for one in recordings),
-                )  # fmt: skip
-                paths += further
-        with step(run, "diagnose", console):
+        paths, rounds = [recording.path for recording in recordings], None
+
+        def answer() -> dict[str, Any]:
+            """Result and page in the run folder, of all motions that there are."""
             report = run.file("report.html")
             here = replace(question, report=report)
-            result = _diagnose(loaded.robot, paths, here, console, loaded.robot_source, simulator, last)
-            if rounds is not None:
-                result["rounds"] = rounds
+            result = _diagnose(loaded.robot, paths, here, console, loaded.robot_source, simulator, rounds)
             run.write_json("result.json", result)
             if question.report is not None:
                 write_atomically(question.report, report.read_text(encoding="utf-8"))
+            return result
+
+        if budget is not None:
+            with step(run, "rounds", console):
+                rounds = until_sure(
+                    lambda logs: _find(loaded.robot, logs, question, console),
+                    paths, loaded, run, console, runs, yes, budget - sum(one.duration for one in recordings),
+                )  # fmt: skip
+                paths += rounds.logs
+                if rounds.cut_short is not None:
+                    answer()
+                    console.say(f"what the motions until then say is in {run.path}")
+                    raise rounds.cut_short
+        with step(run, "diagnose", console):
+            result = answer()
         run.complete(True)
         refresh_index(runs, console)
     console.say(ending_text(run, loaded))
@@ -138,7 +146,10 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
     parts = ("validation_[0-9][0-9].mcap", "experiment_[0-9][0-9].mcap")
     logs = [run / "excitation.mcap", *(log for part in parts for log in sorted(run.glob(part)))]
     found, simulated, _ = _find(robot, logs, question, console)
-    return diagnosis_report(found, simulated, next_steps=after_diagnosis(found.result, source, logs, question.model))
+    steps = after_diagnosis(found.result, source, logs, question.model)
+    recorded = json.loads((run / "result.json").read_text(encoding="utf-8"))
+    rounds = {key: recorded[key] for key in ("rounds", "rounds_end") if key in recorded}
+    return diagnosis_report(found, simulated, next_steps=steps, rounds=rounds)
 
 
 def _diagnose(
@@ -148,19 +159,20 @@ def _diagnose(
     console: Console,
     source: str | None,
     simulator: Simulator | None = None,
-    known: Found | None = None,
+    rounds: Rounds | None = None,
 ) -> dict[str, Any]:
     """`source` names the robot for whoever asks again; `simulator` is the file that was read, and checked, before;
-    `known` is what these very logs were found to say already."""
+    `rounds` are those of these very logs, which say already what they were found to say."""
     from agent.diagnosis import simulation_part
 
     if simulator is None:
         _check(question, paths)
-    found, simulated, read = known or _find(robot, paths, question, console)
+    found, simulated, read = _find(robot, paths, question, console) if rounds is None else rounds.last
     simulator = simulator or read
     for warning in found.warnings:
         console.warn(warning)
     result = {**found.result, "simulation": simulation_part(found, simulated)}
+    result |= rounds.to_dict() if rounds is not None else {}
     if simulator is not None:
         result |= run_forward(found, simulator, console)
     if question.next_recipe is not None:
@@ -171,7 +183,7 @@ def _diagnose(
         from agent.report import diagnosis_report
 
         steps = after_diagnosis(found.result, source, paths, question.model)
-        page = diagnosis_report(found, simulated, result.get("forward"), steps)
+        page = diagnosis_report(found, simulated, result.get("forward"), steps, result)
         write_atomically(question.report, page)
     if question.out is not None and question.next_recipe is None:
         if simulator is not None:
@@ -189,7 +201,10 @@ def _next(found: Diagnosis, question: GapQuestion, console: Console) -> dict[str
     assert question.next_recipe is not None
     assert question.out is not None
     motion = plan_next(found, load_recipe(question.next_recipe), console)
-    return None if motion is None else write_next(motion, question.out)
+    if isinstance(motion, str):
+        console.say(motion)
+        return None
+    return write_next(motion, question.out)
 
 
 def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQuestion, console: Console) -> Found:

@@ -68,8 +68,8 @@ class NextMotion:
 
 def plan_next(
     found: Diagnosis, recipe: Recipe, console: Console, seconds: float = LONGEST, name: str = "experiment"
-) -> NextMotion | None:
-    """The motion that settles most of what a diagnosis leaves open; None where nothing is open, or nothing helps.
+) -> NextMotion | str:
+    """The motion that settles most of what a diagnosis leaves open, or why there is none and what else may settle it.
 
     Raises:
         InputError: the recipe is of another robot, or its cell leaves no room.
@@ -79,8 +79,7 @@ def plan_next(
     check_joints(recipe, found.dataset.robot.joint_names)
     pairs = open_pairs(found)
     if not pairs:
-        console.say("nothing is open: no further motion is needed")
-        return None
+        return "nothing is open: no further motion is needed"
     problem = loop_problem(recipe, recipe.motion.speed)
     console.step(f"searching for a motion of at most {seconds:.0f} s that tells more")
     runs = _Runs(recipe, name)
@@ -90,8 +89,7 @@ def plan_next(
         if motion.helps():
             return motion
     refused = f" ({runs.refused})" if runs.refused else ""
-    console.say(f"no motion in the sub-region of {recipe.path} would settle it{refused}: {_other_test(pairs)}")
-    return None
+    return f"no motion in the sub-region of {recipe.path} would settle it{refused}: {_other_test(pairs)}"
 
 
 def write_next(motion: NextMotion, folder: Path) -> dict[str, Any]:

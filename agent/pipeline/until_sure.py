@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +41,22 @@ def budget_of(text: str) -> float:
     return seconds
 
 
+@dataclass
+class Rounds:
+    """What further motions asked and found: their logs, a dict for each round as `rounds` of a result has them, what
+    all logs together were found to say, why no further one followed, and what cut the last one short."""
+
+    logs: list[Path]
+    asked: list[dict[str, Any]]
+    last: Found
+    end: str = ""
+    cut_short: BaseException | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Keys of a result: `rounds`, and `rounds_end`."""
+        return {"rounds": self.asked, "rounds_end": self.end}
+
+
 def until_sure(
     find: Callable[[Sequence[Path]], Found],
     logs: Sequence[Path],
@@ -49,38 +66,51 @@ def until_sure(
     runs: Path,
     yes: bool,
     budget: float,
-) -> tuple[list[Path], list[dict[str, Any]], Found]:
-    """Further logs, recorded into the run folder as `experiment_01.mcap`, …, what each round asked and found, and what
-    all logs together were found to say.
+) -> Rounds:
+    """Record further motions into the run folder as `experiment_01.mcap`, … until what is open is settled.
+
+    Whatever cuts a motion short, a lost link as much as Ctrl-C, is in what is returned, after a controlled stop: what
+    was found until then is not lost.
 
     Args:
         find: the diagnosis of logs; all earlier ones count in every round.
         budget: further motion that is allowed [s].
 
     Raises:
-        AgentError, DriverError: as in recording; what was recorded before stays.
+        AgentError: logs that cannot be diagnosed, or a recipe that leaves no room.
     """
-    further: list[Path] = []
-    rounds: list[dict[str, Any]] = []
+    rounds = Rounds([], [], find(logs))
     while True:
-        last = find([*logs, *further])
-        found = last[0]
-        if rounds:
-            rounds[-1]["verdict"] = found.result["verdict"]
-            console.say(f"round {len(rounds)}: {found.result['verdict']}")
-        if found.result["verdict"] in ("explained", "no_gap"):
-            return further, rounds, last
-        if budget < _SHORTEST:
-            console.say("the budget of motion is used up")
-            return further, rounds, last
-        name = f"experiment_{len(rounds) + 1:02d}"
-        motion = plan_next(found, recipe, console, min(LONGEST, budget), name)
-        if motion is None:
-            return further, rounds, last
+        result = rounds.last[0].result
+        if rounds.asked:
+            rounds.asked[-1] |= {"verdict": result["verdict"], "causes": [_named(cause) for cause in result["causes"]]}
+            console.say(f"round {len(rounds.asked)}: {result['verdict']}")
+        if result["verdict"] in ("explained", "no_gap"):
+            rounds.end = f"settled: {result['verdict']}"
+        elif budget < _SHORTEST:
+            rounds.end = "the budget of motion is used up"
+        if rounds.end:
+            break
+        name = f"experiment_{len(rounds.asked) + 1:02d}"
+        motion = plan_next(rounds.last[0], recipe, console, min(LONGEST, budget), name)
+        if isinstance(motion, str):
+            rounds.end = motion
+            break
         program = run.write_text(f"{name}.pdl", motion.text).name
-        with open_link(recipe, console, yes, runs) as link:
-            log = f"{name}.mcap"
-            recording = record_program(link, run, recipe, console, motion.text, program, "experiment", log, name)
+        rounds.asked.append({"after": result["verdict"], **motion.to_dict(program)})
+        try:
+            with open_link(recipe, console, yes, runs) as link:
+                log = f"{name}.mcap"
+                recording = record_program(link, run, recipe, console, motion.text, program, "experiment", log, name)
+        except BaseException as error:
+            rounds.end, rounds.cut_short = f"cut short: {str(error) or type(error).__name__}", error
+            return rounds
         budget -= recording.duration
-        further.append(recording.path)
-        rounds.append({"after": found.result["verdict"], **motion.to_dict(program)})
+        rounds.logs.append(recording.path)
+        rounds.last = find([*logs, *rounds.logs])
+    console.say(rounds.end)
+    return rounds
+
+
+def _named(cause: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: cause[key] for key in ("effect", "joints", "probability")}

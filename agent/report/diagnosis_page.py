@@ -21,6 +21,7 @@ from agent.model import CATALOGUE
 from agent.report.diagnosis_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
 from agent.report.first_screen import about_diagnosis, headline, parameter_text, sentence, sized
 from agent.report.page import NextStep, Page, Section, Table, render
+from agent.report.rounds_section import rounds_sections
 from agent.report.simulator_section import simulator_sections
 from agent.robot import figure_text
 
@@ -34,14 +35,17 @@ def diagnosis_report(
     simulated: Sequence[Simulated] = (),
     forward: Mapping[str, Any] | None = None,
     next_steps: Sequence[NextStep] = (),
+    rounds: Mapping[str, Any] = {},
 ) -> str:
     """HTML text of the report.
 
-    `forward` is that of a result against a simulator's file, `next_steps` are commands that whoever asked can run.
+    `forward` is that of a result against a simulator's file, `next_steps` are commands that whoever asked can run,
+    `rounds` has the keys of a result of that name, where further motions were asked.
     """
     verdict = diagnosis.result["verdict"]
     sections = [
         _cause_section(diagnosis),
+        *rounds_sections(rounds.get("rounds"), rounds.get("rounds_end", "")),
         _where_section(diagnosis),
         _closure_section(diagnosis, simulated),
         *simulator_sections(diagnosis, forward),

@@ -92,7 +92,7 @@ def _ranges(found: Sequence[Range]) -> Section:
     ]
     text = [
         "How far the numbers that were moved may still be off (90 %): the ranges over which it is justified to "
-        "randomise a simulator that policies are trained in. What is not listed was not moved. Below, the same as YAML.",
+        "randomise a simulator that policies are trained in. What is not listed was not moved. As YAML below.",
     ]
     table = Table("ranges", ("number", "value", "range", "unit"), rows)
     return Section("For training policies", text, (table,), ranges_text(tuple(found)))

@@ -103,7 +103,7 @@ def test_what_a_search_found_comes_to_an_answer_that_keeps_its_promises(verdict,
         verdict, _Fit(candidates), candidates, rivals, (0.0,) * count, (1.0,) * count, 0.9, steps, 0.0, 0.0
     )  # type: ignore[arg-type]
 
-    def gap_of(dataset, fit):
+    def gap_of(dataset, fit, unit=None):
         closure = closings[min(len(fit.chosen), len(closings) - 1)]
         return SimpleNamespace(closure=closure, hardly_closed=hardly, small=small)
 

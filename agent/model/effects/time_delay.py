@@ -25,7 +25,7 @@ class TimeDelay(Effect):
     """τ = a (τ_model(t − d) − τ_model(t)), a near 1: the whole predicted torque is shifted.
 
     A model that was fitted to late torque lets friction turn over too long a way, as that looks late too. So what is
-    shifted may turn over a part `reversal` of the model's way; a simulator's friction turns sharply and has no such part.
+    shifted may turn over a part `reversal` of the model's way. Friction of a simulator turns sharply and has none.
     """
 
     name = "time_delay"

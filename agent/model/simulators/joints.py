@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
@@ -63,3 +63,15 @@ def matched(
             f"--map FILE, in YAML: joints: {{{example}}}"
         )
     return found
+
+
+def leaving_out(used: Mapping[str, str], left_out: Collection[str]) -> str:
+    """Advice, to end a message with: the map under which joints of the file are not compared."""
+    kept = ", ".join(f"{name}: {called}" for name, called in used.items() if name not in left_out)
+    it = "it" if len(left_out) == 1 else "them"
+    return f"leave {it} out with --map FILE, in YAML: joints: {{{kept}}}" if kept else "none is left to compare"
+
+
+def listed(names: Sequence[str], most: int = 6) -> str:
+    """Names for a message, not all of very many."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

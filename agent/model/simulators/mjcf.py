@@ -15,6 +15,7 @@ import numpy as np
 from agent.core import InputError, needed
 from agent.model.simulators.arm import SimulatedArm, described, model_of
 from agent.model.simulators.bodies import CarryingBody, parameters
+from agent.model.simulators.joints import leaving_out
 from agent.model.urdf_elements import digits, inertial_element, rpy_of
 
 _BASE = "base"
@@ -40,7 +41,9 @@ def compiled(path: Path) -> Any:
     try:
         return mujoco.MjModel.from_xml_path(str(path))
     except Exception as error:  # MuJoCo raises ValueError, and others from its plugins
-        raise InputError(f"{path}: MuJoCo does not accept it: {' '.join(str(error).split())}") from None
+        said = " ".join(str(error).split())
+        missing = ". Files that it includes, meshes too, belong where it names them" if "opening file" in said else ""
+        raise InputError(f"{path}: MuJoCo does not accept it: {said}{missing}") from None
 
 
 def read_mjcf(path: Path, match: Callable[[Sequence[str]], Mapping[str, str]]) -> SimulatedArm:
@@ -55,8 +58,8 @@ def read_mjcf(path: Path, match: Callable[[Sequence[str]], Mapping[str, str]]) -
     names = {j: model.joint(j).name for j in range(model.njnt) if model.jnt_type[j] in (hinge, slide)}
     used = match([name for name in names.values() if name])
     chosen = [j for j, name in names.items() if name in used]  # MuJoCo orders joints from base to tip
-    link_of = _links(path, model, chosen, names)
-    _refuse(path, mujoco, model, chosen, link_of)
+    link_of = _links(path, model, chosen, names, used)
+    _refuse(path, mujoco, model, chosen, link_of, used)
     notes = tuple(_notes(model, chosen, link_of))
     dof, at = model.jnt_dofadr[chosen], model.jnt_qposadr[chosen]
     limited = model.jnt_limited[chosen].astype(bool)
@@ -86,7 +89,7 @@ def read_mjcf(path: Path, match: Callable[[Sequence[str]], Mapping[str, str]]) -
     return arm
 
 
-def _links(path: Path, model: Any, chosen: list[int], names: Mapping[int, str]) -> np.ndarray:
+def _links(path: Path, model: Any, chosen: list[int], names: Mapping[int, str], used: Mapping[str, str]) -> np.ndarray:
     """(bodies,) which link each body is part of, from 0 for the base; k is moved by the k-th chosen joint."""
     link_of = np.zeros(model.nbody, dtype=int)
     for body in range(1, model.nbody):
@@ -95,15 +98,17 @@ def _links(path: Path, model: Any, chosen: list[int], names: Mapping[int, str]) 
             if model.jnt_bodyid[j] == body:
                 if link != number - 1:
                     raise InputError(
-                        f"{path}: {names[j]} is on another branch than {names[chosen[number - 2]]}: one serial arm is "
-                        "compared at a time; name its joints with --map"
+                        f"{path}: {names[j]} is on another branch than {names[chosen[number - 2]]}. One serial arm is "
+                        f"compared at a time, without other branches: {leaving_out(used, [names[j]])}"
                     )
                 link = number
         link_of[body] = link
     return link_of
 
 
-def _refuse(path: Path, mujoco: Any, model: Any, chosen: list[int], link_of: np.ndarray) -> None:
+def _refuse(
+    path: Path, mujoco: Any, model: Any, chosen: list[int], link_of: np.ndarray, used: Mapping[str, str]
+) -> None:
     """Raise InputError for what acts on the arm and has no form here."""
     free = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
     body = int(model.jnt_bodyid[chosen[0]])
@@ -128,8 +133,8 @@ def _refuse(path: Path, mujoco: Any, model: Any, chosen: list[int], link_of: np.
         elif model.eq_type[k] == int(mujoco.mjtEq.mjEQ_JOINT) and one in chosen:
             other = "a constant" if two < 0 else repr(model.joint(two).name)
             raise InputError(
-                f"{path}: joint {model.joint(one).name!r} follows {other} (equality): a serial arm whose joints all "
-                "move on their own is expected"
+                f"{path}: joint {model.joint(one).name!r} follows {other} (equality), and joints that all move on "
+                f"their own are compared: {leaving_out(used, [model.joint(one).name])}"
             )
     for k in range(model.ntendon):
         parts = range(model.tendon_adr[k], model.tendon_adr[k] + model.tendon_num[k])

@@ -12,6 +12,7 @@ import numpy as np
 from agent.core import InputError
 from agent.model.simulators.arm import SimulatedArm
 from agent.model.simulators.bodies import CarryingBody, parameters, seen_from
+from agent.model.simulators.joints import leaving_out, listed
 from agent.model.urdf_elements import end_of, pose_of
 from agent.robot import check_urdf
 
@@ -31,6 +32,7 @@ def read_urdf(
     elements = {str(joint.get("name")): joint for joint in root.findall("joint")}
     movable = [name for name, joint in elements.items() if joint.get("type") in _MOVABLE]
     used = match(movable)
+    _refuse_followers(path, elements, used)
     check_urdf(path, root, list(used))
     _check_radians(path, root)
     floating = [name for name, joint in elements.items() if joint.get("type") in ("floating", "planar")]
@@ -38,9 +40,9 @@ def read_urdf(
         raise InputError(
             f"{path}: joint {floating[0]!r} is {elements[floating[0]].get('type')}: a fixed base is needed"
         )
-    chain = _chain(path, elements, by_child, list(used))
+    chain = _chain(path, elements, by_child, used)
     held = [name for name in movable if name not in used]
-    notes = (f"{', '.join(held)} held at zero: not among the joints compared",) if held else ()
+    notes = (f"{listed(held)} held at zero: not among the joints compared",) if held else ()
     for element in root.iter("joint"):
         element.set("name", used.get(str(element.get("name")), str(element.get("name"))))
     joints = [elements[name] for name in chain]
@@ -101,7 +103,21 @@ def _check_radians(path: Path, root: Element) -> None:
         )
 
 
-def _chain(path: Path, elements: Mapping[str, Element], by_child: Mapping[str, Element], used: list[str]) -> list[str]:
+def _refuse_followers(path: Path, elements: Mapping[str, Element], used: Mapping[str, str]) -> None:
+    """Raise InputError for joints to be compared that another one moves, as the fingers of grippers are."""
+    for name in used:
+        mimic = elements[name].find("mimic")
+        if mimic is not None:
+            leader = mimic.get("joint", "")
+            raise InputError(
+                f"{path}: joint {name!r} follows {leader!r} (mimic), and joints that all move on their own are "
+                f"compared: {leaving_out(used, [one for one in used if one in (name, leader)])}"
+            )
+
+
+def _chain(
+    path: Path, elements: Mapping[str, Element], by_child: Mapping[str, Element], used: Mapping[str, str]
+) -> list[str]:
     """The used joints from base to tip."""
 
     def above(name: str) -> list[str]:
@@ -116,8 +132,8 @@ def _chain(path: Path, elements: Mapping[str, Element], by_child: Mapping[str, E
     aside = [name for name in used if name not in longest]
     if aside:
         raise InputError(
-            f"{path}: {', '.join(aside)} is on another branch than {longest[0]}: one serial arm is compared at a time; "
-            "name its joints with --map"
+            f"{path}: not on the way to {longest[0]}: {listed(aside)}. One serial arm is compared at a time, without "
+            f"other branches: {leaving_out(used, aside)}"
         )
     return [name for name in reversed(longest) if name in used]
 

@@ -1,0 +1,113 @@
+"""Motions that go on until a diagnosis is sure: what is kept of them, whatever ends them, and what the page says."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from agent.core.console import Console
+from agent.pipeline import until_sure as module
+from agent.pipeline.until_sure import until_sure
+from agent.report.page import Page, render
+from agent.report.rounds_section import rounds_sections
+from agent.runs.folder import RunFolder
+from drivers.errors import DriverError
+
+PAIR = {"pair": ["stribeck on joint_2", "presliding on joint_2"], "before": 0.51, "after": 0.93}
+CAUSE = {"effect": "stribeck", "joints": ["joint_2"], "probability": 0.9}
+
+
+class Motion:
+    """A planned motion of 20 s."""
+
+    text = "PROGRAM experiment\n"
+
+    def to_dict(self, program: str) -> dict:
+        return {"separates": ["presliding", "stribeck"], "motion": "reversals of joint_2", "program": program} | {
+            "duration_s": 20.0,
+            "probability": [PAIR],
+        }
+
+
+@pytest.fixture
+def ask(tmp_path: Path, monkeypatch):
+    """`ask(verdicts, ends, budget)`: rounds whose diagnoses say these verdicts, whose recordings end as said."""
+
+    def run(verdicts, ends, budget=100.0):
+        recipe = tmp_path / "job.yaml"
+        recipe.write_text("robot: comau_ns16\n", encoding="utf-8")
+        folder = RunFolder.create(tmp_path / "logs", "comau_ns16", recipe)
+        ends = iter(ends)
+
+        def record(*_):
+            end = next(ends)
+            if isinstance(end, BaseException):
+                raise end
+            return SimpleNamespace(path=tmp_path / f"{end}.mcap", duration=20.0)
+
+        answers = iter(verdicts)
+        seen = []
+
+        def find(logs):
+            seen.append(len(logs))
+            verdict = next(answers)
+            causes = [CAUSE] if verdict in ("explained", "ambiguous") else []
+            return SimpleNamespace(result={"verdict": verdict, "causes": causes}), [], None
+
+        plans = iter([Motion(), Motion(), "no motion would settle it: another load may"])
+        monkeypatch.setattr(module, "plan_next", lambda *_: next(plans))
+        monkeypatch.setattr(module, "open_link", lambda *_: nullcontext())
+        monkeypatch.setattr(module, "record_program", record)
+        first = [tmp_path / "excitation.mcap"]
+        found = until_sure(find, first, None, folder, Console(-1), tmp_path, True, budget)  # type: ignore[arg-type]
+        return found, seen
+
+    return run
+
+
+def test_rounds_end_when_it_is_settled_and_all_logs_count(ask):
+    found, seen = ask(["ambiguous", "unknown", "explained"], ["one", "two"])
+    assert seen == [1, 2, 3]
+    assert [one["after"] for one in found.asked] == ["ambiguous", "unknown"]
+    assert [one["verdict"] for one in found.asked] == ["unknown", "explained"]
+    assert found.asked[-1]["causes"] == [CAUSE]
+    assert found.end == "settled: explained"
+    assert found.cut_short is None
+
+
+def test_rounds_end_with_the_budget_or_where_no_motion_helps(ask):
+    assert ask(["ambiguous"] * 2, ["one"], budget=25.0)[0].end == "the budget of motion is used up"
+    found, _ = ask(["ambiguous"] * 3, ["one", "two"])
+    assert found.end == "no motion would settle it: another load may"
+    assert len(found.logs) == 2
+
+
+@pytest.mark.parametrize("why", [DriverError("the link dropped"), KeyboardInterrupt()])
+def test_what_cuts_a_round_short_leaves_what_was_found_before(ask, why):
+    found, seen = ask(["ambiguous", "ambiguous"], ["one", why])
+    assert found.cut_short is why
+    assert found.last[0].result["verdict"] == "ambiguous"
+    assert seen == [1, 2]
+    assert len(found.logs) == 1
+    assert "verdict" not in found.asked[-1]
+    assert found.end.startswith("cut short: ")
+
+
+def test_the_page_has_question_motion_and_answer_of_every_round(ask):
+    found, _ = ask(["ambiguous", "explained"], ["one"])
+    page = render(Page("Gap", "it is", "plain", rounds_sections(**to_sections(found))))
+    for text in ("stribeck on joint_2 or presliding on joint_2", "reversals of joint_2 (20 s)", "0.51, 0.93"):
+        assert text in page
+    assert "explained: " in page
+    cut, _ = ask(["ambiguous"], [DriverError("the link dropped")])
+    assert "cut short" in render(Page("Gap", "it is", "plain", rounds_sections(**to_sections(cut))))
+    assert rounds_sections(None, "") == []
+    assert "No further motion was run." in render(Page("Gap", "it is", "plain", rounds_sections([], "settled: no_gap")))
+
+
+def to_sections(found) -> dict:
+    result = found.to_dict()
+    return {"rounds": result["rounds"], "end": result["rounds_end"]}
