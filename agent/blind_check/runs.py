@@ -35,8 +35,11 @@ def link_recipe(robot: str, address: str) -> Recipe:
 
 
 @contextmanager
-def fake_controller(robot: str, machine: int, effects: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """A controller as a process; gives its address. The file with its effects is gone before anything moves.
+def fake_controller(
+    robot: str, machine: int, effects: Sequence[Mapping[str, Any]], options: Sequence[str] = ()
+) -> Iterator[str]:
+    """A controller as a process, with further options; gives its address. The file with its effects is gone before
+    anything moves.
 
     Raises:
         ControllerError: it does not start, for example because an effect cannot be simulated.
@@ -45,7 +48,7 @@ def fake_controller(robot: str, machine: int, effects: Sequence[Mapping[str, Any
         sealed = Path(folder) / "effects.json"
         sealed.write_text(json.dumps(list(effects)), encoding="utf-8")
         command = [sys.executable, "-m", "fake_controller", "--robot", robot, "--seed", str(machine)]
-        command += ["--clock", "fast", "--port", "0", "--watchdog", "5", "--effects", str(sealed)]
+        command += ["--clock", "fast", "--port", "0", "--watchdog", "5", "--effects", str(sealed), *options]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         assert process.stdout is not None
         greeting = process.stdout.readline()

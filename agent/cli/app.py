@@ -245,15 +245,26 @@ def blind_check(
     out: Annotated[
         Path, typer.Option("-o", "--out", metavar="DIR", help="folder, gone on with; all workers see it")
     ] = Path("blind_check"),
+    active: Annotated[
+        bool, typer.Option("--active", help="with up to two further motions a run, against other uses of the time")
+    ] = False,
     scheduler: opt.Scheduler = None,
     workers: opt.Workers = None,
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
     """Simulated runs with a withheld effect, diagnosed without the key, then scored."""
-    from agent.blind_check import BlindCheck, summary_text
+    from agent.blind_check import BlindCheck, active_text, summary_text
 
     console = opt.console_for(messages)
+    if active:
+        from agent.pipeline import ActiveCheck
+
+        if world != "emulator" or scheduler or workers:
+            raise InputError("blind check: --active runs on the emulator, in this process: leave out the other options")
+        found = ActiveCheck(cases, seed, out.absolute()).run(console)
+        opt.print_found(as_json, found, active_text(found))
+        return
     with opt.engine_for(scheduler, workers, console) as engine:
         scores = BlindCheck(cases, seed, out.absolute(), world=world).run(console, engine)
     opt.print_found(as_json, scores, summary_text(scores))

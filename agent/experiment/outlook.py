@@ -74,8 +74,14 @@ class Outlook:
             for comparison in _comparisons(number, pair.fit, truth, rival)
         ]
 
-    def moments(self, motion: GridMotion) -> list[np.ndarray]:
-        """Per comparison the moments (m, m) that a motion adds."""
+    def information(self, motion: GridMotion) -> np.ndarray:
+        """(p, p) that a motion adds to what is known of the model's own parameters."""
+        model = self._model_columns(motion)[2]
+        flat = model.reshape(-1, model.shape[2])
+        return flat.T @ flat
+
+    def _model_columns(self, motion: GridMotion) -> tuple[MotionSignals, np.ndarray, np.ndarray]:
+        """Signals, what a row's error is divided by (S, n) [N·m], and so divided the model's columns (S, n, p)."""
         dataset = self.dataset
         reference = dataset.fit.reference
         signals = MotionSignals(reference, motion.time, motion.q, motion.qd, motion.qdd)
@@ -83,7 +89,12 @@ class Outlook:
         sigma = background_of(reference, moving, [signals], dataset.limits)
         rate = 1 / float(np.median(np.diff(motion.time)))
         weight = np.where(sigma > 1.01 * moving, np.inf, np.sqrt(max(1.0, _INDEPENDENT * rate)))
-        model = reference.model.columns(motion.q, motion.qd, motion.qdd) / (sigma * weight)[:, :, None]
+        unit = sigma * weight
+        return signals, unit, reference.model.columns(motion.q, motion.qd, motion.qdd) / unit[:, :, None]
+
+    def moments(self, motion: GridMotion) -> list[np.ndarray]:
+        """Per comparison the moments (m, m) that a motion adds."""
+        signals, unit, model = self._model_columns(motion)
         made: dict[Candidate, np.ndarray] = {}
 
         def columns(candidate: Candidate) -> np.ndarray:
@@ -91,7 +102,7 @@ class Outlook:
                 block = np.zeros((*motion.q.shape, len(candidate.names)))
                 found = candidate.effect.columns(signals, candidate.joints, candidate.settings)
                 for joint, values in found.items():
-                    block[:, joint] = values / (sigma[:, joint] * weight[:, joint])[:, None]
+                    block[:, joint] = values / unit[:, joint, None]
                 made[candidate] = np.nan_to_num(block)
             return made[candidate]
 

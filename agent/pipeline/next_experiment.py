@@ -16,7 +16,7 @@ from agent.runs import make_folder, write_json
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
-    from agent.experiment import Experiment, OpenPair, Piece
+    from agent.experiment import Choice, Experiment, OpenPair, Piece
     from agent.motion import Trajectory
     from agent.robot import RobotDescription
 
@@ -90,6 +90,22 @@ def plan_next(
             return motion
     refused = f" ({runs.refused})" if runs.refused else ""
     return f"no motion in the sub-region of {recipe.path} would settle it{refused}: {_other_test(pairs)}"
+
+
+def run_otherwise(
+    choose: Choice, found: Diagnosis, recipe: Recipe, seconds: float, name: str, seed: int
+) -> tuple[str, float] | None:
+    """Text and duration [s] of a motion chosen in another way than by what it separates; None where none can be run.
+
+    Raises:
+        InputError: the recipe's cell leaves no room.
+    """
+    runs = _Runs(recipe, name)
+    choose(found, loop_problem(recipe, recipe.motion.speed), seconds, seed, runs)
+    if runs.motion is None:
+        return None
+    text, chains = runs.motion
+    return text, float(sum(chain.duration for chain in chains))
 
 
 def write_next(motion: NextMotion, folder: Path) -> dict[str, Any]:

@@ -1,0 +1,129 @@
+"""Scores of a check with further motions: what each way to spend the robot's time made of what was open before it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from agent.blind_check.scoring import Entry, class_of, clopper_pearson, outcome
+
+#: The motion that is planned for what is open, and three other ways to spend the same time.
+WAYS = ("planned", "loop_again", "random", "d_optimal")
+_EDGES = (0.0, 0.5, 0.7, 0.85, 0.95, 1.0001)
+
+
+def active_scores(entries: Sequence[Entry]) -> dict[str, Any]:
+    """All figures, of entries with `first` and per way its `rounds`, each with a `result`."""
+    done = [entry for entry in entries if "error" not in entry]
+    ambiguous = [e for e in done if e["kind"] == "one" and e["first"]["verdict"] == "ambiguous" and e["ways"]]
+    asked = list(_asked(done))
+    planned = [one for e in done for one in e["ways"].get("planned", ())]
+    return {
+        "runs": len(entries),
+        "not_recorded": [{"run": e["number"], "why": e["error"]} for e in entries if "error" in e],
+        "first": dict(Counter(e["first"]["verdict"] for e in done)),
+        "first_outcomes": dict(Counter(_outcome(e, e["first"]) for e in done)),
+        "ambiguous": len(ambiguous),
+        "wrong_names_first": _share(_outcome(e, e["first"]) == "wrong name" for e in done),
+        "ways": {way: _way(way, done, ambiguous) for way in WAYS},
+        "calibration": _calibration(asked),
+        "planning_s": float(np.median([one["planning_s"] for one in planned])) if planned else None,
+        "cases": [_line(e) for e in done],
+    }
+
+
+def _way(way: str, done: Sequence[Entry], ambiguous: Sequence[Entry]) -> dict[str, Any]:
+    return {
+        "right_after_one": _share(_outcome(e, _after(e, way, 1)) == "right" for e in ambiguous),
+        "right_after_two": _share(_outcome(e, _after(e, way, 2)) == "right" for e in ambiguous),
+        "wrong_names": _share(_outcome(e, _after(e, way, 2)) == "wrong name" for e in done),
+        "robot_s": float(sum(r["seconds"] for e in done for r in e["ways"].get(way, ()))),
+    }
+
+
+def _after(entry: Entry, way: str, rounds: int) -> Mapping[str, Any]:
+    """The result after so many further motions; what was said before stands where there was none."""
+    results = [entry["first"], *(one["result"] for one in entry["ways"].get(way, ())[:rounds])]
+    return results[-1]
+
+
+def _outcome(entry: Entry, result: Mapping[str, Any]) -> str:
+    return outcome({**entry, "result": result})
+
+
+def _share(hits: Iterable[bool]) -> dict[str, Any]:
+    found = list(hits)
+    interval = list(clopper_pearson(sum(found), len(found))) if found else None
+    return {"count": sum(found), "of": len(found), "interval": interval}
+
+
+def _asked(done: Sequence[Entry]) -> Iterator[tuple[float, bool]]:
+    """Predicted probability of the right answer and whether it came, of pairs of which one side is the truth."""
+    for entry in done:
+        truths = [_text(effect) for effect in entry["effects"]]
+        for one in entry["ways"].get("planned", ()):
+            for pair in one["expected"]:
+                sides = [side for side in pair["pair"] if side in truths]
+                if len(sides) == 1:
+                    (rival,) = (side for side in pair["pair"] if side != sides[0])
+                    yield pair["after"], _answers(one["result"], sides[0], rival)
+
+
+def _answers(result: Mapping[str, Any], truth: str, rival: str) -> bool:
+    """Whether a result names the truth, and the rival neither beside it nor as its equal."""
+    first = [_text(cause) for cause in result["causes"]]
+    of_truth = [cause for cause in result["causes"] if _text(cause) == truth]
+    members = [_text(member) for cause in of_truth for member in class_of(cause)]
+    return truth in first and rival not in (*first, *members)
+
+
+def _text(effect: Mapping[str, Any]) -> str:
+    joints = ", ".join(effect["joints"])
+    return f"{effect['effect']} on {joints}" if joints else str(effect["effect"])
+
+
+def _calibration(asked: Sequence[tuple[float, bool]]) -> dict[str, Any]:
+    said, came = (np.array([entry[k] for entry in asked], dtype=float) for k in (0, 1))
+    rows = []
+    for low, high in pairwise(_EDGES):
+        here = (said >= low) & (said < high)
+        if here.any():
+            mean, share = float(said[here].mean()), float(came[here].mean())
+            rows.append({"from": low, "to": min(high, 1.0), "pairs": int(here.sum()), "said": mean, "came": share})
+    overall = {"said": float(said.mean()), "came": float(came.mean())} if len(said) else None
+    return {"pairs": len(said), "overall": overall, "bins": rows}
+
+
+def _line(entry: Entry) -> dict[str, Any]:
+    """One run, without gaps."""
+    line = {key: entry[key] for key in ("number", "kind", "effects", "strength")}
+    line["first"] = _outcome(entry, entry["first"])
+    for way in WAYS:
+        line[way] = [_outcome(entry, one["result"]) for one in entry["ways"].get(way, ())]
+    return line
+
+
+def active_text(scores: Mapping[str, Any]) -> str:
+    """Figures for a terminal."""
+    first = ", ".join(f"{count} {verdict}" for verdict, count in sorted(scores["first"].items()))
+    lines = [f"{scores['runs']} runs; after the first recording: {first}", ""]
+    lines += ["of runs ambiguous then    right after one   after two   wrong name, all runs   robot time"]
+    for way, row in scores["ways"].items():
+        one, two, wrong = (f"{row[k]['count']} of {row[k]['of']}" for k in _COLUMNS)
+        lines.append(f"{way.replace('_', ' '):25} {one:>15} {two:>11} {wrong:>22} {row['robot_s']:>10.0f} s")
+    wrong = scores["wrong_names_first"]
+    lines += ["", f"wrong names without further motions: {wrong['count']} of {wrong['of']}"]
+    overall = scores["calibration"]["overall"]
+    if overall is not None:
+        lines.append(
+            f"probability of the right answer: predicted {overall['said']:.2f}, came {overall['came']:.2f} "
+            f"({scores['calibration']['pairs']} pairs)"
+        )
+    return "\n".join(lines)
+
+
+_COLUMNS = ("right_after_one", "right_after_two", "wrong_names")

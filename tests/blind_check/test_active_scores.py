@@ -1,0 +1,78 @@
+"""Scores of a check with further motions, of answers that are written by hand."""
+
+from __future__ import annotations
+
+import pytest
+
+from agent.blind_check import WAYS, active_scores, active_text
+
+TRUE = {"effect": "stribeck", "joints": ["joint_2"], "parameters": {}}
+
+
+def said(verdict, *causes, equal=()):
+    found = [{"effect": name, "joints": ["joint_2"], "equivalent_to": []} for name in causes]
+    if found:
+        found[0]["equivalent_to"] = [{"effect": name, "joints": ["joint_2"]} for name in equal]
+    return {"verdict": verdict, "causes": found, "closure": 0.9}
+
+
+RIGHT = said("explained", "stribeck")
+WRONG = said("explained", "presliding")
+OPEN = said("ambiguous", "presliding", equal=("stribeck",))
+
+
+def run(number, first, ways, kind="one"):
+    effects = [TRUE] if kind == "one" else []
+    entry = {"number": number, "kind": kind, "effects": effects, "strength": 1.0, "first": first, "ways": {}}
+    for way, results in ways.items():
+        pair = {"pair": ["presliding on joint_2", "stribeck on joint_2"], "before": 0.5, "after": 0.9}
+        other = {"pair": ["presliding on joint_2", "torque_ripple on joint_2"], "before": 0.5, "after": 0.6}
+        asked = [pair, other] if way == "planned" else []
+        entry["ways"][way] = [
+            {"seconds": 20.0, "planning_s": 3.0, "expected": asked, "result": result} for result in results
+        ]
+    return entry
+
+
+@pytest.fixture
+def scores():
+    return active_scores(
+        [
+            run(
+                0, OPEN, {"planned": [RIGHT], "loop_again": [OPEN, OPEN], "random": [OPEN, RIGHT], "d_optimal": [WRONG]}
+            ),
+            run(1, OPEN, {"planned": [OPEN, RIGHT], "loop_again": [OPEN, OPEN]}),
+            run(2, RIGHT, {}),
+            run(3, said("no_gap"), {}, kind="none"),
+            {"number": 4, "kind": "one", "effects": [TRUE], "strength": 1.0, "error": "nobody there"},
+        ]
+    )
+
+
+def test_every_way_is_counted_over_the_runs_that_were_ambiguous(scores):
+    assert scores["first"] == {"ambiguous": 2, "explained": 1, "no_gap": 1}
+    assert scores["ambiguous"] == 2
+    found = {way: [scores["ways"][way][k]["count"] for k in ("right_after_one", "right_after_two")] for way in WAYS}
+    assert found == {"planned": [1, 2], "loop_again": [0, 0], "random": [0, 1], "d_optimal": [0, 0]}
+    assert scores["ways"]["d_optimal"]["wrong_names"]["count"] == 1
+    assert scores["ways"]["planned"]["robot_s"] == 60.0
+    assert scores["not_recorded"] == [{"run": 4, "why": "nobody there"}]
+
+
+def test_predicted_probabilities_are_compared_with_what_came_where_the_truth_was_asked_about(scores):
+    calibration = scores["calibration"]
+    assert calibration["pairs"] == 3, "a pair without the truth has no right answer"
+    assert calibration["overall"] == {"said": pytest.approx(0.9), "came": pytest.approx(2 / 3)}
+    assert "predicted 0.90, came 0.67" in active_text(scores)
+
+
+def test_a_rival_that_still_equals_the_truth_is_no_answer():
+    still = said("ambiguous", "stribeck", equal=("presliding",))
+    assert active_scores([run(0, OPEN, {"planned": [still]})])["calibration"]["overall"]["came"] == 0.0
+
+
+def test_nothing_recorded_is_said(scores):
+    nothing = active_scores([{"number": 0, "kind": "one", "effects": [TRUE], "strength": 1.0, "error": "no link"}])
+    assert nothing["calibration"]["overall"] is None
+    assert nothing["planning_s"] is None
+    assert "1 runs" in active_text(nothing)
