@@ -55,6 +55,8 @@ def closes(cause: Mapping[str, Any]) -> str:
     if cause["closure"] is None:
         return ""
     part = "all" if cause["closure"] > 0.995 else f"{100 * cause['closure']:.0f} %"
+    if 0 <= cause["closure"] < 0.005:  # on a joint that turns with little torque, beside others
+        part = "less than 1 %"
     if in_torque(cause):
         return f"closes {part} of the gap"
     return f"closes {part} of the gap between planned and executed path"

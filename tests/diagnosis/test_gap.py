@@ -47,3 +47,15 @@ def test_what_happens_at_standstill_changes_no_gain(dataset):
     noisy = replace(data, residual=np.where(still, data.residual + 50.0, data.residual))
     assert held_out_gap(noisy, fit).gain == pytest.approx(held_out_gap(data, fit).gain)
     assert held_out_gap(noisy, fit).before.max() > held_out_gap(data, fit).before.max()
+
+
+def test_in_units_of_each_joint_a_cause_counts_by_its_own_joint(dataset):
+    """A hundredth of the torque, and of the gap, where no nominal torque says what a joint is for."""
+    data, fit = dataset.dataset, dataset.finding.fit
+    (own,) = {joint for candidate in fit.chosen for joint in candidate.blocks}
+    unit = np.full(data.robot.dof, 1.0)
+    unit[own] = 100.0
+    small, large = (held_out_gap(data, fit, one) for one in (unit, 1 / unit))
+    assert large.closure > 0.9
+    assert not small.closure, "what the other joints do not repeat is larger"
+    np.testing.assert_allclose(large.before, held_out_gap(data, fit, np.ones(len(unit))).before * unit)

@@ -329,6 +329,43 @@ def test_a_simulator_that_is_wrong_in_many_ways_is_corrected_step_by_step(nomina
     json.dumps(result, allow_nan=False)
 
 
+def weighing(*masses: float) -> str:
+    """A URDF of three links, of which the last turns with a hundredth of the first one's torque."""
+    shape = ((0.3, 0.8, "0 0 0", "0 1 0"), (0.2, 0.08, "0.6 0 0", "0 1 0"), (0.06, 0.002, "0.4 0 0", "0 0 1"))
+    parts, parent = ['<robot name="uneven"><link name="base"/>'], "base"
+    limit = '<limit lower="-2" upper="2" velocity="3" effort="100"/>'
+    for name, mass, (centre, inertia, origin, axis) in zip(("pan", "lift", "tip"), masses, shape, strict=True):
+        moments = f'ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"'
+        parts.append(
+            f'<link name="{name}_link"><inertial><origin xyz="{centre} 0 0"/><mass value="{mass}"/><inertia {moments}/>'
+            f'</inertial></link><joint name="{name}" type="revolute"><parent link="{parent}"/>'
+            f'<child link="{name}_link"/><origin xyz="{origin}"/><axis xyz="{axis}"/>{limit}</joint>'
+        )
+        parent = f"{name}_link"
+    return "".join([*parts, "</robot>"])
+
+
+@pytest.mark.verify
+def test_an_effect_of_a_joint_with_little_torque_is_named_beside_wrong_numbers_of_the_large_ones(tmp_path):
+    names = ("pan", "lift", "tip")
+    model = load_simulator(written(tmp_path, weighing(20, 6, 0.8), "given.urdf"), None, names).model
+    right = load_simulator(written(tmp_path, weighing(22, 5.2, 0.7), "right.urdf"), None, names).model
+    levels = np.array([10.5, 1.8, 0.22])
+    values = right.values.copy()
+    values[len(right.independent) :: 2] += levels
+    values[len(right.independent) + 1 :: 2] += 0.7 * levels
+
+    def stribeck(qd: np.ndarray) -> np.ndarray:
+        return [0, 0, 0.6 * levels[2]] * np.tanh(qd / 0.01) / (1 + (qd / 0.15) ** 2)
+
+    robot = replace(right, values=values)
+    logs = [read_log(recorded(tmp_path / f"{k}.mcap", robot, k, stribeck), model.robot) for k in (1, 2)]
+    found = diagnose(model.robot, logs, model)
+    assert [(c["effect"], c["joints"]) for c in found.result["causes"]] == [("stribeck", ["tip"])]
+    assert found.result["causes"][0]["closure"] < 0.01, "of all joints' gap in N·m"
+    assert "closes less than 1 % of the gap" in diagnosis_report(found)
+
+
 def test_sharp_friction_of_a_simulator_has_no_part_that_a_delay_would_sharpen(tmp_path, robot):
     """An effects file could not say it: there torque is late, friction and all."""
     model = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model
