@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 
 from agent.diagnosis import Diagnosis, diagnose
 from agent.excitation import LoopProblem
-from agent.experiment import open_pairs, plan_experiment
+from agent.experiment import d_optimal_pieces, open_pairs, plan_experiment, random_pieces
 from agent.experiment.outlook import GridMotion, Outlook
 from agent.experiment.pieces import Pieces
 from agent.motion import ViaRegions
@@ -123,3 +123,29 @@ def test_a_settled_diagnosis_asks_nothing_of_causes(arm, ambiguous):
     found = diagnose(arm, [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))], model)
     assert found.result["verdict"] == "explained"
     assert all(pair.second.forms == () for pair in open_pairs(found)), "only sizes that these logs would not show"
+
+
+def test_pieces_at_random_use_the_time_and_can_be_run(problem):
+    def fits(pieces):
+        return len(pieces) < 3  # as if the way to a third were in the way of something
+
+    found = random_pieces(None, problem, 60.0, 7, fits)  # type: ignore[arg-type]
+    assert 1 <= len(found) <= 2
+    assert sum(piece.duration for piece in found) <= 60.0
+    again = random_pieces(None, problem, 60.0, 7, fits)  # type: ignore[arg-type]
+    assert [piece.duration for piece in again] == [piece.duration for piece in found]
+    assert random_pieces(None, problem, 60.0, 7, lambda pieces: False) == ()  # type: ignore[arg-type]
+
+
+@pytest.mark.verify
+def test_d_optimal_pieces_say_more_of_the_model_than_pieces_at_random(problem):
+    found = one_sided(problem.robot)
+    outlook = Outlook(found.dataset, ())
+    known = found.dataset.fit.gram.sum(axis=0)[:-1, :-1] / found.dataset.fit.repeat + found.dataset.fit.precision
+
+    def worth(pieces):
+        total = known + sum(outlook.information(piece.motion) for piece in pieces)
+        return np.linalg.slogdet(total / np.sqrt(np.outer(np.diag(known), np.diag(known))))[1]
+
+    best, drawn = (choose(found, problem, 40.0, 3, lambda pieces: True) for choose in (d_optimal_pieces, random_pieces))
+    assert worth(best) > worth(drawn)
