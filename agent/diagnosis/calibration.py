@@ -19,7 +19,7 @@ from agent.diagnosis.dataset import Dataset, precision_of
 from agent.diagnosis.finding import Finding, class_probability
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.gap import HeldOutGap
-from agent.model import CATALOGUE
+from agent.model import CATALOGUE, IdentifiedModel, NominalModel
 from agent.robot import ParameterLayout
 
 _EQUAL = 0.9  # of the best gain, from where on the plainer group is taken
@@ -49,11 +49,21 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class ReleasedSimulator:
-    """A simulator's data before and after its parameters are released, and the groups in the order found."""
+    """A simulator's data before and after its parameters are released, and the groups in the order found.
+
+    Effects are looked for at the numbers as moved: a friction that differs by direction is a part of the friction that
+    there is, not of what the file says, which is often none.
+    """
 
     given: Dataset
     moved: Dataset
     groups: tuple[Group, ...]
+
+    @property
+    def model(self) -> IdentifiedModel:
+        """The simulator's, its numbers as moved before any effect."""
+        given = self.given.model
+        return replace(given, values=given.values + self.moved.fit.change)
 
 
 def calibration(dataset: Dataset, links: bool = True) -> ReleasedSimulator:
@@ -72,7 +82,10 @@ def calibration(dataset: Dataset, links: bool = True) -> ReleasedSimulator:
         fit = tried[best]
     left = fit.out_of_fold()
     residual = np.where(np.isnan(left), dataset.residual, left)
-    return ReleasedSimulator(dataset, replace(dataset, fit=fit, residual=residual), tuple(chosen))
+    found = ReleasedSimulator(dataset, replace(dataset, fit=fit, residual=residual), tuple(chosen))
+    if not chosen:
+        return found
+    return replace(found, moved=replace(found.moved, fit=fit.seen_from(NominalModel(found.model))))
 
 
 def _groups(dataset: Dataset) -> list[Group]:

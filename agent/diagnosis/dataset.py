@@ -58,8 +58,11 @@ def assemble(
     logs: Sequence[Log],
     cutoff: float | None,
     limits: DecisionLimits = LIMITS,
+    friction: IdentifiedModel | None = None,
 ) -> Dataset:
     """Residuals of a model, given or fitted, on logs.
+
+    `friction` says how far stiction goes at rest where the model's own levels do not.
 
     Raises:
         InputError: a log or model of another robot, or a log too short for the filter or without torque.
@@ -107,7 +110,7 @@ def assemble(
             left = segment.torque[:, joint] - columns @ model.values[places] - extra[:, joint]
             rows[joint].append(np.column_stack([columns, left]))
     speed = np.concatenate([s.qd[s.kept] for s in signals])
-    sigma = background_of(reference, background, signals, limits)
+    sigma = background_of(reference if friction is None else NominalModel(friction), background, signals, limits)
     joined = [np.concatenate(parts) / sigma[:, joint, None] for joint, parts in enumerate(rows)]
     time = np.concatenate([s.time[s.kept] for s in signals])
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -101,6 +102,15 @@ class Fit:
         """The same data without effects, and with another prior precision (p, p) of the model's parameters."""
         other = copy(self)
         other.precision = precision
+        other._extend(())
+        return other
+
+    def seen_from(self, reference: NominalModel) -> Fit:
+        """The same data without effects, whose columns are then made at other numbers of the model."""
+        other = copy(self)
+        other.reference = reference
+        other.signals = [replace(signals, reference=reference) for signals in self.signals]
+        other._made = {}
         other._extend(())
         return other
 

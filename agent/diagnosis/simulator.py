@@ -19,7 +19,7 @@ import numpy as np
 from agent.diagnosis.calibration import ReleasedSimulator, calibration
 from agent.diagnosis.dataset import Dataset, assemble
 from agent.diagnosis.finding import Finding
-from agent.diagnosis.gap import HeldOutGap
+from agent.diagnosis.gap import HeldOutGap, held_out_gap
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.verdict import judge
@@ -90,34 +90,50 @@ def search_simulator(
     """
     progress("moving friction, rotors and links of the simulator, step by step")
     dataset = assemble(robot, with_expected_error(model, logs, limits), logs, cutoff, limits)
-    share = _expected(dataset, calibration(dataset))
-    if share < limits.unknown_error:
-        dataset = assemble(robot, with_expected_error(model, logs, limits, share), logs, cutoff, limits)
+    first = calibration(dataset)
+    if first.groups:
+        expected = with_expected_error(model, logs, limits, _expected(dataset, first))
+        dataset = assemble(robot, expected, logs, cutoff, limits, first.model)
+    unit = dataset.fit.reference.scale
 
-    def answer(calibrated: ReleasedSimulator) -> Explanation:
-        search = Search(calibrated.moved.fit, without, True, progress, limits)
+    def searching(of: Dataset) -> Search:
+        return Search(of.fit, without, True, progress, limits)
+
+    def answer(calibrated: ReleasedSimulator, search: Search) -> Explanation:
         moved = calibrated.moved
-        return Explanation(calibrated, search, *judge(moved, search.run(), moved.fit, moved.fit.reference.scale))
+        return Explanation(calibrated, search, *judge(moved, search.run(), moved.fit, unit))
 
-    plain = answer(ReleasedSimulator(dataset, dataset, ()))
-    found, total = [plain], float(np.mean(plain.gap.before**2))
-    enough = limits.least_share * total
-    if len(plain.finding.causes) == 1 and plain.left <= enough:
-        return plain
+    given, search = ReleasedSimulator(dataset, dataset, ()), searching(dataset)
+    total = float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
+    enough, alone = limits.least_share * total, _left_by_one(dataset, search, unit)
+    if alone <= enough:
+        plain = answer(given, search)
+        if len(plain.finding.causes) == 1 and plain.left <= enough:
+            return plain
+    found: list[Explanation] = []
     drives, everything = calibration(dataset, links=False), calibration(dataset)
     if drives.groups and len(everything.groups) > len(drives.groups):
-        found.append(answer(drives))
+        found.append(answer(drives, searching(drives.moved)))
         if found[-1].finding.causes and found[-1].left <= enough and not found[-1].like_links:
             return found[-1]
     if everything.groups:
-        found.append(answer(everything))
-    best = min(entry.left for entry in found)
+        found.append(answer(everything, searching(everything.moved)))
+    best = min((entry.left for entry in found), default=np.inf)
+    if alone <= best + enough or not found:
+        plain = answer(given, search)
+        if not found or (len(plain.finding.causes) == 1 and plain.left - best <= enough):
+            return plain
     for entry in found[:-1]:
-        one = len(entry.finding.causes) == 1 if entry is plain else bool(entry.finding.causes)
-        behind = 0.0 if entry is not plain and entry.like_links else enough
-        if one and entry.left - best <= behind:
+        if entry.finding.causes and entry.left - best <= (0.0 if entry.like_links else enough):
             return entry
     return found[-1]
+
+
+def _left_by_one(dataset: Dataset, search: Search, unit: np.ndarray) -> float:
+    """Mean square over joints that the best effect alone leaves of a simulator as given: no search is needed beyond."""
+    leading = search.scan(dataset.fit).eligible[: dataset.limits.starts]
+    fits = (dataset.fit.with_chosen((score.candidate,)) for score in leading)
+    return min((float(np.mean(held_out_gap(dataset, fit, unit).after ** 2)) for fit in fits), default=np.inf)
 
 
 def _expected(dataset: Dataset, found: ReleasedSimulator) -> float:

@@ -346,7 +346,8 @@ def weighing(*masses: float) -> str:
 
 
 @pytest.mark.verify
-def test_an_effect_of_a_joint_with_little_torque_is_named_beside_wrong_numbers_of_the_large_ones(tmp_path):
+@pytest.mark.parametrize(("effect", "joint"), [("stribeck", 2), ("asymmetric_friction", 1)])
+def test_friction_is_named_beside_wrong_numbers_of_larger_joints_though_the_file_has_none(tmp_path, effect, joint):
     names = ("pan", "lift", "tip")
     model = load_simulator(written(tmp_path, weighing(20, 6, 0.8), "given.urdf"), None, names).model
     right = load_simulator(written(tmp_path, weighing(22, 5.2, 0.7), "right.urdf"), None, names).model
@@ -354,16 +355,21 @@ def test_an_effect_of_a_joint_with_little_torque_is_named_beside_wrong_numbers_o
     values = right.values.copy()
     values[len(right.independent) :: 2] += levels
     values[len(right.independent) + 1 :: 2] += 0.7 * levels
+    form = {
+        "stribeck": lambda w: 0.6 * np.tanh(w / 0.01) / (1 + (w / 0.15) ** 2),
+        "asymmetric_friction": lambda w: 0.5 * (np.abs(np.tanh(w / 0.01)) + 0.5 * np.abs(w)),
+    }[effect]
 
-    def stribeck(qd: np.ndarray) -> np.ndarray:
-        return [0, 0, 0.6 * levels[2]] * np.tanh(qd / 0.01) / (1 + (qd / 0.15) ** 2)
+    def added(qd: np.ndarray) -> np.ndarray:
+        return form(qd) * levels * (np.arange(3) == joint)
 
     robot = replace(right, values=values)
-    logs = [read_log(recorded(tmp_path / f"{k}.mcap", robot, k, stribeck), model.robot) for k in (1, 2)]
+    logs = [read_log(recorded(tmp_path / f"{k}.mcap", robot, k, added), model.robot) for k in (1, 2)]
     found = diagnose(model.robot, logs, model)
-    assert [(c["effect"], c["joints"]) for c in found.result["causes"]] == [("stribeck", ["tip"])]
-    assert found.result["causes"][0]["closure"] < 0.01, "of all joints' gap in N·m"
-    assert "closes less than 1 % of the gap" in diagnosis_report(found)
+    assert [(c["effect"], c["joints"]) for c in found.result["causes"]] == [(effect, [names[joint]])]
+    if joint == 2:
+        assert found.result["causes"][0]["closure"] < 0.005, "of all joints' gap in N·m"
+        assert "closes less than 1 % of the gap" in diagnosis_report(found)
 
 
 def test_sharp_friction_of_a_simulator_has_no_part_that_a_delay_would_sharpen(tmp_path, robot):
