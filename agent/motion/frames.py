@@ -43,8 +43,10 @@ def pose_in_robot_base(target: Target, settings: MotionSettings) -> np.ndarray:
     `$BASE` is where the robot stands in the world, `$UFRAME` where the work is in it; a pose is given in `$UFRAME`.
     """
     assert isinstance(target, CartesianTarget)
-    pose = matrix_of(settings.uframe) @ np.asarray(target.pose, dtype=float)
-    return np.linalg.solve(matrix_of(settings.base), pose)
+    pose = np.asarray(target.pose, dtype=float)
+    if settings.uframe not in (None, NO_FRAME):
+        pose = matrix_of(settings.uframe) @ pose
+    return pose if settings.base in (None, NO_FRAME) else np.linalg.solve(matrix_of(settings.base), pose)
 
 
 def left_open(statements: Iterable[Statement], tool: Tool | None) -> Mapping[str, np.ndarray]:

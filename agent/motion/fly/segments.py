@@ -26,6 +26,7 @@ from agent.motion.path.segments import (
 from agent.motion.path.solve import motion_error, solve_cartesian, wrist_segment
 from agent.motion.program import (
     CartesianTarget,
+    Frame,
     JointTarget,
     MotionSettings,
     Move,
@@ -65,6 +66,7 @@ class SegmentMaker:
         self.kinematics = kinematics_for(robot, tool)
         own = tool_frame(tool)
         self._of_tool: dict[Any, Kinematics] = {None: self.kinematics, _key(own): self.kinematics}
+        self._of_frame: dict[Frame | None, Kinematics] = {}
 
     def with_lever(self, lever: float) -> SegmentMaker:
         """The same with another lever."""
@@ -214,13 +216,15 @@ class SegmentMaker:
         return pose[:3, 3].copy(), rotation.from_matrix(pose[:3, :3])
 
     def _with_tool(self, settings: MotionSettings) -> Kinematics:
-        frame = matrix_of(settings.tool)
-        key = None if settings.tool is None else _key(frame)
-        if key not in self._of_tool:
-            from agent.robot import Tool  # loads Pinocchio
+        if settings.tool not in self._of_frame:
+            frame = matrix_of(settings.tool)
+            key = None if settings.tool is None else _key(frame)
+            if key not in self._of_tool:
+                from agent.robot import Tool  # loads Pinocchio
 
-            self._of_tool[key] = kinematics_for(self.robot, Tool(frame=frame))
-        return self._of_tool[key]
+                self._of_tool[key] = kinematics_for(self.robot, Tool(frame=frame))
+            self._of_frame[settings.tool] = self._of_tool[key]
+        return self._of_frame[settings.tool]
 
 
 def _end_pose(pending: Sequence[Segment], rest: np.ndarray, kinematics: Kinematics) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,8 @@ that touches both, θ the angle between them: what other controllers do. Nothing
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +28,7 @@ _CELLS, _MOST_CELLS = 24, 256
 _SMALLEST = 1e-4
 #: [rad] A circle through less is a parabola.
 _STRAIGHT = 1e-3
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 
 @dataclass(frozen=True)
@@ -65,14 +67,15 @@ class BlendStep:
 
 @dataclass(frozen=True, eq=False)
 class Corner:
-    """A blend between two moves: the parts e₁ and e₂ (at most ½) that it takes, and how finely it is sampled.
+    """A blend between two moves: the parts e₁ and e₂ (at most ½) that it takes, and how finely it is sampled; of
+    several worked out together, an array (S,) of each part.
 
     `joint` blends in joint space (where a JOINT or WRIST_JNT move takes part), `through` passes the point (FLY_PASS),
     `overlap` lets the speed dip as the superposed moves do (FLY_NORM). `allowed` [m] is $FLY_DIST where it bounds.
     """
 
-    before: float
-    after: float
+    before: Any
+    after: Any
     joint: bool
     through: bool
     overlap: bool
@@ -82,7 +85,7 @@ class Corner:
 
     def tau(self) -> np.ndarray:
         """(cells + 1,) samples of the blend's parameter."""
-        return np.linspace(0.0, 1.0, self.cells + 1)
+        return _tau(self.cells)
 
     def sigma(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Parameters of the move before and the move after."""
@@ -100,6 +103,11 @@ class Corner:
     def rate(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Their derivatives by τ."""
         return 2.0 * self.before * self.step.value(1.0 - tau), 2.0 * self.after * self.step.value(tau)
+
+
+@lru_cache(maxsize=1000)
+def _tau(cells: int) -> np.ndarray:
+    return np.linspace(0.0, 1.0, cells + 1)
 
 
 def bump(tau: np.ndarray) -> np.ndarray:
@@ -264,9 +272,9 @@ def blended_length(
         along, apart = _rates(corner, before, after, tau)
         way = corner.before * before.extent + corner.after * after.extent
         return way * cells, np.minimum(along / apart, 1.0)
-    nodes = (tau[:-1, None] + cells[:, None] * 0.5 * (1.0 + _NODES)).ravel()
+    nodes = (tau[:-1, None] + cells[:, None] * 0.5 * (1.0 + NODES)).ravel()
     along, apart = _rates(corner, before, after, np.concatenate((nodes, tau)))
-    lengths = (along[: len(nodes)].reshape(-1, 3) @ _WEIGHTS) * 0.5 * cells
+    lengths = (along[: len(nodes)].reshape(-1, 3) @ WEIGHTS) * 0.5 * cells
     return lengths, np.minimum(along[len(nodes) :] / apart[len(nodes) :], 1.0)
 
 

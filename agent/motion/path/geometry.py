@@ -13,6 +13,7 @@ from agent.motion.path.blend import Corner, blended_length, blended_near, blende
 from agent.motion.path.rules import corner_rules, segment_rules
 from agent.motion.path.segments import Arc, CartesianSegment, JointSegment, Segment, WristSegment
 from agent.motion.path.solve import solve_cartesian, solve_wrist
+from agent.motion.path.straight import StraightMoves
 
 #: Largest turn of the orientation, of an arc or of a joint between two knots [rad].
 _TURN = 0.04
@@ -113,7 +114,7 @@ def _body(
 ) -> list[_PathPart]:
     """Knots of the moves of one unit outside joint-space corners; the first stretch has the first knot, step 0."""
     corners = (lead, *inner, trail)
-    body: list[_PathPart] = []
+    sigmas, steps = [], []
     for k, segment in enumerate(unit):
         before, after = corners[k], corners[k + 1]
         begin = 0.0 if before is None else before.after
@@ -123,13 +124,42 @@ def _body(
             for corner, part in ((before, begin), (after, 1.0 - end))
         ]
         travel = _cells((end - begin) * segment.metric, edges[0], edges[1], _spacing(segment, parameters) / fineness)
-        sigma = begin + travel / segment.metric
         skip = 0 if k == 0 else 1
-        body.append(
-            _on_segment(2 * (first + k), segment, sigma[skip:], np.diff(travel, prepend=0.0)[skip:], parameters)
-        )
+        sigmas.append((begin + travel / segment.metric)[skip:])
+        steps.append(np.diff(travel, prepend=0.0)[skip:])
+    together = StraightMoves.of(unit, inner)
+    if together is not None:
+        return _straight(unit, together, sigmas, steps, parameters, first)
+    body: list[_PathPart] = []
+    for k, segment in enumerate(unit):
+        body.append(_on_segment(2 * (first + k), segment, sigmas[k], steps[k], parameters))
         if k < len(inner):
             body.append(_on_corner(2 * (first + k) + 1, inner[k], segment, unit[k + 1], parameters))
+    return body
+
+
+def _straight(
+    unit: Sequence[Segment],
+    together: StraightMoves,
+    sigmas: list[np.ndarray],
+    steps: list[np.ndarray],
+    parameters: FlyParameters,
+    first: int,
+) -> list[_PathPart]:
+    """As `_body`, of moves that are worked out together: `sigmas` and `steps` move by move."""
+    rules = [segment_rules(segment, parameters) for segment in unit]
+    lengths, (positions, orientations) = together.lengths(), together.poses(sigmas)
+    body: list[_PathPart] = []
+    for k, segment in enumerate(unit):
+        pieces = [(2 * (first + k), k, steps[k], np.full(len(steps[k]), segment.move), rules[k])]
+        if k < len(lengths):
+            move = np.where(together.corners[k].tau()[1:] < 0.5, segment.move, unit[k + 1].move)
+            strictest = corner_rules(segment, rules[k], rules[k + 1], parameters)
+            pieces.append((2 * (first + k) + 1, len(unit) + k, lengths[k], move, strictest))
+        for block, place, step, move, rule in pieces:
+            count = len(step)
+            rows = np.broadcast_to(rule, (count, 7))
+            body.append(_PathPart(block, step, move, rows, np.ones(count), positions[place], orientations[place]))
     return body
 
 
@@ -165,12 +195,16 @@ def _on_corner(block: int, corner: Corner, before: Segment, after: Segment, para
         block,
         lengths,
         np.where(tau[1:] < 0.5, before.move, after.move),
-        np.broadcast_to(corner_rules(before, after, parameters), (corner.cells, 7)),
+        np.broadcast_to(_corner_rules(before, after, parameters), (corner.cells, 7)),
         along[1:] if corner.overlap else np.ones(corner.cells),
         blended_position(corner, before, after, tau[1:]),
         blended_orientation(corner, before, after, tau[1:]),
         near=blended_near(corner, before, after, tau[1:]),
     )
+
+
+def _corner_rules(before: Segment, after: Segment, parameters: FlyParameters) -> np.ndarray:
+    return corner_rules(before, segment_rules(before, parameters), segment_rules(after, parameters), parameters)
 
 
 def _solve(
@@ -184,7 +218,11 @@ def _solve(
     """Joints of a unit from `start` (n,): on the way in (lead.cells + 1, n), its knots, on the way out."""
     into = np.empty(0) if lead is None else lead.sigma(lead.tau())[1][:-1]
     out = np.empty(0) if trail is None else trail.sigma(trail.tau())[0][1:]
-    ways = [_on_segment(-1, unit[0], into, into, parameters), *body, _on_segment(-1, unit[-1], out, out, parameters)]
+    ways = list(body)
+    if lead is not None:
+        ways.insert(0, _on_segment(-1, unit[0], into, into, parameters))
+    if trail is not None:
+        ways.append(_on_segment(-1, unit[-1], out, out, parameters))
     if isinstance(unit[0], CartesianSegment):
         position, orientation = (
             np.concatenate([getattr(way, name) for way in ways]) for name in ("position", "orientation")
@@ -224,7 +262,7 @@ def _joint_corner(
         block,
         before.metric * np.diff(one) + after.metric * np.diff(two),
         np.where(tau[1:-1] < 0.5, before.move, after.move),
-        np.broadcast_to(corner_rules(before, after, parameters), (count, 7)),
+        np.broadcast_to(_corner_rules(before, after, parameters), (count, 7)),
         0.5 * (along[:-1] + along[1:]) if corner.overlap else np.ones(count),
         q=q[1:-1],
     )

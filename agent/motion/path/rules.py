@@ -45,9 +45,9 @@ def segment_rules(segment: Segment, parameters: FlyParameters) -> np.ndarray:
     )
 
 
-def corner_rules(before: Segment, after: Segment, parameters: FlyParameters) -> np.ndarray:
-    """(7,) rules in the blend between two moves: the stricter of both, and what `$STRESS_PER` leaves."""
-    rules = np.minimum(segment_rules(before, parameters), segment_rules(after, parameters))
+def corner_rules(before: Segment, leaving: np.ndarray, arriving: np.ndarray, parameters: FlyParameters) -> np.ndarray:
+    """(7,) rules in the blend after a move: the stricter of those (7,) of both moves, and what `$STRESS_PER` leaves."""
+    rules = np.minimum(leaving, arriving)
     floor = parameters.stress_floor
     rules[STRESS] = floor + (1.0 - floor) * before.settings.stress_percent / 100.0
     return rules
