@@ -13,6 +13,7 @@ time of the run is stretched by what is left.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -37,6 +38,11 @@ class TimeLaw:
         """[s]"""
         return float((self.t[-1] + self.window) * self.stretch)
 
+    @cached_property
+    def _cells(self) -> np.ndarray:
+        """(5, K - 1) t, s, speed and integral where a cell begins, and its acceleration before the integral."""
+        return np.array((self.t[:-1], self.s[:-1], self.speed[:-1], self.acceleration, self.integral[:-1]))
+
     def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """s, ṡ, s̈ (S,) at times t (S,) [s] since the start of the run; at rest outside of it."""
         t = t / self.stretch
@@ -47,10 +53,7 @@ class TimeLaw:
     def _raw(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Integral of s, s and ṡ before the averaging."""
         counts = samples_in(self.t[1:-1], t, "left")
-        begin, s0, v, a, integral = (
-            np.repeat(knots, counts)
-            for knots in (self.t[:-1], self.s[:-1], self.speed[:-1], self.acceleration, self.integral[:-1])
-        )
+        begin, s0, v, a, integral = np.repeat(self._cells, counts, axis=1)
         dt = np.clip(t, 0.0, self.t[-1]) - begin
         speed = v + a * dt
         s = s0 + dt * (v + 0.5 * a * dt)
@@ -76,5 +79,7 @@ def samples_in(edges: np.ndarray, samples: np.ndarray, side: Literal["left", "ri
 
     A sample on an edge counts after it (`left`) or before it (`right`), as in `np.searchsorted`.
     """
-    ends = np.searchsorted(samples, edges, side=side)
-    return np.diff(ends, prepend=0, append=len(samples))
+    ends = np.empty(len(edges) + 2, dtype=np.intp)
+    ends[0], ends[-1] = 0, len(samples)
+    ends[1:-1] = np.searchsorted(samples, edges, side=side)
+    return ends[1:] - ends[:-1]
