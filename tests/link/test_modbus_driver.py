@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 from pymodbus.client import ModbusTcpClient
+from pymodbus.exceptions import ModbusException
 
 from drivers.errors import ConfigurationError, DriverError, MotionStopped, ProtocolError, RefusedError
 from drivers.protocol import Gap
@@ -20,6 +21,7 @@ from drivers.transports.modbus.driver import ModbusDriver
 from drivers.wire import modbus as wire
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.build import build_controller
+from fake_controller.servers.modbus import registers
 from fake_controller.servers.modbus.server import ModbusServer
 from tests.conftest import patience
 from tests.link.conftest import LONG, SHORT, program
@@ -335,6 +337,23 @@ def test_a_client_without_heartbeat_loses_the_arm_and_the_controller(server):
     with closing(ModbusDriver(server.address)) as driver:
         driver.connect()
         assert driver.identify().robot == "small_arm"
+
+
+def test_a_client_that_was_cut_off_does_not_find_its_session_again(server, monkeypatch):
+    """A line that comes back before the client gave up: its motion ran unwatched, so nothing goes on."""
+    monkeypatch.setattr(registers, "IDLE_LIMIT", 0.1)
+    with ByHand(server, 5) as hand:
+        assert hand.give(1, wire.Command.OPEN) == 0
+        checksum = hand.store(2, SHORT)
+        server.controller.faults.unplug()
+        hand.client.comm_params.timeout_connect = 0.1
+        with pytest.raises(ModbusException):
+            hand.give(4, wire.Command.START, checksum=checksum, motion=b"m" * 16)
+        hand.client.connect()
+        while hand.read(wire.PROGRESS)["session"] != 0:
+            pass
+        assert hand.write(wire.HEARTBEAT, session=5, count=1, taken=0) == 7
+    assert server.controller.motions_started == 0
 
 
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -277,7 +277,7 @@ class RegisterMap:
         self._controller.stop(reason, message)
 
     def _forget(self) -> None:
-        """Power off and on."""
+        """Power off and on, or nobody there."""
         self._session = self._request = 0
         self._upload = None
         self._answer = _no_answer()
@@ -292,7 +292,8 @@ class RegisterMap:
             self._heartbeat += 1
             self._silence = 0.0 if self._heard else self._silence + interval
             self._heard = False
-            if self._silence >= IDLE_LIMIT:
+            if self._silence >= max(IDLE_LIMIT, self._watchdog) and not self._controller.moving:
+                self._forget()  # before the wire is in order again: who was cut off does not go on as if nothing were
                 self._controller.faults.heal()
             if self._driving and self._gone():
                 with contextlib.suppress(RuntimeError):
