@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 from pymodbus.client import ModbusSerialClient
+from pymodbus.exceptions import ConnectionException
 
 from drivers.errors import DriverError
 from drivers.transports.frame_link import FrameLink
@@ -28,6 +29,8 @@ from drivers.wire.tcp import MAX_BATCH, End, Fetch, Samples
 _FRAMES_IN_WATCHDOG = 3
 _RTU_EXCHANGE = 8 + 255  # bytes of the longest request and its answer
 _RTU_WATCHDOG = 0.5  # s: nothing is sent unasked, so a busy machine wakes both ends for each of many short exchanges
+_RTU_TOGETHER = 4  # bytes: where none comes for the time of so many, the answer is over
+_RTU_PAUSE = 0.001  # s, at least
 _BUFFERED = 8192  # bytes that may be on their way, in buffers that nobody can look into
 _PATIENCE = 0.25  # s, beyond what is on its way
 _REST_POLL = 0.05  # s
@@ -120,6 +123,27 @@ class SerialDriver(FrameDriver):
             self._fetched = now
 
 
+class _RtuClient(ModbusSerialClient):
+    """Waits by a clock that nobody sets; the library's is that on the wall."""
+
+    def recv(self, size: int | None) -> bytes:
+        """What has come, once no more follows, or nothing within the timeout."""
+        port = self.socket
+        if port is None:
+            raise ConnectionException(str(self))
+        until = time.monotonic() + self.comm_params.timeout_connect
+        pause = max(_RTU_PAUSE, frame_time(self.comm_params.baudrate, _RTU_TOGETHER))
+        came, before = 0, 0
+        try:
+            while time.monotonic() < until and (came == 0 or came != before):
+                time.sleep(pause)
+                before, came = came, port.in_waiting
+            return bytes(port.read(came))
+        except OSError:
+            self.close()
+            raise ConnectionException(str(self)) from None
+
+
 class RtuDriver(ModbusDriver):
     """`drivers.protocol.Driver` over Modbus RTU; the address is `port,baud,rtu`."""
 
@@ -153,7 +177,7 @@ class RtuDriver(ModbusDriver):
                     request = data
                 return data if sending else without_strays(request, data)
 
-            client = ModbusSerialClient(
+            client = _RtuClient(
                 self._port.port, baudrate=self._port.baud, timeout=self._timeout, retries=0, trace_packet=pass_on
             )
             port.inter_byte_timeout = client.inter_byte_timeout

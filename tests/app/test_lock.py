@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import random
 import signal
+import time
 from collections.abc import Callable
 
 import pytest
@@ -83,10 +85,37 @@ def test_it_works_for_a_second_user(robot, first):
     assert not lock_file(*robot).exists(), "root may take away what others left"
 
 
+def test_what_killed_processes_have_left_is_taken_away(robot):
+    """But nothing that is held, or young: its owner may be about to lock it."""
+    left, young, held = (lock_file("test", f"{robot[1]}-{k}") for k in range(3))
+    for path in (left, young, held):
+        path.touch()
+    for path in (left, held):
+        os.utime(path, (0, 0))
+    try:
+        with held.open() as holder:
+            fcntl.flock(holder, fcntl.LOCK_EX)
+            with robot_lock(*robot):
+                pass
+            assert [path.exists() for path in (left, young, held)] == [False, True, True]
+        with robot_lock(*robot):
+            pass
+        assert not held.exists()
+    finally:
+        young.unlink()
+
+
+def test_who_takes_leftovers_away_makes_no_robot_look_busy(robot, monkeypatch):
+    waits = []
+    monkeypatch.setattr(time, "sleep", lambda seconds: waits.append(holder.close()))
+    holder = lock_file(*robot).open("w")
+    fcntl.flock(holder, fcntl.LOCK_EX)
+    with robot_lock(*robot):
+        assert len(waits) == 1
+
+
 def test_a_file_that_is_taken_away_meanwhile_is_not_held(robot, monkeypatch):
     """Between the opening and the lock the last holder takes its file away: a lock on that would be nobody's."""
-    import fcntl
-
     lock, taken = fcntl.flock, []
 
     def late(descriptor: int, how: int) -> None:

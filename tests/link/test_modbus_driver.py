@@ -7,6 +7,7 @@ import socket
 import struct
 import threading
 import time
+from concurrent.futures import Future
 from contextlib import closing
 
 import numpy as np
@@ -17,6 +18,7 @@ from pymodbus.exceptions import ModbusException
 
 from drivers.errors import ConfigurationError, DriverError, MotionStopped, ProtocolError, RefusedError
 from drivers.protocol import Gap
+from drivers.transports.modbus import link
 from drivers.transports.modbus.driver import ModbusDriver
 from drivers.wire import modbus as wire
 from drivers.wire.reasons import EndReason, Refusal
@@ -235,6 +237,32 @@ def test_one_lost_answer_to_a_read_is_made_good(server, tampered):
         assert lost
         assert driver.gaps == ()
         np.testing.assert_array_equal(sequence(blocks), np.arange(1 + blocks[-1].sequence[-1]))
+
+
+def test_a_thread_that_stands_still_is_waited_for_no_longer_than_it_may(driver, monkeypatch):
+    """Whatever it waits for: nobody else waits for ever, and nothing hangs at the end."""
+    monkeypatch.setattr(link, "_STANDSTILL", 0.05)
+    driver._link.timeout = 0.05
+    held = threading.Event()
+    driver._link._jobs.put((held.wait, Future()))
+    with pytest.raises(DriverError, match="does not go on"):
+        driver.status()
+    with pytest.raises(DriverError, match="does not go on"):
+        driver.identify()
+    driver.close()
+    held.set()
+
+
+def test_a_thread_that_goes_on_slowly_is_waited_for(driver, monkeypatch):
+    monkeypatch.setattr(link, "_STANDSTILL", patience(0.1) - driver._link.timeout)
+
+    def slowly():
+        for _ in range(15):
+            driver._link.read(wire.PROGRESS)
+            threading.Event().wait(patience(0.03))
+        return True
+
+    assert driver._link.call(slowly)
 
 
 def test_a_consumer_that_falls_behind_stops_the_motion(server):

@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import time
 
 import numpy as np
 import pytest
@@ -100,6 +101,22 @@ def test_it_says_that_the_line_is_too_slow(line, protocol, caplog):
         _, _, driver = line(protocol, FAST)
         list(start(driver, SHORT))
         assert caplog.text == ""
+
+
+def test_a_clock_that_is_set_back_lengthens_no_wait(line, monkeypatch):
+    """The library of RTU waits by the clock on the wall."""
+    cable, _, driver = line("rtu", timeout=0.2)
+    looks = []
+
+    def set_back():
+        looks.append(None)
+        assert len(looks) < 1000, "it waits for a time that does not come"
+        return 1e9 - len(looks)
+
+    cable.tamper = lambda end, data: b""
+    monkeypatch.setattr(time, "time", set_back)
+    with pytest.raises(DriverError, match="silent"):
+        driver.status()
 
 
 def test_an_answer_that_comes_again_is_not_taken_for_the_next_one(line):

@@ -27,6 +27,7 @@ Client = ModbusTcpClient | ModbusSerialClient
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
 _READ_ATTEMPTS = 2
+_STANDSTILL = 5.0  # s that an exchange may take longer than its answer may, on a machine with other things to do
 _FLOOD = 4096  # bytes without an answer among them
 _REFUSALS = {
     1: "it does not know that function",
@@ -64,6 +65,7 @@ class ModbusLink(LinkThread):
         self.timeout = timeout
         self._unit = unit
         self._received = 0
+        self._turns = 0  # of the thread, and its exchanges
         self._understood = False  # an answer of this peer, once
         self._client = make_client(self._trace)
         self._on_turn = on_turn
@@ -78,7 +80,22 @@ class ModbusLink(LinkThread):
         self._jobs.put((work, future))
         if self.failure is not None:
             self._refuse_jobs()
-        return future.result()
+        return self._result(future)
+
+    def _result(self, future: Future[Result]) -> Result:
+        """Of a job, however long it takes while the thread goes on; a stall of the whole process passes."""
+        seen, stood = -1, 0
+        while stood < 2:
+            with contextlib.suppress(TimeoutError):
+                return future.result(self.timeout + _STANDSTILL)
+            if future.done():
+                return future.result()
+            stood = stood + 1 if seen == self._turns else 0
+            seen = self._turns
+        self.failure = DriverError(
+            f"the link to {self.peer} does not go on: its thread waits for something that does not come; connect again"
+        )
+        raise self.failure
 
     def read(self, block: Block) -> dict[str, Any]:
         """A block's values.
@@ -117,6 +134,7 @@ class ModbusLink(LinkThread):
 
     def _work(self) -> None:
         while not self._closing.is_set():
+            self._turns += 1
             wait = self._on_turn()
             with contextlib.suppress(queue.Empty):
                 self._do(self._jobs.get(timeout=wait) if wait > 0 else self._jobs.get_nowait())
@@ -175,6 +193,7 @@ class ModbusLink(LinkThread):
             if not self._client.connected:
                 raise DriverError(f"the link to {self.peer} dropped")
             self._received = 0
+            self._turns += 1
             try:
                 return self._checked(ask(), what)
             except ConnectionException:
