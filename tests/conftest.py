@@ -16,7 +16,9 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -36,6 +38,16 @@ settings.load_profile("same")
 # Hundreds of processes are started here: what they compile is kept, wherever the environment forbids it or not.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+
+Draw = TypeVar("Draw")
+#: 0 as a rule. `make verify` tries every attack in others as well (tests/security/test_attacks.py).
+DRAW = int(os.environ.get("CALIBRATION_DRAW", "0"))
+
+
+def drawn(usual: Draw, draw: Callable[[np.random.Generator], Draw]) -> Draw:
+    """What a test takes as a rule; in another draw another of its kind: a posture, a motion, a moment, a wire."""
+    return usual if DRAW == 0 else draw(np.random.default_rng(DRAW))
+
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT / "../shared/data"

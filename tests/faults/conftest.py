@@ -22,7 +22,7 @@ from fake_controller.controller import PERIOD, Controller
 from fake_controller.faults import Fault, Faults
 from fake_controller.servers import BROKER, WIRES, Server, open_server
 from fake_controller.state import State
-from tests.conftest import patience
+from tests.conftest import drawn, patience
 
 RECIPE = """
 robot: {robot}
@@ -44,11 +44,17 @@ VAR
   k : INTEGER
 BEGIN
   FOR k := 1 TO {turns} DO
-    MOVE JOINT TO {{20, -30}}
+    MOVE JOINT TO {far}
     MOVE JOINT TO {{-20, 30}}
   ENDFOR
 END swing
 """
+#: Where the arm swings to [degrees]; the wire where none is named; what is waited for in a motion [samples].
+FAR = drawn("{20, -30}", lambda rng: f"{{{rng.integers(10, 26)}, {rng.integers(-36, -20)}}}")
+USUAL_WIRE = drawn("tcp", lambda rng: str(rng.choice(["tcp", "modbus"])))
+MOMENT = drawn(0, lambda rng: int(rng.integers(0, 1500)))
+#: Minutes of motion.
+LONG = PROGRAM.format(turns=200, far=FAR).replace("swing", "long")
 
 
 @dataclass
@@ -93,7 +99,7 @@ class Bench:
     def serve(
         self,
         faults: Sequence[Fault] = (),
-        wire: str = "tcp",
+        wire: str = USUAL_WIRE,
         clock: str = "fast",
         interrupt: float | None = None,
         number: int = signal.SIGINT,
@@ -120,7 +126,7 @@ class Bench:
         self._confirmed = () if address.startswith("127.0.0.1") else ("--yes",)
         text = RECIPE.format(robot=self._arm, driver=WIRES[wire], address=address)
         self.recipe.write_text(text, encoding="utf-8")
-        self.program.write_text(PROGRAM.format(turns=self._turns), encoding="utf-8")
+        self.program.write_text(PROGRAM.format(turns=self._turns, far=FAR), encoding="utf-8")
 
     def record(self, *options: str) -> Ended:
         """`agent record`."""

@@ -17,19 +17,11 @@ from pathlib import Path
 import pytest
 
 from agent.recording import read_log
-from tests.conftest import end_with_tests
+from fake_controller.controller import Controller
+from tests.conftest import DRAW, end_with_tests
+from tests.faults.conftest import LONG, MOMENT
 
 ROOT = Path(__file__).resolve().parents[2]
-LONG = """PROGRAM long HOLD, PROG_ARM=1
-VAR
-  k : INTEGER
-BEGIN
-  FOR k := 1 TO 200 DO
-    MOVE JOINT TO {20, -30}
-    MOVE JOINT TO {-20, 30}
-  ENDFOR
-END long
-"""
 
 
 @dataclass
@@ -103,12 +95,19 @@ def moving(bench, on_terminal):
     bench.program.write_text(LONG, encoding="utf-8")
     terminal = on_terminal("record", bench.recipe, "--program", bench.program, "-o", bench.log, "--yes")
     terminal.read_until("of motion")
+    _wait_for(controller, controller.recorded + MOMENT)
     return controller, terminal
 
 
-def _assert_nothing_lost(bench, controller, but: int = 0) -> None:
+def _wait_for(controller: Controller, recorded: int) -> None:
+    while controller.recorded < recorded:
+        os.sched_yield()
+
+
+def _assert_nothing_lost(bench, controller, until: int | None = None) -> None:
+    """`until` so many samples were recorded, where somebody ended the program: then at most a second is missing."""
     log = read_log(bench.log)
-    assert controller.recorded - but <= len(log.t) <= controller.recorded
+    assert (controller.recorded if until is None else until - 500) <= len(log.t) <= controller.recorded
     assert log.metadata["lost_samples"] == "0"
 
 
@@ -116,8 +115,7 @@ def test_a_frozen_terminal_delays_no_stop_and_loses_nothing(bench, moving, asser
     controller, terminal = moving
     termios.tcflow(terminal.slave, termios.TCOOFF)
     frozen = controller.recorded
-    while controller.recorded < frozen + 1500:  # by now a line of progress waits for the terminal
-        os.sched_yield()
+    _wait_for(controller, frozen + 1500)  # by now a line of progress waits for the terminal
     controller.state.override = 0.5
     assert controller.wait(30.0), "nobody watched"
     assert [end.name for end in controller.ends] == ["STOPPED"]
@@ -171,23 +169,25 @@ def test_a_pipe_that_nobody_reads_delays_no_stop(bench, tmp_path, assert_at_rest
 )
 def test_every_signal_ends_in_a_stop_and_says_so(bench, moving, assert_at_rest, number, code, said):
     controller, terminal = moving
+    until = controller.recorded
     terminal.process.send_signal(number)
     os.close(terminal.slave)
     assert f"agent: {said}" in terminal.read_to_the_end()
     assert terminal.process.wait(30) == code
     assert [end.name for end in controller.ends] == ["STOPPED"]
     assert_at_rest(controller, 1)
-    _assert_nothing_lost(bench, controller, but=500)  # a second: what comes while the arm stops is nobody's
+    _assert_nothing_lost(bench, controller, until)  # what comes while the arm stops is nobody's
 
 
 def test_a_terminal_that_is_closed_ends_in_a_stop(bench, moving, assert_at_rest):
     controller, terminal = moving
+    until = controller.recorded
     os.close(terminal.slave)
     terminal.hang_up()
     assert terminal.process.wait(30) == 129
     assert [end.name for end in controller.ends] == ["STOPPED"]
     assert_at_rest(controller, 1)
-    _assert_nothing_lost(bench, controller, but=500)
+    _assert_nothing_lost(bench, controller, until)
 
 
 def test_a_session_without_a_terminal_that_drops_ends_in_a_stop(bench, tmp_path, assert_at_rest):
@@ -207,7 +207,7 @@ def test_a_session_without_a_terminal_that_drops_ends_in_a_stop(bench, tmp_path,
     )
     os.close(write)
     try:
-        while controller.recorded < 500:
+        while controller.recorded < 500 + MOMENT:
             assert process.poll() is None
             os.sched_yield()
         os.close(read)
@@ -221,7 +221,8 @@ def test_a_session_without_a_terminal_that_drops_ends_in_a_stop(bench, tmp_path,
 
 def test_a_second_signal_does_not_cut_the_stop_short(bench, moving, assert_at_rest):
     controller, terminal = moving
-    for number in (signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+    numbers = [signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGINT]
+    for number in numbers[DRAW % 4 :] + numbers[: DRAW % 4]:
         terminal.process.send_signal(number)
     assert terminal.process.wait(30) in (129, 130, 143)
     assert [end.name for end in controller.ends] == ["STOPPED"]
@@ -268,7 +269,7 @@ def test_an_error_in_any_thread_ends_in_a_stop(bench, assert_at_rest, monkeypatc
         raise error("no room")
 
     def once(phase: str, motion_time: float = 0.0):
-        if phase == "streaming" and motion_time > 0.3 and not failing.ident:
+        if phase == "streaming" and motion_time > 0.3 + MOMENT / 1000 and not failing.ident:
             failing.start()
         return strike(phase, motion_time)
 
@@ -312,9 +313,10 @@ def test_a_disk_that_takes_nothing_ends_in_a_stop(bench, assert_at_rest, monkeyp
     monkeypatch.setattr(module, "LogFile", Stuck)
     quick = {**module.LogWriter.__init__.__kwdefaults__, "stall_limit": 0.3}
     monkeypatch.setattr(module.LogWriter.__init__, "__kwdefaults__", quick)
-    end = controller.stop
+    end, until = controller.stop, []
 
     def stop(*arguments):
+        until.append(controller.recorded)
         end(*arguments)
         awake.set()
 
@@ -324,4 +326,4 @@ def test_a_disk_that_takes_nothing_ends_in_a_stop(bench, assert_at_rest, monkeyp
     assert "the disk is too slow" in ended.errors
     assert [end.name for end in controller.ends] == ["STOPPED"]
     assert_at_rest(controller, 1)
-    _assert_nothing_lost(bench, controller, but=500)
+    _assert_nothing_lost(bench, controller, until[0])

@@ -17,18 +17,9 @@ import pytest
 from agent.recording import read_log
 from fake_controller.scenario import FOLDER
 from tests.conftest import end_with_tests
+from tests.faults.conftest import LONG
 
 ROOT = Path(__file__).resolve().parents[2]
-LONG = """PROGRAM long HOLD, PROG_ARM=1
-VAR
-  k : INTEGER
-BEGIN
-  FOR k := 1 TO 200 DO
-    MOVE JOINT TO {20, -30}
-    MOVE JOINT TO {-20, 30}
-  ENDFOR
-END long
-"""
 
 
 def environment() -> dict[str, str]:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from drivers.wire import tcp
+from tests.conftest import drawn
 from tests.link.cnr_peer import Bench
 
 
@@ -16,9 +17,11 @@ def program(body: str) -> str:
     return f"PROGRAM p HOLD, PROG_ARM=1\nVAR\n  k : INTEGER\nBEGIN\n{body}\nEND p\n"
 
 
-#: For the small arm: a second of motion there and back, and minutes of it.
-SHORT = program("  MOVE JOINT TO {20, -30}\n  MOVE JOINT TO {0, 0}")
-LONG = program("  FOR k := 1 TO 500 DO\n    MOVE JOINT TO {20, -30}\n    MOVE JOINT TO {-20, 30}\n  ENDFOR")
+#: Where the small arm goes [degrees].
+FAR = drawn("{20, -30}", lambda rng: f"{{{rng.integers(15, 25)}, {-rng.integers(25, 35)}}}")
+#: A second of motion there and back, and minutes of it.
+SHORT = program(f"  MOVE JOINT TO {FAR}\n  MOVE JOINT TO {{0, 0}}")
+LONG = program(f"  FOR k := 1 TO 500 DO\n    MOVE JOINT TO {FAR}\n    MOVE JOINT TO {{-20, 30}}\n  ENDFOR")
 
 
 class Peer:

@@ -24,9 +24,13 @@ from agent.safety.motion import PlannedProgram
 from drivers.transports.tcp import TcpDriver
 from drivers.wire import tcp
 from drivers.wire.reasons import EndReason, Refusal
-from tests.conftest import patience
+from tests.conftest import drawn, patience
 from tests.safety.following import HOME, at
 
+#: How the joints share in a swing.
+SHARES = drawn(np.ones(6), lambda rng: rng.uniform(0.7, 1.1, 6) * rng.choice([-1.0, 1.0], 6))
+#: What lies between the ends of a longer one.
+BETWEEN = drawn(np.zeros(3), lambda rng: rng.uniform(-0.08, 0.08, 3))
 NAMES = tuple(f"joint_{k}" for k in range(1, 7))
 
 
@@ -292,6 +296,7 @@ def swing(trajectory_through):
         knots = np.tile(HOME, (5, 1))
         knots[:, 0] += start + turn * np.array([0.0, 0.4, 0.3, 0.8, 1.0])
         knots[:, 2] += 0.4 * turn * np.array([0.0, 0.3, 0.8, 0.9, 1.0])
+        knots[1:4] += turn * np.outer(BETWEEN, SHARES)
         return trajectory_through(knots, seconds)
 
     return build
@@ -302,7 +307,7 @@ def _trajectory(speed: float = 0.1, start: np.ndarray = HOME, seconds: float = 1
     t = np.arange(0.0, seconds, 0.002)
     swing = 0.05 * (1 - np.cos(2 * np.pi * t / seconds))[:, None]
     rate = np.gradient(swing, 0.002, axis=0)
-    q, qd = start + swing * np.ones(6), rate * np.ones(6)
+    q, qd = start + swing * SHARES, rate * SHARES
     poses = np.repeat(np.eye(4)[None], len(t), axis=0)
     return Trajectory(t, q, qd, np.zeros_like(q), poses, np.full(len(t), speed), np.zeros(len(t), int))
 

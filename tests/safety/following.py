@@ -10,9 +10,16 @@ from agent.motion.trajectory import Trajectory
 from agent.robot import load_robot
 from agent.safety.adherence import Adherence
 from drivers.protocol import SampleBlock
+from tests.conftest import drawn
 
 PERIOD = 0.002
-HOME = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
+#: Any posture does.
+HOME = np.radians(
+    drawn(
+        [0.0, 0.0, -90.0, 0.0, 0.0, 0.0],
+        lambda rng: rng.uniform([-60, -20, -110, -60, -60, -60], [60, 20, -70, 60, 60, 60]).tolist(),
+    )
+)
 ROBOT = load_robot("comau_ns16")
 
 

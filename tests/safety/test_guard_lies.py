@@ -12,11 +12,14 @@ from agent.core.errors import SafetyError
 from agent.motion.trajectory import Trajectory
 from agent.safety.motion import PlannedProgram
 from drivers.errors import DriverError
-from tests.conftest import patience
+from tests.conftest import drawn, patience
 from tests.safety.following import HOME
 
 SECONDS = 4.0
-AXES = np.array([0.5, 0.0, 0.0, 0.4, 0.0, 0.0])
+AXES = drawn(1.0, lambda rng: float(rng.uniform(0.7, 1.1))) * np.array([0.5, 0.0, 0.0, 0.4, 0.0, 0.0])
+#: When it begins [s]: where both joints turn, so that it makes a difference.
+MOMENT = drawn(0.8, lambda rng: float(rng.uniform(0.6, 1.4)))
+SINCE = drawn(5, lambda rng: int(rng.integers(1, 12)))  # block
 Motion = Callable[[np.ndarray], np.ndarray]
 
 
@@ -82,7 +85,7 @@ def test_the_motion_itself_is_fine(bench, wide, later):
 
 @pytest.mark.parametrize("lie", LIES)
 def test_a_lie_is_stopped(bench, wide, lie):
-    lied_to(bench, wide, lie, 0.8)
+    lied_to(bench, wide, lie, MOMENT)
     assert bench.controller.starts == 1
 
 
@@ -96,7 +99,7 @@ def test_a_lie_is_stopped_whenever_it_begins(bench, wide, lie):
 
 def test_slower_between_two_looks_is_on_the_plan(bench, wide):
     """An override that is turned down and up again between two looks costs time, and nothing else."""
-    bench.controller = replace(bench.controller, pushes=True, blocks=20, moves=burst(1.0, 0.15, 0.5))
+    bench.controller = replace(bench.controller, pushes=True, blocks=20, moves=burst(MOMENT, 0.15, 0.5))
     assert bench.run(wide) == 2000
 
 
@@ -108,7 +111,7 @@ def test_blocks_that_come_twice_count_once(bench, wide):
 
 @pytest.mark.parametrize("jump", [10**10, 10**18])
 def test_stamps_from_the_future_end_the_motion(bench, wide, jump):
-    bench.controller = replace(bench.controller, pushes=True, blocks=18, moves=planned, clock_jump=(5, jump))
+    bench.controller = replace(bench.controller, pushes=True, blocks=18, moves=planned, clock_jump=(SINCE, jump))
     with pytest.raises((DriverError, SafetyError)):
         bench.run(wide)
     assert bench.controller.starts == 1
@@ -116,7 +119,7 @@ def test_stamps_from_the_future_end_the_motion(bench, wide, jump):
 
 def test_a_link_that_is_half_closed_is_let_go(bench, wide):
     """The other end reads on, and would take commands: it hears nothing more, and so its watchdog stops the arm."""
-    bench.controller = replace(bench.controller, blocks=18, moves=planned, half_closes_after=3)
+    bench.controller = replace(bench.controller, blocks=18, moves=planned, half_closes_after=SINCE)
     with pytest.raises(DriverError, match="make sure that the arm rests"):
         bench.run(wide)
     assert bench.controller.let_go.wait(patience(2.0))

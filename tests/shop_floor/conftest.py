@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from tests.browser import Browser
+from tests.conftest import DRAW, drawn
 
 ROOT = Path(__file__).resolve().parents[2]
 JOINTS = [f"joint_{k + 1}" for k in range(6)]
@@ -26,16 +27,18 @@ motion:
   via_points:
     count: 6
     box:
-      centre: [1.0 m, 0 m, 0.8 m]
+      centre: [1.0 m, {aside}, 0.8 m]
       size: [500 mm, 600 mm, 400 mm]
       orientation: [0 deg, 180 deg, 0 deg]
       cone: 30 deg
-search: {{population: 6, generations: 2, seed: 1}}
+search: {{population: 6, generations: 2, seed: {seed}}}
 record: {{rate: 500 Hz, cycles: 3}}
 validate: {{motions: 1, speed: 0.5 m/s, seed: 2}}
 gate: {{normalised_rmse: 3 %}}
 recalibrate: {{every: {every}, parameters: friction}}
 """
+#: Which loop is searched for, and where.
+LOOP = drawn({"seed": 1, "aside": "0 m"}, lambda rng: {"seed": DRAW, "aside": f"{rng.integers(-90, 91)} mm"})
 
 
 def agent(folder: Path, *arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -61,7 +64,9 @@ def controller(start_lasting_controller: Callable[..., Any]) -> Any:
 def calibrated(controller: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a recipe, its stored loop, and one accepted calibration in `logs`. Not to be changed."""
     folder = tmp_path_factory.mktemp("calibrated")
-    (folder / "recipe.yaml").write_text(RECIPE.format(address=controller.address, every="1 s"), encoding="utf-8")
+    (folder / "recipe.yaml").write_text(
+        RECIPE.format(address=controller.address, every="1 s", **LOOP), encoding="utf-8"
+    )
     run = agent(folder, "calibrate", "recipe.yaml")
     assert run.returncode == 0, run.stderr
     return folder

@@ -26,6 +26,7 @@ from agent.recipe import Recipe, load_recipe, template
 from agent.runs.approved import approve, check_approved, differences, digest, problem
 from agent.runs.folder import RunFolder
 from agent.runs.loop_store import stored_loops
+from tests.conftest import drawn
 
 CATALOGUE = Path(agent.robot.__file__).parent / "catalogue" / "comau_ns16"
 TOOL = "tool: {frame: [0 mm, 0 mm, 120 mm, 0 deg, 0 deg, 0 deg], mass: 2.1 kg}\n"
@@ -178,11 +179,15 @@ def _edit_loop(shop: Path, change: Callable[[dict[str, Any]], None]) -> None:
     path.write_text(json.dumps(data), encoding="utf-8")
 
 
+#: Millimetres.
+DOWN = drawn(350, lambda rng: int(rng.integers(60, 400)))
+
+
 def _moved(data: dict[str, Any]) -> None:
-    """The first via-point 350 mm lower, program and checksum in keeping."""
+    """The first via-point lower, program and checksum in keeping."""
     z = f"{1000 * data['poses'][1][2][3]:.3f}"[:-4]
     assert z in data["program"]
-    data["program"] = data["program"].replace(z, str(int(z) - 350))
+    data["program"] = data["program"].replace(z, str(int(z) - DOWN))
 
 
 def _faster(data: dict[str, Any]) -> None:
@@ -241,7 +246,7 @@ def test_a_key_alone_finds_nothing(shop: Path):
     from agent.runs.loop_store import find_loop
 
     def other_region(data: dict[str, Any]) -> None:
-        data["sub_region"]["box"]["centre"][2] -= 0.35
+        data["sub_region"]["box"]["centre"][2] -= DOWN / 1000
 
     recipe = load_recipe(shop / "recipe.yaml")
     assert find_loop(recipe, shop / "logs" / "trajectories") is not None
@@ -286,6 +291,9 @@ def test_a_finished_run_carries_its_digests(shop: Path):
         assert len(result["provenance"][f"SHA-256 of {name}"]) == 64, name
 
 
+CUT = drawn(20, lambda rng: int(rng.integers(1, 100_000)))  # bytes
+
+
 def test_a_stopped_run_whose_log_was_changed_is_not_gone_on_with(shop: Path, run_agent):
     (state,) = (shop / "logs").glob("*/state.json")
     told = json.loads(state.read_text(encoding="utf-8"))
@@ -293,7 +301,7 @@ def test_a_stopped_run_whose_log_was_changed_is_not_gone_on_with(shop: Path, run
         told["steps"].pop(step, None)
     state.write_text(json.dumps({**told, "status": "stopped"}), encoding="utf-8")
     log = state.parent / "excitation.mcap"
-    log.write_bytes(log.read_bytes()[:-20])
+    log.write_bytes(log.read_bytes()[:-CUT])
     run = run_agent("calibrate", "recipe.yaml", "--resume", state.parent)
     assert run.returncode == 2
     assert "excitation.mcap: not the file that this run finished with" in run.stderr

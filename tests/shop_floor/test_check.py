@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from tests.shop_floor.conftest import RECIPE, agent
+from tests.shop_floor.conftest import LOOP, RECIPE, agent
 
-TEXT = RECIPE.format(address="127.0.0.1:1", every="7 d")
+TEXT = RECIPE.format(address="127.0.0.1:1", every="7 d", **LOOP)
 
 
 def _check(folder: Path, text: str) -> tuple[int, dict[str, list[str]]]:

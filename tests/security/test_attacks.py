@@ -1,0 +1,45 @@
+"""Every attack of docs/security.md ten times at least: those with few tries are tried again, differently.
+
+A row with (d) is run in nine more draws, each with other postures, motions, moments, wires or loops (`drawn` of
+tests/conftest.py); a repeat of the same would prove nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+DRAWS = range(1, 10)
+
+
+def drawn_attacks() -> list[str]:
+    """The tests of the rows with (d)."""
+    table = (ROOT / "docs" / "security.md").read_text(encoding="utf-8").partition("## Attacks")[2]
+    rows = [line for line in table.splitlines() if line.startswith("|") and "(d)" in line]
+    return list(dict.fromkeys(test for row in rows for test in re.findall(r"`(tests/\S+::\w+)`", row)))
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("folder", sorted({test.split("/")[1] for test in drawn_attacks()}))
+@pytest.mark.parametrize("draw", DRAWS)
+def test_every_attack_in_another_draw(draw: int, folder: str, measured):
+    tests = [test for test in drawn_attacks() if test.split("/")[1] == folder]
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", "-n", "0", "-q", "--no-header", "--tb=short", "-m", "verify or not verify"]
+        + tests,
+        cwd=ROOT,
+        env={**os.environ, "CALIBRATION_DRAW": str(draw)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    tried = re.search(r"(\d+) passed", run.stdout)
+    ended = f"{tried[1] if tried else 0} tries, exit {run.returncode}"
+    measured(f"attacks of {folder} in draw {draw}", ended, "", "all held", run.returncode == 0)
+    assert run.returncode == 0, run.stdout[-3000:]
