@@ -12,7 +12,6 @@ from collections.abc import Callable
 from typing import Any
 
 from pymodbus.client import ModbusSerialClient
-from pymodbus.exceptions import ConnectionException
 
 from drivers.errors import DriverError
 from drivers.transports.frame_link import FrameLink
@@ -129,19 +128,14 @@ class _RtuClient(ModbusSerialClient):
     def recv(self, size: int | None) -> bytes:
         """What has come, once no more follows, or nothing within the timeout."""
         port = self.socket
-        if port is None:
-            raise ConnectionException(str(self))
+        assert port is not None  # it was written to just now
         until = time.monotonic() + self.comm_params.timeout_connect
         pause = max(_RTU_PAUSE, frame_time(self.comm_params.baudrate, _RTU_TOGETHER))
         came, before = 0, 0
-        try:
-            while time.monotonic() < until and (came == 0 or came != before):
-                time.sleep(pause)
-                before, came = came, port.in_waiting
-            return bytes(port.read(came))
-        except OSError:
-            self.close()
-            raise ConnectionException(str(self)) from None
+        while time.monotonic() < until and (came == 0 or came != before):
+            time.sleep(pause)
+            before, came = came, port.in_waiting
+        return bytes(port.read(came))
 
 
 class RtuDriver(ModbusDriver):
