@@ -25,6 +25,7 @@ class _Parameters(BaseModel):
     blend_shape: float = Field(ge=0, le=1)
     blend_turn: Literal["path", "slerp"]
     turn_lever: float = Field(default=0.1, gt=0, le=1)
+    stop_angle: float = Field(default=2.97, gt=0, le=3.1)
     ramps: Literal["window", "blocks"]
     acceleration: float = Field(gt=0, le=1)
     rise: float = Field(ge=0, le=2)

@@ -8,14 +8,25 @@ learner knows nothing else of the controller.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from agent.motion.fly.interpolator import FlyInterpolator
 from agent.motion.fly_parameters import FlyParameters
+from agent.motion.frames import pose_in_robot_base
 from agent.motion.interpolator import MotionError
-from agent.motion.program import FlyTrajectory, FlyType, Move
+from agent.motion.program import (
+    CartesianTarget,
+    FlyTrajectory,
+    FlyType,
+    JointTarget,
+    MotionSettings,
+    Move,
+    Target,
+    matrix_of,
+)
 from agent.robot import RobotDescription, kinematics_for
 
 #: Parts of the way at which motions are compared; how the ends are crept along is lost in the set-points' digits.
@@ -24,8 +35,13 @@ _PARTS = np.linspace(0.002, 0.998, 250)
 _AROUND, _FINE = 0.03, np.linspace(0.0, 1.0, 1001)
 #: A family has to be better than a simpler one by this part of its error.
 _BETTER = 0.9
-#: A simplex ends where it tells so little of the cost, or after so many plans; of a family on trial, so many.
-_ENOUGH, _PLANS, _TRIAL = 1e-3, 120, 40
+#: A simplex ends where it tells so little of the cost, or after so many plans.
+_ENOUGH, _PLANS = 1e-3, 40
+#: Widths of simplices, in parts of what is unknown: of a family on trial, and one after the other of the best one. In a
+#: valley, as of ramps that are later and stronger at once, a simplex shrinks before it is at the bottom.
+_TRIAL, _FINER = 0.15, (0.05, 0.05, 0.05, 0.02, 0.02)
+#: [rad] Corners that turn by more than this may be stops.
+_SHARP = 2.0
 #: [m/rad] A move that travels at all is measured by its way alone.
 _NO_LEVER = 1e-3
 
@@ -93,8 +109,10 @@ class Learner:
     def _away(self, recorded: _Way, planned: _Way, place: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """(K,) distance of recorded places from the planned path."""
         there = recorded.joints(_PARTS)
+        # Of a corner where the arm stops, samples are dense and the tip is among them.
+        parts = np.union1d(_FINE, planned.part)
         # The same place is looked for a little before and after the same part of the way.
-        return _nearest(place(planned.joints(_FINE)), place(there), np.abs(_FINE[None] - _PARTS[:, None]) <= _AROUND)
+        return _nearest(place(planned.joints(parts)), place(there), np.abs(parts[None] - _PARTS[:, None]) <= _AROUND)
 
     def learn(self, progress: Callable[[str], None] = lambda text: None) -> FlyParameters:
         """The law that is nearest to the stretches.
@@ -108,10 +126,10 @@ class Learner:
         return self._time(path)
 
     def _path(self) -> FlyParameters:
-        start = FlyParameters()
+        start = self._with_stops(FlyParameters(blend="parabola", turn_lever=_NO_LEVER))
         flying = [move for stretch, _ in self._taught for move in stretch.moves if move.fly]
         if not flying:
-            return start
+            return FlyParameters()
         free = []
         if any(move.settings.fly_trajectory is FlyTrajectory.FLY_AUTO for move in flying):
             free.append(("auto_tightness", 0.0, 1.0))
@@ -123,8 +141,37 @@ class Learner:
             for turn in ("path", "slerp")
             for blend in ("parabola", "circle")
         ]
-        families = [(replace(start, blend="polynomial"), [("blend_shape", 0.0, 1.0), *free])]
+        polynomial = FlyParameters(stop_angle=start.stop_angle)
+        families = [(polynomial, [("blend_shape", 0.0, 1.0), *free])]
         return self._best([*families, *((curve, free) for curve in curves)], self._off_path)
+
+    def _with_stops(self, start: FlyParameters) -> FlyParameters:
+        """With the largest angle from which on corners are stops, as far as the stretches show one."""
+        best, least = start, self._off_path(start)
+        sharp = np.unique(
+            [start.stop_angle, _SHARP, *(turn for stretch, _ in self._taught for turn in self._turns(stretch))]
+        )
+        for between in 0.5 * (sharp[1:] + sharp[:-1])[::-1]:
+            law = replace(start, stop_angle=float(between))
+            with suppress(MotionError):
+                found = self._off_path(law)
+                if found < _BETTER * least:
+                    best, least = law, found
+        return best
+
+    def _turns(self, stretch: RecordedMove) -> list[float]:
+        """By how much [rad] the way between the ends of its moves turns, where that is a lot."""
+        ends = [self._end(JointTarget(stretch.q[0]), stretch.moves[0].settings)]
+        ends += [self._end(move.target, move.settings) for move in stretch.moves]
+        ways = np.diff(ends, axis=0)
+        ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-12)
+        turns = np.arccos(np.clip(np.einsum("ij,ij->i", ways[1:], ways[:-1]), -1.0, 1.0))
+        return [float(turn) for turn in turns if turn > _SHARP]
+
+    def _end(self, target: Target, settings: MotionSettings) -> np.ndarray:
+        if isinstance(target, CartesianTarget):
+            return pose_in_robot_base(target, settings)[:3, 3]
+        return (self._forward(np.asarray(target.position)[None])[0] @ matrix_of(settings.tool))[:3, 3]
 
     def _time(self, path: FlyParameters) -> FlyParameters:
         slowed = any(move.settings.arm_override < 0.99 for stretch, _ in self._taught for move in stretch.moves)
@@ -152,7 +199,7 @@ class Learner:
         refused: MotionError | None = None
         for start, free in families:
             try:
-                fitted, found = self._fitted(start, free, cost, _TRIAL)
+                fitted, found = _fitted(start, free, cost, _TRIAL)
             except MotionError as error:
                 refused = error
                 continue
@@ -161,38 +208,44 @@ class Learner:
         if best is None:
             assert refused is not None
             raise refused
-        return self._fitted(best, left, cost, _PLANS)[0]
+        for width in _FINER:
+            best, _ = _fitted(best, left, cost, width)
+        return best
 
-    def _fitted(
-        self,
-        start: FlyParameters,
-        free: list[tuple[str, float, float]],
-        cost: Callable[[FlyParameters], float],
-        plans: int,
-    ) -> tuple[FlyParameters, float]:
-        from scipy.optimize import minimize
 
-        first = cost(start)
-        if not free:
-            return start, first
-        names, low, high = [name for name, _, _ in free], *np.array([bounds for _, *bounds in free]).T
+def _fitted(
+    start: FlyParameters,
+    free: list[tuple[str, float, float]],
+    cost: Callable[[FlyParameters], float],
+    width: float,
+) -> tuple[FlyParameters, float]:
+    """The best law that a simplex `width` wide finds from `start` on, and its cost.
 
-        def law(x: np.ndarray) -> FlyParameters:
-            return replace(start, **dict(zip(names, (low + np.clip(x, 0, 1) * (high - low)).tolist(), strict=True)))
+    Raises:
+        MotionError: `start` cannot run the stretches.
+    """
+    from scipy.optimize import minimize
 
-        def value(x: np.ndarray) -> float:
-            try:
-                return cost(law(x))
-            except MotionError:
-                return 10.0 * first
+    first = cost(start)
+    if not free:
+        return start, first
+    names, low, high = [name for name, _, _ in free], *np.array([bounds for _, *bounds in free]).T
 
-        at = (np.array([getattr(start, name) for name in names]) - low) / (high - low)
-        # A simplex as wide as what is unknown: away from the bound that the start may lie on.
-        steps = np.where(at > 0.5, -0.15, 0.15)
-        simplex = np.vstack([at, at + np.diag(steps)])
-        options = {"initial_simplex": simplex, "maxfev": plans, "xatol": _ENOUGH, "fatol": _ENOUGH * first}
-        found = minimize(value, at, method="Nelder-Mead", bounds=[(0.0, 1.0)] * len(at), options=options)
-        return law(found.x), float(found.fun)
+    def law(x: np.ndarray) -> FlyParameters:
+        return replace(start, **dict(zip(names, (low + np.clip(x, 0, 1) * (high - low)).tolist(), strict=True)))
+
+    def value(x: np.ndarray) -> float:
+        try:
+            return cost(law(x))
+        except MotionError:
+            return 10.0 * first
+
+    at = (np.array([getattr(start, name) for name in names]) - low) / (high - low)
+    # Away from the bound that the start may lie on.
+    simplex = np.vstack([at, at + np.diag(np.where(at > 0.5, -width, width))])
+    options = {"initial_simplex": simplex, "maxfev": _PLANS, "xatol": _ENOUGH, "fatol": _ENOUGH * first}
+    found = minimize(value, at, method="Nelder-Mead", bounds=[(0.0, 1.0)] * len(at), options=options)
+    return law(found.x), float(found.fun)
 
 
 @dataclass(frozen=True, eq=False)

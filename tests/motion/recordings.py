@@ -25,14 +25,16 @@ START = np.radians([0.0, 20.0, -90.0, 0.0, 60.0, 0.0])
 REST = 0.08  # s at each stop
 
 
-def loop_program(robot: RobotDescription, seed: int, cycles: int = 2, speed: float = 1.0) -> str:
-    """PDL2 text of a loop over four poses around `START`, as the agent writes it."""
+def loop_program(
+    robot: RobotDescription, seed: int, cycles: int = 2, speed: float = 1.0, spread: float = 0.2, turn: float = 0.4
+) -> str:
+    """PDL2 text of a loop over four poses up to `spread` [m] and `turn` [rad] from `START`, as the agent writes it."""
     rng = np.random.default_rng(seed)
     kinematics = kinematics_for(robot)
     middle = kinematics.forward(START[None])[0]
     poses = np.tile(middle, (4, 1, 1))
-    poses[:, :3, 3] += rng.uniform(-0.2, 0.2, (4, 3))
-    turns = [_turn(rng.normal(size=3), rng.uniform(0, 0.4)) for _ in poses]
+    poses[:, :3, 3] += rng.uniform(-spread, spread, (4, 3))
+    turns = [_turn(rng.normal(size=3), rng.uniform(0, turn)) for _ in poses]
     poses[:, :3, :3] = [turn @ middle[:3, :3] for turn in turns]
     settings = MotionSettings(
         fly_type=FlyType.FLY_CART,
