@@ -1,0 +1,58 @@
+"""`python -m benchmarks.evidence run PIECE [--machines N] [--minutes M]`, `… page`: see docs/evidence.md."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from types import ModuleType
+
+from agent.excitation import one_blas_thread
+from agent.recipe import load_recipe
+from benchmarks.evidence import local
+from benchmarks.evidence.results import FOLDER, ROOT, Results
+
+RECIPE = ROOT / "recipes/ns16_quickstart.yaml"
+#: Seeds of the machines start here: none that was looked at while the agent was made.
+FIRST_MACHINE = 501
+#: Pieces by name.
+PIECES: dict[str, ModuleType] = {"local": local}
+
+
+def run(piece: str, machines: int, minutes: float, folder: Path, recipe_path: Path = RECIPE) -> int:
+    """Compute what is missing of a piece, machine by machine, for at most so many minutes; how much is left."""
+    recipe = load_recipe(recipe_path)
+    results, loops = Results(folder, piece), Results(folder, "loops")
+    module, memory = PIECES[piece], {}
+    wanted = [(m, s) for m in range(FIRST_MACHINE, FIRST_MACHINE + machines) for s in module.settings(recipe)]
+    missing = [(machine, setting) for machine, setting in wanted if results.get(machine, setting) is None]
+    end = time.monotonic() + 60 * minutes
+    for done, (machine, setting) in enumerate(missing):
+        if time.monotonic() > end:
+            return len(missing) - done
+        started = time.process_time()
+        with one_blas_thread():
+            values = module.measure(recipe, machine, setting, loops, memory)
+        seconds = time.process_time() - started
+        results.keep(machine, setting, values, seconds)
+        print(f"{piece}: machine {machine}, {setting}: {seconds:.0f} s", file=sys.stderr, flush=True)
+    return 0
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.evidence")
+    parser.add_argument("--folder", type=Path, default=FOLDER, help="of the results (default: build/evidence)")
+    commands = parser.add_subparsers(dest="command", required=True)
+    of_run = commands.add_parser("run", help="compute what is missing of a piece")
+    of_run.add_argument("piece", choices=PIECES)
+    of_run.add_argument("--machines", type=int, default=10)
+    of_run.add_argument("--minutes", type=float, default=10.0, help="start nothing new after so long (default: 10)")
+    chosen = parser.parse_args()
+    left = run(chosen.piece, chosen.machines, chosen.minutes, chosen.folder)
+    print(f"{left} left; the same command goes on" if left else "complete", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

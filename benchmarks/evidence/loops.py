@@ -1,0 +1,167 @@
+"""Loops: the criteria, kinds of motion, and the best loop that a search finds for each, found once and kept."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from agent.excitation import Candidates, Criterion, Loop, LoopProblem, LoopScore, ranking
+from agent.excitation.criterion import log_determinant
+from agent.excitation.genetic import genetic
+from agent.motion import JointTarget, Move, MoveType, Termination, Trajectory, create_interpolator
+from agent.robot import RobotDescription
+from benchmarks.evidence.results import Results
+
+#: Of the searches that loops are compared by: candidates a generation, generations.
+POPULATION, GENERATIONS = 20, 20
+_FINALISTS = 10
+_DRAWS = 400
+
+
+def weighted_rows(robot: RobotDescription, weights: Sequence[float] | np.ndarray) -> Criterion:
+    """log10 det(HᵀH/M) with the rows of joint i multiplied by `weights` (n,), of which only the ratios count."""
+    criterion = Criterion(robot)
+    criterion.weights = np.asarray(weights, dtype=float) / np.max(weights)
+    return criterion
+
+
+class ScaledCriterion(Criterion):
+    """Criteria that depend on the parameters' units: `kind` of H with scaled columns, rows weighted as usual.
+
+    "A": minus log10 of the trace of (HᵀH/M)⁻¹; "E": log10 of the smallest eigenvalue of HᵀH/M; "condition": minus log10
+    of the condition number. A column's unit is its root mean square over random states of the arm, at half its largest
+    speeds and accelerations.
+    """
+
+    def __init__(self, robot: RobotDescription, kind: str):
+        super().__init__(robot)
+        self._kind = kind
+        rng = np.random.default_rng(0)
+        shape = (500, robot.dof)
+        q = rng.uniform(-np.pi / 2, np.pi / 2, shape)
+        qd = rng.uniform(-0.5, 0.5, shape) * robot.max_velocity
+        qdd = rng.uniform(-0.5, 0.5, shape) * robot.max_acceleration
+        matrix = self.observation_matrix(q, qd, qdd)
+        self._scale = np.linalg.norm(matrix, axis=0) / np.sqrt(shape[0])
+
+    def __call__(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, regressor: np.ndarray | None = None) -> float:
+        matrix = self.observation_matrix(q, qd, qdd) / self._scale
+        if not np.isfinite(log_determinant(matrix, len(q))):
+            return -np.inf
+        values = np.linalg.svd(np.linalg.qr(matrix, mode="r"), compute_uv=False) / np.sqrt(len(q))
+        if self._kind == "A":
+            return float(-np.log10(np.sum(values**-2.0)))
+        if self._kind == "E":
+            return float(2 * np.log10(values[-1]))
+        return float(np.log10(values[-1] / values[0]))
+
+
+class LocalLoops(Candidates):
+    """Loops in the sub-region under a criterion of one's own."""
+
+    def __init__(self, problem: LoopProblem, criterion: Criterion | None = None):
+        super().__init__(problem)
+        self._criterion = criterion or self._criterion
+
+
+class StoppingLoops(LocalLoops):
+    """The same via-points, but the arm stops at each instead of flying by."""
+
+    def loop(self, genome: np.ndarray) -> Loop:
+        flown = super().loop(genome)
+        settings = self.problem.settings.changed(termination=Termination.FINE)
+        moves = tuple(replace(move, fly=False, settings=settings) for move in flown.moves)
+        return Loop(genome, flown.poses, flown.start, moves, self._interpolator.plan(moves, flown.start))
+
+
+class GlobalLoops(LocalLoops):
+    """Loops over the whole workspace: MOVEFLY JOINT between points anywhere in the joint ranges (one turn at most), at
+    `override` of the joints' speeds."""
+
+    def __init__(self, problem: LoopProblem, override: float):
+        super().__init__(problem)
+        self._override = override
+        lower, upper = (np.array(limits) for limits in problem.robot.position_limits)
+        middle, half = (lower + upper) / 2, np.minimum((upper - lower) / 2, np.pi)
+        self._lower, self._range = middle - 0.95 * half, 1.9 * half
+        self._plan = create_interpolator(problem.interpolator, problem.robot, problem.tool, period=problem.period).plan
+
+    def loop(self, genome: np.ndarray) -> Loop:
+        points = self._lower + self._range * genome.reshape(-1, self.problem.robot.dof)
+        settings = self.problem.settings.changed(speed_override=self._override)
+        closing = settings.changed(termination=Termination.FINE)
+        moves = tuple(
+            [Move(MoveType.JOINT, JointTarget(point), settings, fly=True) for point in points[1:]]
+            + [Move(MoveType.JOINT, JointTarget(points[0]), closing)]
+        )
+        return Loop(genome, self.kinematics.forward(points), points[0], moves, self._plan(moves, points[0]))
+
+
+class Search:
+    """Runs one search and knows the best loop at any number of candidates."""
+
+    def __init__(self, candidates: Candidates):
+        self._candidates = candidates
+        self.seen: list[tuple[np.ndarray, LoopScore]] = []
+
+    def run(self, method: Callable, population: int, generations: int, seed: int) -> Search:
+        """Search; what it sees adds up."""
+        rng = np.random.default_rng(seed)
+        method(self._scores, self._candidates.problem.genes, population, generations, rng, lambda genomes, scores: None)
+        return self
+
+    def _scores(self, genomes: np.ndarray) -> list[LoopScore]:
+        scores = [self._candidates.score(genome) for genome in genomes]
+        self.seen.extend(zip(genomes.copy(), scores, strict=True))
+        return scores
+
+    def best(self, candidates: int | None = None) -> dict:
+        """Genome and fitness, on all samples, of the best of the first so many candidates that keeps all limits there.
+
+        Raises:
+            RuntimeError: there is none.
+        """
+        seen = self.seen[:candidates]
+        found = None
+        order = ranking([score for _, score in seen])
+        for rank, k in enumerate(order):
+            if found is not None and rank >= _FINALISTS:
+                break
+            final = self._candidates.score_on_all(seen[k][0])
+            better = found is None or final.fitness > found["fitness"]
+            if final.feasible and np.isfinite(final.fitness) and better:
+                found = {"genome": seen[k][0].tolist(), "fitness": final.fitness, "candidates": len(seen)}
+        if found is None:
+            raise RuntimeError(f"none of {len(seen)} loops keeps all limits")
+        return found
+
+
+def found_loop(
+    kept: Results, seed: int, setting: str, candidates: Candidates, method: Callable = genetic
+) -> Trajectory:
+    """The set-points of the best loop for a setting, searched for unless `kept` has it."""
+    found = kept.get(seed, setting)
+    if found is None:
+        started = time.process_time()
+        found = Search(candidates).run(method, POPULATION, GENERATIONS, seed).best()
+        kept.keep(seed, setting, found, time.process_time() - started)
+    return candidates.loop(np.array(found["genome"])).trajectory
+
+
+def random_loops(candidates: Candidates, count: int, rng: np.random.Generator) -> list[Trajectory]:
+    """Set-points of random loops that keep all limits.
+
+    Raises:
+        RuntimeError: hardly any does.
+    """
+    loops: list[Trajectory] = []
+    for _ in range(_DRAWS):
+        genome = rng.uniform(size=candidates.problem.genes)
+        if candidates.score(genome).feasible:
+            loops.append(candidates.loop(genome).trajectory)
+        if len(loops) == count:
+            return loops
+    raise RuntimeError(f"of {_DRAWS} random loops only {len(loops)} keep all limits")
