@@ -89,7 +89,11 @@ def _payload(robot: RobotDescription, rng: np.random.Generator) -> Built:
 
 
 def _on(robot: RobotDescription, k: int, name: str, parameters: dict[str, Any]) -> dict:
-    return {"effect": name, "joints": [robot.joint_names[k]], "parameters": {k: float(v) for k, v in parameters.items()}}
+    return {
+        "effect": name,
+        "joints": [robot.joint_names[k]],
+        "parameters": {k: float(v) for k, v in parameters.items()},
+    }
 
 
 def plant(robot: RobotDescription, machine: int, built: Sequence[dict] = ()) -> Plant:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import subprocess
 from collections.abc import Iterator
@@ -65,7 +66,8 @@ class Results:
         return iter(self._lines)
 
 
+@functools.cache
 def commit() -> str:
-    """Of the tree, shortened; "unknown" outside a clone."""
+    """Of the tree as this process found it, shortened; "unknown" outside a clone."""
     run = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False)
     return run.stdout.strip() or "unknown"

@@ -1,0 +1,118 @@
+"""What a loop should be searched for: criteria, numbers of points, stops and speeds, judged by the models they lead to.
+
+Every loop is the best that a genetic search of equal size finds for its setting. It is run on the emulator's machine as
+it is, and models of two lengths of it are judged by motions in the sub-region that no fit saw.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agent.excitation import Candidates, Criterion
+from agent.motion import Trajectory, ViaRegions
+from agent.pipeline.planning import loop_problem
+from agent.recipe import Recipe
+from benchmarks.evidence.emulation import plant, record, repeated, true_parameters
+from benchmarks.evidence.judging import figures, intervals
+from benchmarks.evidence.local import fitted
+from benchmarks.evidence.loops import (
+    LocalLoops,
+    ScaledCriterion,
+    StoppingLoops,
+    found_loop,
+    random_loops,
+    weighted_rows,
+)
+from benchmarks.evidence.results import Results
+
+#: Seconds of motion that the models are fitted to.
+SECONDS = (10.0, 40.0)
+DEFAULT = "torque-weighted D"
+_MOTIONS = 3
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How a loop is searched: its criterion by robot and joint noise (n,), number of points, speed [m/s]."""
+
+    criterion: Callable[[Recipe, np.ndarray], Criterion] | None = None
+    points: int = 6
+    speed: float = 1.0
+    stops: bool = False
+    noise: bool = False
+
+
+def _nominal(recipe: Recipe) -> np.ndarray:
+    return recipe.robot.nominal_torque
+
+
+SETTINGS = {
+    DEFAULT: Setting(),
+    "inverse-torque D": Setting(lambda recipe, _: weighted_rows(recipe.robot, 1 / _nominal(recipe))),
+    "learned-noise D": Setting(lambda recipe, noise: weighted_rows(recipe.robot, 1 / noise), noise=True),
+    "unweighted D": Setting(lambda recipe, _: weighted_rows(recipe.robot, np.ones(recipe.robot.dof))),
+    "A": Setting(lambda recipe, _: ScaledCriterion(recipe.robot, "A")),
+    "E": Setting(lambda recipe, _: ScaledCriterion(recipe.robot, "E")),
+    "condition number": Setting(lambda recipe, _: ScaledCriterion(recipe.robot, "condition")),
+    "4 points": Setting(points=4),
+    "8 points": Setting(points=8),
+    "12 points": Setting(points=12),
+    "stops at every point": Setting(stops=True),
+    "0.25 m/s": Setting(speed=0.25),
+    "0.5 m/s": Setting(speed=0.5),
+    "1.5 m/s": Setting(speed=1.5),
+}
+
+
+def settings(recipe: Recipe) -> list[str]:
+    """Names of `SETTINGS`."""
+    return list(SETTINGS)
+
+
+def measure(recipe: Recipe, machine: int, name: str, loops: Results, memory: dict) -> dict:
+    """What the loop of a setting is worth on one machine."""
+    setting = SETTINGS[name]
+    noise = _noise(recipe, machine, loops, memory) if setting.noise else np.ones(recipe.robot.dof)
+    return judged(
+        recipe, machine, found_loop(loops, machine, _kept_as(name), _candidates(recipe, setting, noise)), memory
+    )
+
+
+def judged(recipe: Recipe, machine: int, loop: Trajectory, memory: dict) -> dict:
+    """Figures and intervals of models of the first seconds of a loop, run again and again."""
+    near = memory.setdefault(("near", machine), [])
+    if not near:
+        slow = LocalLoops(loop_problem(recipe, recipe.validate.speed))
+        motions = random_loops(slow, _MOTIONS, np.random.default_rng([machine, 21]))
+        near += [record(plant(recipe.robot, machine), [motion]) for motion in motions]
+    arm = plant(recipe.robot, machine)
+    log = repeated(arm, loop, max(SECONDS))
+    found: dict = {"cycle": loop.duration}
+    for seconds in SECONDS:
+        model = fitted(recipe, log, seconds)
+        found[f"{seconds:g}"] = figures(model, near, true_parameters(arm)) | intervals(model, near[:1])
+    return found
+
+
+def _kept_as(name: str) -> str:
+    """The default's loop is that of the sub-region, wherever it is used."""
+    return "sub-region" if name == DEFAULT else name
+
+
+def _candidates(recipe: Recipe, setting: Setting, noise: np.ndarray) -> Candidates:
+    problem = loop_problem(recipe, setting.speed)
+    via = recipe.motion.via_points
+    if setting.points != via.count:
+        box = ViaRegions.from_box(setting.points, via.box.centre, via.box.size, via.box.orientation, via.box.cone)
+        problem = replace(problem, regions=box)
+    kind = StoppingLoops if setting.stops else LocalLoops
+    return kind(problem, setting.criterion(recipe, noise) if setting.criterion else None)
+
+
+def _noise(recipe: Recipe, machine: int, loops: Results, memory: dict) -> np.ndarray:
+    """(n,) RMS of what a first calibration of ten seconds by the default's loop leaves [N·m]."""
+    loop = found_loop(loops, machine, _kept_as(DEFAULT), LocalLoops(loop_problem(recipe, recipe.motion.speed)))
+    return fitted(recipe, repeated(plant(recipe.robot, machine), loop, SECONDS[0]), SECONDS[0]).residual_rmse

@@ -1,0 +1,90 @@
+"""Few data and long data: error, interval width and coverage against seconds of motion and the quality of the prior."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+
+import numpy as np
+
+from agent.estimation import EstimationSettings, estimate
+from agent.pipeline.planning import loop_problem
+from agent.recipe import Recipe
+from agent.robot import RobotDescription, about_centre
+from benchmarks.evidence.emulation import plant, record, repeated, true_parameters
+from benchmarks.evidence.judging import covered_parameters, error, intervals
+from benchmarks.evidence.loops import LocalLoops, found_loop, random_loops
+from benchmarks.evidence.results import Results
+
+#: Seconds of motion by setting: how wrong the URDF's links are, in percent of the machine's own.
+SECONDS = (2.0, 4.0, 6.0, 12.0, 30.0)
+LONG = (60.0, 300.0)
+PRIORS = (0, 5, 10, 25, 50, 100)
+AS_DRAWN = "URDF as it is"
+_METHODS = ("weighted", "consistent", "paper")
+_MOTIONS = 3
+
+
+def settings(recipe: Recipe) -> list[str]:
+    """The description as it is, with long data too; then descriptions that are wrong by so much."""
+    return [AS_DRAWN, *(f"URDF {share} % wrong" for share in PRIORS)]
+
+
+def measure(recipe: Recipe, machine: int, setting: str, loops: Results, memory: dict) -> dict:
+    """By estimator and seconds of motion: error, intervals and what they cover."""
+    arm = plant(recipe.robot, machine)
+    truth = true_parameters(arm)
+    log, near = _logs(recipe, machine, loops, memory)
+    as_drawn = setting == AS_DRAWN
+    robot = recipe.robot
+    if not as_drawn:
+        robot = wrong_urdf(robot, arm.machine.parameters, int(setting.split()[1]) / 100, machine)
+    found: dict = {}
+    for method in _METHODS if as_drawn else _METHODS[:2]:
+        found[method] = {}
+        lengths = (*SECONDS, *LONG) if as_drawn and method == "weighted" else SECONDS
+        for seconds in lengths if method != "consistent" else SECONDS[:3]:
+            model = estimate(robot, [log.between(0.0, seconds)], EstimationSettings.create(method=method))
+            found[method][f"{seconds:g}"] = {"error": error(model, near)}
+            if method == "weighted":
+                covered = {"base": covered_parameters(model, truth)}
+                found[method][f"{seconds:g}"] |= intervals(model, near[:1]) | covered
+    return found
+
+
+def _logs(recipe: Recipe, machine: int, loops: Results, memory: dict) -> tuple:
+    """The loop's record, long enough for everything, and unseen motions; made once a machine."""
+    if ("few", machine) not in memory:
+        fast = LocalLoops(loop_problem(recipe, recipe.motion.speed))
+        slow = LocalLoops(loop_problem(recipe, recipe.validate.speed))
+        loop = found_loop(loops, machine, "sub-region", fast)
+        motions = random_loops(slow, _MOTIONS, np.random.default_rng([machine, 21]))
+        near = [record(plant(recipe.robot, machine), [motion]) for motion in motions]
+        memory["few", machine] = repeated(plant(recipe.robot, machine), loop, max(LONG)), near
+    return memory["few", machine]
+
+
+def wrong_urdf(robot: RobotDescription, parameters: np.ndarray, share: float, seed: int) -> RobotDescription:
+    """The description with links that are the machine's own (10 n,) but wrong by a `share`.
+
+    Masses and inertias are multiplied by a factor from 1 - share to 1 + share (at least 0.05) each, and centres of mass
+    moved along each axis by up to share / 2 of the link's radius of gyration.
+    """
+    rng = np.random.default_rng([seed, 24])
+    root = ElementTree.fromstring(robot.urdf)
+    links = {link.get("name"): link for link in root.findall("link")}
+    joints = {joint.get("name"): joint for joint in root.findall("joint")}
+    for name, values in zip(robot.joint_names, parameters.reshape(-1, 10), strict=True):
+        mass, centre, inertia = values[0], values[1:4] / values[0], about_centre(values)
+        gyration = np.sqrt(np.trace(inertia) / 2 / mass)
+        mass_factor, inertia_factor = np.maximum(1 + share * rng.uniform(-1, 1, 2), 0.05)
+        centre = centre + 0.5 * share * gyration * rng.uniform(-1, 1, 3)
+        element = links[joints[name].find("child").get("link")].find("inertial")
+        element.find("origin").set("xyz", " ".join(map(repr, centre.tolist())))
+        element.find("mass").set("value", repr(float(mass * mass_factor)))
+        inertia = inertia * mass_factor * inertia_factor
+        for key, (row, column) in zip(
+            ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), np.argwhere(np.triu(np.ones((3, 3)))), strict=True
+        ):
+            element.find("inertia").set(key, repr(float(inertia[row, column])))
+    return replace(robot, urdf=ElementTree.tostring(root, encoding="unicode"))
