@@ -29,9 +29,9 @@ from benchmarks.evidence.loops import (
 from benchmarks.evidence.results import Results
 
 #: Seconds of motion that the models are fitted to.
-SECONDS = (10.0, 40.0)
+SECONDS = (10.0, 30.0)
 DEFAULT = "torque-weighted D"
-_MOTIONS = 3
+_MOTIONS = 2
 
 
 @dataclass(frozen=True)
