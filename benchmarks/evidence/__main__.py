@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 from agent.excitation import one_blas_thread
 from agent.recipe import load_recipe
@@ -16,15 +16,21 @@ from benchmarks.evidence.results import FOLDER, ROOT, Results
 
 RECIPE = ROOT / "recipes/ns16_quickstart.yaml"
 #: Pieces by name.
-PIECES: dict[str, ModuleType] = {"local": local, "few-data": few_data, "criteria": criteria, "search": search}
+PIECES: dict[str, tuple[Callable, Callable]] = {
+    "local": (local.settings, local.measure),
+    "few-data": (few_data.settings, few_data.measure),
+    "criteria": (criteria.settings, criteria.measure),
+    **{f"search-{budget}": (search.settings_at(budget), search.measure) for budget in search.BUDGETS},
+}
 
 
 def run(piece: str, machines: int, minutes: float, folder: Path, recipe_path: Path = RECIPE) -> int:
     """Compute what is missing of a piece, machine by machine, for at most so many minutes; how much is left."""
     recipe = load_recipe(recipe_path)
     results, loops = Results(folder, piece), Results(folder, "loops")
-    module, memory = PIECES[piece], {}
-    wanted = [(m, s) for m in range(FIRST_MACHINE, FIRST_MACHINE + machines) for s in module.settings(recipe)]
+    settings, measure = PIECES[piece]
+    memory: dict = {}
+    wanted = [(m, s) for m in range(FIRST_MACHINE, FIRST_MACHINE + machines) for s in settings(recipe)]
     missing = [(machine, setting) for machine, setting in wanted if results.get(machine, setting) is None]
     end = time.monotonic() + 60 * minutes
     for done, (machine, setting) in enumerate(missing):
@@ -32,7 +38,7 @@ def run(piece: str, machines: int, minutes: float, folder: Path, recipe_path: Pa
             return len(missing) - done
         started = time.process_time()
         with one_blas_thread():
-            values = module.measure(recipe, machine, setting, loops, memory)
+            values = measure(recipe, machine, setting, loops, memory)
         seconds = time.process_time() - started
         results.keep(machine, setting, values, seconds)
         print(f"{piece}: machine {machine}, {setting}: {seconds:.0f} s", file=sys.stderr, flush=True)

@@ -112,7 +112,7 @@ class Search:
         self.seen: list[tuple[np.ndarray, LoopScore]] = []
 
     def run(self, method: Callable, population: int, generations: int, seed: int) -> Search:
-        """Search; what it sees adds up."""
+        """Search with a method as `agent.excitation` has them."""
         rng = np.random.default_rng(seed)
         method(self._scores, self._candidates.problem.genes, population, generations, rng, lambda genomes, scores: None)
         return self
@@ -122,14 +122,13 @@ class Search:
         self.seen.extend(zip(genomes.copy(), scores, strict=True))
         return scores
 
-    def best(self, candidates: int | None = None) -> dict:
-        """Genome and fitness, on all samples, of the best of the first so many candidates that keeps all limits there.
+    def best(self) -> dict:
+        """Genome and fitness, on all samples, of the best candidate that keeps all limits there.
 
         Raises:
             RuntimeError: there is none.
         """
-        seen = self.seen[:candidates]
-        found = None
+        seen, found = self.seen, None
         order = ranking([score for _, score in seen])
         for rank, k in enumerate(order):
             if found is not None and rank >= _FINALISTS:
