@@ -10,7 +10,7 @@ from pathlib import Path
 
 from agent.excitation import one_blas_thread
 from agent.recipe import load_recipe
-from benchmarks.evidence import criteria, few_data, local, search
+from benchmarks.evidence import criteria, few_data, local, page, search
 from benchmarks.evidence.loops import FIRST_MACHINE
 from benchmarks.evidence.results import FOLDER, ROOT, Results
 
@@ -54,7 +54,12 @@ def main() -> None:
     of_run.add_argument("piece", choices=PIECES)
     of_run.add_argument("--machines", type=int, default=10)
     of_run.add_argument("--minutes", type=float, default=10.0, help="start nothing new after so long (default: 10)")
+    of_page = commands.add_parser("page", help="write the page from the results that are there")
+    of_page.add_argument("--docs", type=Path, default=ROOT / "docs")
     chosen = parser.parse_args()
+    if chosen.command == "page":
+        print(page.write(chosen.folder, chosen.docs, load_recipe(RECIPE), PIECES))
+        return
     left = run(chosen.piece, chosen.machines, chosen.minutes, chosen.folder)
     print(f"{left} left; the same command goes on" if left else "complete", file=sys.stderr)
 

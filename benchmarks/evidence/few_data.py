@@ -27,7 +27,12 @@ _MOTIONS = 2
 
 def settings(recipe: Recipe) -> list[str]:
     """The description as it is, with long data too; then descriptions that are wrong by so much."""
-    return [AS_DRAWN, *(f"URDF {share} % wrong" for share in PRIORS)]
+    return [AS_DRAWN, *map(wrong, PRIORS)]
+
+
+def wrong(share: int) -> str:
+    """The setting of links that are wrong by so many percent."""
+    return f"URDF {share} % wrong"
 
 
 def measure(recipe: Recipe, machine: int, setting: str, loops: Results, memory: dict) -> dict:

@@ -1,0 +1,84 @@
+"""Pictures of the page: SVG, text as text, the same bytes from the same results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("svg")
+from matplotlib import pyplot as plt
+
+_COLOURS = ("#1f6fb2", "#c8553d", "#5b8c5a", "#8e6c8a", "#d39b22", "#5f6b73")
+Interval = tuple[float, float, float]
+
+
+def ratios(path: Path, rows: Mapping[str, Interval], label: str) -> None:
+    """A point with its interval for each row; left of one is better."""
+    figure, axes = _figure(7.0, 0.9 + 0.3 * len(rows))
+    for at, (low, high, value) in enumerate((low, high, value) for value, low, high in rows.values()):
+        colour = _COLOURS[0] if high < 1 else _COLOURS[1] if low > 1 else _COLOURS[5]
+        axes.plot([low, high], [at, at], color=colour, linewidth=2)
+        axes.plot([value], [at], "o", color=colour, markersize=5)
+    axes.axvline(1.0, color="#888888", linewidth=0.8)
+    axes.set_xscale("log")
+    axes.set_yticks(range(len(rows)), list(rows))
+    axes.invert_yaxis()
+    axes.set_xlabel(label)
+    _plain_ticks(axes.xaxis)
+    _save(figure, path)
+
+
+def curves(path: Path, lines: Mapping[str, Mapping[float, Interval]], labels: tuple[str, str], logs: str = "") -> None:
+    """A line with intervals for each entry; `logs` says which axes are logarithmic ("x", "y", "xy")."""
+    figure, axes = _figure(7.0, 3.4)
+    for k, (name, points) in enumerate(lines.items()):
+        x = list(points)
+        y = [points[at][0] for at in x]
+        spread = [[points[at][0] - points[at][1] for at in x], [points[at][2] - points[at][0] for at in x]]
+        style = dict(color=_COLOURS[k % len(_COLOURS)], marker="o", markersize=4, capsize=2, linewidth=1.4)
+        axes.errorbar(x, y, yerr=spread, label=name, linestyle="-" if k < len(_COLOURS) else "--", **style)
+    for which in logs:
+        (axes.set_xscale if which == "x" else axes.set_yscale)("log")
+        _plain_ticks(axes.xaxis if which == "x" else axes.yaxis)
+    if "x" in logs:
+        ticks = sorted({at for points in lines.values() for at in points})
+        axes.set_xticks(ticks, [f"{at:g}" for at in ticks])
+    axes.set_xlabel(labels[0])
+    axes.set_ylabel(labels[1])
+    axes.legend(frameon=False, fontsize=8)
+    _save(figure, path)
+
+
+def bars(path: Path, groups: Sequence[str], series: Mapping[str, Sequence[float]], label: str) -> None:
+    """Bars beside each other in every group."""
+    figure, axes = _figure(7.0, 3.0)
+    width = 0.8 / len(series)
+    for k, (name, values) in enumerate(series.items()):
+        places = [at + (k + 0.5) * width - 0.4 for at in range(len(groups))]
+        axes.bar(places, values, width, label=name, color=_COLOURS[k])
+    axes.set_xticks(range(len(groups)), groups)
+    axes.set_ylabel(label)
+    axes.legend(frameon=False, fontsize=8)
+    _save(figure, path)
+
+
+def _figure(width: float, height: float) -> tuple:
+    plt.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": "evidence", "font.size": 9})
+    figure, axes = plt.subplots(figsize=(width, height))
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    return figure, axes
+
+
+def _plain_ticks(axis) -> None:
+    axis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(matplotlib.ticker.FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_tick_params(which="minor", labelsize=7)
+
+
+def _save(figure, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, bbox_inches="tight", metadata={"Date": None})
+    plt.close(figure)

@@ -1,0 +1,220 @@
+"""Local against global, as the page tells it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from agent.pipeline.planning import loop_problem
+from agent.recipe import Recipe
+from benchmarks.evidence import figures
+from benchmarks.evidence.emulation import WORLDS
+from benchmarks.evidence.local import DISTANCES, SECONDS
+from benchmarks.evidence.loops import FIRST_MACHINE, SEARCHES, LocalLoops
+from benchmarks.evidence.results import Results
+from benchmarks.evidence.section import PageSection
+from benchmarks.evidence.statistics import each, mean_of, ratio_of, text, verdict
+
+LOCAL, GLOBAL = "sub-region", "workspace"
+_FIRST, _LAST = slice(0, 3), slice(3, None)
+
+
+def section(results: Results, loops: Results, recipe: Recipe, pictures: Path) -> PageSection:
+    """The section; empty but for what is missing where nothing was run."""
+    part = PageSection()
+    part.say("## Local against global")
+    worlds = {world: lines for world in WORLDS if (lines := results.of(world))}
+    if not worlds:
+        part.weak.append("local against global: not run")
+        return part
+    part.say(
+        f"Each machine is calibrated from {max(SECONDS):g} s of motion in the sub-region (straight lines at 1 m/s) and "
+        "from as many over the whole workspace (joint by joint between points anywhere in its ranges, at 40 % of its "
+        "speeds), by searches, criterion and estimator that are the same. Ratios are local over global: below 1 local "
+        "is better; `covered` is the share of samples in motion within the 95 % intervals of either."
+    )
+    _errors(part, worlds, pictures)
+    _branches(part, worlds, loops, recipe)
+    _outside(part, worlds, pictures)
+    _seconds(part, worlds)
+    _axes(part, worlds, pictures)
+    part.say("The worlds:", "", *(f"- **{name}**: {what}" for name, what in WORLDS.items()))
+    return part
+
+
+def _near(way: str, joints: slice = slice(None)):
+    return lambda lines: each(lines, lambda values: values[way]["near"]["error"], joints)
+
+
+def _errors(part: PageSection, worlds: dict, pictures: Path) -> None:
+    rows, found = [], {}
+    for world, lines in worlds.items():
+        local, wide = _near(LOCAL)(lines), _near(GLOBAL)(lines)
+        ratios = {
+            name: ratio_of(_near(LOCAL, joints)(lines), _near(GLOBAL, joints)(lines))
+            for name, joints in (("all", slice(None)), ("1 to 3", _FIRST), ("4 to 6", _LAST))
+        }
+        wins = sum(local[m] < wide[m] for m in lines)
+        covered = [
+            mean_of(each(lines, lambda v, way=way: v[way]["intervals"]["covered"]))[0] for way in (LOCAL, GLOBAL)
+        ]
+        rows.append(
+            [
+                world,
+                str(len(lines)),
+                text(mean_of(local)),
+                text(mean_of(wide)),
+                *(text(ratio) for ratio in ratios.values()),
+                f"{wins} of {len(lines)}",
+                " / ".join(f"{share:.0f}" for share in covered),
+            ]
+        )
+        found[world] = ratios["all"]
+        if verdict(ratios["all"]) != "better":
+            what = "worse than" if verdict(ratios["all"]) == "worse" else "not shown to be better than"
+            part.weak.append(
+                f"{world}: local calibration is {what} global in the sub-region itself, "
+                f"{text(ratios['all'])} times its error ({len(lines)} machines)"
+            )
+    part.table(
+        [
+            "world",
+            "machines",
+            "local [%]",
+            "global [%]",
+            "ratio",
+            "joints 1 to 3",
+            "joints 4 to 6",
+            "local won",
+            "covered [%]",
+        ],
+        rows,
+    )
+    figures.ratios(pictures / "local.svg", found, "error of local over error of global calibration")
+    part.picture("local", "Ratio of errors by world")
+
+
+def _branches(part: PageSection, worlds: dict, loops: Results, recipe: Recipe) -> None:
+    """Where the loop has the wrist on another branch than the work: a box of poses is no box of joint positions."""
+    away = {
+        seed: off
+        for seed in range(FIRST_MACHINE, FIRST_MACHINE + SEARCHES)
+        if (off := _off_posture(recipe, loops, seed)) is not None
+    }
+    flipped = {seed for seed, angle in away.items() if angle > np.pi / 2}
+    if not flipped:
+        return
+    rows = []
+    for world, lines in worlds.items():
+        groups = [
+            {m: v for m, v in lines.items() if ((FIRST_MACHINE + (m - FIRST_MACHINE) % SEARCHES) in flipped) == other}
+            for other in (False, True)
+        ]
+        rows.append(
+            [world, *(text(ratio_of(_near(LOCAL)(g), _near(GLOBAL)(g))) + f" ({len(g)})" if g else "-" for g in groups)]
+        )
+    part.say(
+        f"Of the {len(away)} loops in the sub-region {len(flipped)} run with the wrist on its other branch (joint 4 "
+        "half a turn away, joint 5 of the other sign): at its first point that branch is the nearer one, which the search "
+        "is free to choose and random motions hardly ever meet. The motions that judge are on the usual branch. Ratio "
+        "by machines whose loop is on the branch of the work, and on the other (machines):"
+    )
+    part.table(["world", "same branch", "other branch"], rows)
+    part.weak.append(
+        f"{len(flipped)} of {len(away)} loops that were found for the sub-region run on the wrist's other branch, half "
+        "a turn of joint 4 away from the work: the same poses, but not the same place for hoses and gears"
+    )
+
+
+def _off_posture(recipe: Recipe, loops: Results, seed: int) -> float | None:
+    """[rad] the largest angle of a joint between a loop's start and the posture that work in the sub-region has."""
+    kept = loops.get(seed, LOCAL)
+    if kept is None:
+        return None
+    candidates = LocalLoops(loop_problem(recipe, recipe.motion.speed))
+    return float(np.abs(candidates.loop(np.array(kept["genome"])).start - candidates.posture).max())
+
+
+def _outside(part: PageSection, worlds: dict, pictures: Path) -> None:
+    part.say(
+        "### Away from the sub-region",
+        "",
+        "Boxes of the same size whose middle lies further and further away, at 0.25 m/s; and "
+        "motions over the whole workspace.",
+    )
+    rows, lines_drawn = [], {}
+    for world, lines in worlds.items():
+        at = {
+            d: ratio_of(*(each(lines, lambda v, way=way, d=d: v[way]["away"][f"{d:g}"]) for way in (LOCAL, GLOBAL)))
+            for d in DISTANCES
+        }
+        far = ratio_of(*(each(lines, lambda v, way=way: v[way]["far"]) for way in (LOCAL, GLOBAL)))
+        rows.append([world, *(text(ratio) for ratio in at.values()), text(far)])
+        lines_drawn[world] = at
+    part.table(["world", *(f"{d:g} m" for d in DISTANCES), "whole workspace"], rows)
+    figures.curves(
+        pictures / "distance.svg", lines_drawn, ("distance from the sub-region [m]", "error, local over global"), "y"
+    )
+    part.picture("distance", "Ratio of errors against distance from the sub-region")
+
+
+def _seconds(part: PageSection, worlds: dict) -> None:
+    part.say(
+        "### Seconds of motion for the same error",
+        "",
+        f"Error in the sub-region after so many seconds, and on how many machines a local calibration of "
+        f"{SECONDS[0]:g} s is at least as good as a global one of {SECONDS[-1]:g} s, and the other way round.",
+    )
+    rows = []
+    for world, lines in worlds.items():
+        cells = []
+        for way in (LOCAL, GLOBAL):
+            errors = [mean_of(each(lines, lambda v, s=s, way=way: v[way]["after"][f"{s:g}"]))[0] for s in SECONDS]
+            cells.append(", ".join(f"{value:.2f}" for value in errors))
+        short, long = f"{SECONDS[0]:g}", f"{SECONDS[-1]:g}"
+        for first, second in ((LOCAL, GLOBAL), (GLOBAL, LOCAL)):
+            won = sum(np.mean(v[first]["after"][short]) <= np.mean(v[second]["after"][long]) for v in lines.values())
+            cells.append(f"{won} of {len(lines)}")
+        rows.append([world, *cells])
+    heads = [f"{way} after {', '.join(f'{s:g}' for s in SECONDS)} s [%]" for way in ("local", "global")]
+    part.table(["world", *heads, "local first", "global first"], rows)
+
+
+def _axes(part: PageSection, worlds: dict, pictures: Path) -> None:
+    world = next(iter(worlds))
+    lines = worlds[world]
+    part.say(
+        "### The last three axes, and why",
+        "",
+        "By axis, local calibration, machine as it is: error of "
+        "all samples, of samples in which the joint moves, in which it rests; what the bodies' parameters alone get "
+        "wrong; and RMS torque, all in percent of nominal torque.",
+    )
+    names = {
+        "error": "error",
+        "moving": "moving",
+        "resting": "resting",
+        "bodies": "bodies' part",
+        "torque": "torque",
+        "relative": "error over torque",
+    }
+    table = {key: np.nanmean([v[LOCAL]["near"][key] for v in lines.values()], axis=0) for key in names}
+    part.table(
+        ["", *(f"J{k + 1}" for k in range(len(table["error"])))],
+        [[what, *(f"{value:.2f}" for value in table[key])] for key, what in names.items()],
+    )
+    groups = {key: (np.nanmean(table[key][_FIRST]), np.nanmean(table[key][_LAST])) for key in names}
+    part.say(
+        f"Joints 4 to 6 have {groups['error'][1]:.2f} % against {groups['error'][0]:.2f} % of joints 1 to 3. In motion "
+        f"it is {groups['moving'][1]:.2f} against {groups['moving'][0]:.2f} %, at rest {groups['resting'][1]:.2f} "
+        f"against {groups['resting'][0]:.2f} %; the bodies' parameters are wrong by {groups['bodies'][1]:.3f} and "
+        f"{groups['bodies'][0]:.3f} %."
+    )
+    figures.bars(
+        pictures / "axes.svg",
+        [f"J{k + 1}" for k in range(len(table["error"]))],
+        {names[key]: table[key].tolist() for key in ("error", "moving", "resting", "bodies")},
+        "% of nominal torque",
+    )
+    part.picture("axes", "Error by axis, in motion and at rest")

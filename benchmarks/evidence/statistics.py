@@ -1,0 +1,45 @@
+"""Intervals over machines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+_RESAMPLES = 4000
+
+
+def mean_of(values: Mapping[int, float]) -> tuple[float, float, float]:
+    """Mean over machines and its 95 % bootstrap interval."""
+    drawn = np.array(list(values.values()))
+    return _interval(drawn, np.ones_like(drawn))
+
+
+def ratio_of(first: Mapping[int, float], second: Mapping[int, float]) -> tuple[float, float, float]:
+    """Ratio of means over the machines that both have, with its 95 % interval: machines are drawn again in pairs."""
+    both = [machine for machine in first if machine in second]
+    return _interval(np.array([first[m] for m in both]), np.array([second[m] for m in both]))
+
+
+def _interval(first: np.ndarray, second: np.ndarray) -> tuple[float, float, float]:
+    picked = np.random.default_rng(0).integers(len(first), size=(_RESAMPLES, len(first)))
+    ratios = first[picked].sum(axis=1) / second[picked].sum(axis=1)
+    low, high = np.quantile(ratios, (0.025, 0.975))
+    return float(first.sum() / second.sum()), float(low), float(high)
+
+
+def each(lines: Mapping[int, Any], pick: Callable[[Any], Any], joints: slice = slice(None)) -> dict[int, float]:
+    """By machine: the mean over `joints` of what is picked of its values."""
+    return {machine: float(np.mean(np.asarray(pick(values))[joints])) for machine, values in lines.items()}
+
+
+def text(found: tuple[float, float, float], digits: int = 2) -> str:
+    """A figure and its interval."""
+    value, low, high = (f"{x:.{digits}f}" for x in found)
+    return f"{value} [{low}, {high}]"
+
+
+def verdict(found: tuple[float, float, float]) -> str:
+    """What a ratio of errors says of the first: better, worse or open."""
+    return "better" if found[2] < 1 else "worse" if found[1] > 1 else "open"
