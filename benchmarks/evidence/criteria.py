@@ -23,7 +23,7 @@ from benchmarks.evidence.loops import (
     ScaledCriterion,
     StoppingLoops,
     found_loop,
-    random_loops,
+    unseen_motions,
     weighted_rows,
 )
 from benchmarks.evidence.results import Results
@@ -31,7 +31,6 @@ from benchmarks.evidence.results import Results
 #: Seconds of motion that the models are fitted to.
 SECONDS = (10.0, 30.0)
 DEFAULT = "torque-weighted D"
-_MOTIONS = 2
 
 
 @dataclass(frozen=True)
@@ -76,18 +75,15 @@ def measure(recipe: Recipe, machine: int, name: str, loops: Results, memory: dic
     """What the loop of a setting is worth on one machine."""
     setting = SETTINGS[name]
     noise = _noise(recipe, machine, loops, memory) if setting.noise else np.ones(recipe.robot.dof)
-    return judged(
-        recipe, machine, found_loop(loops, machine, _kept_as(name), _candidates(recipe, setting, noise)), memory
-    )
+    loop = found_loop(recipe, machine, _kept_as(name), _candidates(recipe, setting, noise), loops)
+    return judged(recipe, machine, loop, memory)
 
 
 def judged(recipe: Recipe, machine: int, loop: Trajectory, memory: dict) -> dict:
     """Figures and intervals of models of the first seconds of a loop, run again and again."""
     near = memory.setdefault(("near", machine), [])
     if not near:
-        slow = LocalLoops(loop_problem(recipe, recipe.validate.speed))
-        motions = random_loops(slow, _MOTIONS, np.random.default_rng([machine, 21]))
-        near += [record(plant(recipe.robot, machine), [motion]) for motion in motions]
+        near += [record(plant(recipe.robot, machine), [motion]) for motion in unseen_motions(recipe, machine)]
     arm = plant(recipe.robot, machine)
     log = repeated(arm, loop, max(SECONDS))
     found: dict = {"cycle": loop.duration}
@@ -114,5 +110,6 @@ def _candidates(recipe: Recipe, setting: Setting, noise: np.ndarray) -> Candidat
 
 def _noise(recipe: Recipe, machine: int, loops: Results, memory: dict) -> np.ndarray:
     """(n,) RMS of what a first calibration of ten seconds by the default's loop leaves [N·m]."""
-    loop = found_loop(loops, machine, _kept_as(DEFAULT), LocalLoops(loop_problem(recipe, recipe.motion.speed)))
+    default = LocalLoops(loop_problem(recipe, recipe.motion.speed))
+    loop = found_loop(recipe, machine, _kept_as(DEFAULT), default, loops)
     return fitted(recipe, repeated(plant(recipe.robot, machine), loop, SECONDS[0]), SECONDS[0]).residual_rmse

@@ -13,7 +13,7 @@ from agent.recipe import Recipe
 from agent.robot import RobotDescription, about_centre
 from benchmarks.evidence.emulation import plant, record, repeated, true_parameters
 from benchmarks.evidence.judging import covered_parameters, error, intervals
-from benchmarks.evidence.loops import LocalLoops, found_loop, random_loops
+from benchmarks.evidence.loops import LocalLoops, found_loop, unseen_motions
 from benchmarks.evidence.results import Results
 
 #: Seconds of motion by setting: how wrong the URDF's links are, in percent of the machine's own.
@@ -22,7 +22,6 @@ LONG = (60.0, 120.0)
 PRIORS = (5, 25, 50, 100)
 AS_DRAWN = "URDF as it is"
 _METHODS = ("weighted", "consistent", "paper")
-_MOTIONS = 2
 
 
 def settings(recipe: Recipe) -> list[str]:
@@ -61,10 +60,8 @@ def _logs(recipe: Recipe, machine: int, loops: Results, memory: dict) -> tuple:
     """The loop's record, long enough for everything, and unseen motions; made once a machine."""
     if ("few", machine) not in memory:
         fast = LocalLoops(loop_problem(recipe, recipe.motion.speed))
-        slow = LocalLoops(loop_problem(recipe, recipe.validate.speed))
-        loop = found_loop(loops, machine, "sub-region", fast)
-        motions = random_loops(slow, _MOTIONS, np.random.default_rng([machine, 21]))
-        near = [record(plant(recipe.robot, machine), [motion]) for motion in motions]
+        loop = found_loop(recipe, machine, "sub-region", fast, loops)
+        near = [record(plant(recipe.robot, machine), [motion]) for motion in unseen_motions(recipe, machine)]
         memory["few", machine] = repeated(plant(recipe.robot, machine), loop, max(LONG)), near
     return memory["few", machine]
 

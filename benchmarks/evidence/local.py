@@ -16,7 +16,7 @@ from agent.recording import Log
 from agent.robot import KinematicsError
 from benchmarks.evidence.emulation import WORLDS, effects, plant, record, repeated, true_parameters
 from benchmarks.evidence.judging import error, figures, intervals
-from benchmarks.evidence.loops import GlobalLoops, LocalLoops, found_loop, random_loops
+from benchmarks.evidence.loops import GlobalLoops, LocalLoops, found_loop, random_loops, unseen_motions
 from benchmarks.evidence.results import Results
 
 #: Seconds of motion that a calibration gets.
@@ -26,7 +26,7 @@ DISTANCES = (0.0, 0.2, 0.4, 0.6)
 #: Of the joints' speeds, of motions over the whole workspace.
 OVERRIDE = 0.4
 _AWAY_SPEED = 0.25  # m/s
-_NEAR, _FAR, _AWAY = 2, 1, 1  # motions: in the sub-region, over the whole workspace, at each distance
+_FAR, _AWAY = 1, 1  # motions over the whole workspace, and at each distance
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +45,12 @@ class Place:
             "sub-region": LocalLoops(fast),
             "workspace": GlobalLoops(fast, OVERRIDE),
         }
-        return {name: found_loop(self.loops, self.machine, name, loops) for name, loops in ways.items()}
+        return {name: found_loop(self.recipe, self.machine, name, loops, self.loops) for name, loops in ways.items()}
 
     @cached_property
     def near(self) -> list[Trajectory]:
         """Random motions in the sub-region at the speed of validation."""
-        slow = LocalLoops(loop_problem(self.recipe, self.recipe.validate.speed))
-        return random_loops(slow, _NEAR, np.random.default_rng([self.machine, 21]))
+        return unseen_motions(self.recipe, self.machine)
 
     @cached_property
     def far(self) -> list[Trajectory]:

@@ -17,6 +17,7 @@ from benchmarks.evidence.section import PageSection
 from benchmarks.evidence.statistics import each, mean_of, ratio_of, text, verdict
 
 LOCAL, GLOBAL = "sub-region", "workspace"
+_ENOUGH = 90.0  # % of samples, of 95 % intervals
 _FIRST, _LAST = slice(0, 3), slice(3, None)
 
 
@@ -71,6 +72,11 @@ def _errors(part: PageSection, worlds: dict, pictures: Path) -> None:
             ]
         )
         found[world] = ratios["all"]
+        if covered[0] < _ENOUGH:
+            part.weak.append(
+                f"{world}: 95 % intervals of a local calibration cover {covered[0]:.0f} % of the samples in motion, of "
+                f"a global one {covered[1]:.0f} %; they know nothing of what the model has no term for"
+            )
         if verdict(ratios["all"]) != "better":
             what = "worse than" if verdict(ratios["all"]) == "worse" else "not shown to be better than"
             part.weak.append(
@@ -116,9 +122,9 @@ def _branches(part: PageSection, worlds: dict, loops: Results, recipe: Recipe) -
         )
     part.say(
         f"Of the {len(away)} loops in the sub-region {len(flipped)} run with the wrist on its other branch (joint 4 "
-        "half a turn away, joint 5 of the other sign): at its first point that branch is the nearer one, which the search "
-        "is free to choose and random motions hardly ever meet. The motions that judge are on the usual branch. Ratio "
-        "by machines whose loop is on the branch of the work, and on the other (machines):"
+        "half a turn away, joint 5 of the other sign): at its first point that branch is the nearer one, which the "
+        "search is free to choose and random motions hardly ever meet. The motions that judge are on the usual branch. "
+        "Ratio by machines whose loop is on the branch of the work, and on the other (machines):"
     )
     part.table(["world", "same branch", "other branch"], rows)
     part.weak.append(

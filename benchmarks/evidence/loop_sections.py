@@ -26,10 +26,10 @@ def criteria(results: Results, pictures: Path) -> PageSection:
     part.say(
         "Equal genetic searches, each with one thing changed from the default (log det of HᵀH/M with rows weighted by "
         f"nominal torque, 6 points, FLY, 1 m/s). Models of {_SHORT} and {_LONG} s of each loop on the emulator's "
-        "machine as it is. Ratios are over the default; interval width is what the parameters' uncertainty has in the 95 % "
-        "interval of a prediction. Inverse torque is the metric of the paper's eq. 8; learned noise is what a first "
-        "fit leaves of each joint; A, E and the condition number are of columns scaled to the size that they have over the "
-        "arm's range."
+        "machine as it is. Ratios are over the default; interval width is what the parameters' uncertainty has in the "
+        "95 % interval of a prediction. Inverse torque is the metric of the paper's eq. 8; learned noise is what a "
+        "first fit leaves of each joint; A, E and the condition number are of columns scaled to the size that they "
+        "have over the arm's range."
     )
     rows, picture = [], {}
     for name, lines in kept.items():

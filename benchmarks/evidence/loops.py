@@ -12,11 +12,11 @@ from agent.excitation import Candidates, Criterion, Loop, LoopProblem, LoopScore
 from agent.excitation.criterion import log_determinant
 from agent.excitation.genetic import genetic
 from agent.motion import JointTarget, Move, MoveType, Termination, Trajectory, create_interpolator
+from agent.pipeline.planning import loop_problem
+from agent.recipe import Recipe
 from agent.robot import RobotDescription
 from benchmarks.evidence.results import Results
 
-#: Of the searches that loops are compared by: candidates a generation, generations.
-POPULATION, GENERATIONS = 20, 20
 #: Seeds of the machines start here: none that was looked at while the agent was made.
 FIRST_MACHINE = 501
 #: A loop depends on no machine (but for learned noise): so many searches are made, and machines take them in turn.
@@ -142,15 +142,21 @@ class Search:
         return found
 
 
-def found_loop(kept: Results, machine: int, setting: str, candidates: Candidates) -> Trajectory:
-    """The set-points of the best loop for a setting, searched for unless `kept` has it."""
+def found_loop(recipe: Recipe, machine: int, setting: str, candidates: Candidates, kept: Results) -> Trajectory:
+    """The set-points of the best loop for a setting, by a genetic search of the recipe's size unless `kept` has it."""
     seed = FIRST_MACHINE + (machine - FIRST_MACHINE) % SEARCHES
     found = kept.get(seed, setting)
     if found is None:
         started = time.process_time()
-        found = Search(candidates).run(genetic, POPULATION, GENERATIONS, seed).best()
+        found = Search(candidates).run(genetic, recipe.search.population, recipe.search.generations, seed).best()
         kept.keep(seed, setting, found, time.process_time() - started)
     return candidates.loop(np.array(found["genome"])).trajectory
+
+
+def unseen_motions(recipe: Recipe, machine: int) -> list[Trajectory]:
+    """What judges a machine's models: as many random motions in the sub-region as the recipe validates by, as fast."""
+    slow = LocalLoops(loop_problem(recipe, recipe.validate.speed))
+    return random_loops(slow, recipe.validate.motions, np.random.default_rng([machine, 21]))
 
 
 def random_loops(candidates: Candidates, count: int, rng: np.random.Generator) -> list[Trajectory]:
