@@ -35,11 +35,12 @@ DEFAULT = "torque-weighted D"
 
 @dataclass(frozen=True)
 class Setting:
-    """How a loop is searched: its criterion by robot and joint noise (n,), number of points, speed [m/s]."""
+    """How a loop is searched: its criterion by recipe and joint noise (n,), number of points, speed [m/s]; the recipe's
+    own where None."""
 
     criterion: Callable[[Recipe, np.ndarray], Criterion] | None = None
-    points: int = 6
-    speed: float = 1.0
+    points: int | None = None
+    speed: float | None = None
     stops: bool = False
     noise: bool = False
 
@@ -99,9 +100,9 @@ def _kept_as(name: str) -> str:
 
 
 def _candidates(recipe: Recipe, setting: Setting, noise: np.ndarray) -> Candidates:
-    problem = loop_problem(recipe, setting.speed)
+    problem = loop_problem(recipe, setting.speed or recipe.motion.speed)
     via = recipe.motion.via_points
-    if setting.points != via.count:
+    if setting.points is not None:
         box = ViaRegions.from_box(setting.points, via.box.centre, via.box.size, via.box.orientation, via.box.cone)
         problem = replace(problem, regions=box)
     kind = StoppingLoops if setting.stops else LocalLoops

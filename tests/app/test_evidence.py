@@ -1,0 +1,78 @@
+"""The benchmark behind docs/evidence.md: a small piece of it, what is resumed, and the page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.robot import Dynamics, load_robot
+from benchmarks.evidence import __main__ as evidence
+from benchmarks.evidence.few_data import wrong_urdf
+from benchmarks.evidence.results import Results
+from benchmarks.evidence.statistics import ratio_of
+
+DEFAULT = "torque-weighted D"
+
+
+@pytest.fixture
+def recipe(tmp_path: Path) -> Path:
+    text = evidence.RECIPE.read_text("utf-8")
+    small = text.replace("population: 20, generations: 20", "population: 4, generations: 1").replace(
+        "motions: 2", "motions: 1"
+    )
+    path = tmp_path / "recipe.yaml"
+    path.write_text(small.replace("count: 6", "count: 5"), "utf-8")
+    return path
+
+
+def test_a_line_of_a_piece_and_a_page_of_what_is_there(tmp_path: Path, recipe: Path, capsys):
+    given = ["--folder", str(tmp_path / "results"), "--recipe", str(recipe)]
+    evidence.main([*given, "run", "criteria", "--machines", "1", "--minutes", "0"])
+    assert "13 left" in capsys.readouterr().err
+    (line,) = (tmp_path / "results/criteria.jsonl").read_text("utf-8").splitlines()
+    entry = json.loads(line)
+    assert (entry["machine"], entry["setting"]) == (501, DEFAULT)
+    for seconds in ("10", "30"):
+        found = entry["values"][seconds]
+        assert 0.1 < np.mean(found["error"]) < 5.0
+        assert np.mean(found["parameters"]) < np.mean(found["width"])
+    evidence.main([*given, "page", "--docs", str(tmp_path)])
+    page = (tmp_path / "evidence.md").read_text("utf-8")
+    assert f"| {DEFAULT} | 1 |" in page
+    assert page.index("local against global: not run") < page.index("## What a loop is searched for")
+
+
+def test_what_is_there_is_not_computed_again(tmp_path: Path, recipe: Path, monkeypatch):
+    asked = []
+
+    def measure(recipe, machine, setting, loops, memory):
+        asked.append((machine, setting))
+        return {"error": 1.0}
+
+    monkeypatch.setitem(evidence.PIECES, "local", (lambda recipe: ["a", "b"], measure))
+    given = ["--folder", str(tmp_path), "--recipe", str(recipe), "run", "local", "--machines"]
+    evidence.main([*given, "1"])
+    file = tmp_path / "local.jsonl"
+    file.write_text(file.read_text("utf-8")[:-9], "utf-8")  # killed while it wrote
+    evidence.main([*given, "2"])
+    assert asked == [(501, "a"), (501, "b"), (501, "b"), (502, "a"), (502, "b")]
+    assert len(Results(tmp_path, "local")) == 4
+
+
+def test_a_wrong_urdf_is_wrong_by_what_it_says():
+    robot = load_robot("comau_ns16")
+    own = Dynamics(robot).standard_parameters() * 1.1
+    assert Dynamics(wrong_urdf(robot, own, 0.0, 1)).standard_parameters() == pytest.approx(own, abs=1e-9)
+    wrong = Dynamics(wrong_urdf(robot, own, 0.25, 1)).standard_parameters()
+    masses = wrong[::10] / own[::10]
+    assert np.all(np.abs(masses - 1) <= 0.25)
+    assert np.abs(masses - 1).max() > 0.1
+
+
+def test_a_ratio_is_compared_in_pairs():
+    wide = {machine: float(machine) for machine in range(1, 11)}
+    ratio, low, high = ratio_of({machine: 0.5 * error for machine, error in wide.items()}, wide)
+    assert (ratio, low, high) == pytest.approx((0.5, 0.5, 0.5))
