@@ -15,6 +15,7 @@ from benchmarks.evidence.loops import FIRST_MACHINE, SEARCHES, LocalLoops
 from benchmarks.evidence.results import Results
 from benchmarks.evidence.section import PageSection
 from benchmarks.evidence.statistics import each, mean_of, ratio_of, text, verdict
+from fake_controller.actuation.machine import COULOMB
 
 LOCAL, GLOBAL = "sub-region", "workspace"
 _ENOUGH = 90.0  # % of samples, of 95 % intervals
@@ -39,7 +40,7 @@ def section(results: Results, loops: Results, recipe: Recipe, pictures: Path) ->
     _branches(part, worlds, loops, recipe)
     _outside(part, worlds, pictures)
     _seconds(part, worlds)
-    _axes(part, worlds, pictures)
+    _axes(part, worlds, recipe, pictures)
     part.say("The worlds:", "", *(f"- **{name}**: {what}" for name, what in WORLDS.items()))
     return part
 
@@ -187,30 +188,29 @@ def _seconds(part: PageSection, worlds: dict) -> None:
     part.table(["world", *heads, "local first", "global first"], rows)
 
 
-def _axes(part: PageSection, worlds: dict, pictures: Path) -> None:
+def _axes(part: PageSection, worlds: dict, recipe: Recipe, pictures: Path) -> None:
     world = next(iter(worlds))
     lines = worlds[world]
     part.say(
         "### The last three axes, and why",
         "",
         "By axis, local calibration, machine as it is: error of "
-        "all samples, of samples in which the joint moves, in which it rests; what the bodies' parameters alone get "
-        "wrong; and RMS torque, all in percent of nominal torque.",
+        "all samples, of samples in which the joint moves, in which it rests, and the share of those; what the bodies' "
+        "parameters alone get wrong; RMS torque and the type's Coulomb friction. In percent of nominal torque but for "
+        "the share and the last row.",
     )
-    names = {
-        "error": "error",
-        "moving": "moving",
-        "resting": "resting",
-        "bodies": "bodies' part",
-        "torque": "torque",
-        "relative": "error over torque",
-    }
-    table = {key: np.nanmean([v[LOCAL]["near"][key] for v in lines.values()], axis=0) for key in names}
+    figures_of = [values[LOCAL]["near"] for values in lines.values()]
+    table = {key: np.nanmean([near[key] for near in figures_of], axis=0) for key in figures_of[0]}
+    table["share at rest"] = np.mean([_share_at_rest(near) for near in figures_of], axis=0)
+    if recipe.robot.name in COULOMB:
+        table["Coulomb friction"] = 100 * np.array(COULOMB[recipe.robot.name]) / recipe.robot.nominal_torque
+    names = {"relative": "error over torque", "bodies": "bodies' part"}
+    order = ("error", "moving", "resting", "share at rest", "bodies", "torque", "Coulomb friction", "relative")
     part.table(
-        ["", *(f"J{k + 1}" for k in range(len(table["error"])))],
-        [[what, *(f"{value:.2f}" for value in table[key])] for key, what in names.items()],
+        ["", *(f"J{k + 1}" for k in range(recipe.robot.dof))],
+        [[names.get(key, key), *(f"{value:.2f}" for value in table[key])] for key in order if key in table],
     )
-    groups = {key: (np.nanmean(table[key][_FIRST]), np.nanmean(table[key][_LAST])) for key in names}
+    groups = {key: (np.nanmean(table[key][_FIRST]), np.nanmean(table[key][_LAST])) for key in order[:5]}
     part.say(
         f"Joints 4 to 6 have {groups['error'][1]:.2f} % against {groups['error'][0]:.2f} % of joints 1 to 3. In motion "
         f"it is {groups['moving'][1]:.2f} against {groups['moving'][0]:.2f} %, at rest {groups['resting'][1]:.2f} "
@@ -219,8 +219,14 @@ def _axes(part: PageSection, worlds: dict, pictures: Path) -> None:
     )
     figures.bars(
         pictures / "axes.svg",
-        [f"J{k + 1}" for k in range(len(table["error"]))],
-        {names[key]: table[key].tolist() for key in ("error", "moving", "resting", "bodies")},
+        [f"J{k + 1}" for k in range(recipe.robot.dof)],
+        {names.get(key, key): table[key].tolist() for key in ("error", "moving", "resting", "bodies")},
         "% of nominal torque",
     )
     part.picture("axes", "Error by axis, in motion and at rest")
+
+
+def _share_at_rest(near: dict) -> np.ndarray:
+    """(n,) [%] of the samples, from e² = (1 - s) moving² + s resting²."""
+    error, moving, resting = (np.array(near[key]) ** 2 for key in ("error", "moving", "resting"))
+    return 100 * np.nan_to_num((error - moving) / (resting - moving)).clip(0.0, 1.0)

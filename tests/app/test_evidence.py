@@ -20,11 +20,15 @@ DEFAULT = "torque-weighted D"
 @pytest.fixture
 def recipe(tmp_path: Path) -> Path:
     text = evidence.RECIPE.read_text("utf-8")
-    small = text.replace("population: 20, generations: 20", "population: 4, generations: 1").replace(
-        "motions: 2", "motions: 1"
-    )
+    for usual, small in (
+        ("population: 20, generations: 20", "population: 4, generations: 1"),
+        ("motions: 2, speed: 0.1 m/s", "motions: 1, speed: 0.5 m/s"),
+        ("count: 6", "count: 5"),
+    ):
+        assert usual in text
+        text = text.replace(usual, small)
     path = tmp_path / "recipe.yaml"
-    path.write_text(small.replace("count: 6", "count: 5"), "utf-8")
+    path.write_text(text, "utf-8")
     return path
 
 
