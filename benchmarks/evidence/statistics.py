@@ -30,8 +30,8 @@ def _interval(first: np.ndarray, second: np.ndarray) -> tuple[float, float, floa
 
 
 def each(lines: Mapping[int, Any], pick: Callable[[Any], Any], joints: slice = slice(None)) -> dict[int, float]:
-    """By machine: the mean over `joints` of what is picked of its values."""
-    return {machine: float(np.mean(np.asarray(pick(values))[joints])) for machine, values in lines.items()}
+    """By machine: the mean over `joints` of what is picked of its values, one number or (n,)."""
+    return {machine: float(np.mean(np.atleast_1d(pick(values))[joints])) for machine, values in lines.items()}
 
 
 def text(found: tuple[float, float, float], digits: int = 2) -> str:
