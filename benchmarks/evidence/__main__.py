@@ -1,8 +1,12 @@
-"""`python -m benchmarks.evidence run PIECE [--machines N] [--minutes M]`, `… page`: see docs/evidence.md."""
+"""`python -m benchmarks.evidence run PIECE [--machines N] [--minutes M] [--workers N]`, `… page`.
+
+A worker takes a machine at a time and writes its lines itself, so all workers have to see the folder of the results.
+"""
 
 from __future__ import annotations
 
 import argparse
+import functools
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -10,6 +14,7 @@ from pathlib import Path
 
 from agent.excitation import one_blas_thread
 from agent.recipe import Recipe, load_recipe
+from benchmarks import workers
 from benchmarks.evidence import criteria, few_data, local, page, search
 from benchmarks.evidence.loops import FIRST_MACHINE
 from benchmarks.evidence.results import FOLDER, ROOT, Results
@@ -24,17 +29,15 @@ PIECES: dict[str, tuple[Callable, Callable]] = {
 }
 
 
-def run(piece: str, machines: int, minutes: float, folder: Path, recipe: Recipe) -> int:
-    """Compute what is missing of a piece, machine by machine; how much is left. After so many minutes nothing new is
-    started, but something always is."""
+def complete(machine: int, piece: str, folder: Path, recipe: Recipe, end: float) -> int:
+    """Compute what is missing of a machine in a piece, and keep it; how many lines are left. At `end`, a time [s] as of
+    `time.time`, nothing new is started."""
     results, loops = Results(folder, piece), Results(folder, "loops")
     settings, measure = PIECES[piece]
     memory: dict = {}
-    wanted = [(m, s) for m in range(FIRST_MACHINE, FIRST_MACHINE + machines) for s in settings(recipe)]
-    missing = [(machine, setting) for machine, setting in wanted if results.get(machine, setting) is None]
-    end = time.monotonic() + 60 * minutes
-    for done, (machine, setting) in enumerate(missing):
-        if done and time.monotonic() > end:
+    missing = [setting for setting in settings(recipe) if results.get(machine, setting) is None]
+    for done, setting in enumerate(missing):
+        if time.time() > end:
             return len(missing) - done
         started = time.process_time()
         with one_blas_thread():
@@ -55,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     of_run.add_argument("piece", choices=PIECES)
     of_run.add_argument("--machines", type=int, default=10)
     of_run.add_argument("--minutes", type=float, default=10.0, help="start nothing new after so long (default: 10)")
+    workers.add_options(of_run)
     of_page = commands.add_parser("page", help="write the page from the results that are there")
     of_page.add_argument("--docs", type=Path, default=ROOT / "docs")
     chosen = parser.parse_args(arguments)
@@ -62,7 +66,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if chosen.command == "page":
         print(page.write(chosen.folder, chosen.docs, recipe, PIECES))
         return
-    left = run(chosen.piece, chosen.machines, chosen.minutes, chosen.folder, recipe)
+    folder, end = chosen.folder.absolute(), time.time() + 60 * chosen.minutes
+    work = functools.partial(complete, piece=chosen.piece, folder=folder, recipe=recipe, end=end)
+    machines = range(FIRST_MACHINE, FIRST_MACHINE + chosen.machines)
+    left = sum(workers.worked(work, machines, chosen))
     print(f"{left} left; the same command goes on" if left else "complete", file=sys.stderr)
 
 

@@ -27,7 +27,7 @@ python -m benchmarks.evidence page
 ```
 
 Every machine and setting is a line of `build/evidence/PIECE.jsonl`. A command starts nothing new after ten minutes
-(`--minutes`); the same command goes on where it stopped, and with more `--machines` it adds to what is there. Machines
+(`--minutes`) and takes `--workers 2`; the same goes on where it stopped, and with more `--machines` it adds. Machines
 are drawn from seeds {first} on, which nothing else here uses. {loops} searches of each setting are made and machines
 take their loops in turn: how much loops differ is in the intervals, but only for so many.
 """
