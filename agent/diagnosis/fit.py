@@ -19,7 +19,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.diagnosis.candidate import Candidate, Fold, HeldOutScore, Wanted, make_candidates
+from agent.diagnosis.candidate import Candidate, Fold, HeldOutScore, Wanted, Where, make_candidates
+from agent.diagnosis.isolability import plausible
 from agent.diagnosis.moments import FitMoments
 from agent.model import Effect, MotionSignals, NominalModel
 
@@ -247,6 +248,26 @@ class Fit:
     def score(self, candidates: Sequence[Candidate]) -> list[HeldOutScore]:
         """Held-out score of each candidate added to the model and the chosen effects."""
         return [self._score(candidate, *moments) for candidate, moments in self.moments(candidates)]
+
+    def promising(self, candidates: Sequence[Candidate], each: int) -> list[Candidate]:
+        """Of every place the `each` candidates that gain most where nothing is held out, possible ones first.
+
+        Of every number of parameters so many: only where these are as many does such a gain compare.
+        """
+        alike: dict[tuple[Where, int], list[tuple[bool, float, int]]] = {}
+        inverse, alone = self.solve(np.ones(self.cells, dtype=bool))
+        for number, (candidate, (cross, own)) in enumerate(self.moments(candidates)):
+            b, energy = cross.sum(axis=0) / self.repeat, own.sum(axis=0)
+            side = b[-1] - b[:-1].T @ alone
+            schur = energy / self.repeat - b[:-1].T @ inverse @ b[:-1]
+            schur += self.ridge(candidate, np.maximum(energy.diagonal(), 1e-9))
+            scale = 1 / np.sqrt(np.maximum(schur.diagonal(), 1e-300))
+            matrix = schur * np.outer(scale, scale) + 1e-9 * np.eye(len(side))
+            values = scale * np.linalg.solve(matrix, scale * side)
+            possible = plausible(HeldOutScore(candidate, 0.0, 0.0, values))
+            alike.setdefault((candidate.place, len(values)), []).append((possible, float(side @ values), number))
+        kept = {number for found in alike.values() for *_, number in sorted(found, reverse=True)[:each]}
+        return [candidate for number, candidate in enumerate(candidates) if number in kept]
 
     def moments(self, candidates: Sequence[Candidate]) -> Iterator[tuple[Candidate, tuple[np.ndarray, np.ndarray]]]:
         """Per candidate: moments (cells, size + 1, k) with model, chosen effects and residual, and its own."""

@@ -35,6 +35,7 @@ class FitMoments:
                 self.gram[number][np.ix_(place, place)] += block[part].T @ block[part]
         self.count = np.array([part.stop - part.start for part in self._slices]) * len(rows)
         self._known: dict[Candidate, tuple[np.ndarray, np.ndarray]] = {}
+        self._both: dict[tuple[Candidate, Candidate], np.ndarray] = {}
 
     def of(self, candidates: Sequence[Candidate]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Per candidate its moments (cells, p + 1, k) with columns and residual, and its own (cells, k, k); kept."""
@@ -44,12 +45,15 @@ class FitMoments:
         return [self._known[c] for c in candidates]
 
     def between(self, first: Candidate, second: Candidate) -> np.ndarray:
-        """(cells, k, l) moments of two candidates with each other."""
+        """(cells, k, l) moments of two candidates with each other; kept."""
+        if (first, second) in self._both:
+            return self._both[first, second]
         total = np.zeros((self.cells, len(first.names), len(second.names)))
         for joint in first.blocks.keys() & second.blocks.keys():
             a, b = first.blocks[joint][self._order], second.blocks[joint][self._order]
             for cell, part in enumerate(self._slices):
                 total[cell] += a[part].T @ b[part]
+        self._both[first, second] = total
         return total
 
     def _work_out(self, some: Sequence[Candidate]) -> None:

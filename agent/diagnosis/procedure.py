@@ -19,6 +19,8 @@ from agent.diagnosis.standstill import at_rest
 from agent.diagnosis.verdict import abstained, named
 from agent.model import CATALOGUE
 
+_SCORED = 3  # of the forms of an effect at a place, held out: those that gain most where nothing is
+
 
 class Search:
     """A catalogue tried on a fit; `given`: to a model from elsewhere, whose error without an effect is known."""
@@ -109,7 +111,7 @@ class Search:
             pool = self.tried = new
         else:
             pool = [c for c in self.pool if c.place not in taken] + new
-        best = best_by_place(fit.score(pool))
+        best = best_by_place(fit.score(fit.promising(pool, _SCORED)))
         if fixed:
             self._progress(f"what {len(self.tried)} forms gain by chance")
             self.null = null_gains(fit, self.tried, self.limits)

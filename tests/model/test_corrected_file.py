@@ -217,6 +217,18 @@ CASES = {
         coulomb=0.2,
         transmission=-0.9,
     ),
+    "wrist_coupling, rubbing besides": entry(
+        "wrist_coupling",
+        "lift",
+        "turn",
+        ratio=1.3,
+        besides=1,
+        turning=1,
+        rotor=0.1,
+        share=0.9,
+        viscous=0.3,
+        coulomb=0.2,
+    ),
     "torque_constant": entry("torque_constant", "pan", scale_error=0.07),
     "torque_offset": entry("torque_offset", "turn", offset=0.3),
 }

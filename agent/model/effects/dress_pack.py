@@ -66,7 +66,11 @@ class DressPack(Effect):
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         q = signals.q[:, joints[0]]
         if "low" in settings:
-            parts = _curve(q, settings["low"], settings["high"])
+            known = signals.__dict__.setdefault("_curves", {})
+            place = (joints[0], settings["low"], settings["high"])
+            if place not in known:
+                known[place] = _curve(q, settings["low"], settings["high"])
+            parts = known[place]
         else:
             x = q - settings.get("middle", 0.0)
             parts = [x**power for power in range(4 if "middle" in settings else 2)]

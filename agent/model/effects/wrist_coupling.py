@@ -13,6 +13,7 @@ from agent.robot import RobotDescription
 
 _RATIOS = (0.05, 0.068, 0.09, 0.12, 0.16, 0.22, 0.3, 0.4, 0.55, 0.74, 1.0, 1.4, 2.0)
 _FREE_RATIOS = (0.1, 0.3, 0.6, 1.0, 1.7)
+_RUBBING_RATIOS = (0.07, 0.12, 0.2, 0.33, 0.5, 0.72, 1.0, 1.4, 1.9)
 _REVERSAL = 2e-3  # of the highest speed, where the model's friction reverses over a travel or at once
 
 
@@ -24,6 +25,9 @@ class WristCoupling(Effect):
     the joint side the motor of joint i carries the axle's share too, Δτ_i = r (a (ẇ + r q̈_i) + b F(w + r q̇_i)). On the
     axles' side the load f_j of the axle, without its rotor, reaches axle i unseen: Δf_i = r (a ẇ − b f_j). Where the
     model's friction sits elsewhere, viscous and Coulomb part and that load have factors of their own (`free`).
+
+    A seal or bearing of the coupled shaft rubs at that speed too, c sign(w + r q̇_i) + d (w + r q̇_i) on axle j, and r
+    times that on joint i: though the motors turn as described (`besides`), or where they do not (`turning`, too).
     """
 
     name = "wrist_coupling"
@@ -50,17 +54,22 @@ class WristCoupling(Effect):
             *({"ratio": ratio, "free": 1.0} for ratio in _FREE_RATIOS),
         ]
         sides: tuple[dict[str, float], ...] = ({}, {"axle_side": 1.0})
-        return [
-            {**kind, "ratio": sign * kind["ratio"], **side} for kind in kinds for side in sides for sign in (-1.0, 1.0)
-        ]
+        turning = [{**kind, **side} for kind in kinds for side in sides]
+        rubbing = [{"ratio": ratio, "besides": 1.0} for ratio in _RUBBING_RATIOS]
+        rubbing += [{"ratio": ratio, "besides": 1.0, "turning": 1.0} for ratio in _FREE_RATIOS]
+        return [{**kind, "ratio": sign * kind["ratio"]} for kind in turning + rubbing for sign in (-1.0, 1.0)]
 
     def nearby(self, settings: Mapping[str, float], factor: float) -> list[dict[str, float]]:
         """Several steps each way, as the gain peaks narrowly over the ratio; a free one with the model's friction."""
         tied = {name: value for name, value in settings.items() if name != "free"}
         kinds = [settings, tied] if "free" in settings else [settings]
+        if "besides" in settings:
+            kinds = [settings, {**settings, "turning": 1.0}]
         return [{**kind, "ratio": kind["ratio"] * factor**power} for kind in kinds for power in range(-3, 4)]
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+        if "besides" in settings:
+            return ("viscous", "coulomb", *(("rotor", "share") if "turning" in settings else ()))
         if "free" not in settings:
             return ("rotor", "share")
         return ("rotor", "viscous", "coulomb", *(("transmission",) if "axle_side" in settings else ()))
@@ -68,6 +77,14 @@ class WristCoupling(Effect):
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         i, j = joints
         ratio = settings["ratio"]
+        if "besides" in settings:
+            rubbing = _friction(signals, j, i, ratio, free=True)
+            shares = signals.reference.coupling[j] + ratio * np.eye(len(signals.reference.coupling))[i]
+            found = {int(k): shares[k] * rubbing for k in np.flatnonzero(shares)}
+            if "turning" not in settings:
+                return found
+            motor, none = self.columns(signals, joints, {"ratio": ratio}), np.zeros_like(rubbing)
+            return {k: np.hstack([found.get(k, none), motor.get(k, none)]) for k in found.keys() | motor.keys()}
         alone, turned = (_friction(signals, j, i, part, "free" in settings) for part in (0.0, ratio))
         coupling = signals.reference.coupling
         acceleration = signals.qdd @ coupling[j]
@@ -87,6 +104,9 @@ class WristCoupling(Effect):
         return {int(k): coupling[j, k] * more + carriers[k] * ratio * carried for k in felt}
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+        if "besides" in settings:
+            rubs = values["coulomb"] > 0 or values["viscous"] > 0
+            return rubs and values.get("rotor", 1.0) > 0 and 0.3 < values.get("share", 1.0) < 1.7
         return values["rotor"] > 0 and 0.3 < values.get("share", 1.0) < 1.7 and values.get("transmission", -1.0) < 0
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:

@@ -189,6 +189,13 @@ class Effects:
             return np.asarray(p["share"] * (COULOMB[j] * self._slide(j, w) + VISCOUS[j] * w))
 
         felt = np.zeros_like(qd)
+        if "besides" in p:
+            rubbing = p["viscous"] * speed + p["coulomb"] * self._slide(j, speed)
+            felt[..., j], felt[..., i] = rubbing, ratio * rubbing
+            if "turning" in p:
+                tied = {"ratio": ratio, "rotor": p["rotor"], "share": p["share"]}
+                felt = felt + self._coupled(i, j, tied, qd, qdd, load)
+            return felt
         felt[..., j] = p["rotor"] * ratio * qdd[..., i] + friction(speed) - friction(qd[..., j])
         if "axle_side" in p:
             share = p["transmission"] if free else -p["share"]
