@@ -17,7 +17,7 @@ def error_text(share: float | None, torque: float | None, unit: str = "N·m", di
 def plus_minus(value: float, half: float) -> str:
     """A value with half of its interval, to two digits of the latter: "4.003 ± 0.021"; four digits without one."""
     if not math.isfinite(half) or half <= 0:
-        return f"{value:.4g}"
+        return f"{value:.4g}" if not 1e4 <= abs(value) < 1e6 else f"{float(f'{value:.4g}'):.0f}"
     size = max(abs(value), half)
     if size >= 1e6 or size < 1e-3:
         power = math.floor(math.log10(size))

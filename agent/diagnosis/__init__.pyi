@@ -21,6 +21,7 @@ from .randomisation import Range as Range, ranges as ranges, ranges_text as rang
 from .regimes import BANDS as BANDS, band_shares as band_shares, masks as masks, motor_phase_share as motor_phase_share
 from .result import Diagnosis as Diagnosis
 from .sizes import (
+    amplitude as amplitude,
     intervals as intervals,
     leading_parameter as leading_parameter,
     reported_parameters as reported_parameters,

@@ -119,7 +119,7 @@ class DiagnosisResult:
     next_experiment: NextExperiment | None
     folds: tuple[FoldNames, ...]
     warnings: tuple[str, ...]
-    #: Only of a simulator's file, and where it has a gap.
+    #: Where there is a gap in torque, and steps that close it.
     waterfall: tuple[WaterfallStep, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:

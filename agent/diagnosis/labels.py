@@ -43,19 +43,18 @@ def name(effect: str) -> str:
     return effect.replace("_", " ")
 
 
-def confidence_phrase(verdict: str, probability: float) -> str:
+def confidence_phrase(probability: float) -> str:
     """What to put before the first cause."""
-    if verdict == "ambiguous":
-        return "one of several, first"
     return "most likely" if probability >= 0.7 else "perhaps"
 
 
-def closes(cause: Mapping[str, Any]) -> str:
-    """What a cause closes of which gap; empty where that cannot be said."""
+def closes(cause: Mapping[str, Any], whole: float | None = None) -> str:
+    """What a cause closes of which gap, no more than all causes close (`whole`); empty where that cannot be said."""
     if cause["closure"] is None:
         return ""
-    part = "all" if cause["closure"] > 0.995 else f"{100 * cause['closure']:.0f} %"
-    if 0 <= cause["closure"] < 0.005:  # on a joint that turns with little torque, beside others
+    closure = cause["closure"] if whole is None else min(cause["closure"], whole)
+    part = "all" if closure > 0.995 else f"{100 * closure:.0f} %"
+    if 0 <= closure < 0.005:  # on a joint that turns with little torque, beside others
         part = "less than 1 %"
     if in_torque(cause):
         return f"closes {part} of the gap"

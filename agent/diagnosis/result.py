@@ -98,6 +98,8 @@ def build(
             named = causes_of_steps(calibrated, steps, gap.closure)
             kept = settle("explained", named, gap.closure, dataset.limits)
             verdict, causes = kept if kept[1] else (verdict, causes)
+    elif causes and finding.causes:
+        steps = waterfall(ReleasedSimulator(dataset, dataset, ()), finding, gap)
     answer = DiagnosisResult(
         verdict,
         TorqueGap(

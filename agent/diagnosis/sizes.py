@@ -14,7 +14,7 @@ from agent.model import CATALOGUE
 #: What a cause is called large by, in the order of preference.
 _LEADING = (
     "mass", "rise", "coulomb_change", "viscous_change", "coulomb_asymmetry", "viscous_asymmetry", "coefficient", "bend",
-    "level", "stiffness", "gap", "delay", "scale_error", "offset", "ratio", "tilt_1", "tilt_2", "force_x", "force_y",
+    "level", "gap", "stiffness", "delay", "scale_error", "offset", "ratio", "tilt_1", "tilt_2", "force_x", "force_y",
     "force_z", "shift", "m", "cosine_1", "sine_1", "constant", "hysteresis",
 )  # fmt: skip
 #: Units by name, or by what stands before the first underscore, where the effect itself does not say them.
@@ -54,7 +54,25 @@ def size_text(
         value, half = scale * value, scale * half
     if slides:
         unit = unit.replace("N·m", "N").replace("rad", "m")
-    return f"{plus_minus(value, half)} {unit}".rstrip()
+    sign = "+" if value > 0 and parameter.endswith("_change") else ""
+    return f"{sign}{plus_minus(value, half)} {unit}".rstrip()
+
+
+def amplitude(
+    parameters: Mapping[str, float], intervals: Mapping[str, tuple[float, float]]
+) -> tuple[float, tuple[float, float] | None] | None:
+    """Of a cause that is a sum of harmonics, the amplitude of the first, with its interval where both parts have one;
+    None of any other."""
+    names = ("cosine_1", "sine_1")
+    if not all(name in parameters for name in names):
+        return None
+    parts = np.array([parameters[name] for name in names])
+    size = float(np.linalg.norm(parts))
+    if size == 0 or not all(name in intervals for name in names):
+        return size, None
+    halves = np.array([intervals[name][1] - intervals[name][0] for name in names]) / 2
+    half = float(np.linalg.norm(parts * halves)) / size
+    return size, (size - half, size + half)
 
 
 def reported_parameters(cause: Mapping[str, Any]) -> list[str]:

@@ -16,7 +16,7 @@ def diagnosis_text(result: dict[str, Any]) -> str:
     lines = [": ".join(part for part in (verdict.replace("_", " "), VERDICTS[verdict]) if part)]
     for cause in result["causes"]:
         joints = ", ".join(cause["joints"]) or "the whole arm"
-        closed = f", {closes(cause)}" if closes(cause) else ""
+        closed = f", {closes(cause, result['closure'])}" if closes(cause) else ""
         lines.append(f"  {cause['effect']} on {joints}{closed}, probability {cause['probability']:.2f}")
         sizes = (
             f"{key} {size_text(cause['effect'], key, cause['parameters'][key], None)}"
@@ -63,7 +63,7 @@ def _waterfall_lines(steps: Sequence[dict[str, Any]]) -> Iterator[str]:
     """A bar for what each step closes of the held-out gap, in the order found."""
     if not steps:
         return
-    yield "what closes the gap of the simulator, in the order found, held out (90 % interval), and alone"
+    yield "what closes the gap, in the order found, held out (90 % interval), and alone"
     width = max(len(entry["step"]) for entry in steps)
     for entry in steps:
         closes, (low, high) = 100 * entry["closes"], entry["interval"]

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from agent.diagnosis import (
-    REGIMES,
     Diagnosis,
     Simulated,
     Step,
@@ -19,12 +18,23 @@ from agent.diagnosis import (
 )
 from agent.model import CATALOGUE
 from agent.report.diagnosis_figures import band_map, before_and_after, regime_map, simulated_torque, timeline
-from agent.report.first_screen import about_diagnosis, headline, parameter_text, sentence, sized
+from agent.report.first_screen import (
+    NOT_TESTABLE,
+    about_diagnosis,
+    headline,
+    parameter_text,
+    sentence,
+    share_text,
+    sized,
+    where_sentences,
+)
 from agent.report.page import NextStep, Page, Section, Table, render
 from agent.report.rounds_section import rounds_sections
-from agent.report.simulator_section import simulator_sections
+from agent.report.simulator_section import simulator_sections, waterfall_parts
 from agent.robot import figure_text
 
+#: Title of the section on candidates that were not named.
+REJECTED = "What was rejected"
 _MOST_STEPS = 8
 _MOST_REJECTED = 12
 _MOST_SCORES = 6
@@ -61,9 +71,9 @@ def diagnosis_report(
 
 def _cause_section(diagnosis: Diagnosis) -> Section:
     result = diagnosis.result
-    text = [sentence for cause in result["causes"] for sentence in _about_cause(cause)]
+    text = [sentence for cause in result["causes"] for sentence in _about_cause(cause, result["closure"])]
     if result["verdict"] == "unknown":
-        text += [f"{sentence}." for sentence in _where_sentences(result)]
+        text.append(f"No effect that was tried closes it; how far the nearest fall short stands under {REJECTED}.")
     if result["next_experiment"] is not None:
         text.append(f"Run next: {result['next_experiment']['motion']}.")
     text += [f"Mind: {warning}." for warning in diagnosis.warnings]
@@ -81,9 +91,9 @@ def _cause_section(diagnosis: Diagnosis) -> Section:
     return Section("What it is", text or ["Nothing to look for."], tables)
 
 
-def _about_cause(cause: Mapping[str, Any]) -> Iterator[str]:
+def _about_cause(cause: Mapping[str, Any], whole: float | None) -> Iterator[str]:
     effect = CATALOGUE[cause["effect"]]
-    closed = f" On motion that it was not fitted to: {closes(cause)}." if closes(cause) else ""
+    closed = f" On motion that it was not fitted to: {closes(cause, whole)}." if closes(cause) else ""
     together = " for it and what cannot be told from it" if cause["equivalent_to"] else ""
     opening = f"{place(cause)}, {name(effect.name)}: {effect.phrase}. "
     yield f"{sentence(opening)}Probability {cause['probability']:.2f}{together}.{closed}"
@@ -102,7 +112,7 @@ def _where_section(diagnosis: Diagnosis) -> Section:
     gap = result["gap"]
     share = {entry["joint"]: entry for entry in result["where"]}
     floor = gap["floor"] or [float("nan")] * len(gap["joints"])
-    shown = _share if torque_gap(result) else lambda _: "-"
+    shown = share_text if torque_gap(result) else lambda _: "-"
     rows = [
         (
             joint,
@@ -111,7 +121,7 @@ def _where_section(diagnosis: Diagnosis) -> Section:
         )
         for k, joint in enumerate(gap["joints"])
     ]
-    text = [f"{sentence}." for sentence in _where_sentences(result)]
+    text = list(where_sentences(result))
     text.append(
         "Errors of torque are root mean squares on motion held out, in % of nominal joint torque where there is one."
     )
@@ -119,25 +129,6 @@ def _where_section(diagnosis: Diagnosis) -> Section:
     rows.sort(key=lambda row: -share[row[0]]["share"])
     parts = (Table("gap", header, rows), regime_map(diagnosis), band_map(diagnosis), timeline(diagnosis))
     return Section("Where it is", text, parts)
-
-
-def _share(entry: Mapping[str, Any]) -> str:
-    text = f"{100 * entry['share']:.0f} %"
-    interval = entry.get("interval")
-    return text if interval is None else f"{text} ({100 * interval[0]:.0f} to {100 * interval[1]:.0f})"
-
-
-def _where_sentences(result: Mapping[str, Any]) -> Iterator[str]:
-    """The joints that carry the gap, each with the regimes in which more of it lies than time is spent there."""
-    if not torque_gap(result):
-        return
-    for entry in result["where"]:
-        if entry["share"] < 0.15:
-            continue
-        marked = [r for r in entry["regimes"] if r["name"] in REGIMES and r["share"] > 1.4 * r["of_samples"]]
-        marked += [r for r in entry["regimes"] if r["name"] == "motor_phase" and r["share"] > 0.3]
-        where = ", ".join(f"{REGIMES[r['name']]} ({_share(r)} of it)" for r in marked[:3])
-        yield f"{entry['joint']} has {_share(entry)} of the gap" + (f", mostly {where}" if where else "")
 
 
 def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Section:
@@ -148,6 +139,10 @@ def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Se
         text.append(f"{part} of the torque gap is closed, counted down to the floor.")
     text += [f"Held out: {fold['held_out']}, fitted on {', '.join(fold['fitted_on'])}." for fold in result["folds"]]
     parts: list[Any] = [before_and_after(diagnosis)]
+    if result.get("waterfall") and diagnosis.calibrated is None:
+        words, *bars = waterfall_parts(result["waterfall"])
+        text.append(words)
+        parts += bars
     motion = result["motion_gap"]
     if diagnosis.motion is not None and diagnosis.motion.notable:
         floor = motion["floor"] or [None] * robot.dof
@@ -191,7 +186,7 @@ def _rejected_section(diagnosis: Diagnosis) -> Section:
     """The candidates of the first scan that were not named, with how far they fell short of the best."""
     finding, names = diagnosis.finding, diagnosis.dataset.robot.joint_names
     if not finding.steps or not finding.steps[0].scores:
-        return Section("What was rejected", ("Nothing was tried: there is nothing to explain.",))
+        return Section(REJECTED, ("Nothing was tried: there is nothing to explain.",))
     first = finding.steps[0]
     named = {candidate.place for candidate in finding.causes}
     rivals = {place for several in finding.rivals for place in several}
@@ -210,7 +205,7 @@ def _rejected_section(diagnosis: Diagnosis) -> Section:
     text = [
         "What each would take away of the error alone, over what the best does. Beside a cause, most of it is gone."
     ]
-    return Section("What was rejected", text, (Table("rejected", ("effect", "where", "of the best", "why"), rows),))
+    return Section(REJECTED, text, (Table("rejected", ("effect", "where", "of the best", "why"), rows),))
 
 
 def _steps_section(diagnosis: Diagnosis) -> Section:
@@ -269,4 +264,4 @@ def _testability_section(diagnosis: Diagnosis) -> Section:
         else "Every effect of the catalogue would have been found at the smallest size that matters."
     ]
     header = ("effect", "where", "why")
-    return Section("Not testable here", text, (Table("not-testable", header, rows),) if rows else ())
+    return Section(NOT_TESTABLE, text, (Table("not-testable", header, rows),) if rows else ())

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
 from agent.core import package_version
 from agent.diagnosis import (
+    REGIMES,
     Diagnosis,
+    amplitude,
     closes,
     confidence_phrase,
     intervals,
@@ -21,8 +23,12 @@ from agent.diagnosis import (
 from agent.model import CATALOGUE
 from agent.recording import machines_of
 from agent.report.page import About, NextStep
-from agent.robot import figure_text
+from agent.robot import SHARE, figure_text
 
+#: Title of the section on what these motions cannot show.
+NOT_TESTABLE = "Not testable here"
+#: Equivalents of a cause that the headline names, at most.
+_MOST_OTHERS = 2
 _HEADLINES = {
     "no_gap": "No gap: model and robot agree within what the model's own prediction error allows.",
     "unknown": "There is a gap, and no effect of the catalogue closes it.",
@@ -35,13 +41,31 @@ def headline(result: Mapping[str, Any], size: str = "") -> str:
         text = _HEADLINES.get(result["verdict"], _HEADLINES["unknown"])
         return text + (f" It is on {worst_joints(result)}." if result["verdict"] == "unknown" else "")
     cause = result["causes"][0]
-    sure = confidence_phrase(result["verdict"], cause["probability"])
     effect = CATALOGUE[cause["effect"]]
-    found = [size, closes(cause), f"probability {cause['probability']:.2f}"]
-    text = f"{place(cause)}: {sure} {name(effect.name)}: {effect.phrase} ({', '.join(part for part in found if part)})."
+    closed, probability = closes(cause, result["closure"]), f"probability {cause['probability']:.2f}"
+    if cause["equivalent_to"]:
+        found = [f"as {name(effect.name)}: {size}" if size else "", closed, f"{probability} together"]
+        text = f"{place(cause)}: {_one_of(cause)}; these logs do not tell which ({_listed(found)})."
+    else:
+        sure = confidence_phrase(cause["probability"])
+        text = f"{place(cause)}: {sure} {name(effect.name)}: {effect.phrase} ({_listed([size, closed, probability])})."
     if not torque_gap(result):
         text += " In torque, model and robot agree."
     return sentence(text)
+
+
+def _listed(parts: Sequence[str]) -> str:
+    return ", ".join(part for part in parts if part)
+
+
+def _one_of(cause: Mapping[str, Any]) -> str:
+    """A cause and what cannot be told from it, with their places where these differ."""
+    others = [
+        name(other["effect"]) + ("" if other["joints"] == cause["joints"] else f" on {place(other)}")
+        for other in cause["equivalent_to"]
+    ]
+    more = [f"{len(others) - _MOST_OTHERS} others"] if len(others) > _MOST_OTHERS + 1 else others[_MOST_OTHERS:]
+    return " or ".join([name(cause["effect"]), *others[:_MOST_OTHERS], *more])
 
 
 def sized(diagnosis: Diagnosis, number: int = 0) -> str:
@@ -50,15 +74,22 @@ def sized(diagnosis: Diagnosis, number: int = 0) -> str:
     key = leading_parameter(causes[number]) if number < len(causes) else None
     if key is None:
         return ""
+    cause, known = causes[number], intervals(diagnosis.finding)
+    swing = amplitude(cause["parameters"], known[number] if number < len(known) else {})
+    if key in ("cosine_1", "sine_1") and swing is not None:
+        return f"amplitude {size_text(cause['effect'], key, *swing, _slides(diagnosis, cause))}"
     return f"{key.rstrip('0123456789').replace('_', ' ').strip()} {parameter_text(diagnosis, number, key)}"
 
 
 def parameter_text(diagnosis: Diagnosis, number: int, key: str) -> str:
-    """A parameter of a cause with interval and unit."""
+    """A parameter of a cause with interval and unit; of one without, two digits."""
     cause = diagnosis.result["causes"][number]
     known = intervals(diagnosis.finding)
     interval = known[number].get(key) if number < len(known) else None
-    return size_text(cause["effect"], key, cause["parameters"][key], interval, _slides(diagnosis, cause))
+    value, about = float(cause["parameters"][key]), ""
+    if interval is None and not value.is_integer():
+        value, about = float(f"{value:.2g}"), "about "
+    return about + size_text(cause["effect"], key, value, interval, _slides(diagnosis, cause))
 
 
 def _slides(diagnosis: Diagnosis, cause: Mapping[str, Any]) -> bool:
@@ -77,6 +108,27 @@ def worst_joints(result: Mapping[str, Any]) -> str:
     return " and ".join(largest or [result["where"][0]["joint"]])
 
 
+def share_text(entry: Mapping[str, Any]) -> str:
+    """A share of the gap, with its interval where that says more."""
+    text = f"{100 * entry['share']:.0f} %"
+    interval = entry.get("interval")
+    within = "" if interval is None else f"{100 * interval[0]:.0f} to {100 * interval[1]:.0f}"
+    return text if within in ("", f"{text[:-2]} to {text[:-2]}") else f"{text} ({within})"
+
+
+def where_sentences(result: Mapping[str, Any]) -> Iterator[str]:
+    """The joints that carry the gap, each with the regimes in which more of it lies than time is spent there."""
+    if not torque_gap(result):
+        return
+    for entry in result["where"]:
+        if entry["share"] < 0.15:
+            continue
+        marked = [r for r in entry["regimes"] if r["name"] in REGIMES and r["share"] > 1.4 * r["of_samples"]]
+        marked += [r for r in entry["regimes"] if r["name"] == "motor_phase" and r["share"] > 0.3]
+        where = ", ".join(f"{REGIMES[r['name']]} ({share_text(r)} of it)" for r in marked[:3])
+        yield f"{entry['joint']} has {share_text(entry)} of the gap" + (f", mostly {where}." if where else ".")
+
+
 def about_diagnosis(diagnosis: Diagnosis, next_steps: Sequence[NextStep]) -> About:
     """What stands on the first screen beside the verdict; `next_steps` are commands that whoever asked can run."""
     dataset = diagnosis.dataset
@@ -91,24 +143,47 @@ def about_diagnosis(diagnosis: Diagnosis, next_steps: Sequence[NextStep]) -> Abo
 def _facts(diagnosis: Diagnosis) -> list[str]:
     result = diagnosis.result
     facts = []
-    worst = result["gap"]["joints"].index(result["where"][0]["joint"])
-    before, after = (
-        figure_text(result["gap"][side][worst], result["gap"]["units"][worst]) for side in ("before", "after")
-    )
+    worst = result["where"][0]["joint"]
     if torque_gap(result):
-        facts.append(
-            f"Torque error of {result['gap']['joints'][worst]} on motion left out: {before}"
-            + (f", {after} with what was found." if result["causes"] else ".")
-        )
+        own = result["causes"][0]["joints"] if result["causes"] else []
+        shown = [worst] if worst in own or len(own) != 1 else [own[0], worst]
+        facts += [f"Torque error of {joint} on motion left out: {_error(result, joint)}." for joint in shown]
     else:
-        facts.append(f"Largest torque error on motion left out: {before}, on {result['gap']['joints'][worst]}.")
+        facts.append(f"Largest torque error on motion left out: {_error(result, worst)}, on {worst}.")
+    if result["verdict"] == "unknown":
+        facts += where_sentences(result)
+    if result["verdict"] == "no_gap":
+        facts.append(_found_if_there(result))
     for number, cause in enumerate(result["causes"][1:], start=1):
         found = ", ".join(part for part in (sized(diagnosis, number), closes(cause)) if part)
         facts.append(sentence(f"{place(cause)} as well: {name(cause['effect'])}" + (f" ({found})." if found else ".")))
     if result["causes"] and result["causes"][0]["equivalent_to"]:
-        others = [f"{name(o['effect'])} on {place(o)}" for o in result["causes"][0]["equivalent_to"]]
-        facts.append(f"These logs cannot tell it from: {'; '.join(others)}.")
+        cause = result["causes"][0]
+        facts += [
+            f"{name(one['effect'])[0].upper()}{name(one['effect'])[1:]}, {place(one)}: "
+            f"{CATALOGUE[one['effect']].phrase}."
+            for one in (cause, *cause["equivalent_to"])
+        ]
     return facts
+
+
+def _error(result: Mapping[str, Any], joint: str) -> str:
+    gap, k = result["gap"], result["gap"]["joints"].index(joint)
+    before, after = (figure_text(gap[side][k], gap["units"][k]) for side in ("before", "after"))
+    if gap["units"][k] == SHARE:
+        before += " of nominal torque"
+    return before + (f", {after} with what was found" if result["causes"] and torque_gap(result) else "")
+
+
+def _found_if_there(result: Mapping[str, Any]) -> str:
+    """How far "no gap" can be trusted: what would have been found."""
+    open_ = {entry["effect"] for entry in result["not_testable"]}
+    usual = "would have been found at the size from which it matters (80 % power)"
+    if not open_:
+        return f"Every effect of the catalogue {usual}."
+    return (
+        f"{len(CATALOGUE) - len(open_)} of {len(CATALOGUE)} effects {usual} on every joint; the rest: {NOT_TESTABLE}."
+    )
 
 
 def _measures(diagnosis: Diagnosis) -> list[NextStep]:

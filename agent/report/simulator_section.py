@@ -1,4 +1,4 @@
-"""A simulator's file on a diagnosis's page: the waterfall, the drift in motion, and ranges for training."""
+"""The waterfall of a diagnosis; and of a simulator's file the drift in motion, and ranges for training."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ def simulator_sections(diagnosis: Diagnosis, forward: Mapping[str, Any] | None =
         return []
     result, sections = diagnosis.result, []
     if result.get("waterfall"):
-        sections.append(_waterfall(result["waterfall"]))
+        text, picture, table = waterfall_parts(result["waterfall"])
+        sections.append(Section("What the simulator gets wrong", (text,), (picture, table)))
     if forward:
         sections.append(_forward(forward))
     found = ranges(diagnosis)
@@ -28,7 +29,8 @@ def simulator_sections(diagnosis: Diagnosis, forward: Mapping[str, Any] | None =
     return sections
 
 
-def _waterfall(steps: Sequence[Mapping[str, Any]]) -> Section:
+def waterfall_parts(steps: Sequence[Mapping[str, Any]]) -> tuple[str, Figure, Table]:
+    """What it says, in words, as bars and as a table."""
     rows = [
         (
             entry["step"],
@@ -38,13 +40,12 @@ def _waterfall(steps: Sequence[Mapping[str, Any]]) -> Section:
         )
         for entry in steps
     ]
-    text = [
+    text = (
         "What closes the gap on motion held out, in the order found, each step beside those before it; with the rest, "
         "the steps sum to the whole gap. Alone: what a step closes by itself; where that is more, it shares the gap "
-        "with steps before it.",
-    ]
-    table = Table("waterfall", ("step", "closes", "90 % interval", "alone"), rows)
-    return Section("What the simulator gets wrong", text, (_picture(steps), table))
+        "with steps before it."
+    )
+    return text, _picture(steps), Table("waterfall", ("step", "closes", "90 % interval", "alone"), rows)
 
 
 def _picture(steps: Sequence[Mapping[str, Any]]) -> Figure:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -79,7 +80,15 @@ def test_the_page_and_the_text_name_the_cause(diagnosed):
     page = diagnosis_report(diagnosed(1))
     assert "joint_2: most likely stribeck" in page
     assert "lubrication" in page
-    assert "stribeck on joint_2" in diagnosis_text(diagnosed(1).result)
+    text = diagnosis_text(diagnosed(1).result)
+    assert "stribeck on joint_2" in text
+    steps = diagnosed(1).result["waterfall"]
+    assert [entry["step"] for entry in steps] == ["stribeck of joint_2", "remainder"]
+    assert sum(entry["closes"] for entry in steps) == pytest.approx(1)
+    assert steps[0]["closes"] == pytest.approx(diagnosed(1).result["closure"])
+    assert re.search(r"stribeck of joint_2 .*####", text)
+    assert "waterfall-picture" in page
+    assert "waterfall" not in diagnosed(0).result
 
 
 def test_one_log_is_split_and_the_answer_repeats(arm, baseline, runs):

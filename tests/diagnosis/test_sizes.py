@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from agent.core.figures import plus_minus
-from agent.diagnosis.sizes import leading_parameter, reported_parameters, size_text, unit_of
+from agent.diagnosis.sizes import amplitude, leading_parameter, reported_parameters, size_text, unit_of
+from agent.report.first_screen import headline
 
 NUMBER = re.compile(r"-?[\d.]+(?:e[-+]?\d+)?")
 
@@ -44,3 +45,27 @@ def test_the_leading_figure_and_what_is_not_told():
     assert reported_parameters(one_sided) == ["coulomb_asymmetry"]
     assert leading_parameter({"effect": "inertial_mismatch", "parameters": {"link": 3.0, "m3": 1.0}}) == "m3"
     assert leading_parameter({"effect": "other", "parameters": {"odd": 1.0}}) is None
+    assert leading_parameter({"effect": "backlash", "parameters": {"stiffness": 2e5, "gap": 0.002}}) == "gap"
+
+
+def test_a_change_has_its_sign_and_a_sum_of_harmonics_its_amplitude():
+    assert size_text("friction_change", "coulomb_change", 32.4, (32.2, 32.6)) == "+32.40 ± 0.20 N·m"
+    assert size_text("joint_elasticity", "stiffness", 197_612.0, None) == "197600 N·m/rad"
+    spring = {"harmonics": 2.0, "cosine_1": 3.0, "sine_1": -4.0}
+    assert amplitude(spring, {}) == (5.0, None)
+    size, interval = amplitude(spring, {"cosine_1": (2.0, 4.0), "sine_1": (-5.0, -3.0)})
+    assert (size, interval) == (5.0, pytest.approx((4.0, 6.0)))
+    assert amplitude({"mass": 1.0}, {}) is None
+
+
+def test_the_headline_of_what_cannot_be_told_apart_names_all_of_it():
+    other = {"effect": "torque_offset", "joints": ["elbow"]}
+    cause = {"effect": "asymmetric_friction", "joints": ["elbow"], "closure": 1.04, "probability": 0.95}
+    result = {"verdict": "ambiguous", "closure": 0.98, "causes": [cause | {"equivalent_to": [other]}]}
+    assert headline(result, "level -3.3 N·m") == (
+        "elbow: asymmetric friction or torque offset; these logs do not tell which "
+        "(as asymmetric friction: level -3.3 N·m, closes 98 % of the gap, probability 0.95 together)."
+    )
+    elsewhere = [{"effect": "payload", "joints": []}, other, other, other]
+    result["causes"][0]["equivalent_to"] = elsewhere
+    assert "asymmetric friction or payload on the whole arm or torque offset or 2 others;" in headline(result)
