@@ -279,6 +279,8 @@ class Controller:
                 self.name = f"{self.name}_other"
             case "full_memory":
                 self._programs.full = True
+            case "untranslatable":
+                self._programs.refused_line = round(fault.amount)
 
     def _alter_stored(self, phase: str) -> None:
         with self._lock:

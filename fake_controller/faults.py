@@ -50,6 +50,7 @@ MACHINE = {
     "wrong_program": frozenset({"upload", "start"}),  # the stored text is another
     "wrong_robot": frozenset({"connect"}),
     "full_memory": frozenset({"upload"}),
+    "untranslatable": frozenset({"upload"}),  # its translator does not take line `value` of what the agent's reader does
 }
 FAULTS = {**WIRE, **MACHINE}
 _ONE_ANSWER = "it sends one answer at a time, so none can overtake another"
@@ -69,6 +70,7 @@ _DEFAULT_VALUE = {
     "off_speed": 0.5,
     "servo_error": 0.3,
     "other_motion": 2.0,
+    "untranslatable": 2.0,
 }
 _TOO_LONG = 60.0  # s; longer than anybody waits
 

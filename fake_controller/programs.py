@@ -40,7 +40,8 @@ class StoredProgram:
 class ProgramMemory:
     """Programs by name, whatever the case of its letters. Not thread-safe: the controller locks.
 
-    `full` and `alter_next` are faults: no room for anything, and another text stored than the one that came.
+    `full`, `alter_next` and `refused_line` are faults: no room for anything, another text stored than the one that came,
+    and a line (from 1; 0 for none) that the translator does not take.
     """
 
     def __init__(self, robot: RobotDescription) -> None:
@@ -49,6 +50,7 @@ class ProgramMemory:
         self._last = ""
         self.full = False
         self.alter_next = False
+        self.refused_line = 0
 
     @property
     def last(self) -> StoredProgram | None:
@@ -73,6 +75,11 @@ class ProgramMemory:
         Raises:
             RefusedRequest: none, with line and column.
         """
+        if self.refused_line:
+            lines = data.decode("utf-8", "replace").splitlines()
+            word = (lines[min(self.refused_line, len(lines)) - 1].split() or [""])[0] if lines else ""
+            message = f"{word}: this translator does not know it here"
+            raise RefusedRequest(Refusal.SYNTAX, message, self.refused_line, 1)
         try:
             return parse_program(data.decode("utf-8"), name, self._robot)
         except UnicodeDecodeError:

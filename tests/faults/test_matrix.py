@@ -98,3 +98,15 @@ def test_fault(bench, assert_at_rest, assert_readable, wire, name, phase):
     if code in (4, 5):
         assert ended.errors.strip().splitlines()[-1].startswith("agent: ")
         assert any(word in ended.errors for word in ("run the command again", "start again", "check "))
+
+
+@pytest.mark.parametrize("wire", ["tcp", "cnr_comau"])
+def test_a_translators_error_is_told_with_its_line(bench, wire):
+    """The agent's reader took the text, the controller's translator does not: nothing moves."""
+    controller = bench.serve([Fault("untranslatable", "upload", value=3)], wire, clock="fast")
+    ended = bench.record()
+    assert ended.code == 4
+    assert "line 3 column 1" in ended.errors
+    assert "this translator does not know it here" in ended.errors
+    assert controller.motions_started == 0
+    assert not bench.log.exists()
