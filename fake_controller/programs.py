@@ -40,8 +40,8 @@ class StoredProgram:
 class ProgramMemory:
     """Programs by name, whatever the case of its letters. Not thread-safe: the controller locks.
 
-    `full`, `alter_next` and `refused_line` are faults: no room for anything, another text stored than the one that came,
-    and a line (from 1; 0 for none) that the translator does not take.
+    `full`, `alter_next` and `refused_line` are faults: no room for anything, another text stored than the one that
+    came, and a line (from 1; 0 for none) that the translator does not take.
     """
 
     def __init__(self, robot: RobotDescription) -> None:
