@@ -50,7 +50,7 @@ MACHINE = {
     "wrong_program": frozenset({"upload", "start"}),  # the stored text is another
     "wrong_robot": frozenset({"connect"}),
     "full_memory": frozenset({"upload"}),
-    "untranslatable": frozenset({"upload"}),  # its translator does not take line `value` of what the agent's reader does
+    "untranslatable": frozenset({"upload"}),  # its translator does not take line `value`
 }
 FAULTS = {**WIRE, **MACHINE}
 _ONE_ANSWER = "it sends one answer at a time, so none can overtake another"
