@@ -23,7 +23,11 @@ _SCORED = 3  # of the forms of an effect at a place, held out: those that gain m
 
 
 class Search:
-    """A catalogue tried on a fit; `given`: to a model from elsewhere, whose error without an effect is known."""
+    """A catalogue tried on a fit; `given`: to a model from elsewhere, whose error without an effect is known.
+
+    `moved`: the model's numbers were chosen and fitted to these very logs before. They may hide an effect on its own
+    joint and show it on others, and the choice would have been another one beside a rival.
+    """
 
     def __init__(
         self,
@@ -32,8 +36,10 @@ class Search:
         given: bool = True,
         progress: Callable[[str], None] = lambda text: None,
         limits: DecisionLimits = LIMITS,
+        moved: bool = False,
     ):
-        self.fit, self.given, self._progress, self.limits = fit, given, progress, limits
+        self.fit, self.given, self._progress, self.limits = fit, given and not moved, progress, limits
+        self._alike = limits.equal_gain if moved else limits.indistinguishable_gain
         self.allowed = {name for name in CATALOGUE if name not in without}
         self.rows = float(fit.count.sum())
         self.pool: list[Candidate] = []
@@ -276,7 +282,7 @@ class Search:
             lost = self._total(without) - total
             margin = max(
                 self.limits.equal_gain_floor * self.rows,
-                self.limits.indistinguishable_gain * lost,
+                self._alike * lost,
                 self._excess(fit, tuple(candidate.blocks)),
             )
             level: list[Where] = []

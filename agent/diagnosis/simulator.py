@@ -96,14 +96,15 @@ def search_simulator(
         dataset = assemble(robot, expected, logs, cutoff, limits, first.model)
     unit = dataset.fit.reference.scale
 
-    def searching(of: Dataset) -> Search:
-        return Search(of.fit, without, True, progress, limits)
+    def searching(of: ReleasedSimulator) -> Search:
+        return Search(of.moved.fit, without, True, progress, limits, moved=bool(of.groups))
 
     def answer(calibrated: ReleasedSimulator, search: Search) -> Explanation:
         moved = calibrated.moved
         return Explanation(calibrated, search, *judge(moved, search.run(), moved.fit, unit))
 
-    given, search = ReleasedSimulator(dataset, dataset, ()), searching(dataset)
+    given = ReleasedSimulator(dataset, dataset, ())
+    search = searching(given)
     total = float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
     enough, alone = limits.least_share * total, _left_by_one(dataset, search, unit)
     if alone <= enough:
@@ -113,11 +114,11 @@ def search_simulator(
     found: list[Explanation] = []
     drives, everything = calibration(dataset, links=False), calibration(dataset)
     if drives.groups and len(everything.groups) > len(drives.groups):
-        found.append(answer(drives, searching(drives.moved)))
+        found.append(answer(drives, searching(drives)))
         if found[-1].finding.causes and found[-1].left <= enough and not found[-1].like_links:
             return found[-1]
     if everything.groups:
-        found.append(answer(everything, searching(everything.moved)))
+        found.append(answer(everything, searching(everything)))
     best = min((entry.left for entry in found), default=np.inf)
     if alone <= best + enough or not found:
         plain = answer(given, search)

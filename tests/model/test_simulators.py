@@ -345,31 +345,45 @@ def weighing(*masses: float) -> str:
     return "".join([*parts, "</robot>"])
 
 
-@pytest.mark.verify
-@pytest.mark.parametrize(("effect", "joint"), [("stribeck", 2), ("asymmetric_friction", 1)])
-def test_friction_is_named_beside_wrong_numbers_of_larger_joints_though_the_file_has_none(tmp_path, effect, joint):
+FORMS = {
+    "stribeck": lambda w: 0.6 * np.tanh(w / 0.01) / (1 + (w / 0.15) ** 2),
+    "asymmetric_friction": lambda w: 0.5 * (np.abs(np.tanh(w / 0.01)) + 0.5 * np.abs(w)),
+}
+
+
+def uneven(folder: Path, form=lambda w: 0 * w, joint: int = 0, scale: float = 1.0):
+    """Diagnosis of an arm that weighs otherwise than its file, which has no friction, with one effect on a joint."""
     names = ("pan", "lift", "tip")
-    model = load_simulator(written(tmp_path, weighing(20, 6, 0.8), "given.urdf"), None, names).model
-    right = load_simulator(written(tmp_path, weighing(22, 5.2, 0.7), "right.urdf"), None, names).model
-    levels = np.array([10.5, 1.8, 0.22])
+    model = load_simulator(written(folder, weighing(20, 6, 0.8), "given.urdf"), None, names).model
+    right = load_simulator(written(folder, weighing(22, 5.2, 0.7), "right.urdf"), None, names).model
+    levels, there = np.array([10.5, 1.8, 0.22]), np.arange(3) == joint
     values = right.values.copy()
     values[len(right.independent) :: 2] += levels
     values[len(right.independent) + 1 :: 2] += 0.7 * levels
-    form = {
-        "stribeck": lambda w: 0.6 * np.tanh(w / 0.01) / (1 + (w / 0.15) ** 2),
-        "asymmetric_friction": lambda w: 0.5 * (np.abs(np.tanh(w / 0.01)) + 0.5 * np.abs(w)),
-    }[effect]
-
-    def added(qd: np.ndarray) -> np.ndarray:
-        return form(qd) * levels * (np.arange(3) == joint)
-
     robot = replace(right, values=values)
-    logs = [read_log(recorded(tmp_path / f"{k}.mcap", robot, k, added), model.robot) for k in (1, 2)]
-    found = diagnose(model.robot, logs, model)
-    assert [(c["effect"], c["joints"]) for c in found.result["causes"]] == [(effect, [names[joint]])]
+    paths = [recorded(folder / f"{k}.mcap", robot, k, lambda qd: form(qd) * levels * there) for k in (1, 2)]
+    logs = [read_log(path, model.robot) for path in paths]
+    return diagnose(model.robot, [replace(log, effort=log.effort * np.where(there, scale, 1)) for log in logs], model)
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize(("effect", "joint"), [("stribeck", 2), ("asymmetric_friction", 1)])
+def test_friction_is_named_beside_wrong_numbers_of_larger_joints_though_the_file_has_none(tmp_path, effect, joint):
+    found = uneven(tmp_path, FORMS[effect], joint)
+    named = [(cause["effect"], cause["joints"]) for cause in found.result["causes"]]
+    assert named == [(effect, [("pan", "lift", "tip")[joint]])]
     if joint == 2:
         assert found.result["causes"][0]["closure"] < 0.005, "of all joints' gap in N·m"
         assert "closes less than 1 % of the gap" in diagnosis_report(found)
+
+
+@pytest.mark.verify
+def test_where_links_may_weigh_anything_a_scale_of_torque_may_be_that_of_the_joint_next_to_it(tmp_path):
+    result = uneven(tmp_path, joint=1, scale=1.1).result
+    cause = result["causes"][0]
+    members = {(one["effect"], *one["joints"]) for one in (cause, *cause["equivalent_to"])}
+    assert result["verdict"] == "ambiguous"
+    assert ("torque_constant", "lift") in members
 
 
 def test_sharp_friction_of_a_simulator_has_no_part_that_a_delay_would_sharpen(tmp_path, robot):
