@@ -1,11 +1,13 @@
 """What things cost, beside the commit before and beside figaroh, in one run.
 
-    python benchmarks/speed.py [--against WORKTREE] [--figaroh PYTHON] [--full]
+    python benchmarks/speed.py [--against WORKTREE] [--figaroh PYTHON] [--full] [--keep FILE]
 
 CPU times (user and system) and peak memory of processes on one thread; trees take turns and the best of the rounds
 counts, because other jobs on a machine only ever add. `--against` is a checkout of another commit (`git worktree add
-../before HEAD~1`), `--figaroh` the Python of an environment with figaroh. Sizes are small, for an end within three
-minutes; `--full` takes large ones: minutes 1 to 60, logs 1 to 100, candidates 1000 to 100 000, which is hours.
+../before HEAD~1`), `--figaroh` the Python of an environment with figaroh. Sizes are small, for an end within four
+minutes; `--full` runs the quickstart as it is and takes large sizes: minutes 1 to 60, logs 1 to 100, candidates 1000 to
+100 000, which is hours. `--keep` notes each size as it ends, so that the next call goes on after it: the longest takes
+twenty minutes.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +79,7 @@ def main() -> None:
     parser.add_argument("--against", type=Path, help="a checkout of another commit")
     parser.add_argument("--figaroh", type=Path, help="the Python of an environment with figaroh")
     parser.add_argument("--full", action="store_true", help="large sizes: hours")
+    parser.add_argument("--keep", type=Path, help="a file of sizes that were measured, to go on after them")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.worker:
@@ -86,7 +90,8 @@ def main() -> None:
         folder = Path(name)
         parts(trees)
         commands(trees, folder)
-        growth(folder, FULL if given.full else SMALL)
+        job(trees, folder, given.full)
+        growth(folder, FULL if given.full else SMALL, given.keep)
     if given.figaroh is not None:
         subprocess.run([sys.executable, ROOT / "benchmarks/against_figaroh.py", "--python", given.figaroh], check=False)
 
@@ -142,10 +147,16 @@ def commands(trees: dict[str, Path], folder: Path) -> None:
     """Commands on a minute of log, process start included."""
     log, model = folder / "minute.mcap", folder / "model.json"
     write(log, 60.0)
+    whole, short = [folder / f"whole{k}.mcap" for k in range(3)], [folder / f"stribeck{k}.mcap" for k in range(3)]
+    for k in range(3):
+        write(whole[k], 20.0, seed=k)
+        write(short[k], 20.0, seed=k, stribeck=0.1)
     calls = {
         "estimate": ["estimate", "--robot", "comau_ns16", "-o", str(model), str(log)],
         "validate": ["validate", "--model", str(model), str(log)],
         "check": ["check", str(RECIPE)],
+        "diagnose, 3 logs of 20 s, no gap": ["diagnose", "--robot", "comau_ns16", *map(str, whole)],
+        "diagnose, 3 logs of 20 s, a gap of one joint": ["diagnose", "--model", str(model), *map(str, short)],
         "--help": ["--help"],
     }
     seconds: dict[str, dict[str, float]] = {tree: {} for tree in trees}
@@ -160,7 +171,41 @@ def commands(trees: dict[str, Path], folder: Path) -> None:
     table("the same, peak memory [MiB]", trees, memory)
 
 
-def growth(folder: Path, sizes: dict[str, tuple[int, ...]]) -> None:
+def job(trees: dict[str, Path], folder: Path, full: bool) -> None:
+    """The quickstart against the emulated controller, two processes: as it is, or with a tenth of its work."""
+    text = RECIPE.read_text(encoding="utf-8")
+    if not full:
+        text = text.replace("population: 50, generations: 40", "population: 20, generations: 10")
+        text = text.replace("motions: 30", "motions: 3")
+    values: dict[str, dict[str, float]] = {tree: {} for tree in trees}
+    for tree, root in trees.items():
+        command = [sys.executable, "-m", "fake_controller", "--robot", "comau_ns16", "--port", "0", "--seed", "7"]
+        options: dict[str, Any] = {"env": environment(root), "cwd": folder, "stdout": subprocess.PIPE, "text": True}
+        controller = subprocess.Popen([*command, "--clock", "fast"], **options)
+        try:
+            address = controller.stdout.readline().split(" at ")[1].split(", clock")[0]
+            recipe = folder / "quickstart.yaml"
+            recipe.write_text(text.replace("127.0.0.1:9100", address), encoding="utf-8")
+            begin = time.monotonic()
+            agent = subprocess.Popen(
+                [sys.executable, "-m", "agent", "calibrate", str(recipe), "--yes", "-q"], **options
+            )
+            _, status, used = os.wait4(agent.pid, 0)
+            spent = time.monotonic() - begin
+        finally:
+            controller.terminate()
+            _, _, beside = os.wait4(controller.pid, 0)
+        if status:
+            raise SystemExit("agent calibrate failed")
+        values[tree] = {
+            "from start to end": spent,
+            "CPU of the agent": used.ru_utime + used.ru_stime,
+            "CPU of the emulated controller": beside.ru_utime + beside.ru_stime,
+        }
+    table(f"calibrate, {'the quickstart' if full else 'a tenth of the quickstart'} [s]", trees, values)
+
+
+def growth(folder: Path, sizes: dict[str, tuple[int, ...]], keep: Path | None) -> None:
     """How cost grows with size, and the exponent of a power law."""
     from agent.core import InProcess
     from agent.excitation import search
@@ -198,7 +243,7 @@ def growth(folder: Path, sizes: dict[str, tuple[int, ...]]) -> None:
     of = {"joints": of_joints, "seconds": of_seconds, "logs": of_logs, "candidates": of_candidates}
     print(f"\n{'cost against size':34}{'sizes':>22}{'CPU [s]':>26}{'exponent':>10}{'MiB':>22}")
     for name, call in of.items():
-        found = np.array([call(size) for size in sizes[name]])
+        found = np.array([kept(keep, f"{name} {size}", partial(call, size)) for size in sizes[name]])
         exponent = np.polyfit(np.log(sizes[name]), np.log(found[:, 0]), 1)[0]
         cells = (
             " ".join(f"{value:g}" for value in row) for row in (sizes[name], found[:, 0].round(2), found[:, 1].round())
@@ -206,6 +251,17 @@ def growth(folder: Path, sizes: dict[str, tuple[int, ...]]) -> None:
         shown, spent, peak = cells
         what = "search" if name == "candidates" else "estimate"
         print(f"{f'{what} by {name}':34}{shown:>22}{spent:>26}{exponent:10.2f}{peak:>22}", flush=True)
+
+
+def kept(keep: Path | None, name: str, call: Callable[[], tuple[float, float]]) -> tuple[float, float]:
+    """What a call gave once, or gives now."""
+    known = json.loads(keep.read_text()) if keep is not None and keep.exists() else {}
+    if name not in known:
+        known[name] = call()
+        if keep is not None:
+            keep.write_text(json.dumps(known, indent=1))
+    spent, peak = known[name]
+    return spent, peak
 
 
 def cpu(call: Callable[[Any], object], arguments: list) -> float:
@@ -281,8 +337,11 @@ def save(robot: Any, folder: Path) -> Path:
     return path
 
 
-def write(path: Path, seconds: float, robot_file: Path | None = None, seed: int = 0) -> None:
-    """A log of a rigid arm with friction and noise; of more than a minute the motion repeats, the noise does not."""
+def write(path: Path, seconds: float, robot_file: Path | None = None, seed: int = 0, stribeck: float = 0.0) -> None:
+    """A log of a rigid arm with friction and noise; Stribeck friction on joint 2 is a part of its nominal torque.
+
+    Of more than a minute the motion repeats, the noise does not.
+    """
     from agent.recording import Log, write_log
     from agent.robot import load_robot
     from agent.robot.dynamics import Dynamics
@@ -301,6 +360,9 @@ def write(path: Path, seconds: float, robot_file: Path | None = None, seed: int 
     torque = Dynamics(robot).inverse_dynamics(q, qd, qdd) + robot.nominal_torque * (
         0.1 * np.tanh(qd / 0.01) + 0.05 * qd
     )
+    if stribeck:
+        speed = qd[:, 1] / (0.05 * robot.max_velocity[1])
+        torque[:, 1] += stribeck * robot.nominal_torque[1] * np.tanh(10.0 * speed) * np.exp(-(speed**2))
     count = round(seconds / minute)
     torque = np.tile(torque, (count, 1))
     torque += 0.005 * robot.nominal_torque * rng.standard_normal(torque.shape)
