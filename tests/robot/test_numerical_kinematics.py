@@ -155,3 +155,24 @@ def test_all_poses_at_once_are_on_the_branch_of_pose_by_pose(arms: dict[str, Rob
     for pose in poses[1:]:
         alone.append(kinematics.follow(pose[None], alone[-1])[0])
     np.testing.assert_allclose(kinematics.follow(poses, start), alone, rtol=0, atol=1e-8)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.sampled_from(("anthropomorphic", "skew", "scara", "seven axes")), st.integers(0, 2**31))
+def test_many_poses_are_solved_as_one_by_one(arms: dict[str, RobotDescription], name: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    kinematics = kinematics_for(arms[name])
+    q = swing(kinematics.dof, rng, 4)
+    near = q + np.array([[0.02], [0.02], [0.02], [0.8]]) * rng.uniform(-1, 1, q.shape)  # the last one looks for it
+    poses = kinematics.forward(q)
+    one_by_one = [kinematics.solve(pose, there) for pose, there in zip(poses, near, strict=True)]
+    np.testing.assert_allclose(kinematics.solve_each(poses, near), one_by_one, atol=1e-9)
+
+
+def test_the_pose_that_cannot_be_reached_is_refused_among_many(arms: dict[str, RobotDescription]) -> None:
+    kinematics = kinematics_for(arms["anthropomorphic"])
+    q = swing(kinematics.dof, np.random.default_rng(0), 3)
+    poses = kinematics.forward(q)
+    poses[1, :3, 3] += 100.0
+    with pytest.raises(KinematicsError, match="cannot be reached"):
+        kinematics.solve_each(poses, q)

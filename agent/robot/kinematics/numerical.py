@@ -59,10 +59,7 @@ class NumericalKinematics(Kinematics):
     def inverse(self, poses: np.ndarray) -> InverseSolutions:
         """As in `Kinematics`, with the branches in the order they were found; other solutions may exist."""
         poses = np.asarray(poses, dtype=float)
-        parts = [self._solutions(poses[k : k + _POSES_AT_ONCE]) for k in range(0, len(poses), _POSES_AT_ONCE)]
-        if not parts:
-            empty = np.empty((0, BRANCHES), dtype=bool)
-            return InverseSolutions(np.empty((0, BRANCHES, self.dof)), empty, empty, empty, empty[:, 0])
+        parts = [self._candidates(poses[k : k + _POSES_AT_ONCE]) for k in range(0, len(poses) or 1, _POSES_AT_ONCE)]
         fields = ("q", "valid", "within_limits", "singular", "unreachable")
         return InverseSolutions(*(np.concatenate([getattr(part, name) for part in parts]) for name in fields))
 
@@ -210,7 +207,13 @@ class NumericalKinematics(Kinematics):
     def solve_each(self, poses: np.ndarray, near: np.ndarray) -> np.ndarray:
         if self.dof > 6:
             return np.array([self.solve(pose, there) for pose, there in zip(poses, near, strict=True)])
-        return super().solve_each(poses, near)
+        # Most are next to where they are looked for: no other solution is nearer than one that is on this branch.
+        q, error = self._converge(poses, near)
+        sure = (error < ACCURACY * self.length) & (self.singularity(q).smallest >= SINGULAR_DISTANCE)
+        sure &= self.within_limits(q) & (np.abs(q - near)[:, self._revolute] <= _NEIGHBOURS).all(axis=1)
+        if not sure.all():
+            q[~sure] = super().solve_each(poses[~sure], near[~sure])
+        return q
 
     def singularity(self, q: np.ndarray) -> SingularityDistance:
         """One kind, "arm": smallest over largest singular value of the Jacobian (rotations weighed by the length)."""
@@ -227,19 +230,16 @@ class NumericalKinematics(Kinematics):
             )
         return self.solve(pose, self.middle)
 
-    def _candidates(self, poses: np.ndarray, near: np.ndarray) -> InverseSolutions:
-        return self._solutions(poses, near)
-
     def _refuse(self, pose: np.ndarray) -> NoReturn:
         q, error = self._converge(np.repeat(pose[None], _SEEDS, axis=0), self._seeds)
         best = [int(np.nanargmin(error))] if np.isfinite(error).any() else [0]
         self._raise(0, pose, q[best], error[best])
 
-    def _solutions(self, poses: np.ndarray, extra: np.ndarray | None = None) -> InverseSolutions:
+    def _candidates(self, poses: np.ndarray, near: np.ndarray | None = None) -> InverseSolutions:
         samples = len(poses)
         seeds = np.broadcast_to(self._seeds, (samples, *self._seeds.shape))
-        if extra is not None:
-            seeds = np.concatenate([extra[:, None], seeds], axis=1)
+        if near is not None:
+            seeds = np.concatenate([near[:, None], seeds], axis=1)
         tried = seeds.shape[1]
         q, error = self._converge(np.repeat(poses, tried, axis=0), seeds.reshape(-1, self.dof))
         distance = self.singularity(q).smallest.reshape(samples, tried)
