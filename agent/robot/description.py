@@ -11,36 +11,48 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveFloat
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from agent.core import InputError, load_document
 from agent.robot.urdf_checks import check_urdf
-
-Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
+def _no_truth(value: Any) -> Any:
+    """`true` would be one."""
+    if isinstance(value, bool):
+        raise ValueError("a number is expected")
+    return value
+
+
 def _of_a_size(value: float) -> float:
     """Nothing of an arm is so small or so large; what divides by it or squares it would be no number."""
-    if not 1e-9 <= value <= 1e9:
+    if not 1e-9 <= abs(value) <= 1e9:
         raise ValueError("no arm has that: give a number from 1e-9 to 1e9")
     return value
 
 
-Positive = Annotated[PositiveFloat, AfterValidator(_of_a_size)]
+def _not_too_large(value: float) -> float:
+    return value if abs(value) < 1e-9 else _of_a_size(value)
+
+
+_Given = Annotated[float, BeforeValidator(_no_truth)]
+Number = Annotated[_Given, AfterValidator(_not_too_large)]
+Positive = Annotated[_Given, Field(gt=0), AfterValidator(_of_a_size)]
+Vector3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
 
 
 class _JointEntry(_Strict):
     name: str
-    gear_ratio: float = 1.0
+    gear_ratio: Annotated[_Given, AfterValidator(_of_a_size)] = 1.0
     nominal_motor_torque: Positive | None = None
     max_velocity: Positive
     max_acceleration: Positive
     max_jerk: Positive | None = None
-    rotor_inertia: Annotated[float, Field(ge=0)] | None = None
+    rotor_inertia: Annotated[Number, Field(ge=0)] | None = None
     max_torque: Positive | None = None
     torque_constant: Positive | None = None
 
@@ -76,7 +88,7 @@ class _RobotFile(_Strict):
     gravity: Vector3 = [0.0, 0.0, -9.80665]
     cartesian_limits: _CartesianEntry | None = None
     joints: Annotated[list[_JointEntry], Field(min_length=1, max_length=7)]
-    motor_coupling: list[list[float]] | None = None
+    motor_coupling: list[list[Number]] | None = None
     bodies: dict[str, list[_CapsuleEntry]] = {}
 
 
@@ -301,8 +313,6 @@ def _joint(path: Path, entry: _JointEntry, elements: dict[str | None, ElementTre
     if element is None or kind not in ("revolute", "continuous", "prismatic"):
         movable = [str(n) for n, e in elements.items() if e.get("type") in ("revolute", "continuous", "prismatic")]
         raise InputError(f"{path}: joints: {entry.name!r} is not a movable joint of the URDF ({', '.join(movable)})")
-    if entry.gear_ratio == 0:
-        raise InputError(f"{path}: joints: {entry.name}: gear_ratio is 0; give motor turns per joint turn, signed")
     limit = element.find("limit")
     bounded = kind != "continuous" and limit is not None and limit.get("lower") is not None
     lower = float(limit.get("lower", "-inf")) if bounded and limit is not None else -np.inf

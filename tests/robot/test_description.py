@@ -81,6 +81,32 @@ def test_a_limit_that_is_no_number_or_no_size_is_refused(arm, tmp_path, key, val
         load_robot(str(tmp_path / "robot.yaml"))
 
 
+@pytest.mark.parametrize("value", [".nan", "-.inf", "1e308", "-1e300", "true", "null", "''"])
+@pytest.mark.parametrize(
+    ("key", "where"),
+    [
+        ("gravity", "name: pair\ngravity: [0, {}, -9.81]"),
+        ("gear_ratio", "max_velocity: 2, gear_ratio: {}"),
+        ("motor_coupling", "name: pair\nmotor_coupling: [[1, {}], [0, 1]]"),
+        ("from", "name: pair\nbodies: {{middle: [{{from: [0, 0, {}], to: [0, 0, 1], radius: 0.1}}]}}"),
+        ("radius", "name: pair\nbodies: {{middle: [{{from: [0, 0, 0], to: [0, 0, 1], radius: {}}}]}}"),
+    ],
+)
+def test_a_number_that_no_arm_has_is_refused(described, key, where, value):
+    with pytest.raises(InputError, match=key):
+        described("max_velocity: 2" if key == "gear_ratio" else "name: pair", where.format(value))
+
+
+@pytest.mark.parametrize("ratio", ["0", "5e-324", "-1e-12"])
+def test_a_gear_that_turns_nothing_is_none(described, ratio):
+    with pytest.raises(InputError, match="gear_ratio"):
+        described("max_velocity: 2", f"max_velocity: 2, gear_ratio: {ratio}")
+
+
+def test_what_is_computed_to_be_nearly_nothing_is_fine(described):
+    assert described("name: pair", "name: pair\ngravity: [6e-16, -1e-300, -9.81]").gravity[0] == 6e-16
+
+
 @pytest.mark.parametrize("end", ["lower", "upper"])
 def test_a_range_whose_end_is_no_number_is_empty(arm, tmp_path, end):
     folder = Path(arm).parent
