@@ -153,13 +153,14 @@ def report(
 def export(
     model: Annotated[Path, typer.Argument(metavar="MODEL", help="model file")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="folder to write to")],
+    table: Annotated[bool, typer.Option("--csv", help="the table of parameters alone; of any model")] = False,
 ) -> None:
     """Write a model for other programs: URDF, MuJoCo model, SDF, friction, CSV, Foxglove layout. Prints the paths."""
-    from agent.model import IdentifiedModel, export_model
+    from agent.model import IdentifiedModel, export_model, export_table
 
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; name a folder to write to")
-    for path in export_model(IdentifiedModel.load(model), out):
+    for path in (export_table if table else export_model)(IdentifiedModel.load(model), out):
         print(path)
 
 

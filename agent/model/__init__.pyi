@@ -1,6 +1,6 @@
 from .effects import CATALOGUE as CATALOGUE
 from .effects.effect import Columns as Columns, Effect as Effect, FitContext as FitContext
-from .export import export_model as export_model
+from .export import export_model as export_model, export_table as export_table
 from .friction_terms import (
     FORMS as FORMS,
     ODD as ODD,

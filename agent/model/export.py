@@ -34,6 +34,7 @@ from agent.model.urdf_elements import digits, end_of, inertial_element
 from agent.recording import FOXGLOVE_LAYOUT, foxglove_layout
 from agent.robot import ParameterLayout, about_centre
 
+_TABLE = "parameters.csv"
 _STATES = 50
 _TOLERANCE = 1e-9  # of the largest torque
 _SPEEDS = np.linspace(0.02, 1.0, 50)  # of the highest: where the line through a friction curve is laid
@@ -56,7 +57,7 @@ def export_model(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
         folder / f"{model.robot.name}.xml": mujoco_text(model, standard, lines),
         folder / "friction.json": json.dumps(friction_data(model, standard, lines), indent=1, allow_nan=False),
         folder / f"{model.robot.name}.sdf": sdf_text(model, standard, lines),
-        folder / "parameters.csv": _csv(model),
+        folder / _TABLE: _csv(model),
         folder / FOXGLOVE_LAYOUT: foxglove_layout(model.robot.joint_names),
     }
     folder.mkdir(parents=True, exist_ok=True)
@@ -67,6 +68,18 @@ def export_model(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
         urdf, mujoco, friction, *_ = parts
         _read_back(model, urdf, mujoco, friction)
     return tuple(texts)
+
+
+def export_table(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
+    """Write the table of parameters alone, which every model has; returns its path, as one of several.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with written_whole(folder / _TABLE) as part:
+        part.write_text(_csv(model), encoding="utf-8")
+    return (folder / _TABLE,)
 
 
 def _csv(model: IdentifiedModel) -> str:

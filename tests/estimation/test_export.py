@@ -11,7 +11,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from hypothesis import given, settings, strategies as st
+from typer.testing import CliRunner
 
+from agent.cli.app import app
 from agent.core.errors import RejectedError
 from agent.model import IdentifiedModel
 from agent.model.export import export_model
@@ -348,3 +350,13 @@ def test_parameters_go_to_spreadsheets(ns16, tmp_path):
     assert header.startswith("parameter,value,")
     assert len(rows) > 40
     assert (tmp_path / "foxglove-layout.json") in paths
+
+
+def test_the_table_is_exported_of_a_model_without_possible_links(ns16, tmp_path):
+    standard = bodies(ns16)
+    standard[39] *= -1
+    model_of(ns16, standard, known=True).save(tmp_path / "model.json")
+    out = tmp_path / "out"
+    found = CliRunner().invoke(app, ["export", str(tmp_path / "model.json"), "-o", str(out), "--csv"])
+    assert (found.exit_code, found.output) == (0, f"{out / 'parameters.csv'}\n")
+    assert [path.name for path in out.iterdir()] == ["parameters.csv"]
