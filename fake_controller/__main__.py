@@ -154,9 +154,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--model", type=Path, help="model file that the arm is to be like, effects included")
     parser.add_argument(
         "--interpolator",
-        choices=("ours", "second"),
+        choices=("ours", "second", "drawn"),
         default="ours",
-        help="that of the planner with ramps and blends a few percent off, or another one drawn from the seed",
+        help="that of the planner with ramps and blends a few percent off, another one with a law drawn from the seed, "
+        "or either of them, drawn from the seed too",
     )
     parser.add_argument("--ready-file", type=Path, help="write the address there once the port is open")
     return parser

@@ -33,7 +33,7 @@ def build_controller(
         effects: built into the machine, as `fake_controller.actuation.load_effect` takes them.
         faults: what goes wrong, and when.
         model: file of a model that the machine is to be like, with its robot, instead of one drawn from the seed.
-        interpolator: one of `fake_controller.interpolation.KINDS`.
+        interpolator: one of `fake_controller.interpolation.KINDS`, or `drawn`: which of them is the seed's.
 
     Raises:
         InputError: no such robot or model, or an effect that does not fit it.
