@@ -28,11 +28,12 @@ from .figures import error_text as error_text, plus_minus as plus_minus
 from .files import (
     sha256_file as sha256_file,
     sha256_text as sha256_text,
+    swept_folder as swept_folder,
     write_atomically as write_atomically,
     written_whole as written_whole,
 )
 from .memory import keep_freed_memory as keep_freed_memory
-from .on_dask import DaskEngine as DaskEngine, worker_folder as worker_folder
+from .on_dask import DaskEngine as DaskEngine
 from .output import (
     flush_results as flush_results,
     open_standard_descriptors as open_standard_descriptors,

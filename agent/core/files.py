@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
 import os
+import shutil
+import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from agent.core.errors import AgentError
 from drivers.texts import hide
+
+#: A temporary folder younger than this [s] may have been made and not been held yet.
+_YOUNG = 60.0
 
 
 @contextmanager
@@ -46,6 +53,31 @@ def write_atomically(path: Path, text: str) -> Path:
     except OSError as error:
         raise AgentError(f"{path}: cannot be written: {error.strerror}; free space or rights?") from None
     return path
+
+
+@contextmanager
+def swept_folder(prefix: str) -> Iterator[Path]:
+    """A folder among the system's temporary ones, for the time of the block. What processes that were killed have left
+    there under the same prefix is cleared away first."""
+    top = Path(tempfile.gettempdir())
+    for old in top.glob(f"{prefix}*"):
+        with contextlib.suppress(OSError):  # in use, or somebody else's
+            if time.time() - old.stat().st_mtime > _YOUNG:
+                with _held(old):
+                    shutil.rmtree(old)
+    with tempfile.TemporaryDirectory(prefix=prefix, dir=top) as name, _held(Path(name)):
+        yield Path(name)
+
+
+@contextmanager
+def _held(folder: Path) -> Iterator[None]:
+    """Nobody else holds it, or OSError; the system lets go of it when the process ends, however that does."""
+    place = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(place)
 
 
 def sha256_text(text: str) -> str:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -28,18 +27,10 @@ _CONNECT = 10.0
 _LOOK = 2.0
 #: Tasks in flight for each thread of the workers: one at work and one that waits beside it.
 _AHEAD = 2
+#: Run by every local worker as it starts: Ctrl-C reaches all processes of a terminal at once, and ours ends the others.
+_WITHOUT_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 #: How often Dask tries a task again whose worker died.
 _TRIES = 2
-
-
-def worker_folder() -> str | None:
-    """Folder on disk of the Dask worker that this runs on: if the worker is killed, the next one of its machine clears
-    it away. None elsewhere."""
-    dask = sys.modules.get("distributed")
-    try:
-        return None if dask is None else str(dask.get_worker().local_directory)
-    except ValueError:  # no worker
-        return None
 
 
 class DaskEngine:
@@ -221,6 +212,7 @@ class DaskEngine:
                 memory_limit="auto" if self._memory is None else self._memory,
                 dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL,
+                preload=[_WITHOUT_CTRL_C],
             )
         except ValueError as error:
             raise InputError(f"local workers cannot be started: {error}") from None

@@ -10,18 +10,16 @@ Names that begin with _ are left out by what reads a folder as a data set (Arrow
 from __future__ import annotations
 
 import hashlib
-import os
-import shutil
-import tempfile
 import uuid
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from agent.core import InputError, needed
-from agent.fleet.store import Store, StoreError
+from agent.core import InputError, needed, swept_folder
+from agent.fleet.store import SCRATCH, Store, StoreError
 
 ROWS, DONE, MODELS = "rows.parquet", "_done", "_models"
 #: Keys of the file: the kind of result, and where its runs are.
@@ -146,16 +144,14 @@ class Result:
     def __enter__(self) -> Result:
         if self.store.local is not None and self.store.local.is_file():
             raise InputError(f"{self.store.url}: is a file; name a folder for the result")
-        # one run at a time writes a result, so what is there was left by one that was killed
-        digest = hashlib.sha256(self.store.absolute.encode()).hexdigest()[:16]
-        self._folder = Path(tempfile.gettempdir()) / f"agent-fleet-{os.getuid()}-{digest}"
-        shutil.rmtree(self._folder, ignore_errors=True)
-        self._folder.mkdir(mode=0o700)
-        found = _find_rows(self.store, self._folder)
-        if found is not None and found[0] != self.kind:
-            raise InputError(f"{self.store.url}: holds a result of `fleet {found[0]}`; name another folder with -o")
-        self._before = None if found is None else found[1]
-        self._parts = self._done_parts()
+        with ExitStack() as opened:
+            self._folder = opened.enter_context(swept_folder(SCRATCH))
+            found = _find_rows(self.store, self._folder)
+            if found is not None and found[0] != self.kind:
+                raise InputError(f"{self.store.url}: holds a result of `fleet {found[0]}`; name another folder with -o")
+            self._before = None if found is None else found[1]
+            self._parts = self._done_parts()
+            self._opened = opened.pop_all()
         return self
 
     def __exit__(
@@ -167,7 +163,7 @@ class Result:
         except StoreError:
             pass  # the error that is on its way says more
         finally:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self._opened.close()
 
     def known(self) -> dict[str, dict[str, Any]]:
         """Of every run that has a row: `status`, `reason`, `asked`, and `inputs`."""

@@ -21,6 +21,8 @@ from agent.core import AgentError, InputError, needed, written_whole
 #: How often a store is asked before it counts as unavailable, and the first pause between [s]; each is twice the last.
 TRIES = 4
 PAUSE = 0.25
+#: What folders on this machine begin with that hold what is on its way to or from a store.
+SCRATCH = "agent-fleet-"
 #: Errors of the system that another try does not mend.
 _FINAL = (FileNotFoundError, PermissionError, IsADirectoryError)
 

@@ -7,7 +7,6 @@ finding, which has paid for their number, and the false discovery rate is contro
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import InputError
+from agent.core import InputError, swept_folder
 from agent.fleet.discoveries import RATE, Family, false_discovery_levels, find_families, read_columns
 from agent.fleet.machines import MachineRuns, read_machines
 from agent.fleet.result import META, ROWS, SOURCE, open_rows
-from agent.fleet.store import Store
+from agent.fleet.store import SCRATCH, Store
 from agent.fleet.tasks import KINDS
 from agent.runs import FEWEST, PRACTICAL, Background, FrictionSeries, SeriesChange, find_change
 
@@ -132,8 +131,8 @@ def fleet_trends(result: str, tables: Sequence[Path] = (), on_machine: Any = Non
     columns = read_columns(tables)
     courses: list[Course] = []
     machines = short = 0
-    with tempfile.TemporaryDirectory(prefix="agent-fleet-") as folder:
-        kind, rows = open_rows(result, Path(folder))
+    with swept_folder(SCRATCH) as folder:
+        kind, rows = open_rows(result, folder)
         if kind not in KINDS:
             raise InputError(f"{result}: holds {kind}; name the result of an estimate, a validation or a diagnosis")
         for machine in read_machines(kind, rows):
@@ -170,8 +169,8 @@ def source_of(url: str) -> str:
     Raises:
         InputError: no result.
     """
-    with tempfile.TemporaryDirectory(prefix="agent-fleet-") as folder:
-        return (open_rows(url, Path(folder))[1].schema_arrow.metadata or {}).get(SOURCE, b"").decode()
+    with swept_folder(SCRATCH) as folder:
+        return (open_rows(url, folder)[1].schema_arrow.metadata or {}).get(SOURCE, b"").decode()
 
 
 def machine_courses(kind: str, machine: MachineRuns) -> Iterator[Course]:
@@ -281,10 +280,10 @@ def write_trends(found: FleetTrends, out: str) -> None:
         row = one.to_dict()
         row["low"], row["high"] = row.pop("interval")
         rows.append(row | {name: values.get(one.robot) for name, values in found.tables.items()})
-    with tempfile.TemporaryDirectory(prefix="agent-fleet-") as folder:
-        if is_result(out) and open_rows(out, Path(folder))[0] != "trends":
+    with swept_folder(SCRATCH) as folder:
+        if is_result(out) and open_rows(out, folder)[0] != "trends":
             raise InputError(f"{out}: holds a result of another kind; name another folder with -o")
         table = pa.Table.from_pylist(rows).replace_schema_metadata({META: b"trends"})
-        path = Path(folder) / "trends.parquet"
+        path = folder / "trends.parquet"
         pq.write_table(table, path, compression="zstd")
         store.put(ROWS, path)

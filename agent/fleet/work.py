@@ -11,15 +11,14 @@ import json
 import os
 import re
 import resource
-import tempfile
 import time
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core import AgentError, InputError, read_yaml, worker_folder
-from agent.fleet.store import Store, StoredFile, StoreError
+from agent.core import AgentError, InputError, read_yaml, swept_folder
+from agent.fleet.store import SCRATCH, Store, StoredFile, StoreError
 from agent.fleet.tasks import RUN_MODEL, Task
 
 if TYPE_CHECKING:
@@ -71,13 +70,13 @@ def run_task(task: Task) -> TaskRow:
     from agent.excitation import one_blas_thread
 
     began = time.process_time()
-    with tempfile.TemporaryDirectory(prefix="agent-fleet-", dir=worker_folder()) as folder:
-        inputs = _Inputs(Store(task.source), Path(folder) / "source")
+    with swept_folder(SCRATCH) as folder:
+        inputs = _Inputs(Store(task.source), folder / "source")
         row: dict[str, Any] | None
         model = b""
         try:
             with one_blas_thread():
-                row, model = _work(task, inputs, Path(folder))
+                row, model = _work(task, inputs, folder)
         except AgentError as error:
             status = {2: "unreadable", 3: "rejected"}.get(error.exit_code, "unavailable")
             status = "unavailable" if isinstance(error, StoreError) else status

@@ -5,6 +5,9 @@ from __future__ import annotations
 import os
 import random
 import signal
+import subprocess
+import sys
+import tempfile
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -13,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.core import on_dask
+from agent.core import on_dask, swept_folder
 from agent.core.console import Console
 from agent.core.errors import InputError
 from agent.core.on_dask import DaskEngine
@@ -22,6 +25,7 @@ from agent.excitation import LoopProblem, search
 from agent.fleet import make_question, run_fleet
 from agent.motion import MotionSettings, ViaRegions
 from agent.robot import load_robot
+from tests.conftest import end_with_tests
 from tests.fleet.conftest import DaskProcesses, rows_of
 
 
@@ -64,30 +68,35 @@ def test_a_killed_worker_changes_no_row(plant: Path, estimated: Path, tmp_path: 
     assert not any((tmp_path / "_done").iterdir())
 
 
-def test_what_a_killed_worker_had_on_disk_is_cleared_away(tmp_path: Path):
-    marks = str(tmp_path / "marks")
-    os.mkdir(marks)
+def test_what_a_killed_process_had_on_disk_is_cleared_away(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    holding = (
+        "from agent.core import swept_folder\nwith swept_folder('agent-fleet-') as f: print(f, flush=True); input()"
+    )
+    command = [sys.executable, "-c", holding]
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(command, stdin=-1, stdout=-1, env=environment, preexec_fn=end_with_tests) as process:
+        folder = Path(process.stdout.readline().decode().strip())
+        (folder / "log").write_text("", encoding="utf-8")
+        os.utime(folder, (0, 0))
+        with swept_folder("agent-fleet-") as own:
+            assert {*tmp_path.iterdir()} == {own, folder}, "it is in use"
+        process.kill()
+    with swept_folder("agent-fleet-") as own:
+        assert [*tmp_path.iterdir()] == [own]
+    assert not any(tmp_path.iterdir())
 
-    def begun(number: int) -> int:
+
+def test_ctrl_c_on_a_terminal_is_for_who_asked_and_not_for_the_workers():
+    def struck(number: int) -> int:
         import os
         import signal
-        import tempfile
 
-        from agent.core import worker_folder
-
-        with tempfile.TemporaryDirectory(prefix="agent-fleet-", dir=worker_folder()) as folder:
-            if not os.listdir(marks):
-                open(f"{marks}/{number}", "w").close()
-                os.kill(os.getpid(), signal.SIGKILL)
-            assert folder.startswith(str(tmp_path))
+        os.kill(os.getpid(), signal.SIGINT)
         return number
 
-    dask = pytest.importorskip("dask")
-    with dask.config.set({"temporary-directory": str(tmp_path)}), DaskEngine(workers=1) as engine:
-        assert [done.answer for done in engine.map(begun, range(2))] == [0, 1]
-    assert os.listdir(marks) == ["0"]
-    assert (tmp_path / "dask-scratch-space").is_dir()
-    assert list(tmp_path.rglob("agent-fleet-*")) == []
+    with DaskEngine(workers=1) as engine:
+        assert [done.answer for done in engine.map(struck, range(2))] == [0, 1]
 
 
 def test_a_search_on_dask_finds_the_loop_of_this_process():
