@@ -27,12 +27,12 @@ def _control(robot, fitted, held_out) -> None:
     ("folder", "description", "fitted", "held_out"),
     [
         ("bam_xl330", "robot.yaml", XL330[::2], XL330[1::2]),
-        ("kr300", "robot_real.yaml", "BC", "A"),
+        ("kr300", "robot_real.yaml", "AB", "C"),  # it begins in motion, with a friction that nobody knows
         *(
             pytest.param("kr300", f"robot_{inertials}.yaml", sorted({*"ABC"} - {held_out}), held_out, marks=SLOW)
             for inertials in ("real", "none", "dummy")
             for held_out in "ABC"
-            if (inertials, held_out) != ("real", "A")
+            if (inertials, held_out) != ("real", "C")
         ),
         pytest.param("bam_xl330", "robot.yaml", XL330[1::2], XL330[::2], marks=SLOW),
         pytest.param("tiago", "robot.yaml", ["fit"], ["held"], marks=SLOW),

@@ -15,6 +15,7 @@ _STARTS = 0.05  # s
 _EDGE = 0.15  # of the duration, at either end
 _USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of the other windows of a length, and how far above it a contact is
 _CLEARANCE = 2.0  # durations before and after, where no window comes near it
+_BORDER = 0.3  # s from where a motion's samples begin: what there is before tells whether that is quiet
 _ALONE = 2.0  # times the window at the same place of another cycle
 _MAX_PUSHES, _LEAST_GAIN_RATIO = 6, 0.1  # pushes, and part of the strongest one's gain that another has
 _LINKS = 3  # tried as the one that all pushes are on
@@ -138,7 +139,8 @@ class _Windows:
 
     def best(self, taken: Sequence[_Push]) -> _Push | None:
         """The strongest window beside those taken."""
-        gain = np.where(self._shared(taken), -np.inf, self.gain)
+        bare = self.starts < self.starts[0] + _BORDER
+        gain = np.where(self._shared(taken) | bare, -np.inf, self.gain)
         at = int(np.argmax(gain))
         if not np.isfinite(gain[at]):
             return None
@@ -153,6 +155,12 @@ class _Windows:
         reach = (1 + _CLEARANCE) * push.duration
         around = (np.abs(self.starts - push.start) <= reach) & ~self._shared([push])
         return float(self.gain[around].max(initial=0.0))
+
+    def beside_edges(self, push: _Push) -> float:
+        """Largest gain a second of the windows that end just before a push or begin just after it."""
+        before, after = push.start - self.duration - self.starts, self.starts - push.start - push.duration
+        close = [(gap >= _STARTS) & (gap <= _BORDER) for gap in (before, after)]
+        return float(self.gain[close[0] | close[1]].max(initial=0.0)) / self.duration
 
     def again(self, push: _Push) -> float:
         """Largest gain at the same place, give or take half a step, of another cycle; nought where there is none."""
@@ -194,6 +202,8 @@ def _stands_out(push: _Push, taken: Sequence[_Push], windows: Sequence[_Windows]
     usual = _usual(push, taken, of_link)
     again = max((w.again(push) for w in alike if w.log == push.log), default=0.0)
     near = max((w.near(push) for w in alike if w.log == push.log), default=0.0)
+    shortest = [w for w in of_link if w.duration == _DURATIONS[0] and w.log == push.log]
+    near = max(near, push.duration * max((w.beside_edges(push) for w in shortest), default=0.0))
     return push.gain > max(_STANDS_OUT * usual, _STANDS_OUT * near, _ALONE * again)
 
 
