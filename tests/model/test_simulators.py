@@ -163,6 +163,10 @@ def test_joints_are_matched_by_a_map(tmp_path, robot):
     path = written(tmp_path, URDF.replace('"pan"', '"shoulder"').replace('"lift"', '"elbow"'), "other.urdf")
     with pytest.raises(InputError, match=r"matched none; only in robot bench: pan, lift; .* shoulder, elbow.*--map"):
         load_simulator(path, robot, ())
+    with pytest.raises(
+        InputError, match=r"joints: \{pan: a_pan_joint, lift: z_lift\}$"
+    ):  # not by the order of the logs
+        load_simulator(tmp_path / "arm.urdf", None, ("z_lift", "a_pan_joint"))
     names = load_joint_map(written(tmp_path, "joints: {shoulder: pan, elbow: lift}", "map.yaml"))
     found = load_simulator(path, robot, (), names).model
     q, qd, qdd = states(2)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from difflib import SequenceMatcher
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
 from agent.core import InputError, load_document
+
+#: From so much on, names are so alike that they may mean one joint.
+_ALIKE = 0.6
 
 
 class JointMap(BaseModel):
@@ -56,13 +60,26 @@ def matched(
     missing = [name for name in wanted if name not in found.values()]
     if not found or (missing and names is None):
         left = [name for name in in_file if name not in found]
-        example = ", ".join(f"{a}: {b}" for a, b in zip(left or ["joint_of_file"], missing, strict=False))
+        example = ", ".join(f"{a}: {b}" for a, b in _proposed(left or ["joint_of_file"], missing))
         raise InputError(
             f"{path}: its joints don't match those of {owner}: matched {', '.join(found.values()) or 'none'}; only in "
             f"{owner}: {', '.join(missing)}; only in the file: {', '.join(left) or 'none'}. Say which is which with "
             f"--map FILE, in YAML: joints: {{{example}}}"
         )
     return found
+
+
+def _proposed(in_file: Sequence[str], wanted: Sequence[str]) -> list[tuple[str, str]]:
+    """Which may be which, in the file's order: names that are alike first, as logs are often in alphabetical order."""
+    plain = {name: name.lower().replace("_", "") for name in (*in_file, *wanted)}
+    likeness = {(a, b): SequenceMatcher(None, plain[a], plain[b]).ratio() for a in in_file for b in wanted}
+    found: dict[str, str] = {}
+    for (a, b), alike in sorted(likeness.items(), key=lambda entry: -entry[1]):
+        if alike > _ALIKE and a not in found and b not in found.values():
+            found[a] = b
+    rest = [name for name in wanted if name not in found.values()]
+    found |= zip((name for name in in_file if name not in found), rest, strict=False)
+    return [(name, found[name]) for name in in_file if name in found]
 
 
 def leaving_out(used: Mapping[str, str], left_out: Collection[str]) -> str:
