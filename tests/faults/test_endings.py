@@ -18,6 +18,7 @@ import pytest
 
 from agent.recording import read_log
 from fake_controller.controller import Controller
+from fake_controller.faults import Fault
 from tests.conftest import DRAW, end_with_tests
 from tests.faults.conftest import LONG, MOMENT
 
@@ -177,6 +178,27 @@ def test_every_signal_ends_in_a_stop_and_says_so(bench, moving, assert_at_rest, 
     assert [end.name for end in controller.ends] == ["STOPPED"]
     assert_at_rest(controller, 1)
     _assert_nothing_lost(bench, controller, until)  # what comes while the arm stops is nobody's
+
+
+SIGNALS = {signal.SIGHUP: 129, signal.SIGINT: 130, signal.SIGQUIT: 131, signal.SIGTERM: 143}
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("phase", ["connect", "upload", "start"])
+@pytest.mark.parametrize("number", SIGNALS)
+def test_who_waits_for_an_answer_can_be_ended(bench, on_terminal, assert_at_rest, phase: str, number: int):
+    """One that never comes: of the connection, to the program, to the start, which is carried out."""
+    controller = bench.serve([Fault("silent", phase)], clock="real")
+    bench.program.write_text(LONG, encoding="utf-8")
+    terminal = on_terminal("record", bench.recipe, "--program", bench.program, "-o", bench.log, "--yes")
+    while controller.faults.waiting:
+        os.sched_yield()
+    terminal.process.send_signal(number)
+    os.close(terminal.slave)
+    said = terminal.read_to_the_end()
+    assert terminal.process.wait(30) == SIGNALS[number], said
+    assert "Traceback" not in said
+    assert_at_rest(controller, int(phase == "start"))
 
 
 def test_a_terminal_that_is_closed_ends_in_a_stop(bench, moving, assert_at_rest):
