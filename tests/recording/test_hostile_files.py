@@ -33,7 +33,18 @@ def chunks(path: Path, data: bytes, declared: int, count: int = 1) -> Path:
 
 @pytest.mark.parametrize(
     ("declared", "count", "message"),
-    [(1000, 1, "no messages in it"), (BOMB, 1, "a chunk of 300 MiB"), (60 * 2**20, 50, "500 times its size")],
+    [
+        (1000, 1, "no messages in it"),
+        (0, 1, "no messages in it"),
+        (65_536, 1, "no messages in it"),
+        (65_536, 50, "no messages in it"),
+        (BOMB, 1, "a chunk of 300 MiB"),
+        (BOMB, 50, "a chunk of 300 MiB"),
+        (64 * 2**20 + 1, 1, "at most 64 MiB"),
+        (2**63, 1, "at most 64 MiB"),
+        (2**64 - 1, 1, "at most 64 MiB"),
+        (60 * 2**20, 50, "500 times its size"),
+    ],
 )
 def test_a_chunk_takes_no_more_memory_than_a_limit(tmp_path, bomb, declared, count, message):
     path = chunks(tmp_path / "log.mcap", bomb, declared, count)

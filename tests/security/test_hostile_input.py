@@ -93,7 +93,7 @@ def test_whole_commands_go_and_other_writing_stays():
 
 
 def test_an_arm_of_a_thousand_joints_is_none():
-    for count in (0, MANY + 1, 1000):
+    for count in (0, MANY + 1, MANY + 2, 100, 128, 255, 256, 1000, 65_535, 10**6):
         with pytest.raises(ProtocolError, match=f"names {count} joints"):
             Identity("r", "s", "c", "v", ("j",) * count, 0.002)
 
@@ -140,7 +140,21 @@ def test_an_identity_file_without_end_is_cut_off(ftp_folder: Callable[..., Progr
     tracemalloc.stop()
 
 
-@pytest.mark.parametrize("data", [b"220-more\r\n", b"2" * 5000, b"\x00" * 4096, b"220 hello\r\n331 \xff\xfe\r\n"])
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"220-more\r\n",
+        b"2" * 5000,
+        b"\x00" * 4096,
+        b"220 hello\r\n331 \xff\xfe\r\n",
+        b"\r\n",
+        b"\r" * 9000,
+        b"220\r\n-1 no\r\n",
+        b"999 \x1b[2J\r\n",
+        b"220 a\r\n421 gone\r\n",
+        bytes(range(256)) * 8,
+    ],
+)
 def test_answers_without_end_are_none(line_server: Callable[[bytes, int], int], data: bytes):
     folder = ProgramFolder(parse_address(f"127.0.0.1,ftp={line_server(data, 100_000)}"), 5.0)
     with pytest.raises(DriverError):
@@ -182,7 +196,7 @@ def block(first: int, count: int, joints: int, time: float = 0.0) -> SampleBlock
     return SampleBlock(np.arange(first, first + count), time + 0.002 * np.arange(first, first + count), *[values] * 5)
 
 
-@pytest.mark.parametrize("then", [1, 2, 5, 7, 16])
+@pytest.mark.parametrize("then", [1, 2, 3, 4, 5, 7, 8, 16, 32, 64])
 def test_a_joint_count_that_changes_in_mid_stream_ends_the_motion(then: int):
     sequencer = Sequencer()
     sequencer.accept(block(0, 10, 6))
@@ -292,6 +306,9 @@ LAUGHS = "a: &a [x,x,x,x,x,x,x,x,x,x]\n" + "".join(
         ("# " + "x" * 300_000, "longer than 256 KiB"),
         ("[" * 200, "nested more than 50 deep"),
         ("a: " + "9" * 5000, "too many digits"),
+        ("{a: " * 200, "nested more than 50 deep"),
+        ("- " * 200 + "1", "nested more than 50 deep"),
+        ("a: [" + "9" * 5000 + "]", "too many digits"),
     ],
 )
 def test_a_yaml_file_stays_small(tmp_path: Path, text: str, said: str):
@@ -341,7 +358,9 @@ def test_a_recipe_with_a_value_of_any_size_is_lines_of_faults(tmp_path: Path, ol
         assert not dirty(fault)
 
 
-@pytest.mark.parametrize("size", [LARGEST_JSON + 1, 4 * LARGEST_JSON])
+@pytest.mark.parametrize(
+    "size", [*(LARGEST_JSON + k for k in (1, 4096)), *(k << 26 for k in (2, 3, 4, 5, 8, 16, 99, 999))]
+)
 def test_a_json_file_that_is_too_long_is_not_read(tmp_path: Path, size: int):
     path = tmp_path / "state.json"
     with open(path, "wb") as file:
@@ -353,7 +372,22 @@ def test_a_json_file_that_is_too_long_is_not_read(tmp_path: Path, size: int):
     tracemalloc.stop()
 
 
-@pytest.mark.parametrize("data", [b"[" * 100_000, b"9" * 5000, b"\xff", b"", b"{", b'{"a": nul}'])
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"[" * 100_000,
+        b'{"a":' * 100_000,
+        b"9" * 5000,
+        b"-" + b"9" * 5000,
+        b"\xff",
+        b"",
+        b"{",
+        b'{"a": nul}',
+        b"{'a': 1}",
+        b"\x00",
+        b"[1,]",
+    ],
+)
 def test_json_that_is_none_is_one_message(tmp_path: Path, data: bytes):
     path = tmp_path / "state.json"
     path.write_bytes(data)
@@ -361,15 +395,19 @@ def test_json_that_is_none_is_one_message(tmp_path: Path, data: bytes):
         read_json(path)
 
 
-def test_a_packet_of_the_broker_of_256_mib_ends_the_link():
-    """MQTT's longest: after CONNACK, a PUBLISH whose length says so and whose content does not come."""
+@pytest.mark.parametrize("kind", [b"\x30", b"\x32"])
+@pytest.mark.parametrize(
+    "length", [b"\xff\xff\xff\x7f", b"\x80\x80\x80\x01", b"\x80\x80\x40", b"\x80\x80\x08", b"\x81\x80\x04"]
+)
+def test_a_packet_of_the_broker_of_256_mib_ends_the_link(kind: bytes, length: bytes):
+    """MQTT's longest, and shorter ones: after CONNACK, a PUBLISH of that length whose content does not come."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
 
         def serve() -> None:
             connection, _ = listener.accept()
             with connection:
                 connection.recv(1024)
-                connection.sendall(b"\x20\x02\x00\x00" + b"\x30\xff\xff\xff\x7f" + bytes(1000))
+                connection.sendall(b"\x20\x02\x00\x00" + kind + length + bytes(1000))
                 with contextlib.suppress(ConnectionResetError):
                     while connection.recv(1024):
                         pass

@@ -144,7 +144,7 @@ def test_passwords_come_from_the_environment_a_file_and_the_keyring(tmp_path: Pa
         read_secret("keyring:cell/jim")
 
 
-@pytest.mark.parametrize("mode", [0o640, 0o604, 0o644, 0o660, 0o610])
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o644, 0o660, 0o610, 0o601, 0o602, 0o620, 0o666, 0o677])
 def test_a_file_that_others_can_read_is_not_used(tmp_path: Path, mode: int):
     path = tmp_path / "ftp.secret"
     path.write_text("hunter22", encoding="utf-8")
@@ -173,7 +173,21 @@ def test_what_is_no_password_is_said(tmp_path: Path, content: bytes, said: str):
 
 def test_a_folder_a_fifo_and_nothing_are_no_files(tmp_path: Path):
     os.mkfifo(tmp_path / "fifo", 0o600)
-    for name, said in {"": "a directory", "fifo": "not a file", "none": "cannot be read"}.items():
+    (tmp_path / "link").symlink_to("/nowhere")
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "folder").symlink_to(tmp_path)
+    said_of = {
+        "": "a directory",
+        "folder": "a directory",
+        "fifo": "not a file",
+        "/dev/null": "not a file",
+        "/dev/zero": "not a file",
+        "none": "cannot be read",
+        "link": "cannot be read",
+        "loop": "cannot be read",
+        "x" * 300: "cannot be read",
+    }
+    for name, said in said_of.items():
         with pytest.raises(ConfigurationError, match=said):
             read_secret(f"file:{tmp_path / name}")
     with pytest.raises(ConfigurationError, match="no variable NOBODY_SET_THIS"):
@@ -221,13 +235,19 @@ def echoing_ftp_server() -> Iterator[int]:
         thread.join(5.0)
 
 
-def test_a_server_that_repeats_the_password_does_not_bring_it_into_a_message(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("CELL_FTP", "hunter22")
+@pytest.mark.parametrize(
+    "password",
+    ["hunter22", "1234", "joe1", "no no", "%41%42", "a.*b+", "'; --", "<b>&", "zwölf", "530 530"],
+)
+def test_a_server_that_repeats_the_password_does_not_bring_it_into_a_message(
+    monkeypatch: pytest.MonkeyPatch, password: str
+):
+    monkeypatch.setenv("CELL_FTP", password)
     with echoing_ftp_server() as port:
         folder = ProgramFolder(parse_address(f"127.0.0.1,ftp={port},user=joe,password_from=env:CELL_FTP"), 5.0)
         with pytest.raises(DriverError, match="does not let joe in") as refusal:
             folder.stored()
-    assert "hunter22" not in str(refusal.value)
+    assert password not in str(refusal.value)
     assert "\x1b" not in str(refusal.value)
 
 

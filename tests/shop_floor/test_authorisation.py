@@ -47,7 +47,7 @@ def test_nothing_may_be_left_out(tmp_path: Path, key: str):
 
 
 def test_a_file_that_anybody_can_write_is_nobodys_word(tmp_path: Path):
-    for mode in (0o664, 0o646):
+    for mode in (0o664, 0o646, 0o666, 0o620, 0o602, 0o622, 0o660, 0o606, 0o676, 0o777):
         with pytest.raises(InputError, match="chmod go-w"):
             load_authorisation(_write(tmp_path, mode), NOW)
 
