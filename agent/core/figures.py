@@ -24,4 +24,4 @@ def plus_minus(value: float, half: float) -> str:
         return f"({plus_minus(value / 10**power, half / 10**power)})e{power}"
     places = 1 - math.floor(math.log10(half))
     shown = max(0, places)
-    return f"{round(value, places):.{shown}f} ± {round(half, places):.{shown}f}"
+    return f"{round(value, places) + 0.0:.{shown}f} ± {round(half, places):.{shown}f}"

@@ -29,30 +29,26 @@ def current_sentence(result: dict[str, Any]) -> str:
 def parameters_section(table: Sequence[Sequence[str]], notes: Sequence[str] = ()) -> Section:
     """Every parameter with its 95 % interval; `table` is that of `IdentifiedModel.rows`, header first."""
     _, *rows = table
+    priors = any(row[6] != "-" for row in rows)
     shown = [
         (
             name,
             plus_minus(float(value), _NORMAL_95 * float(deviation)),
             unit,
             _known(float(value), float(deviation)),
-            "-" if mean == "-" else plus_minus(float(mean), _NORMAL_95 * float(doubt)),
-            share,
+            *((_with_doubt(mean, doubt), share) if priors else ()),
             meaning,
         )
         for name, value, deviation, _, unit, meaning, mean, doubt, share in rows
     ]
-    header = (
-        "parameter",
-        "value ± 95 %",
-        "unit",
-        "how well it is known",
-        "prior ± 95 %",
-        "from the data [%]",
-        "stands for",
-    )
-    priors = any(row[6] != "-" for row in rows)
+    before = ("prior ± 95 %", "from the data [%]") if priors else ()
+    header = ("parameter", "value ± 95 %", "unit", "how well it is known", *before, "stands for")
     text = (*notes, _PRIOR) if priors else notes
     return Section("Parameters", text, (Table("parameters", header, shown),))
+
+
+def _with_doubt(mean: str, deviation: str) -> str:
+    return plus_minus(float(mean), _NORMAL_95 * float(deviation))
 
 
 def diagnosis_part(diagnosis: dict[str, Any] | None, reference: str) -> Section:
@@ -108,5 +104,5 @@ def _number(value: float | None, scale: float = 1.0, form: str = ".1f") -> str:
 def _known(value: float, deviation: float) -> str:
     """How far a parameter is known: the standard deviation over the value, where that says something."""
     if abs(value) <= _NORMAL_95 * deviation:
-        return "not significantly different from zero"
+        return "may be zero"
     return f"to {100 * deviation / abs(value):.2g} %"

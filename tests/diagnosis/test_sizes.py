@@ -28,6 +28,7 @@ def test_a_value_is_given_to_the_digits_of_its_interval(value: float, power: flo
 def test_figures_have_their_units():
     assert plus_minus(4.0032, 0.0213) == "4.003 ± 0.021"
     assert plus_minus(133_269.5, 2114.0) == "133300 ± 2100"
+    assert plus_minus(-0.001, 0.24) == "0.00 ± 0.24"
     assert size_text("payload", "mass", 4.0, (3.98, 4.02)) == "4.000 ± 0.020 kg"
     assert size_text("time_delay", "delay", 0.009, None) == "9 ms"
     assert size_text("encoder_offset", "offset", 0.01, (0.009, 0.011)) == "10.0 ± 1.0 mrad"

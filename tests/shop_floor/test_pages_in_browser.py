@@ -91,6 +91,13 @@ def test_a_page_fits_and_can_be_read_by_everybody(small: Path, browser, width: i
     _is_readable(browser, small, width, scheme)
 
 
+def test_a_page_without_contents_is_as_wide_as_one_with(browser, tmp_path: Path):
+    page = tmp_path / "page.html"
+    page.write_text(render(Page("Title", "An answer.", "good", [Section("One", ("Text. " * 40,))])), encoding="utf-8")
+    with browser.page(page) as opened:
+        assert opened.tab.locator("main").bounding_box()["width"] > 1000
+
+
 def test_every_control_does_something(small: Path, browser):
     with browser.page(small) as opened:
         opened.draw()
