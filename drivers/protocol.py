@@ -191,7 +191,10 @@ class ReportsFrames(Protocol):
     """A driver whose wire has the frames that are in force at the controller."""
 
     def frames(self) -> Mapping[str, np.ndarray]:
-        """(4, 4) [m] of `$BASE`, `$TOOL` and `$UFRAME`, by these names. Allowed at any time, as `status` is."""
+        """(4, 4) [m] of `$BASE`, `$TOOL` and `$UFRAME`, by these names; empty where this controller does not say.
+
+        Allowed at any time, as `status` is.
+        """
 
 
 @runtime_checkable

@@ -23,14 +23,14 @@ def check_frames(program: PlannedProgram, driver: Driver, address: str) -> None:
     """
     if not program.frames:
         return
-    if not isinstance(driver, ReportsFrames):
+    found = driver.frames() if isinstance(driver, ReportsFrames) else {}
+    if not program.frames.keys() <= found.keys():
         missing = " and ".join(program.frames)
         lines = "; ".join(f"{name} := {pos_text(frame)}" for name, frame in program.frames.items())
         raise InputError(
             f"{address}: program {program.name} does not set {missing}, so its way depends on what ran before it, "
             f"and this link cannot read that. Set it before the first move; the plan was made for {lines}"
         )
-    found = driver.frames()
     wrong = [
         f"{name} is {pos_text(found[name])}, the plan is for {pos_text(frame)}"
         for name, frame in program.frames.items()

@@ -15,10 +15,12 @@ from drivers.protocol import Identity, SampleBlock, Status
 from drivers.transports.base import LinkDriver
 from drivers.transports.frame_link import Channel, FrameLink, Reply
 from drivers.transports.motion import MotionStream
+from drivers.transports.poses import pose_of_frame
 from drivers.wire.tcp import (
     MAX_BATCH,
     UPLOAD_BLOCK,
     VERSION,
+    AskFrames,
     AskStatus,
     AskTemperatures,
     Done,
@@ -26,6 +28,7 @@ from drivers.wire.tcp import (
     Fetch,
     Frame,
     FrameDecoder,
+    FramesReply,
     Hello,
     Identify,
     IdentityReply,
@@ -113,6 +116,17 @@ class FrameDriver(LinkDriver[FrameLink, MotionStream]):
             return None
         self._measures_temperatures = bool(reply.celsius)
         return np.array(reply.celsius) if reply.celsius else None
+
+    def frames(self) -> dict[str, np.ndarray]:
+        """`ReportsFrames`; empty where this controller does not know the question."""
+        try:
+            reply = self._read(AskFrames(), FramesReply, "frames")
+        except RefusedError:
+            return {}
+        fields = {"$BASE": reply.base, "$TOOL": reply.tool, "$UFRAME": reply.uframe}
+        if any(len(numbers) != 6 for numbers in fields.values()):
+            raise ProtocolError(f"the controller at {self.address} answered with frames that have not six numbers each")
+        return {name: pose_of_frame(numbers) for name, numbers in fields.items()}
 
     def upload(self, name: str, text: str) -> str:
         """Store a program; returns the SHA-256 (hex) of the text as the controller stored it.

@@ -129,6 +129,14 @@ END = Block(
     "end", 800, "read", "The last motion's end.",
     ("message", Text(200), "for people"),
 )  # fmt: skip
+FRAMES = Block(
+    "frames", 920, "read",
+    "The frames in force, each as the six numbers of a POS: x, y, z [mm], Euler angles a, e, r [deg] about the moving "
+    "axes z, y, z. A controller of an older map has no such registers (exception 2).",
+    ("base", Repeated(F64, 6), "$BASE"),
+    ("tool", Repeated(F64, 6), "$TOOL"),
+    ("uframe", Repeated(F64, 6), "$UFRAME"),
+)  # fmt: skip
 COMMAND = Block(
     "command", 1000, "write", "One command; taken once per session and request.",
     ("session", U32, "a number the client has drawn, not 0"),
@@ -154,7 +162,7 @@ HEARTBEAT = Block(
     ("taken", U32, "the ring shows samples from this sequence number on"),
 )  # fmt: skip
 
-BLOCKS = (IDENTITY, *NAMES, STATUS, ALARMS, ANSWER, PROGRESS, END, COMMAND, UPLOAD, HEARTBEAT)
+BLOCKS = (IDENTITY, *NAMES, STATUS, ALARMS, ANSWER, PROGRESS, END, FRAMES, COMMAND, UPLOAD, HEARTBEAT)
 
 
 def slot_registers(joints: int) -> int:

@@ -177,6 +177,20 @@ class TemperaturesReply(MessageFields):
     celsius: Floats
 
 
+@message(0x0C)
+class AskFrames(MessageFields):
+    """Which frames are in force? A controller from before there was this question refuses it."""
+
+
+@message(0x8C)
+class FramesReply(MessageFields):
+    """Each as the six numbers of a POS: x, y, z [mm], Euler angles a, e, r [deg] about the moving axes z, y, z."""
+
+    base: Floats
+    tool: Floats
+    uframe: Floats
+
+
 @message(0x80)
 class Done(MessageFields):
     """The request was carried out and there is nothing more to say."""

@@ -8,11 +8,13 @@ from drivers.errors import ProtocolError
 from drivers.wire.reasons import EndReason, Refusal
 from drivers.wire.tcp import (
     VERSION,
+    AskFrames,
     AskStatus,
     AskTemperatures,
     Done,
     Fetch,
     Frame,
+    FramesReply,
     Heartbeat,
     Hello,
     Identify,
@@ -84,6 +86,9 @@ class FrameClient:
                 self._reply(status_reply(controller), request)
             case AskTemperatures():
                 self._reply(TemperaturesReply(controller.temperatures), request)
+            case AskFrames():
+                base, uframe, tool = controller.frames
+                self._reply(FramesReply(base, tool, uframe), request)
             case UploadBegin(name, size, checksum):
                 controller.check_upload(name, size)
                 self._upload = Upload(name, size, checksum)

@@ -19,6 +19,7 @@ from agent.safety.motion import PlannedProgram
 from drivers.registry import create
 from drivers.transports.tcp import TcpDriver
 from fake_controller.build import build_controller
+from fake_controller.servers import WIRES, open_server
 from fake_controller.servers.cnr.server import CnrServer
 
 MOUNTED = pos_to_pose(np.array([0, 0, 120, 0, 0, 0]))
@@ -69,8 +70,45 @@ def test_a_frame_that_is_no_number_is_another():
         check_frames(planned(MOUNTED), Lost("127.0.0.1:1"), "here")
 
 
+@pytest.mark.parametrize("wire", [wire for wire in WIRES if wire != "cnr_comau"])
+def test_every_wire_has_the_frames_that_are_in_force(wire):
+    controller = build_controller("comau_ns16", seed=3, clock="fast")
+    with (
+        closing(open_server(wire, controller, watchdog=5.0, waits=True)) as server,
+        closing(create(WIRES[wire], server.address, watchdog=5.0)) as driver,
+    ):
+        driver.connect()
+        base, uframe, tool = controller.frames
+        for name, fields in (("$BASE", base), ("$TOOL", tool), ("$UFRAME", uframe)):
+            np.testing.assert_allclose(driver.frames()[name], pos_to_pose(np.array(fields)), atol=1e-9)
+        with pytest.raises(ControllerError, match=r"\$TOOL is POS\(.*the plan is for POS\(0, 0, 120, 0, 0, 0"):
+            check_frames(planned(MOUNTED), driver, "here")
+
+
+def test_a_controller_of_before_does_not_say():
+    """It refuses the question, or has no such registers; then it is as with a link that has no frames."""
+    from drivers.wire import modbus, tcp
+
+    known = {0x0C: tcp.MESSAGES.pop(0x0C)}
+    try:
+        controller = build_controller("comau_ns16", seed=3, clock="fast")
+        with (
+            closing(open_server("tcp", controller, watchdog=5.0)) as server,
+            closing(TcpDriver(server.address)) as driver,
+        ):
+            driver.connect()
+            assert driver.frames() == {}
+    finally:
+        tcp.MESSAGES.update(known)
+    assert modbus.FRAMES.address + modbus.FRAMES.registers <= modbus.COMMAND.address
+
+
 def test_a_link_that_reads_no_frames_takes_no_program_that_leaves_them_open():
-    driver = TcpDriver("127.0.0.1:1")
+    class Older(TcpDriver):
+        def frames(self):
+            return {}
+
+    driver = Older("127.0.0.1:1")
     check_frames(PlannedProgram("loop", "", ()), driver, "here")
     with pytest.raises(InputError, match=r"does not set \$TOOL.*\$TOOL := POS\(0, 0, 120"):
         check_frames(planned(MOUNTED), driver, "here")

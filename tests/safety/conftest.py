@@ -79,6 +79,8 @@ class Controller:
                 return tcp.StatusReply(**state)
             case tcp.AskTemperatures():
                 return tcp.TemperaturesReply(self.celsius)
+            case tcp.AskFrames():
+                return tcp.Refused(Refusal.UNKNOWN_MESSAGE, 0, 0, "a controller of before there were frames")
             case tcp.UploadBegin(name, _, checksum):
                 state |= {"program": name, "checksum": self.stores or checksum}
                 return tcp.Done()

@@ -24,9 +24,9 @@ from drivers.transports.cnr.address import CnrAddress
 from drivers.transports.cnr.broker import BrokerLink
 from drivers.transports.cnr.commands import command_start, insist_on_stop, wait_for_a_person
 from drivers.transports.cnr.files import CnrIdentity, ProgramFolder
-from drivers.transports.cnr.frames import pose_of_frame
 from drivers.transports.cnr.motion import CnrArm, CnrMotion, stop_reason
 from drivers.transports.cnr.sockets import CommandReply, Sockets
+from drivers.transports.poses import pose_of_frame
 from drivers.wire.cnr import Feedback, MessageType, Mode, Point
 from drivers.wire.reasons import EndReason
 

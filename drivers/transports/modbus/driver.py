@@ -12,6 +12,7 @@ import uuid
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from pymodbus.client import ModbusTcpClient
 
 from drivers.errors import DriverError, ProtocolError, RefusedError
@@ -21,6 +22,7 @@ from drivers.transports.modbus.link import Client, ModbusLink, SilentError
 from drivers.transports.modbus.replies import identity_of, status_of
 from drivers.transports.modbus.ring import RingReader
 from drivers.transports.motion import MotionStream
+from drivers.transports.poses import pose_of_frame
 from drivers.transports.tcp import open_socket, parse_address
 from drivers.wire import modbus as wire
 from drivers.wire.reasons import refusal_error
@@ -107,6 +109,16 @@ class ModbusDriver(LinkDriver[ModbusLink, MotionStream]):
         values = link.read(wire.STATUS)
         alarms = link.read(wire.ALARMS)["text"].splitlines() if values["alarms"] else []
         return status_of(values, alarms, self._joints)
+
+    def frames(self) -> dict[str, np.ndarray]:
+        """`ReportsFrames`; empty where this controller has no such registers."""
+        link = self._connected()
+        try:
+            values = link.read(wire.FRAMES)
+        except ProtocolError:
+            return {}
+        fields = {"$BASE": values["base"], "$TOOL": values["tool"], "$UFRAME": values["uframe"]}
+        return {name: pose_of_frame(numbers) for name, numbers in fields.items()}
 
     def upload(self, name: str, text: str) -> str:
         """Store a program; returns the SHA-256 (hex) of the text as the controller stored it.

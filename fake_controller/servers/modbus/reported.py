@@ -8,7 +8,7 @@ from fake_controller.controller import CONTROLLER, PERIOD, VERSION, Controller
 
 
 def own_registers(controller: Controller, block: Block) -> list[int] | None:
-    """The registers of identity, joint names, status and alarms; None for any other block."""
+    """The registers of identity, joint names, status, frames and alarms; None for any other block."""
     state, joints = controller.state, controller.robot.dof
     if block is wire.IDENTITY:
         return block.pack(
@@ -43,6 +43,9 @@ def own_registers(controller: Controller, block: Block) -> list[int] | None:
             program=name,
             checksum=bytes.fromhex(checksum),
         )
+    if block is wire.FRAMES:
+        base, uframe, tool = controller.frames
+        return block.pack(base=base, tool=tool, uframe=uframe)
     if block is wire.ALARMS:
         return block.pack(text="\n".join(state.alarms))
     return None

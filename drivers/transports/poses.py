@@ -1,4 +1,4 @@
-"""Frames as the socket programs tell them."""
+"""Frames of a controller as every wire has them: the fields of a POS."""
 
 from __future__ import annotations
 
