@@ -219,4 +219,5 @@ class DaskEngine:
         except (RuntimeError, OSError) as error:
             raise AgentError(f"local workers cannot be started: {error}; is there enough memory?") from None
         self._client = self._dask.Client(self._cluster, set_as_default=False)
-        self._say(f"{self._workers} local workers; dashboard {self._cluster.dashboard_link}")
+        count = f"{self._workers} local worker{'' if self._workers == 1 else 's'}"
+        self._say(f"{count}; dashboard {self._cluster.dashboard_link}")
