@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -107,6 +108,9 @@ def test_follow_tells_where_a_path_leaves_the_reach(ns16: RobotDescription) -> N
     with pytest.raises(KinematicsError, match="out of reach") as far:
         kinematics.follow(poses, start)
     assert far.value.reason == "unreachable"
+    assert re.search(
+        r"the arm reaches from 0\.\d+ to 1\.351 m, [\d.e-]+ mm too far", str(far.value)
+    )  # the first that is
     first = far.value.index
     assert kinematics.follow(poses[: first - 3], start).shape == (first - 3, 6)
     assert not kinematics.inverse(poses[:first]).unreachable.any()

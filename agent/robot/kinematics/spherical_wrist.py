@@ -231,6 +231,10 @@ class SphericalWristKinematics(Kinematics):
             distance = np.hypot(radial - g.shoulder_offset, z)
             nearest = abs(g.upper_arm - g.forearm)
             why = f"{distance:.3f} m from axis 2, and the arm reaches from {nearest:.3f} to {g.reach:.3f} m"
+            # On a line that leads out of reach the first point is only just out of it.
+            beyond = max(distance - g.reach, nearest - distance)
+            if beyond < 0.01:
+                why += f", {1000 * beyond:.2g} mm too {'far' if distance > g.reach else 'near'}"
         raise KinematicsError(
             index,
             "unreachable",
