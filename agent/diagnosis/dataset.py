@@ -12,6 +12,7 @@ from agent.core import InputError
 from agent.diagnosis.candidate import Fold
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.rounding import rounding_noise
 from agent.diagnosis.standstill import standing
 from agent.estimation import (
     DESCRIPTION,
@@ -83,6 +84,7 @@ def assemble(
     background = np.maximum(_moving_error(model), limits.least_background * scale)
     if not given:
         background = _expected_error(robot, observation, limits.unknown_error)
+    background = np.maximum(background, rounding_noise(reference, logs, observation.segments[0].motion.cutoff))
     signals: list[MotionSignals] = []
     rows: list[list[np.ndarray]] = [[] for _ in range(n)]
     index: list[np.ndarray] = []
