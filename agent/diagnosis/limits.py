@@ -130,6 +130,13 @@ class DecisionLimits:
         2.0, "held-out error of the model", "from where on a joint's error is more than the model's own", TUNED
     )
     path_gap: float = _limit(1e-4, "rad or m, RMS", "between planned and executed path that is notable", "chosen")
+    path_rate: float = _limit(
+        0.005,
+        "of the speed",
+        "executed faster or slower than planned by more matters",
+        "chosen: as a learned law is held to",
+    )
+    path_time: float = _limit(0.01, "s", "executed later or rounded over longer than planned matters", "chosen")
 
     # Background
     stiction: float = _limit(

@@ -14,7 +14,8 @@ from agent.recording import Log
 
 @dataclass(frozen=True, eq=False)
 class MotionGap:
-    """before, after, floor (n,) [rad]; rate a, shift b [s] and blend [s] of the fit, 1, 0, 0 where it helps nothing."""
+    """before, after, floor (n,) [rad]; rate a, shift b [s] and blend [s] of the fit; 1, 0, 0 where it helps nothing, or
+    by no practical size."""
 
     before: np.ndarray
     after: np.ndarray
@@ -33,6 +34,12 @@ class MotionGap:
     def described(self) -> bool:
         """Whether there is something to explain, and rate, shift and blend that all motions share explain it."""
         return self.notable and (self.closure or 0.0) >= self.limits.explained
+
+    @property
+    def practical(self) -> bool:
+        """Whether rate, shift or blend are of a size that matters: every interpolator is off by a little."""
+        late = max(abs(self.shift), self.blend)
+        return abs(self.rate - 1.0) > self.limits.path_rate or late > self.limits.path_time
 
     @property
     def closure(self) -> float | None:
@@ -64,7 +71,7 @@ def motion_gap(logs: Sequence[Log], limits: DecisionLimits = LIMITS) -> MotionGa
     rate, shift, blend = (float(np.median([one[k] for one in fitted])) for k in range(3))
     found = MotionGap(before, _rms(errors), _floor(logs, errors), rate, shift, blend, limits)
     # other corners and ramps are no change of rate: what one motion teaches then makes another one worse
-    return found if np.sum(found.after**2) < np.sum(before**2) else as_it_is
+    return found if found.practical and np.sum(found.after**2) < np.sum(before**2) else as_it_is
 
 
 def _rms(parts: Sequence[np.ndarray]) -> np.ndarray:

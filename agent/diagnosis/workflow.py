@@ -66,8 +66,9 @@ def _path_warnings(motion: MotionGap | None) -> Iterator[str]:
     if motion is not None and motion.notable and not motion.described:
         yield (
             f"the executed path is not the planned one, by up to {1e3 * motion.before.max():.2g} mrad or mm root mean "
-            "square, and no change of rate, shift in time or rounding that all motions share describes it: compare the "
-            "controller's FLY and ramp settings with the recipe's; torque is judged on the executed motion"
+            "square, and no change of rate, shift in time or rounding of practical size that all motions share "
+            "describes it: compare the controller's FLY and ramp settings with the recipe's, or learn them (agent "
+            "learn-interpolator); torque is judged on the executed motion"
         )
 
 

@@ -112,6 +112,19 @@ def test_the_joint_that_moves_alone_shows_the_motion_gap(arm, baseline, runs):
     assert max(result["motion_gap"]["after"]) < 0.3 * max(result["motion_gap"]["before"])
 
 
+def test_a_controller_that_is_a_little_late_is_no_gap(arm, baseline, runs):
+    """Ramps of a controller are never quite those that were planned with: a ten-thousandth of the speed is no cause."""
+    logs = []
+    for log in runs(0)[1:]:
+        start, reference = log.t[0], np.array(log.reference_position)
+        planned = np.column_stack([np.interp(start + 1.0004 * (log.t - start), log.t, one) for one in reference.T])
+        logs.append(replace(log, planned_position=planned))
+    found = diagnose(arm, logs, baseline)
+    assert max(found.result["motion_gap"]["before"]) > 1e-4
+    assert (found.result["verdict"], found.result["causes"]) == ("no_gap", [])
+    assert any("practical size" in warning for warning in found.warnings)
+
+
 def test_a_log_that_is_given_twice_counts_once(arm, baseline, runs, diagnosed):
     found = diagnose(arm, [*runs(0), runs(0)[1]], baseline)
     assert any("the same samples" in warning for warning in found.warnings)
