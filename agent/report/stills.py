@@ -57,7 +57,8 @@ def _draw(plot: Plot, panel: Panel, axis: Any, pad: float) -> None:
     for name, level in panel.marks.items():
         axis.axhline(level, linestyle=":", linewidth=1, color="#8a949e", label=name)
     axis.set_ylabel(f"[{panel.unit}]" if panel.unit else "", fontsize=8)
-    axis.set_title(panel.title, fontsize=8, loc="left", pad=pad)
+    # Without a height every label is measured to find one.
+    axis.set_title(panel.title, fontsize=8, loc="left", pad=pad, y=1.0)
     if panel.from_zero:
         axis.set_ylim(bottom=0)
 
