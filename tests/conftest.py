@@ -24,6 +24,7 @@ from hypothesis import HealthCheck, settings
 
 from agent.robot import RobotDescription, load_robot
 from tests.browser import Browser, browser as start_browser
+from tests.warm import WarmProcess
 
 # The same examples every time, so that a test tells of the change and not of the draw; `make verify` draws fresh ones.
 # No deadline, and no complaint about slow examples: how long one takes is the machine's affair.
@@ -113,25 +114,23 @@ class Emulator:
     """The fake controller as a process, as users meet it; as fast as it goes, where nothing else is said."""
 
     def __init__(self, *options: str) -> None:
-        command = [sys.executable, "-m", "fake_controller", "--robot", "comau_ns16", "--port", "0", "--seed", "7"]
-        command += ["--clock", "fast", "--watchdog", "5"]  # the machine that runs the tests may stall
+        usual = ["--robot", "comau_ns16", "--port", "0", "--seed", "7"]
+        usual += ["--clock", "fast", "--watchdog", "5"]  # the machine that runs the tests may stall
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        self.process = subprocess.Popen(
-            [*command, *options],
-            stdout=subprocess.PIPE,
-            text=True,
-            cwd=ROOT,
-            env=environment,
-            preexec_fn=end_with_tests,
+        said, says = os.pipe()
+        self.process = WarmProcess(
+            "fake_controller", *usual, *options, cwd=ROOT, env=environment, stdout=says, stderr=2
         )
-        assert self.process.stdout is not None
-        self.greeting = self.process.stdout.readline()
+        os.close(says)
+        self._said = os.fdopen(said, encoding="utf-8")
+        self.greeting = self._said.readline()
         self.address = self.greeting.split(" at ")[1].split(", clock")[0]
 
     def end(self) -> None:
         """As a power cut does."""
         self.process.kill()
         self.process.wait()
+        self._said.close()
 
 
 @contextlib.contextmanager

@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 
+from tests import warm
+
 ROOT = Path(__file__).resolve().parents[2]
 RECIPE = """
 robot: comau_ns16
@@ -70,13 +72,11 @@ def start_agent(tmp_path: Path) -> Callable[..., subprocess.Popen[str]]:
 
 
 @pytest.fixture
-def run_agent(start_agent: Callable[..., subprocess.Popen[str]]) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Runs the command line to its end."""
+def run_agent(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Runs the command line to its end, in the test's folder."""
 
     def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-        process = start_agent(*arguments)
-        output, errors = process.communicate()
-        return subprocess.CompletedProcess(process.args, process.returncode, output, errors)
+        return warm.run("agent", *arguments, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)})
 
     return run
 

@@ -23,6 +23,7 @@ from drivers.transports.cnr.address import parse_address
 from drivers.transports.cnr.files import ProgramFolder
 from fake_controller.build import build_controller
 from fake_controller.servers.cnr.server import CnrServer
+from tests import warm
 
 ROOT = Path(__file__).resolve().parents[2]
 PLANTED = "hunter<2>&'zwölf"
@@ -54,15 +55,7 @@ def nothing_known():
 
 
 def agent(folder: Path, *arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "agent", *map(str, arguments)],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    return warm.run("agent", *arguments, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT), **environment})
 
 
 def leaks(folder: Path, secret: str) -> list[str]:

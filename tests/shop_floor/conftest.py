@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests import warm
 from tests.browser import Browser
 from tests.conftest import DRAW, drawn
 
@@ -43,15 +43,7 @@ LOOP = drawn({"seed": 1, "aside": "0 m"}, lambda rng: {"seed": DRAW, "aside": f"
 
 def agent(folder: Path, *arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run the command line off a terminal."""
-    return subprocess.run(
-        [sys.executable, "-m", "agent", *map(str, arguments)],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    return warm.run("agent", *arguments, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT), **environment})
 
 
 @pytest.fixture(scope="session")

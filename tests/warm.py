@@ -1,0 +1,231 @@
+"""Programs of ours as processes of their own, forked from one that has imported the libraries they use.
+
+A fresh interpreter spends most of a second on imports, and the tests start hundreds. What runs is what
+`python -m MODULE …` runs: arguments, environment, folder, files, signals and exit code are its own. Where the start
+itself is what is tested, take `subprocess`.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import functools
+import gc
+import importlib
+import json
+import os
+import runpy
+import select
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+_LIBRARIES = (
+    "numpy.ma",
+    "scipy.linalg.lapack",
+    "scipy.interpolate",
+    "scipy.ndimage",
+    "scipy.optimize",
+    "scipy.signal",
+    "scipy.spatial.transform",
+    "scipy.special",
+    "pinocchio",
+    "coal",
+    "clarabel",
+    "jinja2",
+    "lark",
+    "lazy_loader",
+    "matplotlib.backends.backend_svg",
+    "matplotlib.pyplot",
+    "mcap.writer",
+    "mcap_ros2.decoder",
+    "paho.mqtt.client",
+    "pydantic",
+    "pymodbus.client",
+    "rich.progress",
+    "ruamel.yaml",
+    "serial",
+    "threadpoolctl",
+    "typer",
+    "zstandard",
+)
+_LONGEST = 1 << 20  # bytes of a request
+_HEADER = 8  # bytes of its length
+
+
+class WarmProcess:
+    """`python -m MODULE ARGUMENTS` with standard output and errors to these files; input is empty."""
+
+    def __init__(
+        self, module: str, *arguments: object, cwd: Path, env: dict[str, str], stdout: int, stderr: int
+    ) -> None:
+        self.returncode: int | None = None
+        self._status, ended = os.pipe()
+        with open(os.devnull) as nothing:
+            files = [nothing.fileno(), stdout, stderr, ended]
+            request = {"module": module, "arguments": list(map(str, arguments)), "cwd": str(cwd), "env": env}
+            self.pid = _nursery()(request, files)
+        os.close(ended)
+
+    def poll(self, patience: float | None = 0.0) -> int | None:
+        """Its exit code, negative where a signal ended it; None where it runs after so many seconds."""
+        if self.returncode is None and select.select([self._status], [], [], patience)[0]:
+            told = os.read(self._status, _HEADER)  # nothing where the one that forked it was killed: so was it
+            os.close(self._status)
+            self.returncode = int(told) if told else -signal.SIGKILL
+        return self.returncode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Its exit code once it has ended.
+
+        Raises:
+            TimeoutExpired: it runs on.
+        """
+        code = self.poll(timeout)
+        if code is None:
+            raise subprocess.TimeoutExpired(f"process {self.pid}", timeout or 0.0)
+        return code
+
+    def kill(self) -> None:
+        """End it as a power cut does."""
+        if self.poll() is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGKILL)
+
+
+def run(module: str, *arguments: object, cwd: Path, env: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    """Run a module to its end."""
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        process = WarmProcess(module, *arguments, cwd=cwd, env=env, stdout=out.fileno(), stderr=err.fileno())
+        try:
+            code = process.wait()
+        finally:
+            process.kill()
+        out.seek(0), err.seek(0)
+        text = (file.read().decode().replace("\r\n", "\n") for file in (out, err))
+        return subprocess.CompletedProcess([sys.executable, "-m", module, *map(str, arguments)], code, *text)
+
+
+@functools.cache
+def _nursery() -> object:
+    """What asks for a process: a function of a request and its four files that returns the number of the process."""
+    ours, theirs = socket.socketpair()
+    with theirs:
+        command = [sys.executable, __file__, str(theirs.fileno())]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        subprocess.Popen(command, pass_fds=[theirs.fileno()], cwd=ROOT, env=environment, stdin=subprocess.DEVNULL)
+
+    def ask(request: dict[str, object], files: list[int]) -> int:
+        data = json.dumps(request).encode()
+        socket.send_fds(ours, [f"{len(data):{_HEADER}}".encode()], files)
+        ours.sendall(data)
+        return int(ours.recv(_HEADER))
+
+    return ask
+
+
+def _serve(asked: socket.socket) -> dict[str, object] | None:
+    """Fork what is asked for until nobody can ask any more. Returns in every child what it has to run."""
+    running: dict[int, int] = {}
+    ended, noticed = os.pipe()
+    os.set_blocking(noticed, False)
+    signal.set_wakeup_fd(noticed, warn_on_full_buffer=False)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    while True:
+        ready = select.select([asked, ended], [], [])[0]
+        if ended in ready:
+            os.read(ended, _LONGEST)
+        for pid in list(running):
+            found, status = os.waitpid(pid, os.WNOHANG)
+            if found:
+                file = running.pop(pid)
+                with contextlib.suppress(BrokenPipeError):
+                    os.write(file, str(os.waitstatus_to_exitcode(status)).encode())
+                os.close(file)
+        if asked not in ready:
+            continue
+        header, files, _, _ = socket.recv_fds(asked, _HEADER, 4)
+        if not header:
+            for pid in running:
+                os.kill(pid, signal.SIGKILL)
+            return None
+        request = json.loads(asked.recv(int(header), socket.MSG_WAITALL))
+        pid = os.fork()
+        if pid == 0:
+            signal.set_wakeup_fd(-1)
+            signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            for place, file in enumerate(files[:3]):
+                os.dup2(file, place)
+            for file in (*files, ended, noticed, asked.detach(), *running.values()):
+                os.close(file)
+            return request
+        running[pid] = files[3]
+        for file in files[:3]:
+            os.close(file)
+        asked.sendall(f"{pid:{_HEADER}}".encode())
+
+
+def _become(request: dict) -> None:
+    """What an interpreter does before its module runs."""
+    os.chdir(request["cwd"])
+    os.environ.clear()
+    os.environ.update(request["env"])
+    time.tzset()
+    tempfile.tempdir = None
+    sys.argv = [request["module"], *request["arguments"]]
+    paths = [path for path in request["env"].get("PYTHONPATH", "").split(os.pathsep) if path]
+    sys.path[:1] = [os.getcwd(), *(path for path in paths if path not in sys.path)]
+    for name, place, mode in (("stdin", 0, "r"), ("stdout", 1, "w"), ("stderr", 2, "w")):
+        stream = os.fdopen(
+            place, mode, closefd=False, encoding="utf-8", errors=None if place < 2 else "backslashreplace"
+        )
+        stream.reconfigure(line_buffering=place == 2)
+        setattr(sys, name, stream)
+        setattr(sys, f"__{name}__", stream)
+
+
+def _ran(module: str) -> int:
+    """The exit code of a module that ran as the main one; all is done that an interpreter does at its end, but for
+    taking apart what was imported."""
+    code: object = 0
+    try:
+        runpy.run_module(module, run_name="__main__", alter_sys=True)
+    except SystemExit as end:
+        code = end.code
+    except BaseException:
+        sys.excepthook(*sys.exc_info())
+        code = 1
+    threading._shutdown()
+    atexit._run_exitfuncs()
+    if code is not None and not isinstance(code, int):
+        print(code, file=sys.stderr)
+        code = 1
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):
+            stream.flush()
+    return int(code or 0)
+
+
+def _import_libraries() -> None:
+    """Ours are left: in which order they are imported is part of what runs."""
+    for name in _LIBRARIES:
+        with contextlib.suppress(ImportError):
+            importlib.import_module(name)
+    gc.collect()
+    gc.freeze()
+
+
+if __name__ == "__main__":
+    _import_libraries()
+    wanted = _serve(socket.socket(fileno=int(sys.argv[1])))
+    if wanted is not None:
+        _become(wanted)
+        os._exit(_ran(wanted["module"]))
