@@ -11,6 +11,7 @@ matplotlib.use("svg")
 from matplotlib import pyplot as plt
 
 _COLOURS = ("#1f6fb2", "#c8553d", "#5b8c5a", "#8e6c8a", "#d39b22", "#5f6b73")
+_APART = 0.008  # of the axis, between lines
 Interval = tuple[float, float, float]
 
 
@@ -33,21 +34,25 @@ def ratios(path: Path, rows: Mapping[str, Interval], label: str) -> None:
 def curves(path: Path, lines: Mapping[str, Mapping[float, Interval]], labels: tuple[str, str], logs: str = "") -> None:
     """A line with intervals for each entry; `logs` says which axes are logarithmic ("x", "y", "xy")."""
     figure, axes = _figure(7.0, 3.4)
+    places = [at for points in lines.values() for at in points]
+    span = max(places) - min(places)
     for k, (name, points) in enumerate(lines.items()):
-        x = list(points)
-        y = [points[at][0] for at in x]
-        spread = [[points[at][0] - points[at][1] for at in x], [points[at][2] - points[at][0] for at in x]]
+        shift = _APART * (k - 0.5 * (len(lines) - 1))  # intervals side by side
+        x = [at * (1.0 + 3.0 * shift) if "x" in logs else at + shift * span for at in points]
+        found = list(points.values())
+        y = [value for value, _, _ in found]
+        spread = [[value - low for value, low, _ in found], [high - value for value, _, high in found]]
         style = dict(color=_COLOURS[k % len(_COLOURS)], marker="o", markersize=4, capsize=2, linewidth=1.4)
         axes.errorbar(x, y, yerr=spread, label=name, linestyle="-" if k < len(_COLOURS) else "--", **style)
     for which in logs:
         (axes.set_xscale if which == "x" else axes.set_yscale)("log")
         _plain_ticks(axes.xaxis if which == "x" else axes.yaxis)
     if "x" in logs:
-        ticks = sorted({at for points in lines.values() for at in points})
+        ticks = sorted(set(places))
         axes.set_xticks(ticks, [f"{at:g}" for at in ticks])
     axes.set_xlabel(labels[0])
     axes.set_ylabel(labels[1])
-    axes.legend(frameon=False, fontsize=8)
+    axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     _save(figure, path)
 
 

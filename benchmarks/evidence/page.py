@@ -19,6 +19,10 @@ standstill counts. Square brackets are 95 % bootstrap intervals over machines, d
 compared: a ratio whose interval holds 1 shows no difference. A loop is the best of a genetic search of 400 candidates
 (20 by 20; a recipe's default is 2 000). No constant of the agent was chosen on these runs.
 """
+_NARROW = (
+    "one type of arm, one sub-region, and an emulator whose effects are as large as somebody thought they usually are: "
+    "which of them a machine has decides what local calibration is worth on it"
+)
 _REPEAT = """## Repeat it
 
 ```text
@@ -45,7 +49,7 @@ def write(folder: Path, docs: Path, recipe: Recipe, pieces: Iterable[str]) -> Pa
         loop_sections.searches({name: r for name, r in results.items() if name.startswith("search-")}, pictures),
         few_data_section.section(results["few-data"], pictures),
     ]
-    weak = [line for part in parts for line in part.weak]
+    weak = [_NARROW, *(line for part in parts for line in part.weak)]
     text = [
         _HEAD,
         "## Weak spots first",

@@ -11,7 +11,7 @@ _RESAMPLES = 4000
 
 
 def mean_of(values: Mapping[int, float]) -> tuple[float, float, float]:
-    """Mean over machines and its 95 % bootstrap interval."""
+    """Mean over machines and its 95 % bootstrap interval; NaN where there is one machine only."""
     drawn = np.array(list(values.values()))
     return _interval(drawn, np.ones_like(drawn))
 
@@ -23,10 +23,13 @@ def ratio_of(first: Mapping[int, float], second: Mapping[int, float]) -> tuple[f
 
 
 def _interval(first: np.ndarray, second: np.ndarray) -> tuple[float, float, float]:
+    value = float(first.sum() / second.sum())
+    if len(first) < 2:
+        return value, np.nan, np.nan
     picked = np.random.default_rng(0).integers(len(first), size=(_RESAMPLES, len(first)))
     ratios = first[picked].sum(axis=1) / second[picked].sum(axis=1)
     low, high = np.quantile(ratios, (0.025, 0.975))
-    return float(first.sum() / second.sum()), float(low), float(high)
+    return value, float(low), float(high)
 
 
 def each(lines: Mapping[int, Any], pick: Callable[[Any], Any], joints: slice = slice(None)) -> dict[int, float]:
@@ -35,7 +38,9 @@ def each(lines: Mapping[int, Any], pick: Callable[[Any], Any], joints: slice = s
 
 
 def text(found: tuple[float, float, float], digits: int = 2) -> str:
-    """A figure and its interval."""
+    """A figure and its interval; of one machine there is none."""
+    if np.isnan(found[1]):
+        return f"{found[0]:.{digits}f}"
     value, low, high = (f"{x:.{digits}f}" for x in found)
     return f"{value} [{low}, {high}]"
 

@@ -12,7 +12,7 @@ from agent.robot import Dynamics, load_robot
 from benchmarks.evidence import __main__ as evidence, criteria
 from benchmarks.evidence.few_data import wrong_urdf
 from benchmarks.evidence.results import Results
-from benchmarks.evidence.statistics import ratio_of
+from benchmarks.evidence.statistics import ratio_of, text, verdict
 
 DEFAULT = "torque-weighted D"
 
@@ -83,3 +83,6 @@ def test_a_ratio_is_compared_in_pairs():
     wide = {machine: float(machine) for machine in range(1, 11)}
     ratio, low, high = ratio_of({machine: 0.5 * error for machine, error in wide.items()}, wide)
     assert (ratio, low, high) == pytest.approx((0.5, 0.5, 0.5))
+    assert verdict((ratio, low, high)) == "better"
+    alone = ratio_of({1: 0.5}, wide)
+    assert (text(alone), verdict(alone)) == ("0.50", "open")
