@@ -64,6 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     chosen = parser.parse_args(arguments)
     recipe = load_recipe(chosen.recipe)
     if chosen.command == "page":
+        if not any(len(Results(chosen.folder, piece)) for piece in PIECES):
+            parser.error(f"{chosen.folder} has no results: run a piece first; the page stays as it is")
         print(page.write(chosen.folder, chosen.docs, recipe, PIECES))
         return
     folder, end = chosen.folder.absolute(), time.time() + 60 * chosen.minutes

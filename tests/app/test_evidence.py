@@ -34,6 +34,9 @@ def recipe(tmp_path: Path) -> Path:
 
 def test_a_line_of_a_piece_and_a_page_of_what_is_there(tmp_path: Path, recipe: Path, monkeypatch, capsys):
     given = ["--folder", str(tmp_path / "results"), "--recipe", str(recipe)]
+    with pytest.raises(SystemExit):
+        evidence.main([*given, "page", "--docs", str(tmp_path)])
+    assert "has no results" in capsys.readouterr().err
     monkeypatch.setitem(evidence.PIECES, "criteria", (lambda recipe: [DEFAULT], criteria.measure))
     evidence.main([*given, "run", "criteria", "--machines", "1"])
     assert "complete" in capsys.readouterr().err
