@@ -23,6 +23,10 @@ _NARROW = (
     "one type of arm, one sub-region, and an emulator whose effects are as large as somebody thought they usually are: "
     "which of them a machine has decides what local calibration is worth on it"
 )
+_NEVER_RUN = (
+    "not in any piece: loops over the whole workspace at full joint speed, 5 and 10 points, stops at other numbers of "
+    "points, pymoo (differential evolution is written here), more than two minutes of motion, arms other than the NS16"
+)
 _REPEAT = """## Repeat it
 
 ```text
@@ -49,7 +53,7 @@ def write(folder: Path, docs: Path, recipe: Recipe, pieces: Iterable[str]) -> Pa
         loop_sections.searches({name: r for name, r in results.items() if name.startswith("search-")}, pictures),
         few_data_section.section(results["few-data"], pictures),
     ]
-    weak = [_NARROW, *(line for part in parts for line in part.weak)]
+    weak = [_NARROW, *(line for part in parts for line in part.weak), _NEVER_RUN]
     text = [
         _HEAD,
         "## Weak spots first",
