@@ -39,7 +39,8 @@ def gain_in_band(fit: Fit, score: HeldOutScore) -> float:
     power = (_smooth(np.sum(np.abs(side) ** 2, axis=0)) for side in (measured, predicted))
     coherence = np.abs(cross) ** 2 / np.maximum(np.prod(np.array(list(power)), axis=0), 1e-300)
     gain = np.sum(np.abs(worse) ** 2 - np.abs(better) ** 2, axis=0)
-    return float(np.sum(gain[coherence > _COHERENT]) / max(np.sum(gain), 1e-300))
+    whole = float(np.sum(gain))
+    return float(np.sum(gain[coherence > _COHERENT])) / whole if whole > 0 else 0.0
 
 
 def _lines(motions: list[np.ndarray], count: int) -> np.ndarray:

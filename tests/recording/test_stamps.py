@@ -192,6 +192,16 @@ def test_samples_that_are_missing_near_to_each_other_are_found(seed):
     np.testing.assert_array_equal(number, true)
 
 
+def test_a_missing_sample_is_found_where_the_stamps_are_six_rows_off():
+    """Beside another one, which a wrong guess would otherwise be moved to."""
+    rng = np.random.default_rng(4)
+    true = np.delete(np.arange(300), [140, 150])
+    guess = np.delete(np.arange(300), [140, 144])
+    position = np.round(0.6 * np.sin(true[:, None] / 100 + np.arange(3)), 4)
+    place = np.maximum.accumulate(true + rng.exponential(0.2, len(true)))
+    np.testing.assert_array_equal(settled(guess.astype(float), place, position), true)
+
+
 def test_gaps_that_are_short_for_the_filter_are_bridged(log_at):
     rate = 100.0
     lost = (np.arange(30, 3000, 60)[:, None] + np.arange(5)).ravel()

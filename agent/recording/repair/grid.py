@@ -16,6 +16,7 @@ _FINE = 16  # parts of a period that stamps are counted in
 _NOISE = 4.0  # times what samples of any phase would have: by chance one rate in a million has as much
 #: Rows by which the place of a missing sample may be wrong, rows that tell, and rounds over all of them.
 _DOUBT, _AROUND, _ROUNDS = 4, 9, 2
+_FAR = 8  # rows by which it may be wrong where the rows around stay rough
 _ROUGH = 10.0  # mean squared distance from the cubic, in noise: more is no noise
 
 
@@ -73,7 +74,8 @@ def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.n
 
     `place` (S,) are the stamps in periods. Jitter leaves open by a few rows where a sample is missing; positions are
     near a cubic of nine rows to either side, by how far, follows from the rows that lie in one piece. Two missing
-    samples so near to each other hide each other's place: where moving one leaves the rows rough, both are moved.
+    samples so near to each other hide each other's place: where moving one leaves the rows rough, both are moved, or
+    one of them further.
     """
     if len(number) < _AROUND:
         return number
@@ -99,19 +101,21 @@ def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.n
                 continue
             costs = [cost(trial) for trial in trials]
             if min(costs) > _ROUGH * rows.size:
+                trials += _moved(number[first:stop], here, _FAR)
                 for other in np.flatnonzero(np.diff(number[first:stop]) > 1).tolist():
                     if other != here:
+                        trials += _moved(number[first:stop], other, _FAR)
                         trials += [both for one in _moved(number[first:stop], other) for both in _moved(one, here)]
                 costs += [cost(trial) for trial in trials[len(costs) :]]
             number[first:stop] = trials[int(np.argmin(costs))]
     return number
 
 
-def _moved(number: np.ndarray, hole: int) -> list[np.ndarray]:
+def _moved(number: np.ndarray, hole: int, most: int = _DOUBT) -> list[np.ndarray]:
     """The numbers (S,) with a sample that is missing after row `hole` missing some rows earlier or later."""
     trials = []
     if number[hole + 1] - number[hole] > 1:
-        for shift in range(-min(_DOUBT, hole), min(_DOUBT, len(number) - hole - 2) + 1):
+        for shift in range(-min(most, hole), min(most, len(number) - hole - 2) + 1):
             trial = number.copy()
             trial[hole + 1 : hole + 1 + max(shift, 0)] -= 1
             trial[hole + 1 + min(shift, 0) : hole + 1] += 1
