@@ -202,6 +202,11 @@ class DaskEngine:
             "distributed.scheduler.worker-saturation": 1.0,
             "distributed.comm.timeouts.connect": "30s",
             "distributed.admin.log-format": "%(message)s",
+            # looks at itself less often: 5 % of a core otherwise, beside one worker
+            "distributed.worker.profile.enabled": False,
+            "distributed.admin.system-monitor.interval": "5s",
+            "distributed.admin.tick.interval": "1s",
+            "distributed.admin.tick.limit": "60s",
         }
         dask.config.set(settings)
         try:

@@ -54,7 +54,7 @@ def test_a_killed_worker_changes_no_row(plant: Path, estimated: Path, tmp_path: 
     killed = []
 
     class Killing(Console):
-        def progress(self, text: str) -> None:
+        def progress(self, text: str, done: float | None = None) -> None:
             if text.startswith("3 of"):
                 killed.append(random.Random(1).choice(sorted(engine._client.run(os.getpid).values())))
                 os.kill(killed[0], signal.SIGKILL)
@@ -126,7 +126,7 @@ def test_a_run_that_is_ended_is_continued_by_the_same_command(plant: Path, estim
     question = make_question("estimate", None, None)
 
     class Ending(Console):
-        def progress(self, text: str) -> None:
+        def progress(self, text: str, done: float | None = None) -> None:
             if text.startswith("5 of"):
                 raise KeyboardInterrupt
 
