@@ -32,6 +32,7 @@ ROOT = Path(__file__).resolve().parents[2]
 TESTS = [
     *sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("tests/safety/test_guard*.py")),
     *sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("tests/safety/test_cell*.py")),
+    "tests/safety/test_laying.py",
     "tests/link/test_frames_before_motion.py",
     "tests/shop_floor/test_authorisation.py",
 ]

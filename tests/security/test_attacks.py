@@ -31,8 +31,7 @@ def drawn_attacks() -> list[str]:
 def test_every_attack_in_another_draw(draw: int, folder: str, measured):
     tests = [test for test in drawn_attacks() if test.split("/")[1] == folder]
     run = subprocess.run(
-        [sys.executable, "-m", "pytest", "-n", "0", "--no-header", "--tb=short", "-m", "verify or not verify"]
-        + tests,
+        [sys.executable, "-m", "pytest", "-n", "0", "--no-header", "--tb=short", "-m", "verify or not verify"] + tests,
         cwd=ROOT,
         env={**os.environ, "CALIBRATION_DRAW": str(draw)},
         capture_output=True,
