@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
-# Many containers forbid Python to keep what it has compiled, which costs every process of ours a third of a second.
+# Many containers forbid Python to keep what it has compiled, so that every process of ours compiles again.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: env calibrate test verify docs lint format lock clean

@@ -72,6 +72,16 @@ def test_a_door_offers_what_somebody_outside_takes():
     assert idle == []
 
 
+def test_no_module_hides_a_function_behind_its_door():
+    """A door loads what it offers on first use; a module imported by then stands in the way of its name."""
+    hidden = []
+    for door in sorted((ROOT / "agent").rglob("__init__.pyi")):
+        offered = {name.asname or name.name for node in ast.parse(door.read_text("utf-8")).body for name in node.names}
+        modules = {path.stem for path in door.parent.iterdir() if path.suffix == ".py" or path.is_dir()}
+        hidden += [f"{door.parent.relative_to(ROOT).as_posix()}: {name}" for name in offered & modules]
+    assert hidden == []
+
+
 def _modules(top: str) -> list[Path]:
     return sorted((ROOT / top).rglob("*.py"))
 

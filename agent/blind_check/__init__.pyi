@@ -1,4 +1,4 @@
-from .active_scores import WAYS as WAYS, active_scores as active_scores, active_text as active_text
+from .active_scoring import WAYS as WAYS, active_scores as active_scores, active_text as active_text
 from .cases import Case as Case, draw_cases as draw_cases
 from .check import BlindCheck as BlindCheck
 from .key import key_text as key_text, open_key as open_key, seal as seal

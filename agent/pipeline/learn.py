@@ -148,7 +148,7 @@ def _statements(log: Log, robot: RobotDescription) -> list[Statement]:
 def _of_the_plan(log: Log) -> str:
     """Text of a validation motion, from the plan of the run that the log lies in."""
     from agent.pipeline.planning import program_text, replan
-    from agent.pipeline.rebuild_report import recipe_of
+    from agent.pipeline.rebuilt_report import recipe_of
 
     folder = log.path.parent
     if (folder / "plan.json").is_file() and (folder / "state.json").is_file():

@@ -9,7 +9,7 @@ from .gap_section import VERDICTS as VERDICTS, diagnosis_summary as diagnosis_su
 from .index import IndexData as IndexData, index_page as index_page
 from .log_sections import log_section as log_section
 from .motion_sections import MotionData as MotionData, SearchData as SearchData, plan_report as plan_report
-from .observation_section import observation_section as observation_section
+from .observation import observation_section as observation_section
 from .page import About as About, NextStep as NextStep, Page as Page, Section as Section, render as render
 from .recalibration import recalibration_report as recalibration_report
 from .residual_sections import residual_section as residual_section

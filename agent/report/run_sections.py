@@ -15,7 +15,7 @@ from agent.report.comparison_sections import comparison_section
 from agent.report.correlation import correlation_section
 from agent.report.friction_curves import friction_section
 from agent.report.log_sections import log_section
-from agent.report.observation_section import observation_section
+from agent.report.observation import observation_section
 from agent.report.page import Section
 from agent.report.paper_section import paper_section
 from agent.report.residual_sections import residual_section

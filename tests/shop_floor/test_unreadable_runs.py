@@ -17,7 +17,7 @@ from hypothesis import given, settings, strategies as st
 from agent.core.console import Console
 from agent.core.errors import AgentError, InputError
 from agent.pipeline.compare import compare_runs
-from agent.pipeline.rebuild_report import rebuild_report
+from agent.pipeline.rebuilt_report import rebuild_report
 from agent.pipeline.reports import write_index
 from agent.runs.current import apply_previous, apply_run
 from agent.runs.folder import RunFolder
