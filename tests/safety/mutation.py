@@ -93,6 +93,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     "planned_path.py": {
         "passed[k] > gap": "of times that are numbers",
         "np.diff(found) > 1": "indices",
+        "places.start < places.stop": "indices",
         "off <= min(away) + within": "of times that are numbers",
         "period > 0": "of a plan that was checked",
         "when <= latest + ahead + self.step": "of times that are numbers",
