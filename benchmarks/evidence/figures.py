@@ -15,11 +15,11 @@ _APART = 0.008  # of the axis, between lines
 Interval = tuple[float, float, float]
 
 
-def ratios(path: Path, rows: Mapping[str, Interval], label: str) -> None:
-    """A point with its interval for each row; left of one is better."""
+def ratios(path: Path, rows: Mapping[str, tuple[Interval, str]], label: str) -> None:
+    """A point with its interval for each row, coloured by its verdict; left of one is better."""
     figure, axes = _figure(7.0, 0.9 + 0.3 * len(rows))
-    for at, (low, high, value) in enumerate((low, high, value) for value, low, high in rows.values()):
-        colour = _COLOURS[0] if high < 1 else _COLOURS[1] if low > 1 else _COLOURS[5]
+    for at, ((value, low, high), verdict) in enumerate(rows.values()):
+        colour = {"better": _COLOURS[0], "worse": _COLOURS[1]}.get(verdict, _COLOURS[5])
         axes.plot([low, high], [at, at], color=colour, linewidth=2)
         axes.plot([value], [at], "o", color=colour, markersize=5)
     axes.axvline(1.0, color="#888888", linewidth=0.8)

@@ -73,12 +73,12 @@ def _errors(part: PageSection, worlds: dict, pictures: Path) -> None:
                 " / ".join(f"{share:.0f}" for share in covered),
             ]
         )
-        found[world] = ratios["all"]
+        found[world] = ratios["all"], verdict(ratios["all"], len(lines))
         if covered[0] < _ENOUGH:
             short.append(f"{world} {covered[0]:.0f} % ({covered[1]:.0f} %)")
-        if verdict(ratios["all"]) != "better":
+        if found[world][1] != "better":
             part.weak.append(
-                f"{world}: local calibration is {_compared(ratios['all'])} global in the sub-region itself, "
+                f"{world}: local calibration is {_compared(*found[world])} global in the sub-region itself, "
                 f"{text(ratios['all'])} times its error ({len(lines)} machines)"
             )
     if short:
@@ -104,10 +104,10 @@ def _errors(part: PageSection, worlds: dict, pictures: Path) -> None:
     part.picture("local", "Ratio of errors by world")
 
 
-def _compared(ratio: tuple[float, float, float]) -> str:
+def _compared(ratio: tuple[float, float, float], said: str) -> str:
     if ratio[2] < _ALIKE:
         return "as wrong as"
-    return "worse than" if verdict(ratio) == "worse" else "not shown to be better than"
+    return "worse than" if said == "worse" else "not shown to be better than"
 
 
 def _branches(part: PageSection, worlds: dict, loops: Results, recipe: Recipe) -> None:

@@ -50,8 +50,9 @@ def criteria(results: Results, pictures: Path) -> PageSection:
             ]
         )
         if name != DEFAULT:
-            picture[name] = ratios[_SHORT]
-            if verdict(ratios[_SHORT]) == "better" or verdict(ratios[_LONG]) == "better":
+            said = {s: verdict(ratio, len(lines)) for s, ratio in ratios.items()}
+            picture[name] = ratios[_SHORT], said[_SHORT]
+            if "better" in said.values():
                 part.weak.append(
                     f"{name} led to better models than the default: {text(ratios[_SHORT])} times its error after "
                     f"{_SHORT} s, {text(ratios[_LONG])} after {_LONG} s ({len(lines)} machines)"
@@ -97,7 +98,7 @@ def searches(results: Mapping[str, Results], pictures: Path) -> PageSection:
                 [method, str(budget), str(len(lines)), text(fitness, 1), text(mean_of(error)), text(ratio), text(width)]
             )
             if method != "genetic":
-                picture[f"{method}, {budget}"] = ratio
+                picture[f"{method}, {budget}"] = ratio, verdict(ratio, len(lines))
     if rows:
         part.say(
             f"Every search has the seed of its machine; models of {_SHORT} s of the best loop of each. Ratios are over "

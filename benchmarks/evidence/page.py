@@ -16,8 +16,9 @@ Whether local calibration, this criterion, this search and the prior are worth w
 emulated COMAU NS16 by `benchmarks/evidence`. Nothing here is of a real robot. Errors are RMSE in percent of nominal
 joint torque on motions in the sub-region at 0.1 m/s that no fit saw, means over joints unless said otherwise;
 standstill counts. Square brackets are 95 % bootstrap intervals over machines, drawn again in pairs where two ways are
-compared: a ratio whose interval holds 1 shows no difference. A loop is the best of a genetic search of 400 candidates
-(20 by 20; a recipe's default is 2 000). No constant of the agent was chosen on these runs.
+compared: a ratio whose interval holds 1 shows no difference, and of fewer than six machines none is claimed, as the
+interval is then hardly more than their range. A loop is the best of a genetic search of 400 candidates (20 by 20; a
+recipe's default is 2 000). No constant of the agent was chosen on these runs.
 """
 _NARROW = (
     "one type of arm, one sub-region, and an emulator whose effects are as large as somebody thought they usually are: "

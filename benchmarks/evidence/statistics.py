@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 _RESAMPLES = 4000
+_FEWEST = 6  # machines; fewer agree by chance more often than one time in twenty (sign test)
 
 
 def mean_of(values: Mapping[int, float]) -> tuple[float, float, float]:
@@ -45,6 +46,8 @@ def text(found: tuple[float, float, float], digits: int = 2) -> str:
     return f"{value} [{low}, {high}]"
 
 
-def verdict(found: tuple[float, float, float]) -> str:
-    """What a ratio of errors says of the first: better, worse or open."""
+def verdict(found: tuple[float, float, float], machines: int) -> str:
+    """What a ratio of errors over so many machines says of the first: better, worse or open."""
+    if machines < _FEWEST:
+        return "open"
     return "better" if found[2] < 1 else "worse" if found[1] > 1 else "open"

@@ -86,6 +86,6 @@ def test_a_ratio_is_compared_in_pairs():
     wide = {machine: float(machine) for machine in range(1, 11)}
     ratio, low, high = ratio_of({machine: 0.5 * error for machine, error in wide.items()}, wide)
     assert (ratio, low, high) == pytest.approx((0.5, 0.5, 0.5))
-    assert verdict((ratio, low, high)) == "better"
+    assert [verdict((ratio, low, high), machines) for machines in (10, 5)] == ["better", "open"]
     alone = ratio_of({1: 0.5}, wide)
-    assert (text(alone), verdict(alone)) == ("0.50", "open")
+    assert (text(alone), verdict(alone, 1)) == ("0.50", "open")
