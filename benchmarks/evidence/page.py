@@ -8,6 +8,7 @@ from pathlib import Path
 from agent.recipe import Recipe
 from benchmarks.evidence import few_data_section, local_section, loop_sections
 from benchmarks.evidence.results import Results
+from benchmarks.evidence.statistics import FEWEST
 
 READING = Path(__file__).with_name("reading.md")
 _HEAD = """# Evidence
@@ -54,7 +55,7 @@ def write(folder: Path, docs: Path, recipe: Recipe, pieces: Iterable[str]) -> Pa
         loop_sections.searches({name: r for name, r in results.items() if name.startswith("search-")}, pictures),
         few_data_section.section(results["few-data"], pictures),
     ]
-    weak = [_NARROW, *(line for part in parts for line in part.weak), _NEVER_RUN]
+    weak = [_NARROW, *(line for part in parts for line in part.weak), *_thin(results), _NEVER_RUN]
     text = [
         _HEAD,
         "## Weak spots first",
@@ -69,6 +70,17 @@ def write(folder: Path, docs: Path, recipe: Recipe, pieces: Iterable[str]) -> Pa
     path = docs / "evidence.md"
     path.write_text("\n".join(text).rstrip() + "\n", encoding="utf-8")
     return path
+
+
+def _thin(results: dict[str, Results]) -> list[str]:
+    """What was run on too few machines for any claim."""
+    few = []
+    for piece, kept in results.items():
+        settings = kept.settings()
+        thin = sum(len(kept.of(setting)) < FEWEST for setting in settings)
+        if thin:
+            few.append(f"{piece} ({thin} of {len(settings)} settings)")
+    return [f"on fewer than {FEWEST} machines, so that nothing is claimed: {', '.join(few)}"] if few else []
 
 
 def _runs(results: dict[str, Results]) -> Sequence[str]:

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 _RESAMPLES = 4000
-_FEWEST = 6  # machines; fewer agree by chance more often than one time in twenty (sign test)
+#: Machines that a verdict takes; fewer agree by chance more often than one time in twenty (sign test).
+FEWEST = 6
 
 
 def mean_of(values: Mapping[int, float]) -> tuple[float, float, float]:
@@ -48,6 +49,6 @@ def text(found: tuple[float, float, float], digits: int = 2) -> str:
 
 def verdict(found: tuple[float, float, float], machines: int) -> str:
     """What a ratio of errors over so many machines says of the first: better, worse or open."""
-    if machines < _FEWEST:
+    if machines < FEWEST:
         return "open"
     return "better" if found[2] < 1 else "worse" if found[1] > 1 else "open"
