@@ -229,6 +229,7 @@ def plain_model(robot: RobotDescription, logs: Sequence[Log], cutoff: float | No
         terms=tuple(found.terms[k] for k in alike),
         values=found.values[kept],
         covariance=found.covariance[np.ix_(kept, kept)],
+        prior=None if found.prior is None else found.prior.part(kept),
         effects=(),
     )
 

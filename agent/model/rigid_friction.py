@@ -30,6 +30,10 @@ class ParameterPrior:
     standard_deviation: np.ndarray
     data_share: np.ndarray
 
+    def part(self, kept: np.ndarray) -> ParameterPrior:
+        """That of the parameters `kept` (indices)."""
+        return ParameterPrior(self.mean[kept], self.standard_deviation[kept], self.data_share[kept])
+
 
 @dataclass(frozen=True, eq=False)
 class RigidFrictionModel:
