@@ -126,7 +126,6 @@ class Learner:
         return self._time(path)
 
     def _path(self) -> FlyParameters:
-        start = self._with_stops(FlyParameters(blend="parabola", turn_lever=_NO_LEVER))
         flying = [move for stretch, _ in self._taught for move in stretch.moves if move.fly]
         if not flying:
             return FlyParameters()
@@ -137,17 +136,19 @@ class Learner:
             free.append(("norm_acceleration", 0.3, 20.0))
         # A parabola or a circle touches both moves where it takes equal parts of the tool's way, however that turns.
         curves = [
-            replace(start, blend=blend, blend_turn=turn, turn_lever=_NO_LEVER)
+            FlyParameters(blend=blend, blend_turn=turn, turn_lever=_NO_LEVER)
             for turn in ("path", "slerp")
             for blend in ("parabola", "circle")
         ]
-        polynomial = FlyParameters(stop_angle=start.stop_angle)
-        families = [(polynomial, [("blend_shape", 0.0, 1.0), *free])]
-        return self._best([*families, *((curve, free) for curve in curves)], self._off_path)
+        families = [(FlyParameters(), [("blend_shape", 0.0, 1.0), *free]), *((curve, free) for curve in curves)]
+        # What is a stop for one family may be a blend of another.
+        return self._best([(self._with_stops(start), free) for start, free in families], self._off_path)
 
     def _with_stops(self, start: FlyParameters) -> FlyParameters:
         """With the largest angle from which on corners are stops, as far as the stretches show one."""
-        best, least = start, self._off_path(start)
+        best, least = start, np.inf
+        with suppress(MotionError):
+            least = self._off_path(start)
         sharp = np.unique(
             [start.stop_angle, _SHARP, *(turn for stretch, _ in self._taught for turn in self._turns(stretch))]
         )
