@@ -239,6 +239,25 @@ def test_one_lost_answer_to_a_read_is_made_good(server, tampered):
         np.testing.assert_array_equal(sequence(blocks), np.arange(1 + blocks[-1].sequence[-1]))
 
 
+def test_a_controller_that_is_late_with_an_answer_hears_of_its_client_meanwhile(server, tampered):
+    """Half a watchdog is waited for it, and as long for its repetition: a heartbeat goes out in between."""
+    lost, sent = [], []
+
+    def lose(outward, data):
+        if outward and lost:
+            sent.append(data)
+        if not outward and server.controller.motions_started and data[7] == 3 and not lost:
+            lost.append(True)
+            return b""
+        return data
+
+    with closing(ModbusDriver(tampered(server.port, lose), watchdog=patience(0.4))) as driver:
+        driver.connect()
+        driver.start("p", driver.upload("p", SHORT))
+        list(driver.samples())
+    assert sent[0][7:10] == struct.pack(">BH", 16, wire.HEARTBEAT.address)
+
+
 def test_a_thread_that_stands_still_is_waited_for_no_longer_than_it_may(driver, monkeypatch):
     """Whatever it waits for: nobody else waits for ever, and nothing hangs at the end."""
     monkeypatch.setattr(link, "_STANDSTILL", 0.05)

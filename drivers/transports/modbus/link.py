@@ -48,8 +48,8 @@ class ModbusLink(LinkThread):
     """A pymodbus client, opened already, and the thread that owns it.
 
     `on_turn()` is called in that thread between two requests; it may use `read`, `read_registers` and `write`, and
-    returns how long [s] to wait for the next turn. `on_failure(error)` comes once, as the last call. `timeout` [s] is
-    how long an answer may take.
+    returns how long [s] to wait for the next turn. `on_repeat()` is called before a read is asked for again.
+    `on_failure(error)` comes once, as the last call. `timeout` [s] is how long an answer may take.
     """
 
     def __init__(
@@ -58,6 +58,7 @@ class ModbusLink(LinkThread):
         peer: str,
         unit: int,
         on_turn: Callable[[], float],
+        on_repeat: Callable[[], None],
         on_failure: Callable[[DriverError], None],
         timeout: float,
     ) -> None:
@@ -69,6 +70,7 @@ class ModbusLink(LinkThread):
         self._understood = False  # an answer of this peer, once
         self._client = make_client(self._trace)
         self._on_turn = on_turn
+        self._on_repeat = on_repeat
         self._jobs: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None] = queue.SimpleQueue()
         self._thread.start()
 
@@ -188,7 +190,9 @@ class ModbusLink(LinkThread):
         limit = self.timeout / _READ_ATTEMPTS
         for part in (self._client, self._client.transaction):
             part.comm_params.timeout_connect = limit
-        for _ in range(attempts):
+        for attempt in range(attempts):
+            if attempt:
+                self._on_repeat()
             # The library would connect again by itself, to whoever listens there by then.
             if not self._client.connected:
                 raise DriverError(f"the link to {self.peer} dropped")
