@@ -21,7 +21,7 @@ from agent.diagnosis import (
     torque_gap,
 )
 from agent.model import CATALOGUE
-from agent.recording import machines_of
+from agent.recording import Log, machines_of
 from agent.report.page import About, NextStep
 from agent.robot import SHARE, figure_text
 
@@ -194,15 +194,23 @@ def _measures(diagnosis: Diagnosis) -> list[NextStep]:
     return steps
 
 
+def _recorded(logs: Sequence[Log]) -> str:
+    """When, as far as the clock of the logs says it: one that counts from its start shows the years after 1970."""
+    dates = sorted(datetime.fromtimestamp(log.stamp, UTC) for log in logs)
+    if dates[0].year < 2000:
+        return "by a clock without a date"
+    first, last = (date.strftime("%Y-%m-%d %H:%M UTC") for date in (dates[0], dates[-1]))
+    return first if first == last else f"{first} to {last}"
+
+
 def _identity(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     dataset = diagnosis.dataset
     machines = machines_of(dataset.logs)
-    dates = sorted(datetime.fromtimestamp(log.stamp, UTC).strftime("%Y-%m-%d %H:%M UTC") for log in dataset.logs)
     model = f"{dataset.model.method}, {len(dataset.model.values)} parameters"
     return [
         ("robot", dataset.robot.name),
         *((key, ", ".join(values) or "not reported") for key, values in machines.items()),
-        ("recorded", dates[0] if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}"),
+        ("recorded", _recorded(dataset.logs)),
         ("logs", str(len(dataset.logs))),
         ("model", model if dataset.given else f"fitted to these logs: {model}"),
         ("program", f"calibration-agent {package_version()}"),

@@ -80,6 +80,7 @@ def test_the_page_and_the_text_name_the_cause(diagnosed):
     page = diagnosis_report(diagnosed(1))
     assert "joint_2: most likely stribeck" in page
     assert "lubrication" in page
+    assert "1970" not in page, "the clock of these logs counts from its start"
     text = diagnosis_text(diagnosed(1).result)
     assert "stribeck on joint_2" in text
     steps = diagnosed(1).result["waterfall"]
