@@ -66,6 +66,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "over > GAP": "of times that are numbers",
         "passed.max() <= GAP": "of times that are numbers",
         "np.abs(here[:, None] - there) <= within": "where the tool's distance is a number",
+        "self._path.distance(tool, rows) <= self._margin + allowed.tool": "where the joints' distances are numbers",
         "ways >= begin[:, None]": "indices",
         "ways <= end[:, None]": "indices",
         "speed > allowed.resting * self._robot.max_velocity": "of positions that are numbers",
