@@ -202,8 +202,8 @@ def _whose(store: Store, folder: str, described: StoredFile | None, state: Store
             found = told.get("serial") or told.get("robot")
             if isinstance(found, str):
                 return found
-        except (ValueError, AttributeError, FileNotFoundError):
-            pass  # the run itself will say what is wrong with it
+        except (ValueError, RecursionError, AttributeError, FileNotFoundError):
+            pass  # a state that is none says nothing of the run
     return folder if folder != "." else PurePosixPath(store.url.rstrip("/")).name
 
 

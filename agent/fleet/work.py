@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import os
 import re
 import resource
@@ -17,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core import AgentError, InputError, read_yaml, swept_folder
+from agent.core import AgentError, InputError, read_json, read_yaml, swept_folder
 from agent.fleet.store import SCRATCH, Store, StoredFile, StoreError
 from agent.fleet.tasks import RUN_MODEL, Task
 
@@ -26,8 +25,6 @@ if TYPE_CHECKING:
 
 #: Statuses of rows that another try may mend; a rerun tries them again.
 PASSING = ("unavailable", "memory", "killed")
-#: An earlier stamp [s] is a controller's time since it was switched on.
-_FIRST_DATE = 946_684_800.0
 _DATE = re.compile(r"(?<!\d)((?:19|20)\d\d)-?([01]\d)-?([0-3]\d)(?:[T_ ]([0-2]\d)[:-]?([0-5]\d))?")
 
 
@@ -145,8 +142,8 @@ def _builtin(state: Path) -> str | None:
 
 def _told(state: Path) -> dict[str, Any]:
     """What the state of a run says; nothing where it is none."""
-    with contextlib.suppress(ValueError):
-        told = json.loads(state.read_text(encoding="utf-8"))
+    with contextlib.suppress(InputError):
+        told = read_json(state)
         return told if isinstance(told, dict) else {}
     return {}
 
@@ -173,15 +170,14 @@ def _when(task: Task, state: Path | None, logs: list[Path]) -> dict[str, Any]:
 
     told = {} if state is None else _told(state)
     log = read_log(logs[0])
-    metadata, stamp = log.metadata, log.stamp
-    machine = {key: metadata.get(key) or None for key in ("serial", "tool")}
+    machine = {key: log.metadata.get(key) or None for key in ("serial", "tool")}
     started = None
     with contextlib.suppress(ValueError, OverflowError):  # no such day
         if isinstance(told.get("started"), str):
             started = datetime.fromisoformat(told["started"])
             started = started if started.tzinfo else started.replace(tzinfo=UTC)
-        elif stamp >= _FIRST_DATE:
-            started = datetime.fromtimestamp(stamp, UTC)
+        else:
+            started = log.date
     return {"started": started or _named_date(task.run), **machine}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,8 @@ from agent.recording.scratch import Scratch
 MACHINE = ("serial", "tool", "controller")
 #: Attributes of `Log` that are arrays (S, n).
 ARRAYS = ("position", "velocity", "effort", "reference_position", "planned_position")
+#: An earlier stamp [s] is a controller's time since it was switched on.
+_FIRST_DATE = 946_684_800.0
 _AROUND = 1.0  # s beside a cycle that is cut out of a log: more than filters drop at its ends
 
 
@@ -71,6 +74,11 @@ class Log:
     def name(self) -> str:
         """File name, as results report it."""
         return self.path.name
+
+    @property
+    def date(self) -> datetime | None:
+        """When it begins; None where the controller's clock counts from its start."""
+        return datetime.fromtimestamp(self.stamp, UTC) if self.stamp >= _FIRST_DATE else None
 
     def with_arrays(self, change: Callable[[np.ndarray], np.ndarray], **others: Any) -> Log:
         """A copy in which the arrays (S, n) that there are have been changed alike, and `others` are as given."""

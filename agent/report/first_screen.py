@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import UTC, datetime
 from typing import Any
 
 from agent.core import package_version
@@ -195,9 +194,9 @@ def _measures(diagnosis: Diagnosis) -> list[NextStep]:
 
 
 def _recorded(logs: Sequence[Log]) -> str:
-    """When, as far as the clock of the logs says it: one that counts from its start shows the years after 1970."""
-    dates = sorted(datetime.fromtimestamp(log.stamp, UTC) for log in logs)
-    if dates[0].year < 2000:
+    """When, where the clock of every log shows a date."""
+    dates = sorted(log.date for log in logs if log.date is not None)
+    if len(dates) < len(logs):
         return "by a clock without a date"
     first, last = (date.strftime("%Y-%m-%d %H:%M UTC") for date in (dates[0], dates[-1]))
     return first if first == last else f"{first} to {last}"

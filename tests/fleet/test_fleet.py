@@ -138,6 +138,11 @@ def test_run_folders_of_the_agent_say_which_robot_they_are(command, plant: Path,
     command("fleet", "estimate", tmp_path / "logs", "-o", tmp_path / "out", "-q")
     (found,) = rows_of(tmp_path / "out")
     assert (found["robot"], found["status"], found["rmse"]) == ("S1", "ok", row["rmse"])
+    (run / "state.json").write_text("[" * 100_000, encoding="utf-8")
+    command("fleet", "estimate", tmp_path / "logs", "-o", tmp_path / "deep", "-q")
+    (found,) = rows_of(tmp_path / "deep")
+    assert (found["status"], found["rmse"]) == ("ok", row["rmse"]), "a state that is none says nothing of the run"
+    (run / "state.json").write_text(json.dumps({"robot": "arm", "serial": "S1"}), encoding="utf-8")
     (run / "model.json").unlink()
     command("fleet", "estimate", tmp_path / "logs", "-o", tmp_path / "out", "-q")
     (found,) = rows_of(tmp_path / "out")
