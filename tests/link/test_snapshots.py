@@ -85,6 +85,17 @@ def test_even_rows_go_through_as_they_are():
     assert clock.facts.facts == {}
 
 
+def test_as_soon_as_there_are_enough_rows_a_motion_has_even_times():
+    clock, rows = SnapshotClock(PERIOD), rows_of(2300.0, 1)
+    for k in range(len(rows.times)):
+        clock.add(rows.part(slice(k, k + 1)))
+        if clock.has_enough:
+            break
+    clock.begin()
+    assert clock.has_enough
+    assert clock.active
+
+
 def test_stamps_that_are_late_now_and_then_are_left_to_whoever_reads_the_log():
     rng = np.random.default_rng(2)
     rows = rows_of(PERIOD, 1)

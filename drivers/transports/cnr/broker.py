@@ -18,7 +18,6 @@ from drivers.transports.cnr.snapshots import SnapshotClock
 from drivers.wire import cnr as wire
 
 _LOOK = 0.5  # s in which topics have to come that a motion can be recorded without
-_ROWS = 100  # whose times tell whether they are even
 #: Channels without which nothing can be recorded; velocities follow from positions.
 _NEEDED = {wire.CHANNELS.index(name) for name in (wire.POSITIONS, wire.TARGET_POSITIONS, wire.CURRENTS)}
 _KEEP_ALIVE = 60  # s: a broker's sign of life waits behind its samples, and samples that stop are noticed earlier
@@ -99,7 +98,7 @@ class BrokerLink:
         """
         came = self._fault is None and self.joiner.wait(timeout)
         until = time.monotonic() + timeout
-        while came and self.clock.seen < _ROWS and time.monotonic() < until:  # are their times even?
+        while came and not self.clock.has_enough and time.monotonic() < until:  # are their times even?
             self.joiner.wait(timeout)
         if self._fault is not None:
             raise self._fault

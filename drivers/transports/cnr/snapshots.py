@@ -22,6 +22,7 @@ _PHASES, _FINE = 40, 21  # that are tried over a period, and about the best of t
 _UNEVEN, _SHARE = 0.005, 0.02  # of a period; of the rows: more that are off the grid by more, and stamps are no times
 _SHORT = 0.75  # of a period: no turn of the loop takes less
 _LOOKED_AT = 500  # rows that tell whether they are
+_ENOUGH = 100  # of these
 _TELLING = 1e-3  # deg of set-points' travel below which they tell no phase
 _CUBIC = 4  # snapshots through which the set-points are continued to the next row
 _TRIALS = np.array([0.0, -1.0, 1.0])  # numbers that it may be off by
@@ -89,7 +90,7 @@ class SnapshotClock:
     """
 
     def __init__(self, period: float) -> None:
-        self.seen = 0
+        self._seen = 0
         self.active = False
         self._period = period
         self._filled = np.zeros(len(CHANNELS), bool)
@@ -118,6 +119,11 @@ class SnapshotClock:
         derived = tuple(CHANNELS[k] for k in _DERIVED if not self._filled[k])
         return replace(self._facts, period=float(times.mean()), jitter=float(times.std()), derived=derived)
 
+    @property
+    def has_enough(self) -> bool:
+        """`begin` can tell whether the stamps are those of a loop. From any thread."""
+        return len(self._steps) >= _ENOUGH
+
     def leave_out(self, channels: set[int]) -> None:
         """These are not published at all, so there is always something to derive."""
         self.active = self.active or bool(channels)
@@ -140,7 +146,7 @@ class SnapshotClock:
         """
         now = time.monotonic()
         if len(rows.times):
-            self.seen += len(rows.times)
+            self._seen += len(rows.times)
             self._came = now
             self._filled |= np.any(rows.values != 0.0, axis=(0, 2))
             steps = np.diff(rows.times, prepend=self._newest)[0 if self._newest else 1 :]
@@ -156,8 +162,8 @@ class SnapshotClock:
         stop = len(self._rows.times) - (0 if now - self._came > _IDLE else _AHEAD)
         if stop <= self._given:
             return rows.times[:0], rows.values[:0]
-        if self._phase is None or self.seen - self._estimated >= _EVERY:
-            self._estimated = self.seen
+        if self._phase is None or self._seen - self._estimated >= _EVERY:
+            self._estimated = self._seen
             self._find_phase(self._rows)
         assert self._phase is not None
         given = self._samples(self._rows, self._given, stop, self._phase)
