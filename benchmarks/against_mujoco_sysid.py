@@ -18,7 +18,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from diagnose_simulators import RATE, load_dependent_friction, recorded
+from diagnose_simulators import RATE, drift, load_dependent_friction, recorded
 from mujoco import sysid
 
 from agent.core.console import Console
@@ -76,19 +76,6 @@ def windows(spec, logs, names):
     return sysid.ModelSequences("arm", spec, labels, *map(list, zip(*found, strict=True)))
 
 
-def drift(which, log, horizons, starts):
-    """(windows, horizons, n) position error."""
-    errors = []
-    for first in starts:
-
-        def drive(t, q, qd, at=first):
-            return log.effort[min(at + round(t * RATE), len(log.t) - 1)]
-
-        q, _ = which.run(log.position[first], log.velocity[first], drive, horizons)
-        errors.append(q - log.position[first + np.round(horizons * RATE).astype(int)])
-    return np.nan_to_num(np.array(errors), nan=np.pi).clip(-np.pi, np.pi)
-
-
 def by_sysid(path, names, logs):
     """A roll-out engine with what MuJoCo's identification finds, and its processor time."""
     started = time.process_time()
@@ -115,7 +102,7 @@ def by_sysid(path, names, logs):
 def compare(path, seed, effects):
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        logs, put_in = recorded(path, seed, folder, effects)
+        logs, put_in, _ = recorded(path, seed, folder, effects)
         fixed = folder / "fixed.xml"
         started = time.process_time()
         result = diagnose_files(None, logs[:2], GapQuestion(path, out=fixed), Console(-1))

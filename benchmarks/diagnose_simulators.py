@@ -1,10 +1,11 @@
-"""Robots made of other people's MJCFs: wrong inertias and frictions, one or two effects, then diagnosed and corrected.
+"""Robots made of other people's MJCFs: wrong inertias and frictions, one to three effects, diagnosed and corrected.
 
-    python benchmarks/diagnose_simulators.py OUT.json DRAWS arm.xml …
+    python benchmarks/diagnose_simulators.py OUT.jsonl FIRST LAST arm.xml …    (seeds; what OUT has is not done again)
 
-The robot's torque is MuJoCo's own inverse dynamics of the file with masses 5 to 20 % off and friction and rotors that
-the file does not have, plus effects written here and not with the agent's forms. Printed per draw: what was put in,
-what was named, position error after 1 s forward, of the given simulator and of the corrected one.
+The robot's torque is MuJoCo's own inverse dynamics of the file with masses, and friction and rotors that the file has,
+5 to 20 % off, friction and rotors that it does not have, and effects written here and not with the agent's forms. Per
+draw: what was put in, what was named, and position errors forward on two motions that the diagnosis never saw: of the
+given file, of the corrected file with its effects in MuJoCo, and of the true arm (the oracle: what noise alone leaves).
 """
 
 from __future__ import annotations
@@ -19,10 +20,13 @@ import mujoco
 import numpy as np
 
 from agent.core.console import Console
+from agent.diagnosis.rollout import MujocoEngine
 from agent.pipeline.diagnose import GapQuestion, diagnose_files
+from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile
 
-RATE, SECONDS, LOGS = 250.0, 20.0, 3
+RATE, SECONDS, LOGS, UNSEEN = 250.0, 20.0, 3, 2
+HORIZONS, STARTS = np.array([0.2, 0.5, 1.0, 2.0]), 12
 
 
 def stribeck(level, q, qd, torque):
@@ -62,6 +66,7 @@ EFFECTS = (
 def motion(rng, low, high, count):
     """q, qd, qdd (S, n): sums of sines in the middle of the range, at rest where it starts."""
     t = np.arange(int(SECONDS * RATE)) / RATE
+    low, high = (np.where(high > low, end, side) for end, side in ((low, -np.pi), (high, np.pi)))  # 0 0: unlimited
     span = np.minimum(high - low, 2 * np.pi)
     q, qd, qdd = np.zeros((3, len(t), count))
     for part, size in ((1, 0.22), (2, 0.1), (3, 0.05)):
@@ -73,9 +78,9 @@ def motion(rng, low, high, count):
 
 
 def robot(path, rng):
-    """The file's arm with masses, inertias, friction and rotors of its own, and its parameters' sizes."""
+    """The file's arm with masses, inertias, friction and rotors of its own, and its Coulomb levels."""
     model = mujoco.MjModel.from_xml_path(str(path))
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_ACTUATION
     for body in range(1, model.nbody):
         factor = 1 + rng.choice([-1, 1]) * rng.uniform(0.05, 0.2)
         model.body_mass[body] *= factor
@@ -83,8 +88,15 @@ def robot(path, rng):
         model.body_ipos[body] += rng.normal(0, 0.004, 3)
     size = inverse(model, *motion(rng, *model.jnt_range.T, model.nq)[1:]).std(axis=0)
     size = np.maximum(size, 0.1 * size.max())
-    model.dof_armature[:] = 0.02 * size
-    return model, 0.15 * size * rng.uniform(0.7, 1.3, model.nv), 0.1 * size * rng.uniform(0.7, 1.3, model.nv), size
+
+    def own(given, missing):
+        off = 1 + rng.choice([-1, 1], model.nv) * rng.uniform(0.05, 0.2, model.nv)
+        return np.where(given > 0, given * off, missing * size * rng.uniform(0.7, 1.3, model.nv))
+
+    coulomb = own(model.dof_frictionloss, 0.15)
+    model.dof_armature[:] = own(model.dof_armature, 0.02)
+    model.dof_damping[:] = own(model.dof_damping, 0.1)
+    return model, coulomb
 
 
 def inverse(model, q, qd, qdd):
@@ -97,37 +109,90 @@ def inverse(model, q, qd, qdd):
     return torque
 
 
-def recorded(path, seed, folder, effects=None):
-    """Logs of a robot made of a file, and what was put in; `effects`: these and not drawn ones, as (form, joint)."""
+class Oracle:
+    """The true arm forward: recorded torque, less friction and effects, in steps of 0.5 ms."""
+
+    def __init__(self, model, coulomb, put_in):
+        self._model, self._coulomb, self._put_in = model, coulomb, put_in
+        model.opt.timestep = 5e-4
+
+    def run(self, q, qd, drive, times):
+        data = mujoco.MjData(self._model)
+        data.qpos[:], data.qvel[:] = q, qd
+        found = np.empty((2, len(times), len(q)))
+        for row, until in enumerate(times):
+            while data.time < until - 0.25 * self._model.opt.timestep:
+                q, qd = data.qpos, data.qvel
+                given = drive(data.time, q, qd)
+                torque = given.copy()
+                for effect, k in self._put_in:
+                    for _ in range(12):  # the effect is of the torque without it
+                        torque[k] = given[k] - effect(self._coulomb[k], q[k], qd[k], torque[k])
+                data.qfrc_applied[:] = torque - self._coulomb * np.tanh(qd / 0.01)
+                mujoco.mj_step(self._model, data)
+            found[:, row] = data.qpos, data.qvel
+        return found[0], found[1]
+
+
+def recorded(path, seed, folder, effects=None, count=LOGS):
+    """Logs of a robot made of a file, what was put in, the oracle; `effects`: these, as (form, joint), none drawn."""
     rng = np.random.default_rng(seed)
-    model, coulomb, viscous, _ = robot(path, rng)
-    chosen = [EFFECTS[k] for k in rng.choice(len(EFFECTS), rng.integers(1, 3), replace=False)]
+    model, coulomb = robot(path, rng)
+    chosen = [EFFECTS[k] for k in rng.choice(len(EFFECTS), rng.integers(1, 4), replace=False)]
     joints = rng.choice(model.nv - 1, len(chosen), replace=False)
     put_in = list(zip(chosen, joints, strict=True)) if effects is None else effects
     names, logs = tuple(model.joint(k).name for k in range(model.nv)), []
-    for number in range(LOGS):
+    for number in range(count):
         t, q, qd, qdd = motion(rng, *model.jnt_range.T, model.nq)
-        torque = inverse(model, q, qd, qdd) + coulomb * np.tanh(qd / 0.01) + viscous * qd
+        torque = inverse(model, q, qd, qdd) + coulomb * np.tanh(qd / 0.01)
         for effect, k in put_in:
             torque[:, k] += effect(coulomb[k], q[:, k], qd[:, k], torque[:, k])
         torque += 0.005 * torque.std(axis=0) * rng.normal(size=torque.shape)
-        file = LogFile(folder / f"{number}.mcap", names, path.stem, f"motion {number}", RATE)
+        logs.append(folder / f"{number}.mcap")
+        file = LogFile(logs[-1], names, path.stem, f"motion {number}", RATE)
         file.write_states(STATES, 100 + t, q, qd, torque)
         file.finish()
         file.close()
-        logs.append(folder / f"{number}.mcap")
-    return logs, [[effect.__name__, names[k]] for effect, k in put_in]
+    return logs, [[effect.__name__, names[k]] for effect, k in put_in], Oracle(model, coulomb, put_in)
+
+
+def drift(which, log, horizons, starts):
+    """(windows, horizons, n) position error of a simulator that is given a log's torque from its states on."""
+    errors = []
+    for first in starts:
+
+        def drive(t, q, qd, at=first):
+            return log.effort[min(at + round(t * RATE), len(log.t) - 1)]
+
+        q, _ = which.run(log.position[first], log.velocity[first], drive, horizons)
+        errors.append(q - log.position[first + np.round(horizons * RATE).astype(int)])
+    return np.nan_to_num(np.array(errors), nan=np.pi).clip(-np.pi, np.pi)
 
 
 def draw(path, seed):
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        logs, put_in = recorded(path, seed, folder)
+        logs, put_in, oracle = recorded(path, seed, folder, count=LOGS + UNSEEN)
+        fixed, effects = folder / f"fixed{path.suffix}", folder / "fixed_effects.py"
         started = time.process_time()
-        result = diagnose_files(None, logs, GapQuestion(path, out=folder / f"fixed{path.suffix}"), Console(-1))
+        result = diagnose_files(None, logs[:LOGS], GapQuestion(path, out=fixed), Console(-1))
         seconds = time.process_time() - started
-    forward = result.get("forward", {})
-    at = forward.get("horizon_s", []).index(1.0) if forward else 0
+        unseen = [read_log(log) for log in logs[LOGS:]]
+        names = unseen[0].joint_names
+        starts = np.linspace(100, len(unseen[0].t) - 2 * RATE - 100, STARTS).astype(int)
+        arms = {
+            "given": MujocoEngine(path, names),
+            "fixed": MujocoEngine(fixed, names, effects if effects.exists() else None),
+            "oracle": oracle,
+        }
+        errors = {
+            side: np.sqrt(np.mean(np.concatenate([drift(arm, log, HORIZONS, starts) for log in unseen]) ** 2, axis=0))
+            for side, arm in arms.items()
+        }
+        changes = json.loads((folder / "fixed.changes.json").read_text(encoding="utf-8"))
+    promised = np.array(result["forward"]["after_interval"])
+    inside = (promised[..., 0] <= errors["fixed"]) & (errors["fixed"] <= promised[..., 1])
+    whole = {side: np.sqrt(np.mean(error**2, axis=1)) for side, error in errors.items()}
     return {
         "arm": path.stem,
         "seed": seed,
@@ -136,16 +201,25 @@ def draw(path, seed):
         "named": [[c["effect"], *c["joints"], round(c["probability"], 2)] for c in result["causes"]],
         "equal": [[e["effect"], *e["joints"]] for c in result["causes"][:1] for e in c["equivalent_to"]],
         "closure": result["closure"],
-        "forward_1s": {side: np.round(forward[side][at], 4).tolist() for side in ("before", "after") if forward},
+        "forward": {side: error.round(5).tolist() for side, error in whole.items()},
+        "forward_closed": ((whole["given"] - whole["fixed"]) / (whole["given"] - whole["oracle"])).round(4).tolist(),
+        "inside": inside.mean(axis=1).round(3).tolist(),
+        "below": (errors["fixed"] < promised[..., 0]).mean(axis=1).round(3).tolist(),
+        "promised": [np.array(result["forward"]["after"]).tolist(), promised.tolist(), errors["fixed"].tolist()],
+        "changes": len(changes["changes"]),
         "cpu_s": round(seconds, 1),
     }
 
 
 if __name__ == "__main__":
-    out, draws, *paths = sys.argv[1:]
-    found = []
-    for seed in range(int(draws)):
-        for path in paths:
-            found.append(draw(Path(path), seed))
-            print(json.dumps(found[-1]), flush=True)
-            Path(out).write_text(json.dumps(found, indent=1))
+    out, first, last, *paths = sys.argv[1:]
+    results = Path(out)
+    lines = results.read_text(encoding="utf-8").splitlines() if results.exists() else []
+    done = {(entry["arm"], entry["seed"]) for entry in map(json.loads, lines)}
+    for seed in range(int(first), int(last) + 1):
+        for path in map(Path, paths):
+            if (path.stem, seed) not in done:
+                found = draw(path, seed)
+                with results.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(found) + "\n")
+                print(json.dumps({key: value for key, value in found.items() if key != "promised"}), flush=True)

@@ -21,6 +21,7 @@ import numpy as np
 from agent.core import InputError, RejectedError
 from agent.diagnosis.correction import corrected
 from agent.diagnosis.forward import shortened
+from agent.diagnosis.forward_interval import expected_range
 from agent.diagnosis.result import Diagnosis
 from agent.diagnosis.rollout import Drive, at_motors, engine
 from agent.estimation import FilterSettings, Motion, motions
@@ -30,7 +31,6 @@ _HORIZONS = (0.2, 0.5, 1.0, 2.0)  # s
 _WINDOWS = 24  # at most, over all motions
 _DESCRIBED = 0.95  # of the torque's variance, by the servo on every joint, on the last third of the motion
 _RUNS_AWAY = np.pi  # rad, rad/s or m: an error counts no more
-_DRAWS, _INTERVAL = 200, (5, 95)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,8 @@ def forward(diagnosis: Diagnosis, simulator: Simulator) -> dict[str, Any]:
                 for side, (which, entries) in enumerate(((given, ()), (fixed, correction.effects))):
                     drift = _drift(which, window, times, servo, entries, simulator.arm.joint_names)
                     errors[side, :, number, : len(times)] = drift
-    return _figures(errors, horizons, "torque" if servo is None else "set_points", len(windows), simulator)
+    group = np.array([window.fold for window in windows])
+    return _figures(errors, horizons, "torque" if servo is None else "set_points", group, simulator)
 
 
 def _lasts(window: ForwardWindow, seconds: float) -> bool:
@@ -184,28 +185,22 @@ def _following(motion: Motion, first: int, servo: np.ndarray) -> Drive:
 
 
 def _figures(
-    errors: np.ndarray, horizons: Sequence[float], driven: str, count: int, simulator: Simulator
+    errors: np.ndarray, horizons: Sequence[float], driven: str, group: np.ndarray, simulator: Simulator
 ) -> dict[str, Any]:
-    """Root mean squares over the windows, and their 90 % intervals, windows drawn anew."""
-    draws = np.random.default_rng(0).integers(0, count, (_DRAWS, count))
-
-    def rms(values: np.ndarray) -> np.ndarray:
-        return np.sqrt(np.nanmean(values**2, axis=-3))
-
-    whole = rms(errors)
-    low, high = np.percentile(np.stack([rms(errors[:, :, draw]) for draw in draws]), _INTERVAL, axis=0)
-    both = np.stack([low, high], axis=-1)
+    """Root mean squares over the windows, and what they may be on other motions."""
     result: dict[str, Any] = {
         "horizon_s": list(horizons),
         "joints": list(simulator.arm.joint_names),
         "engine": "pinocchio" if simulator.arm.path.suffix.lower() == ".urdf" else "mujoco",
         "driven_by": driven,
-        "windows": count,
+        "windows": len(group),
     }
     for side, name in enumerate(("before", "after")):
         for kind, prefix in enumerate(("", "velocity_")):
-            result[f"{prefix}{name}"] = whole[side, kind].tolist()
-            result[f"{prefix}{name}_interval"] = both[side, kind].tolist()
+            squares = errors[side, kind] ** 2
+            result[f"{prefix}{name}"] = np.sqrt(np.nanmean(squares, axis=0)).tolist()
+            interval = np.stack(expected_range(squares, group, _RUNS_AWAY), axis=-1)
+            result[f"{prefix}{name}_interval"] = interval.tolist()
     return result
 
 
@@ -226,4 +221,8 @@ def forward_lines(result: dict[str, Any]) -> Iterator[str]:
         f"{result['windows']} windows held out: position error of {result['joints'][worst]} [rad or m]"
     )
     for k, horizon in enumerate(horizons):
-        yield f"  after {horizon:3.1f} s  {before[k, worst]:.3g}, corrected {after[k, worst]:.3g}"
+        low, high = result["after_interval"][k][worst]
+        yield (
+            f"  after {horizon:3.1f} s  {before[k, worst]:.3g}, corrected {after[k, worst]:.3g} "
+            f"({low:.2g} to {high:.2g} on another motion)"
+        )

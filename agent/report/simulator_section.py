@@ -68,22 +68,28 @@ def _picture(steps: Sequence[Mapping[str, Any]]) -> Figure:
 
 def _forward(forward: Mapping[str, Any]) -> Section:
     joints, horizons = forward["joints"], forward["horizon_s"]
+    columns = [f"{quantity}{side}" for quantity in ("", "velocity_") for side in ("before", "after")]
     rows = [
-        (f"{joint}, {seconds:g} s", *(_error(forward, side, h, j) for side in ("before", "after")))
+        (f"{joint}, {seconds:g} s", *(_error(forward, column, h, j) for column in columns))
         for j, joint in enumerate(joints)
         for h, seconds in enumerate(horizons)
     ]
     text = [
         f"From {forward['windows']} measured states the simulator is run in {forward['engine']} by the recorded "
         f"{forward['driven_by'].replace('_', '-')}, as given and as corrected by the other motions: root mean square "
-        "error of position [rad or m], with its 90 % interval.",
+        "error of position [rad or m] and velocity [rad/s or m/s], and the range of 90 % in which it lies on another "
+        "motion like these.",
     ]
-    return Section("How far it drifts", text, (Table("forward", ("joint, after", "given", "corrected"), rows),))
+    head = (
+        "joint, after",
+        *(f"{what}, {side}" for what in ("position", "velocity") for side in ("given", "corrected")),
+    )
+    return Section("How far it drifts", text, (Table("forward", head, rows),))
 
 
-def _error(forward: Mapping[str, Any], side: str, horizon: int, joint: int) -> str:
-    low, high = forward[f"{side}_interval"][horizon][joint]
-    return f"{forward[side][horizon][joint]:.3g} ({low:.2g} to {high:.2g})"
+def _error(forward: Mapping[str, Any], column: str, horizon: int, joint: int) -> str:
+    low, high = forward[f"{column}_interval"][horizon][joint]
+    return f"{forward[column][horizon][joint]:.3g} ({low:.2g} to {high:.2g})"
 
 
 def _ranges(found: Sequence[Range]) -> Section:

@@ -1,0 +1,39 @@
+"""The interval of an error forward: another motion lies in it nine times of ten, however alike one motion's windows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from agent.diagnosis.forward_interval import expected_range
+
+WINDOWS, HORIZONS, JOINTS = 8, 4, 6
+
+
+def squares(rng, motions: int, between: float, within: float) -> np.ndarray:
+    """(W, H, n) squared errors that differ by motion and by window."""
+    motion = np.exp(between * rng.normal(size=(motions, 1, 1, JOINTS)))
+    return (motion * np.exp(within * rng.normal(size=(motions, WINDOWS, HORIZONS, JOINTS)))).reshape(-1, 4, JOINTS)
+
+
+@pytest.mark.parametrize("between", [0.0, 0.6, 1.2])
+def test_another_motion_lies_inside_nine_times_of_ten(between):
+    inside = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        low, high = expected_range(squares(rng, 3, between, 1.0), np.repeat(np.arange(3), WINDOWS), 1e9)
+        other = np.sqrt(squares(rng, 1, between, 1.0).mean(axis=0))
+        inside.append(np.mean((low <= other) & (other <= high)))
+    assert 0.86 < np.mean(inside) < 0.97
+
+
+def test_short_windows_and_a_single_motion_have_an_interval_too():
+    found = squares(np.random.default_rng(1), 2, 0.5, 1.0)
+    group = np.repeat([0, 1], WINDOWS)
+    found[group == 1, -1] = np.nan  # no window of the second motion is as long
+    low, high = expected_range(found, group, np.pi)
+    middle = np.sqrt(np.nanmean(found, axis=0))
+    assert np.all((low <= middle) & (middle <= high) & np.isfinite(high))
+    low, high = expected_range(found[:WINDOWS], group[:WINDOWS], np.pi)
+    assert np.all(low == 0)
+    assert np.all(high >= np.pi)
