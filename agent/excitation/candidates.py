@@ -115,7 +115,7 @@ class Candidates:
         """
         poses = self.problem.regions.poses(genome)
         joints = self._joints(poses)
-        start = self.kinematics.solve(poses[0], self.posture) if joints is None else joints[0]
+        start = self.kinematics.solve_each(poses[:1], self.posture[None])[0] if joints is None else joints[0]
         moves = loop_moves(poses, self.problem.settings, joints)
         loop = Loop(genome, poses, start, moves, self._interpolator.plan(moves, start))
         if joints is None:
@@ -178,7 +178,10 @@ class Candidates:
             name, degrees = self.problem.robot.joint_names[joint], np.degrees(wound[joint])
             complaint = f"{name} ends the loop {degrees:.0f} deg from where it began: cycles would wind it up"
             return infeasible(float(abs(wound[joint])), complaint)
-        report = check_cell(trajectory, self.problem.settings.fly_distance)
+        margin = self.problem.settings.fly_distance
+        if check_cell == self._cell.check and self._cell.is_clear(trajectory, margin):
+            return trajectory
+        report = check_cell(trajectory, margin)
         if report.collision is not None:
             return infeasible(report.depth / CELL_SCALE, str(report.collision))
         return trajectory

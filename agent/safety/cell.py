@@ -74,6 +74,17 @@ class Cell:
         stop = motion.qd * np.abs(motion.qd) / (2 * self.robot.max_acceleration)
         return self._report(motion.q, stop, motion.t, margin)
 
+    def is_clear(self, motion: Trajectory, margin: float = 0.0) -> bool:
+        """Whether `check` is known to find nothing, at a part of its cost; where this is False it may still."""
+        beyond = np.maximum(self.lower - motion.q, motion.q - self.upper)
+        if not (beyond <= RANGE_SLACK).all():
+            return False
+        margins = np.minimum(margin, self._largest_margins)
+        return (
+            not self._model.pairs
+            or ClearanceSearch(self._model, motion.q, None, margins, self.tolerance).all_keep_margin()
+        )
+
     def check_boxes(self, margin: float = 0.0) -> None:
         """Refuse boxes that no motion can keep clear of.
 

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 #: The smallest clearance of a pair is found to this part of its distance from the margin.
 RESOLUTION = 0.25
 _FIRST_STRETCHES = 64
+#: Stretches that a proof begins with, and how often they are halved before it is given up.
+_FEW_STRETCHES, _HALVINGS = 32, 6
 
 
 class ClearanceSearch:
@@ -43,15 +45,11 @@ class ClearanceSearch:
         self.first: tuple[float, int, bool] | None = None  # u, pair, on the way to a stop
 
     def run(self) -> None:
-        edges = np.linspace(0.0, len(self.q) - 1.0, min(len(self.q), _FIRST_STRETCHES) + 1)
-        edges = np.concatenate([[0.0], edges])  # the start by itself: it may be where the arm stands now
-        stretches = np.zeros((len(edges) - 1, 4))
-        stretches[:, 0], stretches[:, 1] = edges[:-1], edges[1:]
-        stretches[:, 3] = 0.0 if self.stop is None else 1.0
+        stretches = self._stretches(_FIRST_STRETCHES)
         is_open = np.ones((len(stretches), len(self.model.pairs)), dtype=bool)
         while len(stretches):
             along, aside = self._radius(stretches)
-            middle = (stretches[:, [0, 2]] + stretches[:, [1, 3]]) / 2
+            middle = _middle(stretches)
             distances = self.model.distances(self._postures(middle), np.any(is_open, axis=0))
             if np.isnan(distances).any():
                 raise InputError("the distance of two bodies is no number; look at the robot's bodies and at the boxes")
@@ -62,6 +60,25 @@ class ClearanceSearch:
             across_u = np.where(is_open, along, 0.0).max(axis=1) >= np.where(is_open, aside, 0.0).max(axis=1)
             stretches = _halves(stretches[going_on], across_u[going_on])
             is_open = np.concatenate([is_open[going_on]] * 2)
+
+    def all_keep_margin(self) -> bool:
+        """Whether every pair is proved to keep its margin everywhere, so that `run` finds no violation: a motion that
+        is well clear needs few postures. False where a pair does not, or where the proof would take long."""
+        stretches = self._stretches(_FEW_STRETCHES)
+        is_open = np.ones((len(stretches), len(self.model.pairs)), dtype=bool)
+        for _ in range(_HALVINGS):
+            along, aside = self._radius(stretches)
+            distances = self.model.distances(self._postures(_middle(stretches)), np.any(is_open, axis=0))
+            if not (distances >= self.margin).all():
+                return False
+            is_open &= distances - along - aside < self.margin
+            going_on = is_open.any(axis=1)
+            if not going_on.any():
+                return True
+            across_u = along[going_on].max(axis=1) >= aside[going_on].max(axis=1)
+            stretches = _halves(stretches[going_on], across_u)
+            is_open = np.concatenate([is_open[going_on]] * 2)
+        return False
 
     def clearances(self) -> dict[tuple[str, str], float]:
         smallest = self.smallest.tolist()
@@ -80,6 +97,15 @@ class ClearanceSearch:
     def depth(self) -> float:
         """How far the worst pair is beyond its margin [m]; negative where none is."""
         return float(np.max(self.margin - self.smallest))
+
+    def _stretches(self, count: int) -> np.ndarray:
+        """(R, 4) the whole motion, cut evenly."""
+        edges = np.linspace(0.0, len(self.q) - 1.0, min(len(self.q), count) + 1)
+        edges = np.concatenate([[0.0], edges])  # the start by itself: it may be where the arm stands now
+        stretches = np.zeros((len(edges) - 1, 4))
+        stretches[:, 0], stretches[:, 1] = edges[:-1], edges[1:]
+        stretches[:, 3] = 0.0 if self.stop is None else 1.0
+        return stretches
 
     def _postures(self, middle: np.ndarray) -> np.ndarray:
         postures = _at(self.q, middle[:, 0])
@@ -115,6 +141,11 @@ class ClearanceSearch:
         target = self.smallest - np.maximum(self.tolerance, RESOLUTION * np.abs(self.smallest - self.margin))
         earlier = stretches[:, :1] < (np.inf if self.first is None else self.first[0] - 1.0)  # to the sample
         return (bounds < target) | (earlier & (bounds < self.margin - self.tolerance))
+
+
+def _middle(stretches: np.ndarray) -> np.ndarray:
+    """(R, 2) u and s in the middle of each."""
+    return (stretches[:, [0, 2]] + stretches[:, [1, 3]]) / 2
 
 
 def _halves(stretches: np.ndarray, across_u: np.ndarray) -> np.ndarray:

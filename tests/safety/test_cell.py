@@ -43,6 +43,8 @@ def test_a_clear_motion_is_clear_and_its_clearance_is_found(trajectory_through):
     report = cell.check(motion, margin=0.02)
     assert report.collision is None
     assert report.depth == 0
+    assert cell.is_clear(motion, margin=0.02)
+    assert not cell.is_clear(trajectory_through([REACHING, DOWN, REACHING]))
     everything = brute_force(cell, motion.q)
     assert smallest(report) == pytest.approx(everything.min(), abs=1e-3)
     for clearance, column in zip(report.clearances.values(), everything.T, strict=True):
@@ -152,6 +154,7 @@ def test_nothing_deeper_than_the_tolerance_is_missed(trajectory_through, seed, m
     cell = Cell(robot, tool(), [Box("box", tuple(corner), tuple(corner + rng.uniform(0.02, 0.4, 3)))])
     report = cell.check(motion, margin)
     check_against(report, brute_force(cell, motion.q, fine=2), margin, fine=2)
+    assert not (cell.is_clear(motion, margin) and report.collision is not None)
     stopping = cell.check_with_stopping(motion, margin)
     stop = motion.qd * np.abs(motion.qd) / (2 * ROBOT.max_acceleration)
     swept = np.array([cell._model.distances(motion.q + part * stop) for part in np.linspace(0, 1, 7)]).min(axis=0)
@@ -173,7 +176,9 @@ def check_against(report, distances, margin, fine):
 def test_joint_ranges_narrower_than_the_joints_own(trajectory_through):
     motion = trajectory_through([REACHING, REACHING + [0, 0, 0, 3.0, 0, 0]])
     cable = {"joint_4": (-2.5, 2.5), "joint_6": (-3.0, 3.0)}
-    report = Cell(ROBOT, joint_ranges=cable).check(motion)
+    cell = Cell(ROBOT, joint_ranges=cable)
+    assert not cell.is_clear(motion)
+    report = cell.check(motion)
     assert (report.collision.first, report.collision.second) == ("joint_4", "")
     assert report.collision.index == int(np.argmax(motion.q[:, 3] > 2.5))
     assert report.depth == pytest.approx(0.5)

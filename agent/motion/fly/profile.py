@@ -188,8 +188,9 @@ def widened(path: Path, ceiling: np.ndarray, window: float) -> np.ndarray:
     half = 0.5 * window * np.sqrt(ceiling[bottom])
     first = np.searchsorted(path.s, path.s[bottom] - half)
     last = np.searchsorted(path.s, path.s[bottom] + half)
-    for k, a, b in zip(bottom, first, last, strict=True):
-        np.minimum(wide[a:b], ceiling[k], out=wide[a:b])
+    for lowest, a, b in zip(ceiling[bottom], first.tolist(), last.tolist(), strict=True):
+        held = wide[a:b]
+        np.minimum(held, lowest, out=held)
     return wide
 
 
@@ -197,37 +198,75 @@ def _override(rule: np.ndarray) -> np.ndarray:
     return np.maximum(rule[:, rules.ACCELERATION], rule[:, rules.DECELERATION])
 
 
-def fastest(path: Path, shape: PathShape, limits: ArmLimits, ceiling: np.ndarray) -> np.ndarray:
-    """(K,) the largest z = ṡ² under `ceiling` (K,) that keeps all acceleration limits, standstill to standstill."""
-    weight, growth, least = _changes(path, shape, limits, ceiling)
-    rule = path.rules
-    rise = np.minimum(rule[:-1, rules.ACCELERATION], rule[1:, rules.ACCELERATION])
-    fall = np.minimum(rule[:-1, rules.DECELERATION], rule[1:, rules.DECELERATION])
-    rising = _cumulated(growth, rise)
-    falling = rising if np.array_equal(rise, fall) else _cumulated(growth, fall)
-    used = weight * ceiling > least[:, None]
-    inverse = 1.0 / np.where(used, weight, 1.0)
-    unused = np.where(used, 0.0, np.inf)
-    z = ceiling.copy()
-    z[[0, -1]] = 0.0
-    y, lowest = np.empty((2, *weight.shape))
-    for _ in range(_PASSES):
-        before = z
-        np.multiply(weight, z, out=y)
-        y -= rising
-        np.minimum.accumulate(y, axis=1, out=lowest)
-        lowest += rising
-        z = np.minimum(z, _lifted(lowest, inverse, unused))
-        np.multiply(weight, z, out=y)
-        y += falling
-        np.minimum.accumulate(y[:, ::-1], axis=1, out=lowest[:, ::-1])
-        lowest -= falling
-        z = np.minimum(z, _lifted(lowest, inverse, unused))
-        if np.max(before - z) <= 1e-4 * np.max(z):
-            break
-    # Standstill belongs to the ends alone: a knot between them may not hold the arm for ever.
-    z[1:-1] = np.maximum(z[1:-1], 1e-9 * np.max(ceiling[1:-1]))
-    return z
+class Ramps:
+    """What the acceleration limits leave of changes of speed along one path, whatever the ceiling of its speed."""
+
+    def __init__(self, path: Path, shape: PathShape, limits: ArmLimits):
+        rule = path.rules
+        self._rise = np.minimum(rule[:-1, rules.ACCELERATION], rule[1:, rules.ACCELERATION])
+        self._fall = np.minimum(rule[:-1, rules.DECELERATION], rule[1:, rules.DECELERATION])
+        self._alike = np.array_equal(self._rise, self._fall)
+        stress = np.minimum(rule[:-1, rules.STRESS], rule[1:, rules.STRESS])
+        # Weights w (m, K) in y = w z, and the y of standstill (m, 1): of the joints, and of the TCP's travel and turn.
+        weights, least = [shape.q1**2], [(_STILL * limits.speed) ** 2]
+        joints = 2.0 * limits.acceleration[:, None] * stress * np.abs(np.diff(path.q, axis=0)).T
+        self._joints = [_cumulated(joints, part) for part in (self._rise, self._fall)]
+        #: Of a limit of the TCP: what bends, the limit at each knot, the same for ramps, and the step between knots.
+        self._tool: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+        for size, across, limit in (
+            (shape.travel, shape.bend, limits.cartesian.linear_acceleration),
+            (shape.turn, shape.turn_bend, limits.cartesian.rotational_acceleration),
+        ):
+            if np.isfinite(limit) and np.isfinite(rule[:, rules.CARTESIAN]).any():
+                part = rule[:, rules.CARTESIAN]
+                step = 0.5 * (size[1:] + size[:-1]) * np.diff(path.s)
+                self._tool.append((across, limit * part, limit * np.minimum(part, 1e3), step))
+                weights.append(size[None] ** 2)
+                least.append(np.array([_STILL**2]))
+        self._weight, self._least = np.concatenate(weights), np.concatenate(least)[:, None]
+
+    def fastest(self, ceiling: np.ndarray) -> np.ndarray:
+        """(K,) the largest z = ṡ² under `ceiling` (K,) that keeps all acceleration limits, standstill to standstill."""
+        weight = self._weight
+        rising, falling = self._sums(ceiling)
+        used = weight * ceiling > self._least
+        inverse = 1.0 / np.where(used, weight, 1.0)
+        unused = np.where(used, 0.0, np.inf)
+        z = ceiling.copy()
+        z[[0, -1]] = 0.0
+        y, lowest = np.empty((2, *weight.shape))
+        # Of doubles as bits the negative ones come last, the lowest at the very end; integers accumulate much faster.
+        bits, lowest_bits = y.view(np.uint64), lowest.view(np.uint64)
+        for _ in range(_PASSES):
+            before = z
+            np.multiply(weight, z, out=y)
+            y -= rising
+            y[:, 0] = -0.0  # the first of the negative ones, whatever is above it does not count
+            np.maximum.accumulate(bits, axis=1, out=lowest_bits)
+            lowest += rising
+            z = np.minimum(z, _lifted(lowest, inverse, unused))
+            np.multiply(weight, z, out=y)
+            y += falling
+            np.minimum.accumulate(bits[:, ::-1], axis=1, out=lowest_bits[:, ::-1])  # of none that is negative
+            lowest -= falling
+            z = np.minimum(z, _lifted(lowest, inverse, unused))
+            if np.max(before - z) <= 1e-4 * np.max(z):
+                break
+        # Standstill belongs to the ends alone: a knot between them may not hold the arm for ever.
+        z[1:-1] = np.maximum(z[1:-1], 1e-9 * np.max(ceiling[1:-1]))
+        return z
+
+    def _sums(self, ceiling: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(m, K) sums of the largest changes of y from knot to knot, of speeding up and of slowing down."""
+        tool = np.empty((len(self._tool), len(ceiling) - 1))
+        for row, (across, limit, ramp, step) in zip(tool, self._tool, strict=True):
+            # What the curve takes at the ceiling is not there to change the speed: the sum of squares is the limit's.
+            left = np.sqrt(np.maximum(1.0 - (across * ceiling / limit) ** 2, 0.0)) * ramp
+            row[:] = 2.0 * np.minimum(left[1:], left[:-1]) * step
+        rising = np.concatenate((self._joints[0], _cumulated(tool, self._rise)))
+        if self._alike:
+            return rising, rising
+        return rising, np.concatenate((self._joints[1], _cumulated(tool, self._fall)))
 
 
 def _cumulated(growth: np.ndarray, part: np.ndarray) -> np.ndarray:
@@ -240,30 +279,4 @@ def _lifted(y: np.ndarray, inverse: np.ndarray, unused: np.ndarray) -> np.ndarra
     np.maximum(y, 0.0, out=y)
     y *= inverse
     y += unused
-    return y.min(axis=0)
-
-
-def _changes(
-    path: Path, shape: PathShape, limits: ArmLimits, ceiling: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Weights w (m, K) in y = w z, largest changes (m, K - 1) of y from knot to knot, and the y (m,) of standstill.
-
-    For the joints, and the TCP's travel and turn where they are limited.
-    """
-    rule = path.rules
-    stress = np.minimum(rule[:-1, rules.STRESS], rule[1:, rules.STRESS])
-    weights, least = [shape.q1**2], [(_STILL * limits.speed) ** 2]
-    changes = [2.0 * limits.acceleration[:, None] * stress * np.abs(np.diff(path.q, axis=0)).T]
-    for size, across, limit in (
-        (shape.travel, shape.bend, limits.cartesian.linear_acceleration),
-        (shape.turn, shape.turn_bend, limits.cartesian.rotational_acceleration),
-    ):
-        if np.isfinite(limit) and np.isfinite(rule[:, rules.CARTESIAN]).any():
-            # What the curve takes at the ceiling is not there to change the speed: the sum of squares is the limit's.
-            left = np.sqrt(np.maximum(1.0 - (across * ceiling / (limit * rule[:, rules.CARTESIAN])) ** 2, 0.0))
-            left = left * limit * np.minimum(rule[:, rules.CARTESIAN], 1e3)
-            step = 0.5 * (size[1:] + size[:-1]) * np.diff(path.s)
-            weights.append(size[None] ** 2)
-            least.append(np.array([_STILL**2]))
-            changes.append((2.0 * np.minimum(left[1:], left[:-1]) * step)[None])
-    return np.concatenate(weights), np.concatenate(changes), np.concatenate(least)
+    return np.minimum.reduce(y, axis=0)

@@ -209,8 +209,7 @@ class SegmentMaker:
             given = np.asarray(target.pose, dtype=float)
             if given.shape != (4, 4) or not np.isfinite(given).all():
                 raise InputError(f"{label}: the target is not a pose of finite numbers")
-            turn = given[:3, :3]
-            if np.max(np.abs(turn @ turn.T - np.eye(3))) > 1e-6 or np.linalg.det(turn) < 0:
+            if not rotation.is_rotation(given[:3, :3]):
                 raise InputError(f"{label}: the target's orientation is not a rotation")
             pose = pose_in_robot_base(target, settings)
         return pose[:3, 3].copy(), rotation.from_matrix(pose[:3, :3])

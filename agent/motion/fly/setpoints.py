@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from agent.motion.fly.profile import ArmLimits, PathShape, fastest, speed_ceiling, widened
+from agent.motion.fly.profile import ArmLimits, PathShape, Ramps, speed_ceiling, widened
 from agent.motion.fly.time_law import samples_in, time_law
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.interpolator import MotionError
@@ -81,7 +81,7 @@ def cartesian_rates(samples: SetPoints, pick: slice = slice(None)) -> np.ndarray
 
 def _dot(one: np.ndarray, other: np.ndarray, out: np.ndarray) -> np.ndarray:
     """(S,) inner products of the columns of two (m, S)."""
-    return np.sum(one * other, axis=0, out=out)
+    return np.add.reduce(one * other, axis=0, out=out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,9 +111,10 @@ def plan_run(
     ramp = parameters.ramp * float(np.max(limits.acceleration / limits.jerk))
     window = max(round(ramp / period), 1) * period
     ceiling = widened(path, speed_ceiling(path, shape, limits, parameters), window)
+    ramps = Ramps(path, shape, limits)
     step = _COARSE * period
     for _ in range(_REPAIRS):
-        law = time_law(path, fastest(path, shape, limits, ceiling), window)
+        law = time_law(path, ramps.fastest(ceiling), window)
         refuse_long(path, law, segments, parameters)
         samples = sampled(path, shape, law, step)
         stretch = stretch_needed(path, samples, limits, step)
@@ -237,7 +238,10 @@ def stretch_needed(path: Path, samples: SetPoints, limits: ArmLimits, period: fl
     full /= limits.jerk[:, None] * period
     jerk = full.max(axis=0)
     # The mean over three periods is another mean than that over one: servos may see either.
-    over_three = np.abs(np.diff(samples.q, 3, axis=1))
+    over_three = samples.q
+    for _ in range(3):
+        over_three = over_three[:, 1:] - over_three[:, :-1]
+    np.abs(over_three, out=over_three)
     over_three /= limits.jerk[:, None] * period**3
     np.maximum(jerk[2:-1], over_three.max(axis=0), out=jerk[2:-1])
     stretch = np.maximum(speed, np.sqrt(acceleration))

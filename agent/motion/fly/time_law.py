@@ -65,7 +65,7 @@ class TimeLaw:
 def time_law(path: Path, z: np.ndarray, window: float) -> TimeLaw:
     """The run through `path` with z = ṡ² (K,) at the knots, linear in between, averaged over `window` [s]."""
     speed = np.sqrt(z)
-    ds = np.diff(path.s)
+    ds = path.s[1:] - path.s[:-1]
     dt = 2.0 * ds / (speed[1:] + speed[:-1])
     t = np.concatenate(([0.0], np.cumsum(dt)))
     acceleration = (speed[1:] - speed[:-1]) / dt

@@ -126,7 +126,9 @@ def _body(
         travel = _cells((end - begin) * segment.metric, edges[0], edges[1], _spacing(segment, parameters) / fineness)
         skip = 0 if k == 0 else 1
         sigmas.append((begin + travel / segment.metric)[skip:])
-        steps.append(np.diff(travel, prepend=0.0)[skip:])
+        steps.append(travel[1:] - travel[:-1])
+        if skip == 0:
+            steps[-1] = np.concatenate((travel[:1], steps[-1]))
     together = StraightMoves.of(unit, inner)
     if together is not None:
         return _straight(unit, together, sigmas, steps, parameters, first)

@@ -63,6 +63,21 @@ def from_matrix(rotation: np.ndarray) -> np.ndarray:
     return row / np.sqrt(row @ row)
 
 
+def is_rotation(matrix: np.ndarray) -> bool:
+    """Whether a matrix (3, 3) is one, to 1e-6; in plain numbers, as `from_matrix`."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+    products = (
+        a * a + b * b + c * c - 1.0,
+        d * d + e * e + f * f - 1.0,
+        g * g + h * h + i * i - 1.0,
+        a * d + b * e + c * f,
+        a * g + b * h + c * i,
+        d * g + e * h + f * i,
+    )
+    volume = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    return volume > 0.0 and all(abs(product) <= 1e-6 for product in products)
+
+
 def to_matrix(quaternion: np.ndarray) -> np.ndarray:
     """(S, 3, 3) rotation matrices of unit quaternions (S, 4)."""
     w, x, y, z = quaternion.T
