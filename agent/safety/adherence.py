@@ -276,15 +276,15 @@ class Adherence:
         return (
             f"{self._last - self._began:.2f} s into the motion: what was planned to take {planned:.1f} s took "
             f"{took:.1f} s: the override is not at 100 %, or was changed, or it is not the planned motion; set it to "
-            "100 %, then run the command again; if it was, the controller has a time law of its own: "
-            "agent learn-interpolator finds it"
+            f"100 %, then run the command again; if it was, {_LAW}"
         )
 
     def _unit(self, joint: int) -> str:
         return "m" if self._robot.joints[joint].prismatic else "rad"
 
 
+_LAW = "the controller has an interpolator of its own: agent learn-interpolator finds it from a motion before"
 _LOOK = (
     "what moves is not what was planned and checked. Look at the program that "
-    "runs there and at the servos, then run the command again"
+    f"runs there and at the servos, then run the command again; if nothing is wrong there, {_LAW}"
 )
