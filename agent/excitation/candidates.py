@@ -115,7 +115,7 @@ class Candidates:
         """
         poses = self.problem.regions.poses(genome)
         joints = self._joints(poses)
-        start = self.kinematics.solve_each(poses[:1], self.posture[None])[0] if joints is None else joints[0]
+        start = self.kinematics.solve_on_branch(poses[0], self.posture) if joints is None else joints[0]
         moves = loop_moves(poses, self.problem.settings, joints)
         loop = Loop(genome, poses, start, moves, self._interpolator.plan(moves, start))
         if joints is None:

@@ -56,6 +56,18 @@ def test_a_loop_starts_and_ends_at_rest_at_its_first_point(candidates: Candidate
         np.testing.assert_allclose(loop.trajectory.qd[[0, -1]], 0.0, atol=1e-9)
 
 
+def test_a_loop_begins_on_the_branch_of_the_middle_of_the_sub_region(candidates: Candidates) -> None:
+    """Where the wrist's other branch is nearer; hoses hang there as they never do at work."""
+    genome = np.full((6, 6), 0.5)
+    genome[0] = 0, 0, 0, 1, 0, 0
+    genome[1:, :3] = np.random.default_rng(0).random((5, 3))
+    kinematics = candidates.kinematics
+    usual = kinematics.configuration(candidates.posture).signs
+    loop = candidates.loop(genome.ravel())
+    assert kinematics.configuration(kinematics.solve(loop.poses[0], candidates.posture)).signs != usual
+    assert kinematics.configuration(loop.start).signs == usual
+
+
 def test_every_tenth_sample_is_enough_for_the_regressor(candidates: Candidates) -> None:
     for genome in genomes(5, seed=1):
         tenth, every = candidates.score(genome), candidates.score_on_all(genome)

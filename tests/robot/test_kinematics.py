@@ -210,6 +210,26 @@ def test_solve_takes_the_nearest_solution_within_limits(ns16: RobotDescription, 
     assert np.linalg.norm(solved - near) <= np.linalg.norm(q - near) + 1e-8
 
 
+@settings(max_examples=40, deadline=None)
+@given(seeds)
+def test_solve_on_branch_leaves_it_only_where_limits_ask_for_it(ns16: RobotDescription, seed: int) -> None:
+    kinematics = kinematics_for(ns16)
+    rng = np.random.default_rng(seed)
+    near, q = rng.uniform(kinematics.lower, kinematics.upper, (2, 6))
+    if kinematics.singularity(np.array([near, q])).smallest.min() < 0.01:
+        return
+    pose = kinematics.forward(q[None])[0]
+    solved = kinematics.solve_on_branch(pose, near)
+    assert kinematics.within_limits(solved)
+    np.testing.assert_allclose(kinematics.forward(solved[None])[0], pose, atol=1e-8)
+    found = kinematics.inverse(pose[None])
+    branches = [kinematics.branch(option) for option in found.q[0, found.within_limits[0]]]
+    if kinematics.branch(near) in branches:
+        assert kinematics.branch(solved) == kinematics.branch(near)
+    else:
+        np.testing.assert_array_equal(solved, kinematics.solve(pose, near))
+
+
 def test_solve_names_the_limit_that_is_in_the_way(ns16: RobotDescription) -> None:
     kinematics = kinematics_for(ns16)
     behind = np.array([0.2, np.radians(-59), np.radians(108), 0.3, 0.8, 0.1])

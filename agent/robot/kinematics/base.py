@@ -129,6 +129,16 @@ class Kinematics(ABC):
         """
         return self._nearest(np.asarray(pose, dtype=float)[None], np.asarray(near, dtype=float)[None])[0]
 
+    def solve_on_branch(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """(n,) as `solve`, on the branch of `near` (n,) where an arm has such and a solution there keeps the limits.
+
+        The nearest joints may be on another branch, where the same pose bends hoses and loads gears otherwise.
+
+        Raises:
+            KinematicsError: as `solve`.
+        """
+        return self.solve_each(np.asarray(pose)[None], np.asarray(near)[None])[0]
+
     def solve_each(self, poses: np.ndarray, near: np.ndarray) -> np.ndarray:
         """(S, n) as `solve` for each of poses (S, 4, 4), nearest to `near` (S, n).
 

@@ -82,6 +82,13 @@ class SphericalWristKinematics(Kinematics):
         q = np.ascontiguousarray(self._unwrapped(angles, start, poses).T)
         return self._polish(poses, q)
 
+    def solve_on_branch(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
+        try:
+            q = self.turned_into_limits(self.follow(np.asarray(pose)[None], near)[0])
+        except KinematicsError:
+            return self.solve(pose, near)
+        return q if self.within_limits(q) else self.solve(pose, near)
+
     def singularity(self, q: np.ndarray) -> SingularityDistance:
         """Distances in the order of `SINGULARITIES`.
 
