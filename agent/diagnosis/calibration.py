@@ -2,7 +2,8 @@
 
 A simulator's file holds its parameters as exact, and most are a little wrong at once. So groups of them, the friction
 of one axle, one rotor, one link, are released one after the other, each time the one that takes most from the held-out
-error (forward selection), until none gains what an effect would have to (`least_gain`). A released group G has the
+error (forward selection), until none gains what an effect would have to (`least_gain`). Beside effects that were found
+they are chosen anew: what was moved in an effect's stead need not move then. A released group G has the
 prior covariance G Gᵀ: friction of the order of the joint's torque, a rotor of the order of the joint's inertia, a link
 half of itself (`NominalModel.prior_std`). Every figure is of motion that the released parameters were not fitted to.
 """
@@ -15,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.diagnosis.answer import Cause, EffectPlace, WaterfallStep
+from agent.diagnosis.candidate import Candidate
 from agent.diagnosis.dataset import Dataset, precision_of
 from agent.diagnosis.finding import Finding, class_probability
 from agent.diagnosis.fit import Fit
@@ -60,26 +62,40 @@ class ReleasedSimulator:
     groups: tuple[Group, ...]
 
     @property
+    def released(self) -> frozenset[tuple[str, int]]:
+        """Kind and joint of each group."""
+        return frozenset((group.kind, group.joint) for group in self.groups)
+
+    @property
+    def with_links(self) -> bool:
+        """Whether links are among them."""
+        return any(group.kind == "link inertia" for group in self.groups)
+
+    @property
     def model(self) -> IdentifiedModel:
         """The simulator's, its numbers as moved before any effect."""
         given = self.given.model
         return replace(given, values=given.values + self.moved.fit.change)
 
 
-def calibration(dataset: Dataset, links: bool = True) -> ReleasedSimulator:
-    """Release group after group while that gains; without `links`, friction and rotors only."""
+def calibration(dataset: Dataset, links: bool = True, beside: Sequence[Candidate] = ()) -> ReleasedSimulator:
+    """Release group after group while that gains; without `links`, friction and rotors only.
+
+    What gains is chosen with the effects `beside`; the numbers are moved without them, for a search to start from.
+    """
     pool = [group for group in _groups(dataset) if links or group.kind != "link inertia"]
     chosen: list[Group] = []
-    fit = dataset.fit
+    fit = dataset.fit.with_chosen(beside)
     least = dataset.limits.least_gain * float(fit.count.sum())
     while pool:
-        tried = [_released(dataset, [*chosen, group]) for group in pool]
-        gains = [fit.error() - other.error() for other in tried]
+        tried = [_released(dataset, [*chosen, group]).with_chosen(beside) for group in pool]
+        gains = [fit.error(fit.once) - other.error(fit.once) for other in tried]
         if max(gains) < least:
             break
         best = next(k for k, gain in enumerate(gains) if gain >= _EQUAL * max(gains))
         chosen.append(pool.pop(best))
         fit = tried[best]
+    fit = fit.with_chosen(())
     left = fit.out_of_fold()
     residual = np.where(np.isnan(left), dataset.residual, left)
     found = ReleasedSimulator(dataset, replace(dataset, fit=fit, residual=residual), tuple(chosen))

@@ -6,7 +6,8 @@ what one joint leaves over the others is then a gap that numbers do not close.
 
 Three answers are compared, the plainest first: the numbers are right and one effect explains the gap; friction and
 rotors moved, with effects; links moved too. A later one is taken only where it closes more by a part that counts; one
-whose effects may stand in for links only where links moved close no more.
+whose effects may stand in for links only where links moved close no more. Which numbers move is then chosen anew
+beside the effects found, and these looked for again at them, until both stay.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 
 from agent.diagnosis.calibration import ReleasedSimulator, calibration
 from agent.diagnosis.dataset import Dataset, assemble
+from agent.diagnosis.excess import closed_excess, joint_energy
 from agent.diagnosis.finding import Finding
 from agent.diagnosis.gap import HeldOutGap, held_out_gap
 from agent.diagnosis.limits import LIMITS, DecisionLimits
@@ -29,6 +31,9 @@ from agent.recording import Log
 from agent.robot import RobotDescription
 
 _OF_THE_MIDDLE = 1.5  # times the relative error of the joint in the middle is expected of every joint
+_SHARPER = 0.7  # times the error expected before, from where on the data are looked at again
+_ROUNDS = 2  # of choosing numbers beside effects and effects beside numbers
+_AS_GOOD = 1.1  # times the squared error left, to where another choice of numbers is as good
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,11 +94,16 @@ def search_simulator(
         InputError: logs that cannot be used (see `assemble`).
     """
     progress("moving friction, rotors and links of the simulator, step by step")
-    dataset = assemble(robot, with_expected_error(model, logs, limits), logs, cutoff, limits)
+    dataset, share = assemble(robot, with_expected_error(model, logs, limits), logs, cutoff, limits), None
     first = calibration(dataset)
+
+    def expecting(share: float) -> Dataset:
+        """The data where such a share of torque is what a right simulator leaves."""
+        return assemble(robot, with_expected_error(model, logs, limits, share), logs, cutoff, limits, first.model)
+
     if first.groups:
-        expected = with_expected_error(model, logs, limits, _expected(dataset, first))
-        dataset = assemble(robot, expected, logs, cutoff, limits, first.model)
+        share = _expected(dataset, first.moved.residual)
+        dataset = expecting(share)
     unit = dataset.fit.reference.scale
 
     def searching(of: ReleasedSimulator) -> Search:
@@ -103,11 +113,40 @@ def search_simulator(
         moved = calibrated.moved
         return Explanation(calibrated, search, *judge(moved, search.run(), moved.fit, unit))
 
+    def settled(entry: Explanation) -> Explanation:
+        """Numbers chosen beside its effects, and effects at these numbers, as long as that leaves no more.
+
+        With its effects known less is expected of what remains, so that smaller ones beside them show.
+        """
+        data, expected = dataset, share
+        for _ in range(_ROUNDS):
+            causes, found = entry.finding.causes, entry.calibrated
+            if not causes or expected is None:
+                break
+            left = _expected(data, entry.finding.fit.out_of_fold(entry.finding.fit.once))
+            sharper = left < _SHARPER * expected
+            if sharper:
+                data, expected = expecting(left), left
+                causes = tuple(
+                    data.fit.seen_from(found.moved.fit.reference).candidates(
+                        [(cause.effect, cause.joints, cause.settings) for cause in causes]
+                    )
+                )
+            chosen = calibration(data, found.with_links, causes)
+            if not sharper and chosen.released == found.released:
+                break
+            progress("choosing again what of the simulator's numbers moves, beside the effects found")
+            other = answer(chosen, searching(chosen))
+            if not other.finding.causes or other.left > _AS_GOOD * entry.left:
+                break
+            entry = other
+        return entry
+
     given = ReleasedSimulator(dataset, dataset, ())
     search = searching(given)
     total = float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
-    enough, alone = limits.least_share * total, _left_by_one(dataset, search, unit)
-    if alone <= enough:
+    enough, (alone, sole) = limits.least_share * total, _left_by_one(dataset, search, unit)
+    if alone <= enough and sole:
         plain = answer(given, search)
         if len(plain.finding.causes) == 1 and plain.left <= enough:
             return plain
@@ -116,7 +155,7 @@ def search_simulator(
     if drives.groups and len(everything.groups) > len(drives.groups):
         found.append(answer(drives, searching(drives)))
         if found[-1].finding.causes and found[-1].left <= enough and not found[-1].like_links:
-            return found[-1]
+            return settled(found[-1])
     if everything.groups:
         found.append(answer(everything, searching(everything)))
     best = min((entry.left for entry in found), default=np.inf)
@@ -126,20 +165,25 @@ def search_simulator(
             return plain
     for entry in found[:-1]:
         if entry.finding.causes and entry.left - best <= (0.0 if entry.like_links else enough):
-            return entry
-    return found[-1]
+            return settled(entry)
+    return settled(found[-1])
 
 
-def _left_by_one(dataset: Dataset, search: Search, unit: np.ndarray) -> float:
-    """Mean square over joints that the best effect alone leaves of a simulator as given: no search is needed beyond."""
+def _left_by_one(dataset: Dataset, search: Search, unit: np.ndarray) -> tuple[float, bool]:
+    """Mean square over joints that the best effect alone leaves of a simulator as given, and whether it may be all."""
     leading = search.scan(dataset.fit).eligible[: dataset.limits.starts]
-    fits = (dataset.fit.with_chosen((score.candidate,)) for score in leading)
-    return min((float(np.mean(held_out_gap(dataset, fit, unit).after ** 2)) for fit in fits), default=np.inf)
+    before, best = joint_energy(dataset.fit), (np.inf, False)
+    for score in leading:
+        fit = dataset.fit.with_chosen((score.candidate,))
+        left = float(np.mean(held_out_gap(dataset, fit, unit).after ** 2))
+        if left < best[0]:
+            best = left, closed_excess(dataset.limits, before, fit) > dataset.limits.single_effect_closure
+    return best
 
 
-def _expected(dataset: Dataset, found: ReleasedSimulator) -> float:
-    """Share of torque that the simulator's numbers, moved, would leave on a usual joint."""
-    left = np.sqrt(np.nanmean(found.moved.residual**2, axis=0))
+def _expected(dataset: Dataset, residual: np.ndarray) -> float:
+    """Share of torque that is left (S', n) [N·m] on a usual joint, as it may be expected of others."""
+    left = np.sqrt(np.nanmean(residual**2, axis=0))
     torque = np.concatenate([log.effort for log in dataset.logs if log.effort is not None])
     relative = left / np.maximum(np.std(torque, axis=0), 1e-9)
     limits = dataset.limits

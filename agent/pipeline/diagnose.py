@@ -149,7 +149,7 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
     steps = after_diagnosis(found.result, source, logs, question.model)
     recorded = json.loads((run / "result.json").read_text(encoding="utf-8"))
     rounds = {key: recorded[key] for key in ("rounds", "rounds_end") if key in recorded}
-    return diagnosis_report(found, simulated, next_steps=steps, rounds=rounds)
+    return diagnosis_report(found, simulated, recorded.get("forward"), steps, rounds)
 
 
 def _diagnose(

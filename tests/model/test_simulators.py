@@ -24,7 +24,7 @@ from agent.model import CATALOGUE
 from agent.model.identified import IdentifiedModel
 from agent.model.simulators import load_joint_map, load_simulator
 from agent.pipeline.corrected_simulator import write_simulator
-from agent.pipeline.diagnose import GapQuestion, diagnose_files
+from agent.pipeline.diagnose import GapQuestion, diagnose_again, diagnose_files
 from agent.pipeline.printed_diagnosis import diagnosis_text
 from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile
@@ -253,6 +253,12 @@ def test_a_gripper_whose_fingers_follow_one_another_and_a_tip_are_part_of_the_la
     np.testing.assert_allclose(found.model.predict(q, qd, qdd), same.predict(q, qd, qdd))
 
 
+def test_the_map_that_is_offered_keeps_the_order_where_names_say_nothing(tmp_path, robot):
+    numbered = URDF.replace('"pan"', '"joint_1"').replace('"lift"', '"joint_2"')
+    with pytest.raises(InputError, match=r"joints: \{joint_1: waist_joint, joint_2: elbow_joint\}"):
+        load_simulator(written(tmp_path, numbered, "model.urdf"), None, ("waist_joint", "elbow_joint"))
+
+
 def test_positions_in_degrees_are_refused(tmp_path, robot):
     right = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model
     log = read_log(recorded(tmp_path / "1.mcap", right, 1), right.robot)
@@ -355,8 +361,11 @@ FORMS = {
 }
 
 
-def uneven(folder: Path, form=lambda w: 0 * w, joint: int = 0, scale: float = 1.0):
-    """Diagnosis of an arm that weighs otherwise than its file, which has no friction, with one effect on a joint."""
+def uneven(folder: Path, form=lambda w: 0 * w, joint: int = 0, scale: float = 1.0, beside=lambda qd: 0 * qd):
+    """Diagnosis of an arm that weighs otherwise than its file, which has no friction, with one effect on a joint.
+
+    `beside` (S, 3) of speeds is added to what the friction levels are multiplied with.
+    """
     names = ("pan", "lift", "tip")
     model = load_simulator(written(folder, weighing(20, 6, 0.8), "given.urdf"), None, names).model
     right = load_simulator(written(folder, weighing(22, 5.2, 0.7), "right.urdf"), None, names).model
@@ -365,7 +374,11 @@ def uneven(folder: Path, form=lambda w: 0 * w, joint: int = 0, scale: float = 1.
     values[len(right.independent) :: 2] += levels
     values[len(right.independent) + 1 :: 2] += 0.7 * levels
     robot = replace(right, values=values)
-    paths = [recorded(folder / f"{k}.mcap", robot, k, lambda qd: form(qd) * levels * there) for k in (1, 2)]
+
+    def added(qd):
+        return (form(qd) * there + beside(qd)) * levels
+
+    paths = [recorded(folder / f"{k}.mcap", robot, k, added) for k in (1, 2)]
     logs = [read_log(path, model.robot) for path in paths]
     return diagnose(model.robot, [replace(log, effort=log.effort * np.where(there, scale, 1)) for log in logs], model)
 
@@ -379,6 +392,16 @@ def test_friction_is_named_beside_wrong_numbers_of_larger_joints_though_the_file
     if joint == 2:
         assert found.result["causes"][0]["closure"] < 0.005, "of all joints' gap in N·m"
         assert "closes less than 1 % of the gap" in diagnosis_report(found)
+
+
+@pytest.mark.verify
+def test_a_small_effect_is_named_beside_a_large_one_and_numbers_moved_in_their_stead_move_no_more(tmp_path):
+    def beside(qd):
+        return np.array([0, 0, 0.2]) * FORMS["stribeck"](qd)
+
+    found = uneven(tmp_path, FORMS["asymmetric_friction"], 1, beside=beside)
+    named = {(cause["effect"], *cause["joints"]) for cause in found.result["causes"]}
+    assert named == {("asymmetric_friction", "lift"), ("stribeck", "tip")}
 
 
 @pytest.mark.verify
@@ -469,6 +492,19 @@ def test_ranges_hold_what_is_true_and_stand_on_the_page(nominal, tmp_path):
         assert title in page
     assert html.escape(text, quote=True).replace("&quot;", "&#34;") in page  # the YAML, to be copied
     assert page.count("<svg") > 3
+
+
+def test_the_page_of_a_recorded_run_has_drift_and_ranges(nominal, tmp_path, monkeypatch):
+    names, error = ["pan", "lift"], [[0.3, 0.2]]
+    sides = ("before", "after", "velocity_before", "velocity_after")
+    forward = {"horizon_s": [0.2], "joints": names, "engine": "mujoco", "driven_by": "torque", "windows": 8}
+    forward |= {side: error for side in sides} | {f"{side}_interval": [[[0.1, 0.4], [0.1, 0.4]]] for side in sides}
+    (tmp_path / "state.json").write_text(json.dumps({"question": {"cutoff": None, "without": []}}))
+    (tmp_path / "result.json").write_text(json.dumps({**nominal[2].result, "forward": forward}))
+    monkeypatch.setattr("agent.pipeline.diagnose._find", lambda *_: (nominal[2], [], None))
+    page = diagnose_again(tmp_path, nominal[0].robot, "bench", Console(-1))
+    for text in ("How far it drifts", "0.3 (0.1 to 0.4)", "For training policies", "schema: randomisation/1"):
+        assert text in page
 
 
 def test_mujoco_runs_the_arm_that_it_is_given(tmp_path):

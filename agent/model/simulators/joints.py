@@ -72,6 +72,7 @@ def matched(
 def _proposed(in_file: Sequence[str], wanted: Sequence[str]) -> list[tuple[str, str]]:
     """Which may be which, in the file's order: names that are alike first, as logs are often in alphabetical order."""
     plain = {name: name.lower().replace("_", "") for name in (*in_file, *wanted)}
+    plain = {name: own.replace("joint", "") or own for name, own in plain.items()}  # which says nothing of which
     likeness = {(a, b): SequenceMatcher(None, plain[a], plain[b]).ratio() for a in in_file for b in wanted}
     found: dict[str, str] = {}
     for (a, b), alike in sorted(likeness.items(), key=lambda entry: -entry[1]):
