@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from agent.core import InputError
 from agent.excitation.candidates import CORNERS, MIDDLE, TURNED, LoopProblem
+from agent.motion import pose_to_pos
 from agent.robot import Kinematics, KinematicsError, kinematics_for
 
 #: Where in a via-point's region it is asked: the middle, the corners of its position and the ends of its orientation.
@@ -48,11 +51,35 @@ def check_sub_region(problem: LoopProblem) -> list[OutOfReach]:
     for point in range(regions.count):
         mine = [miss for miss in missed if miss.point == point]
         if any(miss.place == "middle" for miss in mine) or 2 * len(mine) > len(_PLACES):
+            (middle,) = regions.poses(np.tile(MIDDLE["middle"], regions.count))[point : point + 1]
             raise InputError(
                 f"{mine[0]}; {len(mine)} of {len(_PLACES)} places asked in this region are out of reach: "
-                "move or shrink motion.via_points"
+                f"move or shrink motion.via_points{_turned(kinematics, middle)}"
             )
     return missed
+
+
+def _turned(kinematics: Kinematics, pose: np.ndarray) -> str:
+    """What to do where only the tool's frame is in the way: many descriptions have x, not z, along the last axis."""
+    from scipy.spatial.transform import Rotation
+
+    axes, _, tip = kinematics.chain.axes_at_zero()
+    along = tip[:3, :3].T @ axes[-1]
+    found = []
+    for sign, spin in product((1.0, -1.0), range(4)):
+        onto, _ = Rotation.align_vectors([0.0, 0.0, 1.0], sign * along)
+        turned = pose.copy()
+        turned[:3, :3] = pose[:3, :3] @ (Rotation.from_euler("z", 90 * spin, degrees=True) * onto).as_matrix()
+        with contextlib.suppress(KinematicsError):
+            found.append((np.linalg.norm(kinematics.solve(turned, kinematics.middle) - kinematics.middle), turned))
+    if not found:
+        return ""
+    _, best = min(found, key=lambda option: option[0])
+    angles = ", ".join(f"{angle:.4g} deg" for angle in np.round(pose_to_pos(best)[3:], 2) + 0.0)
+    return (
+        f"; or turn the tool: with the orientation {angles} the arm's last axis points where the z axis of this one "
+        "does, and the middle is within reach"
+    )
 
 
 def _complaint(kinematics: Kinematics, pose: np.ndarray) -> str | None:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +12,7 @@ from agent.core import InProcess, InputError, LocalProcesses
 from agent.excitation import Candidates, LoopProblem, check_sub_region, search
 from agent.excitation.loop_search import Generation
 from agent.motion import ViaRegions
-from agent.robot import Box
+from agent.robot import Box, Tool
 
 
 @pytest.fixture(scope="module")
@@ -163,6 +165,18 @@ def test_a_sub_region_out_of_reach_names_point_and_amount(problem_with: Any) -> 
     ) as error:
         check_sub_region(problem_with((3.0, 0.0, 0.8)))
     assert len(str(error.value).splitlines()) == 1
+
+
+def test_a_tool_frame_with_x_along_the_last_axis_is_told_how_to_turn(problem_with: Any) -> None:
+    tool = Tool(np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1.0]]))
+    place = ((0.8, 0.0, 0.3), (0.1, 0.1, 0.1))
+    with pytest.raises(InputError, match="the arm's last axis points") as error:
+        check_sub_region(problem_with(*place, tool=tool))
+    found = re.search(r"orientation (\S+) deg, (\S+) deg, (\S+) deg", str(error.value))
+    assert found
+    turn = tuple(math.radians(float(angle)) for angle in found.groups())
+    regions = ViaRegions.from_box(6, *place, turn, math.radians(30))
+    assert check_sub_region(problem_with(tool=tool, regions=regions)) == []
 
 
 def test_a_corner_out_of_reach_is_told_but_not_refused(problem_with: Any) -> None:
