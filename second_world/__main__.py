@@ -1,4 +1,4 @@
-"""`python -m second_world draw N SEED` prints the runs; `… run` makes the logs of one, given as JSON on stdin."""
+"""`python -m second_world draw N SEED [MIX]` prints the runs; `… run` makes the logs of one, given as JSON on stdin."""
 
 from __future__ import annotations
 
@@ -22,25 +22,34 @@ def main(arguments: list[str]) -> int:
     if arguments[0] == "draw":
         from second_world.draw import draw_cases
 
-        print(json.dumps(draw_cases(int(arguments[1]), int(arguments[2]))))
+        mix = json.loads(arguments[3]) if len(arguments) > 3 else None
+        print(json.dumps(draw_cases(int(arguments[1]), int(arguments[2]), mix)))
     else:
         print(json.dumps(run(json.load(sys.stdin))))
     return 0
 
 
 def run(job: dict[str, Any]) -> dict[str, Any]:
-    """Logs of one run in `folder`, and how much its effects change the torque; with `describe` the robot as well."""
+    """Logs of one run in `folder`, and how much its effects change the torque; with `describe` the robot as well.
+
+    Its motions are drawn, or come as `set_points`: by name a file of (S, n) at the servo's rate.
+    """
     from second_world.arms import PLACEHOLDERS, draw_arm, write_description
     from second_world.draw import recorder
     from second_world.faults import build_in
-    from second_world.motions import RATE, draw_motions
+    from second_world.motions import RATE, Motions, draw_motions
     from second_world.plant import largest_change, simulate
     from second_world.recorder import write_motion
 
     machine, effects, folder = job["machine"], job["effects"], Path(job["folder"])
     as_recorded = recorder(machine) == "as recorded"
     arm = draw_arm(machine)
-    motions = draw_motions(job["motion"], arm.range, arm.speed, job["cycle"])
+    given = "set_points" in job
+    motions: Motions
+    if given:
+        motions = {name: (np.load(path), ()) for name, path in job["set_points"].items()}
+    else:
+        motions = draw_motions(job["motion"], arm.range, arm.speed, job["cycle"])
     if job.get("describe"):
         rng = np.random.default_rng([machine, 7])
         write_description(arm, Path(job["describe"]), float(rng.choice(PLACEHOLDERS)) if as_recorded else None)
@@ -53,7 +62,7 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
         write_motion(folder / f"{name}.mcap", arm, out[name], reported[number], cycles, seed, as_recorded, began)
         began += len(reported[number]) / RATE + _PAUSE
     size = None
-    if effects:
+    if effects and not given:
         whole = draw_arm(machine)
         _, plain = simulate(whole, build_in(whole, ()), machine, motions)
         size = largest_change(reported, plain, arm.torque)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -40,18 +40,23 @@ _NAMES = (
 _GEARS = ("joint_elasticity", "backlash")
 
 
-def draw_cases(count: int, seed: int) -> list[dict[str, Any]]:
-    """`count` runs in random order; effects come up equally often."""
+def draw_cases(count: int, seed: int, mix: Mapping[str, Any] | None = None) -> list[dict[str, Any]]:
+    """`count` runs in random order; effects come up equally often.
+
+    `mix`: other `shares`, `strengths` (lowest, highest) and `names` of effects than usual.
+    """
+    mix = mix or {"shares": SHARES, "strengths": (0.6, 2.0), "names": _NAMES}
     rng = np.random.default_rng([seed, 78])
-    kinds = [kind for kind, share in SHARES.items() for _ in range(round(share * count))]
+    others = {kind: share for kind, share in mix["shares"].items() if kind != "one"}
+    kinds = [kind for kind, share in others.items() for _ in range(round(share * count))]
     kinds = [str(kind) for kind in rng.permutation([*kinds, *["one"] * (count - len(kinds))])]
-    names, outside = _deck(_NAMES, rng), _deck(OUTSIDE, rng)
+    names, outside = _deck([name for name in _NAMES if name in mix["names"]], rng), _deck(OUTSIDE, rng)
     cases = []
     for number, kind in enumerate(kinds):
         # Short draws of other seeds begin with other builds and recorders.
         machine = 1000 * (seed % 1_000_000) + seed % 8 + number // GROUP
         arm = draw_arm(machine)
-        strength = float(np.exp(rng.uniform(np.log(0.6), np.log(2.0))))
+        strength = float(np.exp(rng.uniform(*np.log(mix["strengths"]))))
         if kind == "outside":
             chosen = [next(outside)]
         else:

@@ -19,15 +19,20 @@ _EDGES = (0.0, 0.5, 0.7, 0.85, 0.95, 1.0001)
 def active_scores(entries: Sequence[Entry]) -> dict[str, Any]:
     """All figures, of entries with `first` and per way its `rounds`, each with a `result`."""
     done = [entry for entry in entries if "error" not in entry]
-    ambiguous = [e for e in done if e["kind"] == "one" and e["first"]["verdict"] == "ambiguous" and e["ways"]]
+    ambiguous = [e for e in done if e["kind"] == "one" and e["first"]["verdict"] == "ambiguous"]
     asked = list(_asked(done))
     planned = [one for e in done for one in e["ways"].get("planned", ())]
     return {
         "runs": len(entries),
-        "not_recorded": [{"run": e["number"], "why": e["error"]} for e in entries if "error" in e],
+        "not_recorded": [
+            {"run": e["number"], "why": why}
+            for e in entries
+            for why in ([e["error"]] if "error" in e else e.get("missing", ()))
+        ],
         "first": dict(Counter(e["first"]["verdict"] for e in done)),
         "first_outcomes": dict(Counter(_outcome(e, e["first"]) for e in done)),
         "ambiguous": len(ambiguous),
+        "no_motion": sum(not e["ways"].get("planned") for e in ambiguous),
         "wrong_names_first": _share(_outcome(e, e["first"]) == "wrong name" for e in done),
         "ways": {way: _way(way, done, ambiguous) for way in WAYS},
         "calibration": _calibration(asked),
@@ -94,7 +99,9 @@ def _calibration(asked: Sequence[tuple[float, bool]]) -> dict[str, Any]:
         if here.any():
             mean, share = float(said[here].mean()), float(came[here].mean())
             rows.append({"from": low, "to": min(high, 1.0), "pairs": int(here.sum()), "said": mean, "came": share})
-    overall = {"said": float(said.mean()), "came": float(came.mean())} if len(said) else None
+    overall = None
+    if len(said):
+        overall = {"said": float(said.mean()), "came": float(came.mean()), "brier": float(np.mean((said - came) ** 2))}
     return {"pairs": len(said), "overall": overall, "bins": rows}
 
 
@@ -110,7 +117,11 @@ def _line(entry: Entry) -> dict[str, Any]:
 def active_text(scores: Mapping[str, Any]) -> str:
     """Figures for a terminal."""
     first = ", ".join(f"{count} {verdict}" for verdict, count in sorted(scores["first"].items()))
-    lines = [f"{scores['runs']} runs; after the first recording: {first}", ""]
+    lines = [
+        f"{scores['runs']} runs; after the first recording: {first}",
+        f"ambiguous, and no motion of the sub-region would settle it: {scores['no_motion']} of {scores['ambiguous']}",
+        "",
+    ]
     lines += ["of runs ambiguous then    right after one   after two   wrong name, all runs   robot time"]
     for way, row in scores["ways"].items():
         one, two, wrong = (f"{row[k]['count']} of {row[k]['of']}" for k in _COLUMNS)
@@ -121,8 +132,13 @@ def active_text(scores: Mapping[str, Any]) -> str:
     if overall is not None:
         lines.append(
             f"probability of the right answer: predicted {overall['said']:.2f}, came {overall['came']:.2f} "
-            f"({scores['calibration']['pairs']} pairs)"
+            f"({scores['calibration']['pairs']} pairs, Brier score {overall['brier']:.3f})"
         )
+        for row in scores["calibration"]["bins"]:
+            lines.append(
+                f"  {row['from']:.2f} to {row['to']:.2f}: {row['pairs']} pairs, "
+                f"predicted {row['said']:.2f}, came {row['came']:.2f}"
+            )
     return "\n".join(lines)
 
 

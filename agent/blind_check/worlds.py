@@ -123,7 +123,7 @@ class MujocoWorld:
     group = 4
 
     def draw(self, count: int, seed: int) -> list[Case]:
-        drawn = _ask("draw", str(count), str(seed))
+        drawn = second_world("draw", str(count), str(seed))
         return [Case(**{**case, "effects": tuple(case["effects"])}) for case in drawn]
 
     def robot(self, machine: Path) -> str:
@@ -140,7 +140,7 @@ class MujocoWorld:
         return logs, []
 
     def _run(self, job: dict[str, Any], folder: Path) -> tuple[list[Path], float | None]:
-        answer = _ask("run", text=json.dumps({**job, "folder": str(folder), "cycle": self.cycle}))
+        answer = second_world("run", text=json.dumps({**job, "folder": str(folder), "cycle": self.cycle}))
         return [Path(log) for log in answer["logs"]], answer["size"]
 
     def size(self, case: Case, folder: Path, machine: Path) -> float:
@@ -150,8 +150,8 @@ class MujocoWorld:
         pass
 
 
-def _ask(*arguments: str, text: str = "") -> Any:
-    """What the second world answers.
+def second_world(*arguments: str, text: str = "") -> Any:
+    """What the second world answers to a command with arguments, and `text` on its stdin.
 
     Raises:
         InputError: MuJoCo is missing.

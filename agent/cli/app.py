@@ -123,6 +123,7 @@ def record(
     recipe: opt.RecipePath,
     program: Annotated[Path, typer.Option("--program", metavar="P", help="PDL2 program to run")],
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="LOG", help="log to write")] = None,
+    load: opt.KnownLoad = None,
     yes: opt.Yes = False,
     messages: opt.Messages = None,
 ) -> None:
@@ -131,7 +132,8 @@ def record(
     from agent.recipe import load_recipe
 
     log = out or program.with_suffix(".mcap")
-    recorded = record_program_file(load_recipe(recipe), program, log, opt.console_for(messages), yes=yes)
+    console = opt.console_for(messages)
+    recorded = record_program_file(load_recipe(recipe), program, log, console, yes=yes, payload=load)
     print(recorded.path)
 
 
@@ -207,6 +209,7 @@ def diagnose(
         ),
     ] = None,
     next_recipe: opt.NextRecipe = None,
+    load: opt.KnownLoad = None,
     until_sure: opt.UntilSure = False,
     budget: opt.Budget = "10 min",
     runs: opt.RunsFolder = Path("logs"),
@@ -216,7 +219,10 @@ def diagnose(
     """The gap between model and robot: where it lies, which effect causes it, how far it shrinks."""
     from agent.pipeline import GapQuestion, budget_of, diagnose_files, diagnose_recording, diagnosis_text
 
-    question = GapQuestion(model, joint_map, cutoff, tuple(without or ()), report, out, allow_mixed, force, next_recipe)
+    left_out = tuple(without or ())
+    question = GapQuestion(
+        model, joint_map, cutoff, left_out, report, out, allow_mixed, force, next_recipe, next_payload=load
+    )
     console = opt.console_for(messages)
     if record is not None:
         if logs or robot:
@@ -260,9 +266,9 @@ def blind_check(
     if active:
         from agent.pipeline import ActiveCheck
 
-        if world != "emulator" or scheduler or workers:
-            raise InputError("blind check: --active runs on the emulator, in this process: leave out the other options")
-        found = ActiveCheck(cases, seed, out.absolute()).run(console)
+        if scheduler or workers:
+            raise InputError("blind check: --active runs in this process: leave out --scheduler and --workers")
+        found = ActiveCheck(cases, seed, out.absolute(), world).run(console)
         opt.print_found(as_json, found, active_text(found))
         return
     with opt.engine_for(scheduler, workers, console) as engine:

@@ -40,6 +40,10 @@ NextRecipe = Annotated[
     Path | None,
     typer.Option("--next", metavar="RECIPE", help="plan the motion in its sub-region that tells what is open"),
 ]
+KnownLoad = Annotated[
+    str | None,
+    typer.Option("--payload", metavar="LOAD", help="known mass at the flange: 'MASS, X, Y, Z' of its centre"),
+]
 UntilSure = Annotated[bool, typer.Option("--until-sure", help="with --record: further motions until it is settled")]
 Budget = Annotated[str, typer.Option("--budget", metavar="TIME", help="of motion for --until-sure, as '10 min'")]
 

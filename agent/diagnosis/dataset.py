@@ -24,7 +24,7 @@ from agent.estimation import (
     observe,
     physical_prior,
 )
-from agent.model import IdentifiedModel, MotionSignals, NominalModel, effect_torque
+from agent.model import IdentifiedModel, MotionSignals, NominalModel, effect_torque, known_payload
 from agent.recording import Log
 from agent.robot import RobotDescription
 
@@ -66,9 +66,16 @@ def assemble(
     `friction` says how far stiction goes at rest where the model's own levels do not.
 
     Raises:
-        InputError: a log or model of another robot, or a log too short for the filter or without torque.
+        InputError: a log or model of another robot, a log too short for the filter or without torque, or one with a
+            known payload and no model.
     """
     given = model is not None
+    loads = [known_payload(log.metadata) for log in logs]
+    if model is None and any(loads):
+        raise InputError(
+            f"{next(log.name for log, load in zip(logs, loads, strict=True) if load)}: was recorded with a mass "
+            "mounted on purpose; what is known of it counts beside a model of the bare arm: name one with --model"
+        )
     if model is None:
         model = plain_model(robot, logs, cutoff)
     elif model.robot.joint_names != robot.joint_names:
@@ -77,6 +84,7 @@ def assemble(
             f"{robot.name} has {', '.join(robot.joint_names)}"
         )
     reference = NominalModel(model)
+    carriers = [reference if load is None else NominalModel(model, load) for load in loads]
     settings = FilterSettings(model.cutoff if cutoff is None else cutoff, model.order)
     observation = observe(model.rigid, logs, settings)
     n = robot.dof
@@ -91,9 +99,10 @@ def assemble(
     begun = _begun(logs)
     for segment in observation.segments:
         motion = segment.motion
+        carrier = carriers[segment.log_index]
         signals.append(
             MotionSignals(
-                reference,
+                carrier,
                 motion.time,
                 motion.q,
                 motion.qd,
@@ -106,10 +115,10 @@ def assemble(
             )
         )
         extra = _known_effects(model, signals[-1])
-        per_joint = observation.joint_columns(segment, model.terms, model.base_values)
+        per_joint = observation.joint_columns(segment, model.terms, carrier.model.base_values)
         index = [places for places, _ in per_joint]
         for joint, (places, columns) in enumerate(per_joint):
-            left = segment.torque[:, joint] - columns @ model.values[places] - extra[:, joint]
+            left = segment.torque[:, joint] - columns @ carrier.model.values[places] - extra[:, joint]
             rows[joint].append(np.column_stack([columns, left]))
     speed = np.concatenate([s.qd[s.kept] for s in signals])
     sigma = background_of(reference if friction is None else NominalModel(friction), background, signals, limits)

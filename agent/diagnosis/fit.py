@@ -110,7 +110,9 @@ class Fit:
         """The same data without effects, whose columns are then made at other numbers of the model."""
         other = copy(self)
         other.reference = reference
-        other.signals = [replace(signals, reference=reference) for signals in self.signals]
+        loads = [signals.reference.payload for signals in self.signals]
+        seen = [reference if load is None else NominalModel(reference.model, load) for load in loads]
+        other.signals = [replace(one, reference=new) for one, new in zip(self.signals, seen, strict=True)]
         other._made = {}
         other._extend(())
         return other

@@ -18,7 +18,7 @@ import numpy as np
 
 from agent.diagnosis.extension import extended_model
 from agent.estimation import FilterSettings, Motion, motions, smooth_and_differentiate
-from agent.model import CATALOGUE, IdentifiedModel, NominalModel, effect_torque
+from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel, NominalModel, effect_torque
 from agent.simulation import ForwardSimulation, RigidActuation, ServoGains
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def simulate(diagnosis: Diagnosis) -> list[Simulated]:
     dataset = diagnosis.dataset
     found = []
     for number, log in enumerate(dataset.logs):
-        if log.reference_position is None:
+        if log.reference_position is None or log.metadata.get(PAYLOAD):  # the model simulates the bare arm
             continue
         settings = FilterSettings(dataset.cutoff, dataset.model.order)
         motion = max(motions(log, settings, reduce=False), key=lambda m: len(m.time))

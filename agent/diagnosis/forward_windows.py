@@ -25,7 +25,7 @@ from agent.diagnosis.forward_interval import expected_range
 from agent.diagnosis.result import Diagnosis
 from agent.diagnosis.rollout import Drive, at_motors, engine
 from agent.estimation import FilterSettings, Motion, motions
-from agent.model import ModelEffect, Simulator, write_corrected, written_files
+from agent.model import PAYLOAD, ModelEffect, Simulator, write_corrected, written_files
 
 _HORIZONS = (0.2, 0.5, 1.0, 2.0)  # s
 _WINDOWS = 24  # at most, over all motions
@@ -84,6 +84,8 @@ def _windows(diagnosis: Diagnosis) -> list[ForwardWindow]:
     settings = FilterSettings(dataset.cutoff, dataset.model.order)
     found: list[list[ForwardWindow]] = []
     for number, log in enumerate(dataset.logs):
+        if log.metadata.get(PAYLOAD):  # the model simulates the bare arm
+            continue
         parts = [m for m in motions(log, settings, reduce=False) if m.torque is not None]
         for fold, held_out in enumerate(fit.folds):
             rows = np.isin(fit.cell, np.flatnonzero(held_out.test)) & (dataset.log == number)

@@ -1,4 +1,9 @@
-from .otherwise import Choice as Choice, d_optimal_pieces as d_optimal_pieces, random_pieces as random_pieces
+from .otherwise import (
+    Pick as Pick,
+    as_drawn as as_drawn,
+    d_optimal as d_optimal,
+    pieces_otherwise as pieces_otherwise,
+)
 from .pieces import Piece as Piece
 from .plan import Experiment as Experiment, plan_experiment as plan_experiment
 from .questions import OpenPair as OpenPair, open_pairs as open_pairs

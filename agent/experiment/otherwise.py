@@ -11,81 +11,37 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from agent.diagnosis import Diagnosis
+from agent.diagnosis import Dataset
 from agent.excitation import LoopProblem
 from agent.experiment.outlook import Outlook
 from agent.experiment.pieces import Piece, Pieces
 
-#: Pieces that are drawn for the D-optimal choice.
+#: Pieces that are drawn, to choose from.
 _POOL = 80
 #: Of the time so much goes into the ways between the pieces.
 _WAYS = 0.15
 _MOST_PIECES = 5
 
-#: Pieces of at most so many seconds, of a diagnosis and a problem, that can be run (see `plan_experiment`).
-Choice = Callable[[Diagnosis, LoopProblem, float, int, Callable[[Sequence[Piece]], bool]], "tuple[Piece, ...]"]
+#: Of the pieces that still fit (the second) the one that comes after those that are chosen (the first).
+Pick = Callable[[Sequence[Piece], Sequence[Piece]], Piece]
 
 
-def random_pieces(
-    found: Diagnosis,
+def pieces_otherwise(
+    pick: Pick,
     problem: LoopProblem,
     seconds: float,
     seed: int,
     runnable: Callable[[Sequence[Piece]], bool],
 ) -> tuple[Piece, ...]:
-    """Pieces as they are drawn, until the time is used; none where no drawn piece fits.
+    """Of drawn pieces one after the other while one fits into the time; the last left out while they cannot be run.
 
     Raises:
         InputError: as `agent.excitation.Candidates`.
     """
-    pool = _pool(problem, seconds, seed, _MOST_PIECES * 4)
-    return _together(pool, seconds, runnable, lambda chosen, options: options[0])
-
-
-def d_optimal_pieces(
-    found: Diagnosis,
-    problem: LoopProblem,
-    seconds: float,
-    seed: int,
-    runnable: Callable[[Sequence[Piece]], bool],
-) -> tuple[Piece, ...]:
-    """Of a pool of drawn pieces, one after the other that which raises the determinant most.
-
-    Raises:
-        InputError: as `agent.excitation.Candidates`.
-    """
-    outlook, fit = Outlook(found.dataset, ()), found.dataset.fit
-    model = len(fit.precision)
-    known = fit.gram.sum(axis=0)[:model, :model] / fit.repeat + fit.precision
-    pool = _pool(problem, seconds, seed, _POOL)
-    added = {id(piece): outlook.information(piece.motion) for piece in pool}
-    scale = 1 / np.sqrt(np.diag(known))
-
-    def best(chosen: Sequence[Piece], options: Sequence[Piece]) -> Piece:
-        now = known + sum((added[id(piece)] for piece in chosen), np.zeros_like(known))
-
-        def worth(piece: Piece) -> float:
-            return float(np.linalg.slogdet((now + added[id(piece)]) * np.outer(scale, scale))[1])
-
-        return max(options, key=worth)
-
-    return _together(pool, seconds, runnable, best)
-
-
-def _pool(problem: LoopProblem, seconds: float, seed: int, count: int) -> list[Piece]:
-    pieces = Pieces(problem, range(problem.robot.dof), (1 - _WAYS) * seconds, np.random.default_rng(seed))
-    return [piece for piece in (pieces.draw() for _ in range(count)) if piece is not None]
-
-
-def _together(
-    pool: Sequence[Piece],
-    seconds: float,
-    runnable: Callable[[Sequence[Piece]], bool],
-    pick: Callable[[Sequence[Piece], Sequence[Piece]], Piece],
-) -> tuple[Piece, ...]:
-    """Pieces picked one after the other while one fits into the time; the last left out while they cannot be run."""
-    chosen: list[Piece] = []
     left = (1 - _WAYS) * seconds
+    pieces = Pieces(problem, range(problem.robot.dof), left, np.random.default_rng(seed))
+    pool = [piece for piece in (pieces.draw() for _ in range(_POOL)) if piece is not None]
+    chosen: list[Piece] = []
     while len(chosen) < _MOST_PIECES:
         options = [piece for piece in pool if piece.duration <= left and all(piece is not one for one in chosen)]
         if not options:
@@ -95,3 +51,31 @@ def _together(
     while chosen and not runnable(chosen):
         chosen.pop()
     return tuple(chosen)
+
+
+def as_drawn(chosen: Sequence[Piece], options: Sequence[Piece]) -> Piece:
+    """Pieces at random."""
+    return options[0]
+
+
+def d_optimal(dataset: Dataset) -> Pick:
+    """The piece that raises the determinant most, beside the logs of a diagnosis."""
+    outlook, fit = Outlook(dataset, ()), dataset.fit
+    model = len(fit.precision)
+    known = fit.gram.sum(axis=0)[:model, :model] / fit.repeat + fit.precision
+    scale = 1 / np.sqrt(np.diag(known))
+    added: dict[Piece, np.ndarray] = {}
+
+    def information(piece: Piece) -> np.ndarray:
+        if piece not in added:
+            added[piece] = outlook.information(piece.motion)
+        return added[piece]
+
+    def pick(chosen: Sequence[Piece], options: Sequence[Piece]) -> Piece:
+        now = known + sum((information(piece) for piece in chosen), np.zeros_like(known))
+        return max(
+            options,
+            key=lambda piece: float(np.linalg.slogdet((now + information(piece)) * np.outer(scale, scale))[1]),
+        )
+
+    return pick

@@ -10,14 +10,17 @@ same background σ as the verdict's. This is the criterion of T-optimality (Atki
 with the parameters of model and rival projected out. The held-out advantage of a is then about normal with mean
 D² and standard deviation 2 D, so it passes the margin m of the verdict with probability Φ((D² − m) / (2 D)), averaged
 over the posterior of β, and over which of the two is true. m is at least a share of what a explains by itself: forms of
-effects are not trusted further. Rows at a standstill of their joint count nothing: there the
-torque is what stiction makes of it, and no form of an effect is to be trusted. A motion that is repeated counts once:
-the model's own error comes back with it.
+effects are not trusted further. Where a closes less than the verdict calls a good fit, b stays its equal all the same
+if it explains half of what a does; a will close what the present cause closes, give or take.
+
+Rows at a standstill of their joint count nothing: there the torque is what stiction makes of it, and no form of an
+effect is to be trusted. A motion that is repeated counts once: the model's own error comes back with it. It begins
+where the last log ended, as warm as the arm was then.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +28,8 @@ from scipy.special import ndtr
 
 from agent.diagnosis import Candidate, Dataset, Fit, background_of
 from agent.experiment.questions import Form, Hypothesis, OpenPair
-from agent.model import MotionSignals
+from agent.model import MotionSignals, NominalModel
+from agent.robot import Tool
 
 #: s, as in the fit: rows this far apart count as independent.
 _INDEPENDENT = 0.1
@@ -62,10 +66,12 @@ class HypothesisPair:
 
 
 class Outlook:
-    """What is open after a diagnosis, ready to weigh motions."""
+    """What is open after a diagnosis, ready to weigh motions, with a known `load` at the flange or none."""
 
-    def __init__(self, dataset: Dataset, pairs: Sequence[OpenPair]):
+    def __init__(self, dataset: Dataset, pairs: Sequence[OpenPair], load: Tool | None = None):
         self.dataset, self.pairs = dataset, list(pairs)
+        bare = dataset.fit.reference
+        self._reference = bare if load is None else NominalModel(dataset.model, load)
         self.comparisons = [
             comparison
             for number, pair in enumerate(pairs)
@@ -82,9 +88,9 @@ class Outlook:
 
     def _model_columns(self, motion: GridMotion) -> tuple[MotionSignals, np.ndarray, np.ndarray]:
         """Signals, what a row's error is divided by (S, n) [N·m], and so divided the model's columns (S, n, p)."""
-        dataset = self.dataset
-        reference = dataset.fit.reference
-        signals = MotionSignals(reference, motion.time, motion.q, motion.qd, motion.qdd)
+        dataset, reference = self.dataset, self._reference
+        log, after = len(dataset.logs), max(s.started + float(s.time[-1]) for s in dataset.fit.signals)
+        signals = MotionSignals(reference, motion.time, motion.q, motion.qd, motion.qdd, log, started=after)
         moving = dataset.fit.sigma.min(axis=0)
         sigma = background_of(reference, moving, [signals], dataset.limits)
         rate = 1 / float(np.median(np.diff(motion.time)))
@@ -95,14 +101,18 @@ class Outlook:
     def moments(self, motion: GridMotion) -> list[np.ndarray]:
         """Per comparison the moments (m, m) that a motion adds."""
         signals, unit, model = self._model_columns(motion)
+        low_pass = _low_pass(1 / float(np.median(np.diff(motion.time))), self.dataset)
         made: dict[Candidate, np.ndarray] = {}
 
         def columns(candidate: Candidate) -> np.ndarray:
             if candidate not in made:
+                effect, joints, settings = candidate.effect, candidate.joints, candidate.settings
                 block = np.zeros((*motion.q.shape, len(candidate.names)))
-                found = candidate.effect.columns(signals, candidate.joints, candidate.settings)
-                for joint, values in found.items():
-                    block[:, joint] = values / unit[:, joint, None]
+                if not effect.fast_torque:  # that remembers no earlier motion
+                    effect.prepare([*self.dataset.fit.signals, signals], [(joints, settings)])
+                for joint, values in effect.columns(signals, joints, settings).items():
+                    seen = low_pass(values) if effect.fast_torque else values
+                    block[:, joint] = seen / unit[:, joint, None]
                 made[candidate] = np.nan_to_num(block)
             return made[candidate]
 
@@ -126,9 +136,13 @@ class Outlook:
         for number, comparison in enumerate(self.comparisons):
             gram = comparison.gram if added is None else comparison.gram + added[number]
             alone = _distances(comparison, gram, comparison.own)
-            least, alike = self.pairs[comparison.pair].margin, self.dataset.limits.indistinguishable_gain
-            rivals = zip(_distances(comparison, gram, len(comparison.prior)), alone, strict=True)
-            chance = float(np.mean([_passes(distance, max(least, alike * whole)) for distance, whole in rivals]))
+            pair, limits = self.pairs[comparison.pair], self.dataset.limits
+            chances = []
+            for distance, whole in zip(_distances(comparison, gram, len(comparison.prior)), alone, strict=True):
+                chance = _passes(distance, max(pair.margin, limits.indistinguishable_gain * whole))
+                half = comparison.rival is not None and distance < (1 - limits.runner_up_gain) * whole
+                chances.append(chance * (pair.fits_well if half else 1.0))
+            chance = float(np.mean(chances))
             key = id(comparison.truth)
             of_pair[comparison.pair][key] = min(of_pair[comparison.pair].get(key, 1.0), chance)
         return np.array([np.mean(list(found.values())) if found else 0.0 for found in of_pair])
@@ -145,6 +159,16 @@ class Outlook:
                 size = (1.6832 + np.sqrt(1.6832**2 + 4 * margin)) / 2 / np.sqrt(distance)
                 found[comparison.pair] = max(size, found[comparison.pair] or 0.0)
         return found
+
+
+def _low_pass(rate: float, dataset: Dataset) -> Callable[[np.ndarray], np.ndarray]:
+    """Columns (S, k) at a rate [Hz] as the diagnosis sees them."""
+    from scipy.signal import butter, sosfiltfilt
+
+    if not dataset.cutoff < 0.45 * rate:
+        return np.asarray
+    sections = butter(dataset.model.order, dataset.cutoff, fs=rate, output="sos")
+    return lambda columns: sosfiltfilt(sections, np.nan_to_num(columns), axis=0)
 
 
 def _passes(distance: float, margin: float) -> float:

@@ -1,7 +1,8 @@
 """The pieces that an experiment is put together from: loops, stops with rests, and slow reversals of single joints.
 
-Every piece starts and ends at rest in a posture of its own, keeps every limit, stays clear of the cell, and lies in the
-recipe's sub-region. Positions are given as joint positions, so nothing is left to a choice of posture.
+Every piece starts and ends at rest in a posture of its own, keeps every limit and the recipe's speed of the tool, stays
+clear of the cell, and lies in the recipe's sub-region. Positions are given as joint positions, so nothing is left to a
+choice of posture.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ _LEAST_TURN = 0.02
 _STEPS = 3
 #: [s] of the pieces' set-points, while they are weighed; the program is checked at the controller's own.
 PERIOD = 0.01
+#: The tool is faster than it was told by so much at most, in set-points that are this coarse.
+_SPEED_ROUND_OFF = 1.01
 #: A gene moves by so much where a piece is varied.
 _VARY = 0.15
 
@@ -129,6 +132,10 @@ class Pieces:
             trajectory = self._interpolator.plan(statements, start)
         except (MotionError, KinematicsError):
             return None
+        over = float(trajectory.path_speed.max()) / self.problem.settings.linear_speed
+        if over > _SPEED_ROUND_OFF:
+            slower = replace(draw, speed=int(100 * draw.speed / over) / 100)
+            return self.make(slower) if draw.kind == "reversals" and slower.speed > 0 else None
         if trajectory.duration > self._longest or not self._candidates.clear(trajectory):
             return None
         motion = GridMotion(trajectory.t, trajectory.q, trajectory.qd, trajectory.qdd)

@@ -12,6 +12,7 @@ from agent.excitation import LoopProblem
 from agent.experiment.outlook import Outlook
 from agent.experiment.pieces import Piece, Pieces
 from agent.experiment.questions import OpenPair
+from agent.robot import Tool
 
 #: Pieces that are drawn, of which the best are put together; then so many neighbours of each are tried.
 _POOL, _NEIGHBOURS = 240, 12
@@ -21,6 +22,8 @@ _MOST_PIECES, _SURE = 5, 0.97
 _WAYS = 0.15
 #: A pair that all pieces together leave below this is not asked about: these motions cannot tell.
 _WITHIN_REACH = 0.5
+#: A pair of which the right answer is this likely without another motion is not asked about beside others.
+_KNOWN = 0.9
 #: A further piece raises what is expected by at least so much.
 _LEAST_IMPROVEMENT = 0.01
 
@@ -58,16 +61,17 @@ def plan_experiment(
     seed: int = 1,
     progress: Callable[[str], None] = lambda text: None,
     runnable: Callable[[Sequence[Piece]], bool] = lambda pieces: True,
+    load: Tool | None = None,
 ) -> Experiment:
     """The motion of at most `seconds` in the problem's sub-region that settles most of what is open (`pairs`).
 
     The worst pair counts first. The same seed gives the same motion. `runnable` says whether pieces can be run one
-    after the other: while they cannot, the last one is left out.
+    after the other: while they cannot, the last one is left out. `load` is a known mass that will be at the flange.
 
     Raises:
         InputError: as `agent.excitation.Candidates`.
     """
-    outlook = Outlook(found.dataset, pairs)
+    outlook = Outlook(found.dataset, pairs, load)
     before = outlook.probabilities()
     pieces = Pieces(problem, _joints(found, pairs), (1 - _WAYS) * seconds, np.random.default_rng(seed))
     pool: list[tuple[Piece, list[np.ndarray]]] = []
@@ -75,7 +79,8 @@ def plan_experiment(
         progress(f"motions that would tell more: {number + 1} of {_POOL} weighed")
         if (piece := pieces.draw()) is not None:
             pool.append((piece, outlook.moments(piece.motion)))
-    within_reach = outlook.probabilities(_sum(outlook, pool)) > _WITHIN_REACH
+    known = before > _KNOWN if np.any(before <= _KNOWN) else np.zeros(len(before), dtype=bool)
+    within_reach = ~known & (outlook.probabilities(_sum(outlook, pool)) > _WITHIN_REACH)
     if not within_reach.any():
         return Experiment((), (), len(pool))
     chosen = _greedy(outlook, pool, (1 - _WAYS) * seconds, within_reach)

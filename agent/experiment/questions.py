@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy.special import ndtr
 
 from agent.diagnosis import Candidate, Diagnosis, Fit, best_by_place, plausible
 from agent.model import CATALOGUE
@@ -17,6 +18,11 @@ Place = tuple[str, tuple[int, ...]]
 _FORMS = 3
 #: Of a gap that nothing explains so many leading places are taken.
 _LEADING = 3
+#: Beside what a verdict takes for equal, so many other places are asked about that explain at least this part of what
+#: the cause does: forms that are alike on little motion hide each other, and the truth may be none of the first two.
+_NEAREST, _NEAR = 4, 0.9
+#: What an effect closes differs so much from motion to motion (standard deviation, of the excess).
+_CLOSES_OTHERWISE = 0.015
 #: Of effects that could not be tested so many are asked about.
 _MOST_UNTESTED = 8
 
@@ -49,13 +55,15 @@ class Hypothesis:
 class OpenPair:
     """Two hypotheses that the logs do not separate, beside what both of them share (the chosen effects of `fit`).
 
-    `margin` [Σ e²/σ² of independent rows]: so much better has the true one to be.
+    `margin` [Σ e²/σ² of independent rows]: so much better has the true one to be. `fits_well`: the probability that it
+    will close as much as a verdict asks for without a rival.
     """
 
     first: Hypothesis
     second: Hypothesis
     fit: Fit
     margin: float
+    fits_well: float = 1.0
 
     @property
     def names(self) -> tuple[str, str]:
@@ -66,8 +74,8 @@ class OpenPair:
 def open_pairs(found: Diagnosis) -> list[OpenPair]:
     """What is open after a diagnosis, most urgent first; empty where everything was settled.
 
-    `ambiguous`: every named cause against what equals it. `unknown`: the leading places against each other. Where
-    nothing else is open: effects of practical size that these logs would not have shown, against none.
+    `ambiguous`: every named cause against what equals it, or nearly does. `unknown`: the leading places against each
+    other. Where nothing else is open: effects of practical size that these logs would not have shown, against none.
     """
     if pairs := list(_rivals(found)) or list(_leading(found)):
         return pairs
@@ -81,10 +89,25 @@ def _rivals(found: Diagnosis) -> Iterator[OpenPair]:
             continue
         fit = base.with_chosen([c for k, c in enumerate(finding.causes) if k != number])
         mine = _hypothesis(found, fit, cause.place)
-        for place in rivals:
+        near = _near(found, cause.place) if len(finding.causes) == 1 else []
+        for place in dict.fromkeys([*rivals, *near]):
             other = _hypothesis(found, fit, place)
             if mine.forms and other.forms:
-                yield OpenPair(mine, other, fit, _margin(found, fit))
+                yield OpenPair(mine, other, fit, _margin(found, fit), _fits_well(found))
+
+
+def _fits_well(found: Diagnosis) -> float:
+    """That the true cause closes enough after another motion, from what is closed now."""
+    least = found.dataset.limits.good_fit[len(found.finding.causes) - 1]
+    return float(ndtr((found.finding.closed - least) / _CLOSES_OTHERWISE))
+
+
+def _near(found: Diagnosis, cause: Place) -> list[Place]:
+    """Places that explain nearly as much as the only cause, the best first."""
+    best = best_by_place([s for s in found.finding.steps[0].scores if plausible(s) and not s.candidate.effect.once])
+    least = _NEAR * best[cause].gain if cause in best else np.inf
+    others = sorted((s for place, s in best.items() if place != cause and s.gain > least), key=lambda s: -s.gain)
+    return [score.candidate.place for score in others[:_NEAREST]]
 
 
 def _leading(found: Diagnosis) -> Iterator[OpenPair]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -60,11 +61,11 @@ class MotionOfMany:
 class RobotLink:
     """An open controller link behind its guard, and the logs of what runs through it."""
 
-    def __init__(self, guard: GuardedLink, recipe: Recipe, console: Console, torque: dict[str, str]):
+    def __init__(self, guard: GuardedLink, recipe: Recipe, console: Console, facts: dict[str, str]):
         self._guard = guard
         self._recipe = recipe
         self._console = console
-        self._torque = torque  # how it is obtained, for the logs
+        self._facts = facts  # for the logs: how torque is obtained, and what else is known
 
     @property
     def identity(self) -> Identity:
@@ -173,7 +174,7 @@ class RobotLink:
                 robot=robot.name,
                 motion=motion,
                 sample_rate=1.0 / self.identity.period,
-                facts={**self._machine, **self._torque, **limits},
+                facts={**self._machine, **self._facts, **limits},
             ) as writer:
                 try:
                     with guard.motion(program) as samples:
@@ -212,6 +213,7 @@ def open_link(
     runs: Path,
     authorisation: Authorisation | None = None,
     watching: bool = False,
+    facts: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[RobotLink]:
     """Lock the robot, connect, and check who is there.
 
@@ -219,6 +221,7 @@ def open_link(
         runs: folder with the list of programs that have had their slow first run.
         authorisation: what a person wrote down for when nobody is there.
         watching: nothing will be identified from what is recorded.
+        facts: further ones for the logs.
 
     Raises:
         BusyError: another run holds this robot.
@@ -247,20 +250,30 @@ def open_link(
             guard.open()
             who = guard.identity
             console.detail(f"{who.robot}, serial {who.serial}, {who.controller} {who.version}")
-            yield RobotLink(guard, recipe, console, torque_facts(recipe, driver))
+            yield RobotLink(guard, recipe, console, {**torque_facts(recipe, driver), **facts})
         finally:
             guard.close()
 
 
 def record_program_file(
-    recipe: Recipe, program: Path, log: Path, console: Console, yes: bool, runs: Path = Path("logs")
+    recipe: Recipe,
+    program: Path,
+    log: Path,
+    console: Console,
+    yes: bool,
+    runs: Path = Path("logs"),
+    payload: str | None = None,
 ) -> Recording:
     """Run a PDL2 program that somebody wrote, and record it; `runs` as in `open_link`.
 
+    `payload` is a mass that is mounted at the flange on purpose, which the log says then.
+
     Raises:
-        InputError: the program cannot be parsed or planned, or the log exists.
+        InputError: the program cannot be parsed or planned, or the log exists; a payload that is none, or a motion
+            that was planned with another, or with one that nobody has confirmed.
     """
     from agent.core import InputError
+    from agent.link.payload import mounted
     from agent.link.planned import check_cell, plan_statements
 
     if log.exists():
@@ -269,7 +282,8 @@ def record_program_file(
         text = program.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{program}: cannot be read: {error}") from None
-    with open_link(recipe, console, yes, runs, watching=True) as link:
+    facts = mounted(program, payload, console.confirm)
+    with open_link(recipe, console, yes, runs, watching=True, facts=facts) as link:
         name, chains = plan_statements(recipe, text, str(program), link.position())
         for chain in chains:
             check_cell(recipe, chain)

@@ -14,6 +14,13 @@ from .identified import (
     IdentifiedModel as IdentifiedModel,
     condition_text as condition_text,
 )
+from .known_load import (
+    PAYLOAD as PAYLOAD,
+    carrying as carrying,
+    known_payload as known_payload,
+    payload_of as payload_of,
+    payload_text as payload_text,
+)
 from .regimes import REGIMES as REGIMES, regime_masks as regime_masks, standstill_speed as standstill_speed
 from .rigid_friction import ModelEffect as ModelEffect, ParameterPrior as ParameterPrior
 from .signals import MotionSignals as MotionSignals, NominalModel as NominalModel

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.model.friction_terms import AxleMotion, Reversal, axle_columns
+from agent.model.known_load import carrying
 from agent.model.rigid_friction import RigidFrictionModel
 from agent.model.standard_parameters import from_pseudo_inertia, pseudo_inertia
 from agent.robot import ParameterLayout, RobotDescription
 
 if TYPE_CHECKING:
-    from agent.robot import Dynamics
+    from agent.robot import Dynamics, Tool
 
 _MASS_STEP = 10  # mass matrices change slowly: one in ten samples is computed
 
@@ -26,11 +27,15 @@ class NominalModel:
     Base parameters β = P π fix only combinations of the standard parameters π. Of all π with P π = β the one nearest
     to the description's is taken, distances counted in the prior deviation D of each parameter:
     π = π₀ + D² Pᵀ (P D² Pᵀ)⁻¹ (β − P π₀).
+
+    `payload`: a mass at the flange that somebody knows of; the model given is without it, `model` is with it.
     """
 
-    def __init__(self, model: RigidFrictionModel):
+    def __init__(self, model: RigidFrictionModel, payload: Tool | None = None):
         from agent.robot import Dynamics
 
+        self.payload = payload
+        model = model if payload is None else carrying(model, payload)
         self.model, self.robot = model, model.robot
         nominal = Dynamics(self.robot)
         links = nominal.standard_parameters()

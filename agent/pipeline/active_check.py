@@ -1,8 +1,11 @@
 """A blind check whose runs may ask further motions: the one planned for what is open, and other ways to use its time.
 
-Every way starts from the same first recording, of a recipe's excitation loop and validation motions, gets the same
-robot time, and is diagnosed with all logs before it. A way's motions run after the first ones on the same machine, so
-it is as warm as it would be. Diagnosis and planning are given logs, model and recipe; the key is sealed before them.
+Every way starts from the same first recording, a quick look by a loop in a part of a recipe's sub-region, gets the same
+robot time, and is diagnosed with all logs before it. A way's motions run after the first one on the same machine, so it
+is as warm as it would be. Diagnosis and planning are given logs, model and recipe; the key is sealed before them.
+
+Every answer is kept in a file of its own, and a check that was stopped goes on with the next one. The first motions of
+all runs and one further one come first, second ones after them.
 """
 
 from __future__ import annotations
@@ -11,13 +14,15 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.core import AgentError, Console, InputError, finite, write_atomically
+from agent.pipeline.active_worlds import ActiveWorld, ControllerMachines, MujocoMachines
 from agent.pipeline.next_experiment import LONGEST, NextMotion, plan_next, run_otherwise
-from agent.pipeline.planning import Plan, checked_chains, make_plan, program_text
-from agent.recipe import Recipe, load_recipe
+from agent.pipeline.planning import Plan, make_plan, program_text
+from agent.recipe import Recipe
 from drivers.errors import DriverError
 
 if TYPE_CHECKING:
@@ -25,201 +30,235 @@ if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
 
 _QUIET = Console(verbosity=-1)
-_NOWHERE = "127.0.0.1:9"
 #: Further motions of a run.
 _ROUNDS = 2
 _SETTLED = ("explained", "no_gap")
-#: A short job in the sub-region that `agent init` proposes: what is compared is what comes after it.
-_RECIPE = """\
-robot: {robot}
-controller: {{driver: tcp, address: "{address}"}}
-motion:
-  speed: 1 m/s
-  fly: {{type: FLY_CART, trajectory: FLY_TOL, distance: 20 mm}}
-  via_points:
-    count: 6
-    box:
-      centre: [1 m, 0 m, 0.8 m]
-      size: [500 mm, 600 mm, 400 mm]
-      orientation: [0 deg, 180 deg, 0 deg]
-      cone: 30 deg
-search: {{population: 8, generations: 3, seed: {seed}}}
-record: {{cycles: 2}}
-validate: {{motions: 2, speed: 0.4 m/s, seed: {seed}}}
-"""
+#: Of the sub-region's sides, where the first loop lies.
+_LOOK_PART = 0.4
+WORLDS = ("emulator", "mujoco")
 
 
 @dataclass(frozen=True)
 class ActiveCheck:
-    """What to do: runs, seed, folder (gone on with), and the emulator's robot."""
+    """What to do: runs, seed, folder (gone on with), the world, of WORLDS, and the emulator's robot."""
 
     count: int
     seed: int
     folder: Path
+    world: str = "emulator"
     robot: str = "comau_ns16"
+
+    @cached_property
+    def _world(self) -> ActiveWorld:
+        return MujocoMachines() if self.world == "mujoco" else ControllerMachines(self.robot)
 
     def run(self, console: Console) -> dict[str, Any]:
         """Do what is not done yet; returns the scores, which are also in `active_check.json`.
 
         Raises:
-            InputError: no runs, or a folder with another check in it.
+            InputError: no runs, no such world, or a folder with another check in it.
         """
-        from agent.blind_check import active_scores, draw_cases, key_text, open_key, seal
-        from agent.robot import load_robot
+        from agent.blind_check import active_scores, key_text, open_key, seal
 
         if self.count < 1:
             raise InputError(f"blind check: --cases {self.count}: at least one run is needed")
-        cases = draw_cases(self.count, self.seed, load_robot(self.robot))
-        text = key_text(self.seed, f"{self.robot}, further motions", cases)
+        if self.world not in WORLDS:
+            raise InputError(f"blind check: --world {self.world}: there is no such world; one of {', '.join(WORLDS)}")
+        cases = self._world.draw(self.count, self.seed)
+        text = key_text(self.seed, f"{self._world.title}, further motions", cases)
         digest = seal(self.folder, text)
         console.step(f"{self.count} runs; SHA-256 of the key, which stays closed until the last diagnosis: {digest}")
-        for number, case in enumerate(cases):
-            kept = self._kept(case)
-            if not kept.exists():
-                try:
-                    found = self._one(case)
-                except (AgentError, DriverError) as error:
-                    found = {"error": str(error)}
-                kept.parent.mkdir(parents=True, exist_ok=True)
-                write_atomically(kept, json.dumps(finite(found)) + "\n")
-            console.progress(f"{number + 1} of {self.count} runs diagnosed", (number + 1) / self.count)
+        runs = [ActiveRun(self._world, case, self.folder) for case in cases]
+        for rounds in range(1, _ROUNDS + 1):
+            for number, run in enumerate(runs):
+                run.go_on(rounds)
+                done = ((rounds - 1) * len(runs) + number + 1) / (_ROUNDS * len(runs))
+                console.progress(f"further motion {rounds} of {_ROUNDS}: {number + 1} of {self.count} runs", done)
         open_key(self.folder, text)
-        entries = [{**case.to_dict(), **json.loads(self._kept(case).read_text(encoding="utf-8"))} for case in cases]
-        scores = {"schema": "active-check/1", "key_sha256": digest, "robot": self.robot, **active_scores(entries)}
+        scores = {"schema": "active-check/1", "key_sha256": digest, "world": self._world.title}
+        scores |= active_scores([run.entry() for run in runs])
         write_atomically(self.folder / "active_check.json", json.dumps(scores, indent=1) + "\n")
         return scores
 
-    def _kept(self, case: Case) -> Path:
-        return self.folder / "runs" / f"{case.number:04d}.json"
 
-    def _one(self, case: Case) -> dict[str, Any]:
-        """What is said of a run after its first motions, and after those of every way."""
+class ActiveRun:
+    """One run: what is said after its first motions, and after every further one of every way."""
+
+    def __init__(self, world: ActiveWorld, case: Case, folder: Path):
+        self._world, self._case, self._check = world, case, folder
+        self._folder = folder / "runs" / f"{case.number:04d}"
+        #: Machines are numbered as they come: their seed would tell of the key.
+        self._machine = folder / "machines" / f"{case.number // world.group:04d}"
+        self._found: dict[tuple[Path, ...], Diagnosis] = {}
+
+    def go_on(self, rounds: int) -> None:
+        """Whatever is missing of the first motions and so many further ones of each way."""
         from agent.blind_check import WAYS
 
-        folder = self.folder / "runs" / f"{case.number:04d}"
-        model = self._model(case)
-        recipe = self._recipe(case.motion)
-        plan = make_plan(recipe, _QUIET)
-        first = _first(recipe, plan)
-        logs = self._record(case, case.effects, recipe, first, list(first), folder)
-        begun = self._diagnose(recipe, logs, model)
+        first = self._kept("first", self._begin)
+        for way in WAYS if first.get("verdict") not in (None, *_SETTLED) else ():
+            if way != "planned" and "result" not in self._read("planned1"):
+                break  # no robot time is spent on it
+            last = first
+            for number in range(1, rounds + 1):
+                if last.get("verdict") in _SETTLED:
+                    break
+                said = self._kept(f"{way}{number}", lambda w=way, n=number: self._further(w, n))  # type: ignore[misc]
+                if "result" not in said:
+                    break
+                last = said["result"]
+        self._found.clear()
+
+    def entry(self) -> dict[str, Any]:
+        """The case with everything that was said."""
+        from agent.blind_check import WAYS
+
+        first = self._read("first")
+        if "error" in first:
+            return {**self._case.to_dict(), **first}
         ways: dict[str, list[dict[str, Any]]] = {}
-        if begun.result["verdict"] not in _SETTLED:
-            spent: list[float] = []
-            for way in WAYS:
-                ways[way] = self._way(way, case, recipe, plan, first, logs, begun, model, spent, folder / way)
-                spent = spent or [one["seconds"] for one in ways[way]]
-        return {"first": _said(begun), "ways": ways}
+        missing = []
+        for way in WAYS:
+            said = [self._read(f"{way}{number}") for number in range(1, _ROUNDS + 1)]
+            ways[way] = [one for one in said if "result" in one]
+            missing += [f"{way}: {one['error']}" for one in said if "error" in one]
+        return {**self._case.to_dict(), "first": first, "ways": ways, "missing": missing}
 
-    def _way(
-        self,
-        way: str,
-        case: Case,
-        recipe: Recipe,
-        plan: Plan,
-        first: Mapping[str, str],
-        logs: Sequence[Path],
-        begun: Diagnosis,
-        model: Path,
-        spent: Sequence[float],
-        folder: Path,
-    ) -> list[dict[str, Any]]:
-        """Rounds of one way: seconds, what was expected, what all logs then say."""
-        found, texts, recorded, rounds = begun, dict(first), list(logs), []
-        for number in range(_ROUNDS):
-            seconds = spent[number] if number < len(spent) else LONGEST
-            name = f"further{number + 1}"
-            started = time.process_time()
-            motion = _motion(way, found, recipe, plan, seconds, name, case.motion + number)
-            if motion is None:
-                break
-            text, seconds, expected = motion
-            planning = time.process_time() - started
-            texts[name] = text
-            recorded += self._record(case, case.effects, recipe, texts, [name], folder)
-            found = self._diagnose(recipe, recorded, model)
-            said = {"seconds": seconds, "planning_s": planning, "expected": expected, "result": _said(found)}
-            rounds.append(said)
-            if found.result["verdict"] in _SETTLED:
-                break
-        return rounds
+    def _read(self, name: str) -> dict[str, Any]:
+        path = self._folder / f"{name}.json"
+        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
-    def _recipe(self, seed: int) -> Recipe:
-        """Motions of a seed; the controller is said when there is one."""
-        path = self.folder / "recipe.yaml"
-        text = _RECIPE.format(robot=self.robot, address=_NOWHERE, seed=seed % 1_000_000)
-        return load_recipe(write_atomically(path, text))
+    def _kept(self, name: str, make: Any) -> dict[str, Any]:
+        """An answer, made where it is not there yet."""
+        path = self._folder / f"{name}.json"
+        if not path.exists():
+            try:
+                said = make()
+            except (AgentError, DriverError) as error:
+                said = {"error": str(error)}
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(path, json.dumps(finite(said)) + "\n")
+        return self._read(name)
 
-    def _model(self, case: Case) -> Path:
+    def _begin(self) -> dict[str, Any]:
+        logs = self._record(self._case.effects, self._texts, list(self._texts), self._folder)
+        return _said(self._diagnose(logs))
+
+    def _further(self, way: str, number: int) -> dict[str, Any]:
+        """One further motion of a way: seconds, what was expected, what all logs then say; empty where it has none."""
+        planned = self._read(f"planned{number}")
+        seconds = planned["seconds"] if way != "planned" and "result" in planned else LONGEST
+        before = {f"further{k}": self._folder / f"{way}{k}" for k in range(1, number)}
+        logs = [self._folder / f"{name}.mcap" for name in self._texts]
+        logs += [folder / f"{name}.mcap" for name, folder in before.items()]
+        found, name = self._diagnose(logs), f"further{number}"
+        started = time.process_time()
+        motion = self._motion(way, found, seconds, name, self._case.motion + number)
+        if motion is None:
+            return {}
+        text, seconds, expected = motion
+        planning = time.process_time() - started
+        texts = self._texts | {there: (folder / "program.pdl").read_text() for there, folder in before.items()}
+        folder = self._folder / f"{way}{number}"
+        logs += self._record(self._case.effects, {**texts, name: text}, [name], folder)
+        write_atomically(folder / "program.pdl", text)
+        result = _said(self._diagnose(logs))
+        return {"seconds": seconds, "planning_s": planning, "expected": expected, "result": result}
+
+    def _motion(
+        self, way: str, found: Diagnosis, seconds: float, name: str, seed: int
+    ) -> tuple[str, float, list[dict[str, Any]]] | None:
+        """Text, duration [s] and what is expected of a way's next motion; None where it has none."""
+        from agent.experiment import as_drawn, d_optimal
+
+        if way == "planned":
+            motion = plan_next(found, self._recipe, _QUIET, seconds, name)
+            if not isinstance(motion, NextMotion):
+                return None
+            return motion.text, motion.duration, motion.to_dict(name)["probability"]
+        if way == "loop_again":
+            cycle = self._plan.excitation.loop.trajectory.duration
+            again = replace(self._plan.excitation, name=name, cycles=max(1, round(seconds / cycle)))
+            return program_text(self._recipe, again), again.cycles * cycle, []
+        pick = as_drawn if way == "random" else d_optimal(found.dataset)
+        other = run_otherwise(pick, self._recipe, seconds, name, seed % 1_000_000)
+        return None if other is None else (*other, [])
+
+    @cached_property
+    def _recipe(self) -> Recipe:
+        """Where further motions may lie."""
+        return self._world.recipe(self._case, self._machine)
+
+    @cached_property
+    def _plan(self) -> Plan:
+        """Of the first motion: a loop in a part of the sub-region."""
+        short = _short(self._recipe, self._case.motion, 0)
+        via = short.motion.via_points
+        assert via.box is not None
+        box = via.box.model_copy(update={"size": tuple(_LOOK_PART * side for side in via.box.size)})
+        motion = replace(short.motion, via_points=via.model_copy(update={"box": box}))
+        return make_plan(replace(short, motion=motion), _QUIET)
+
+    @cached_property
+    def _texts(self) -> dict[str, str]:
+        """Programs of the first motions."""
+        return _programs(self._recipe, self._plan)
+
+    @cached_property
+    def _model(self) -> Path:
         """Of the same machine without an effect, from other motions than those of its runs."""
         from agent.estimation import estimate
         from agent.recording import read_log
 
-        path = self.folder / "machines" / f"{case.machine}.json"
+        path = self._machine.with_suffix(".json")
         if not path.exists():
-            recipe = self._recipe(case.machine)
-            texts = _first(recipe, make_plan(recipe, _QUIET))
-            logs = self._record(case, (), recipe, texts, list(texts), path.with_suffix(""))
+            recipe = _short(self._world.recipe(self._case, self._machine), self._case.machine, 2)
+            texts = _programs(recipe, make_plan(recipe, _QUIET))
+            logs = self._record((), texts, list(texts), self._machine, recipe)
             estimate(recipe.robot, [read_log(log, recipe.robot) for log in logs]).save(path)
         return path
 
     def _record(
         self,
-        case: Case,
         effects: Sequence[Mapping[str, Any]],
-        recipe: Recipe,
         texts: Mapping[str, str],
         keep: Sequence[str],
         folder: Path,
+        recipe: Recipe | None = None,
     ) -> list[Path]:
         """Run the programs one after the other on the case's machine; paths of the logs to keep."""
-        from agent.blind_check import fake_controller
-        from agent.link import open_link
-
         folder.mkdir(parents=True, exist_ok=True)
-        with fake_controller(self.robot, case.machine, effects, ("--interpolator", "ours")) as address:
-            there = replace(recipe, controller=recipe.controller.model_copy(update={"address": address}))
-            with open_link(there, _QUIET, True, folder) as link:
-                for name, text in texts.items():
-                    log = folder / f"{name}.mcap"
-                    log.unlink(missing_ok=True)  # of a check that was stopped in the middle of it
-                    program, chains = checked_chains(there, text, f"{name}.pdl", link.position())
-                    link.run(program, text, log, name, chains, sum(chain.duration for chain in chains))
-        for name in set(texts) - set(keep):
-            (folder / f"{name}.mcap").unlink()
+        for log in (folder / f"{name}.mcap" for name in texts):
+            log.unlink(missing_ok=True)  # of a check that was stopped in the middle of it
+        self._world.run(self._case, effects, recipe or self._recipe, texts, keep, folder)
         return [folder / f"{name}.mcap" for name in keep]
 
-    def _diagnose(self, recipe: Recipe, logs: Sequence[Path], model: Path) -> Diagnosis:
+    def _diagnose(self, logs: Sequence[Path]) -> Diagnosis:
+        """Remembered while this run is gone on with."""
         from agent.diagnosis import diagnose
         from agent.model import IdentifiedModel
         from agent.recording import read_log
 
-        return diagnose(recipe.robot, [read_log(log, recipe.robot) for log in logs], IdentifiedModel.load(model))
+        key = tuple(logs)
+        if key not in self._found:
+            robot = self._recipe.robot
+            # this controller's path is not quite what we planned, with an effect or without
+            read = [replace(read_log(log, robot), planned_position=None) for log in logs]
+            self._found[key] = diagnose(robot, read, IdentifiedModel.load(self._model))
+        return self._found[key]
 
 
-def _first(recipe: Recipe, plan: Plan) -> dict[str, str]:
+def _short(recipe: Recipe, seed: int, motions: int) -> Recipe:
+    """A short search, and so many validation motions, of a seed."""
+    seed %= 1_000_000
+    search = recipe.search.model_copy(update={"population": 8, "generations": 3, "seed": seed})
+    validate = recipe.validate.model_copy(update={"motions": motions, "speed": 0.4, "seed": seed})
+    return replace(recipe, search=search, validate=validate)
+
+
+def _programs(recipe: Recipe, plan: Plan) -> dict[str, str]:
     motions = (plan.excitation, *plan.validation)
     return {motion.name: program_text(recipe, motion) for motion in motions}
-
-
-def _motion(
-    way: str, found: Diagnosis, recipe: Recipe, plan: Plan, seconds: float, name: str, seed: int
-) -> tuple[str, float, list[dict[str, Any]]] | None:
-    """Text, duration [s] and what is expected of a way's next motion; None where it has none."""
-    from agent.experiment import d_optimal_pieces, random_pieces
-
-    if way == "planned":
-        motion = plan_next(found, recipe, _QUIET, seconds, name)
-        if not isinstance(motion, NextMotion):
-            return None
-        return motion.text, motion.duration, motion.to_dict(name)["probability"]
-    if way == "loop_again":
-        cycle = plan.excitation.loop.trajectory.duration
-        again = replace(plan.excitation, name=name, cycles=max(1, round(seconds / cycle)))
-        return program_text(recipe, again), again.cycles * cycle, []
-    choose = random_pieces if way == "random" else d_optimal_pieces
-    other = run_otherwise(choose, found, recipe, seconds, name, seed % 1_000_000)
-    return None if other is None else (*other, [])
 
 
 def _said(found: Diagnosis) -> dict[str, Any]:

@@ -33,7 +33,7 @@ class GapQuestion:
     `report` is the page, `out` the file of the model with the effects found, or of the simulator corrected (its own
     format); None: neither. `allow_mixed`: logs and
     model may be of several machines or tools; `force`: go on although a log is implausible. `next_recipe`: where the
-    motion that tells more may lie; then `out` is the folder for it.
+    motion that tells more may lie; then `out` is the folder for it, and `next_payload` a known mass for it.
     """
 
     model: Path | None = None
@@ -45,6 +45,7 @@ class GapQuestion:
     allow_mixed: bool = False
     force: bool = False
     next_recipe: Path | None = None
+    next_payload: str | None = None
 
 
 def diagnose_files(
@@ -195,12 +196,14 @@ def _diagnose(
 
 def _next(found: Diagnosis, question: GapQuestion, console: Console) -> dict[str, Any] | None:
     """The motion that tells more, written into its folder."""
+    from agent.model import payload_of
     from agent.pipeline.next_experiment import plan_next, write_next
     from agent.recipe import load_recipe
 
     assert question.next_recipe is not None
     assert question.out is not None
-    motion = plan_next(found, load_recipe(question.next_recipe), console)
+    load = None if question.next_payload is None else payload_of(question.next_payload)
+    motion = plan_next(found, load_recipe(question.next_recipe), console, load=load)
     if isinstance(motion, str):
         console.say(motion)
         return None
@@ -223,7 +226,7 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
         check_joints(load_recipe(question.next_recipe), robot.joint_names)
     console.step(f"reading {len(paths)} logs")
     logs = read_logs(list(paths), robot, console)
-    check_one_machine(logs, reference, question.allow_mixed)
+    check_one_machine(logs, reference, question.allow_mixed, payload_counts=True)
     check_plausible(robot, logs, question.force, console)
     console.step("searching for what model and robot disagree in")
     found = diagnose(robot, logs, reference, question.cutoff, question.without, console.progress)
@@ -265,6 +268,12 @@ def _check(question: GapQuestion, logs: Sequence[Path]) -> None:
 
     check_effects(question.without)
     inputs = [*logs, *(path for path in (question.model, question.joint_map) if path)]
+    if question.next_payload is not None:
+        from agent.model import payload_of
+
+        if question.next_recipe is None:
+            raise InputError("diagnose: --payload is of the motion that --next plans: name its recipe with --next")
+        payload_of(question.next_payload)
     if question.next_recipe is not None:
         from agent.pipeline.next_experiment import check_next
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from agent.runs import RunFolder
 
 if TYPE_CHECKING:
     from agent.model import IdentifiedModel
+    from agent.pipeline.until_sure import Found, Rounds
     from agent.recording import Log
     from agent.validation import Prediction
 
@@ -43,23 +46,40 @@ def moving_rmse(prediction: Prediction) -> np.ndarray:
 
 
 def diagnose_if_worse(
-    model: IdentifiedModel, worse: list[str], log: Log, run: RunFolder, console: Console
+    model: IdentifiedModel,
+    worse: list[str],
+    log: Log,
+    run: RunFolder,
+    console: Console,
+    ask: Callable[[Callable[[Sequence[Path]], Found]], Rounds] | None = None,
 ) -> dict[str, Any] | None:
     """Why the last accepted model predicts the joints `worse` worse than it did; None where there are none.
+
+    Args:
+        ask: further motions, given the diagnosis of `log` and of what they recorded (`until_sure`).
 
     Returns:
         `summary`, a sentence or two; `result`, as in docs/diagnosis.md (None where it could not be diagnosed), which
         the run folder gets as `diagnosis.json`.
     """
     from agent.diagnosis import diagnose
+    from agent.recording import read_log
     from agent.report import diagnosis_summary
 
     if not worse:
         return None
     opening = f"The last model predicts {', '.join(worse)} worse than it did."
     console.step(f"{opening} Diagnosing")
+
+    def find(further: Sequence[Path]) -> Found:
+        return diagnose(model.robot, [log, *(read_log(path, model.robot) for path in further)], model), [], None
+
     try:
-        found = diagnose(model.robot, [log], model).result
+        if ask is None:
+            found = find([])[0].result
+        else:
+            rounds = ask(find)
+            found = {**rounds.last[0].result, **rounds.to_dict()}
     except AgentError as error:
         return {"summary": f"{opening} It could not be diagnosed: {error}", "result": None}
     run.write_json("diagnosis.json", found)

@@ -51,12 +51,24 @@ def check_structure(structure: str) -> None:
         raise InputError(f"--structure {structure!r} is not known; choose rigid or auto")
 
 
-def check_one_machine(logs: Sequence[Any], model: Any, allow_mixed: bool) -> None:
+def check_one_machine(logs: Sequence[Any], model: Any, allow_mixed: bool, payload_counts: bool = False) -> None:
     """Refuse logs of several machines or tools, or of another than the model's (None: no model).
 
+    Args:
+        payload_counts: a mass that was mounted on purpose is taken into account, as by a diagnosis.
+
     Raises:
-        InputError: where two serials or two tools are known to differ; both are named.
+        InputError: where two serials or two tools are known to differ; both are named. Or a payload that would not
+            be taken into account.
     """
+    from agent.model import PAYLOAD
+
+    loaded = [log for log in logs if log.metadata.get(PAYLOAD)]
+    if loaded and not payload_counts:
+        raise InputError(
+            f"{loaded[0].name}: was recorded with a mass mounted on purpose ({loaded[0].metadata[PAYLOAD]}), which "
+            "agent diagnose alone takes into account; leave it out"
+        )
     if allow_mixed:
         return
     for key in ("serial", "tool"):

@@ -16,26 +16,34 @@ from agent.runs import make_folder, write_json
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
-    from agent.experiment import Choice, Experiment, OpenPair, Piece
+    from agent.excitation import LoopProblem
+    from agent.experiment import Experiment, OpenPair, Pick, Piece
     from agent.motion import Trajectory
-    from agent.robot import RobotDescription
+    from agent.robot import RobotDescription, Tool
 
 #: Longest motion that is planned [s].
 LONGEST = 60.0
 #: A motion that makes the right answer of no pair this likely settles nothing.
 _HELPS = 0.5
-#: At so much of its joint speeds the arm goes from piece to piece.
-_WAY_SPEED = 0.2
+#: A mass is tried whose weight, far out, is this part of the strongest joint's nominal torque.
+_TRIAL_LOAD = 0.1
+#: At so much of its joint speeds the arm goes from piece to piece, or at half of it, and so on, where the tool would be
+#: faster than the recipe says by more than round-off.
+_WAY_SPEED, _SLOWEST_WAY, _SPEED_ROUND_OFF = 0.2, 0.02, 1.01
 
 
 @dataclass(frozen=True, eq=False)
 class NextMotion:
-    """A planned experiment as a program: `text`, set-points from stop to stop, and what it is expected to tell."""
+    """A planned experiment as a program: `text`, set-points from stop to stop, and what it is expected to tell.
+
+    `load`: a known mass that somebody has to mount for it.
+    """
 
     experiment: Experiment
     text: str
     chains: tuple[Trajectory, ...]
     robot: RobotDescription
+    load: Tool | None = None
 
     @property
     def duration(self) -> float:
@@ -44,8 +52,12 @@ class NextMotion:
 
     def to_dict(self, program: str) -> dict[str, Any]:
         """`next_experiment` of a diagnosis: what is separated, how, and the probability of the right answer."""
+        from agent.model import PAYLOAD, payload_text
+
         expected = self.experiment.expected
+        load = {} if self.load is None else {PAYLOAD: payload_text(self.load)}
         return {
+            **load,
             "separates": sorted({name for e in expected for name in e.pair.names if name != "none"}),
             "motion": "; then ".join(piece.text(self.robot) for piece in self.experiment.pieces),
             "program": program,
@@ -67,9 +79,16 @@ class NextMotion:
 
 
 def plan_next(
-    found: Diagnosis, recipe: Recipe, console: Console, seconds: float = LONGEST, name: str = "experiment"
+    found: Diagnosis,
+    recipe: Recipe,
+    console: Console,
+    seconds: float = LONGEST,
+    name: str = "experiment",
+    load: Tool | None = None,
 ) -> NextMotion | str:
     """The motion that settles most of what a diagnosis leaves open, or why there is none and what else may settle it.
+
+    `load` is a known mass that somebody will mount at the flange for it; it is never assumed.
 
     Raises:
         InputError: the recipe is of another robot, or its cell leaves no room.
@@ -83,25 +102,26 @@ def plan_next(
     problem = loop_problem(recipe, recipe.motion.speed)
     console.step(f"searching for a motion of at most {seconds:.0f} s that tells more")
     runs = _Runs(recipe, name)
-    experiment = plan_experiment(found, pairs, problem, seconds, recipe.search.seed, console.progress, runs)
+    experiment = plan_experiment(found, pairs, problem, seconds, recipe.search.seed, console.progress, runs, load)
     if runs.motion is not None:
-        motion = NextMotion(experiment, *runs.motion, recipe.robot)
+        motion = NextMotion(experiment, *runs.motion, recipe.robot, load)
         if motion.helps():
             return motion
     refused = f" ({runs.refused})" if runs.refused else ""
-    return f"no motion in the sub-region of {recipe.path} would settle it{refused}: {_other_test(pairs)}"
+    loads = "" if load is not None else _with_a_mass(found, pairs, problem, seconds, recipe.search.seed)
+    return f"no motion in the sub-region of {recipe.path} would settle it{refused}: {_other_test(pairs)}{loads}"
 
 
-def run_otherwise(
-    choose: Choice, found: Diagnosis, recipe: Recipe, seconds: float, name: str, seed: int
-) -> tuple[str, float] | None:
+def run_otherwise(pick: Pick, recipe: Recipe, seconds: float, name: str, seed: int) -> tuple[str, float] | None:
     """Text and duration [s] of a motion chosen in another way than by what it separates; None where none can be run.
 
     Raises:
         InputError: the recipe's cell leaves no room.
     """
+    from agent.experiment import pieces_otherwise
+
     runs = _Runs(recipe, name)
-    choose(found, loop_problem(recipe, recipe.motion.speed), seconds, seed, runs)
+    pieces_otherwise(pick, loop_problem(recipe, recipe.motion.speed), seconds, seed, runs)
     if runs.motion is None:
         return None
     text, chains = runs.motion
@@ -168,6 +188,29 @@ def _other_test(pairs: Sequence[OpenPair]) -> str:
     return f"another posture, load or temperature may: {experiment.motion}"
 
 
+def _with_a_mass(found: Diagnosis, pairs: Sequence[OpenPair], problem: LoopProblem, seconds: float, seed: int) -> str:
+    """Whether a known mass at the flange would make a motion tell, tried with a light one; empty where not."""
+    from agent.experiment import plan_experiment
+    from agent.model import payload_text
+    from agent.robot import Tool, kinematics_for
+
+    robot = problem.robot
+    postures = np.random.default_rng(0).uniform(*np.clip(robot.position_limits, -np.pi, np.pi), (50, robot.dof))
+    reach = float(np.linalg.norm(kinematics_for(robot, None).forward(postures)[:, :3, 3], axis=1).max())
+    strongest = float(np.max(found.dataset.fit.reference.scale))
+    load = Tool(np.eye(4), float(f"{_TRIAL_LOAD * strongest / (9.81 * max(reach, 0.1)):.1g}"), np.zeros(3))
+    tried = plan_experiment(found, pairs, problem, seconds, seed, load=load)
+    helped = [e for e in tried.expected if e.after > max(_HELPS, e.before + 0.05)]
+    if not helped:
+        return ""
+    best = max(helped, key=lambda e: e.after)
+    return (
+        f". With a known mass at the flange a motion may: {payload_text(load).split(',')[0]} would make the right "
+        f"answer between {best.pair.first.text()} and {best.pair.second.text()} {best.after:.2f} likely; mount one and "
+        "plan with --payload 'MASS, X, Y, Z'"
+    )
+
+
 class _Runs:
     """Whether pieces can be run one after the other at the controller's own period, the ways between them included.
 
@@ -182,21 +225,28 @@ class _Runs:
     def __call__(self, pieces: Sequence[Piece]) -> bool:
         from agent.motion import MotionError
 
-        text = _text(self._recipe, pieces, self._name)
-        try:
-            _, chains = checked_chains(self._recipe, text, f"{self._name}.pdl", np.asarray(pieces[0].start))
-        except (InputError, MotionError) as error:
-            self.refused = str(error)
-            return False
+        start, path = np.asarray(pieces[0].start), f"{self._name}.pdl"
+        speed = _WAY_SPEED
+        while True:
+            text = _text(self._recipe, pieces, self._name, speed)
+            try:
+                _, chains = checked_chains(self._recipe, text, path, start)
+            except (InputError, MotionError) as error:
+                self.refused = str(error)
+                return False
+            over = max(float(chain.path_speed.max()) for chain in chains) / self._recipe.motion.speed
+            if over <= _SPEED_ROUND_OFF or speed < _SLOWEST_WAY:
+                break
+            speed /= 2
         self.motion = text, tuple(chains)
         return True
 
 
-def _text(recipe: Recipe, pieces: Sequence[Piece], name: str) -> str:
+def _text(recipe: Recipe, pieces: Sequence[Piece], name: str, way_speed: float) -> str:
     from agent.motion import JointTarget, Move, MoveType, Statement, Termination, with_frames, write_program
 
     calm = with_frames(recipe.motion.settings, recipe.tool).changed(
-        speed_override=_WAY_SPEED, termination=Termination.FINE
+        speed_override=way_speed, termination=Termination.FINE
     )
     statements: list[Statement] = []
     for piece in pieces:

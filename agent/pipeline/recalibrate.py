@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -26,6 +27,7 @@ from agent.safety import Authorisation
 if TYPE_CHECKING:
     from agent.estimation import Refit
     from agent.model import IdentifiedModel
+    from agent.pipeline.until_sure import Found, Rounds
     from agent.recording import Log
     from agent.runs import StoredLoop
     from agent.validation import Comparison, Prediction
@@ -115,7 +117,16 @@ def run_recalibration(
             met = conditions(log, prediction, recording)
             result = _judge(recipe, reference, run, recording, found, comparison, met)
             worse = result["validation"]["worse_before"]
-            result["diagnosis"] = diagnose_if_worse(reference.model, worse, log, run, console)
+            asked: list[Rounds] = []
+
+            def ask(find: Callable[[Sequence[Path]], Found]) -> Rounds:
+                asked.append(_further(find, recipe, run, console, logs, authorisation))
+                return asked[-1]
+
+            released = authorisation is not None and authorisation.document.new_motions is not None
+            result["diagnosis"] = diagnose_if_worse(
+                reference.model, worse, log, run, console, ask if released else None
+            )
             current = current_run(logs, recipe.robot.name, run.state["serial"])
             result["current_model"] = run.path.name if result["accepted"] else current
         with step(run, "report", console):
@@ -128,6 +139,8 @@ def run_recalibration(
         refresh_index(logs, console)
     for line in watched:
         console.warn(line)
+    if asked and asked[0].cut_short is not None:
+        raise asked[0].cut_short
     return RecalibrationOutcome(run=run.path, result=result, ending=ending_text(run, recipe))
 
 
@@ -149,6 +162,22 @@ def _record(
         run.write_text("program.pdl", loop.program)
         what, path = f"the stored loop {loop.checksum[:12]}", f"{loop.program_name}.pdl"
         return record_program(link, run, recipe, console, loop.program, path, "excitation", EXCITATION, what)
+
+
+def _further(
+    find: Callable[[Sequence[Path]], Found],
+    recipe: Recipe,
+    run: RunFolder,
+    console: Console,
+    logs: Path,
+    allowed: Authorisation | None,
+) -> Rounds:
+    """Motions that are planned for what the diagnosis leaves open, as far as they are released."""
+    from agent.pipeline.until_sure import until_sure
+
+    assert allowed is not None
+    assert allowed.document.new_motions is not None
+    return until_sure(find, [], recipe, run, console, logs, False, allowed.document.new_motions.duration, allowed)
 
 
 def _check_machine(reference: Reference, link: RobotLink) -> None:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core import Bare, Console, Dimension, InputError, parse_quantity
+from agent.core import Bare, Console, Dimension, InputError, parse_quantity, sha256_text
 from agent.link import open_link
 from agent.pipeline.next_experiment import LONGEST, plan_next
 from agent.pipeline.record_plan import record_program
 from agent.recipe import Recipe
-from agent.runs import RunFolder
+from agent.runs import RunFolder, run_key
+from agent.safety import FIRST_SPEED, Authorisation
 
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis, Simulated
@@ -66,6 +67,7 @@ def until_sure(
     runs: Path,
     yes: bool,
     budget: float,
+    allowed: Authorisation | None = None,
 ) -> Rounds:
     """Record further motions into the run folder as `experiment_01.mcap`, … until what is open is settled.
 
@@ -75,11 +77,15 @@ def until_sure(
     Args:
         find: the diagnosis of logs; all earlier ones count in every round.
         budget: further motion that is allowed [s].
+        allowed: a person's word, where nobody is there; motions are then as slow as a first run.
 
     Raises:
         AgentError: logs that cannot be diagnosed, or a recipe that leaves no room.
     """
-    rounds = Rounds([], [], find(logs))
+    rounds, moved, slow = Rounds([], [], find(logs)), 0.0, recipe
+    if allowed is not None:
+        fastest = 0.98 * min(recipe.motion.speed, FIRST_SPEED, allowed.document.limits.speed)
+        slow = replace(recipe, motion=replace(recipe.motion, settings=recipe.motion.settings_at(fastest)))
     while True:
         result = rounds.last[0].result
         if rounds.asked:
@@ -87,25 +93,26 @@ def until_sure(
             console.say(f"round {len(rounds.asked)}: {result['verdict']}")
         if result["verdict"] in ("explained", "no_gap"):
             rounds.end = f"settled: {result['verdict']}"
-        elif budget < _SHORTEST:
+        elif budget - moved < _SHORTEST:
             rounds.end = "the budget of motion is used up"
         if rounds.end:
             break
         name = f"experiment_{len(rounds.asked) + 1:02d}"
-        motion = plan_next(rounds.last[0], recipe, console, min(LONGEST, budget), name)
+        motion = plan_next(rounds.last[0], slow, console, min(LONGEST, budget - moved), name)
         if isinstance(motion, str):
             rounds.end = motion
             break
         program = run.write_text(f"{name}.pdl", motion.text).name
         rounds.asked.append({"after": result["verdict"], **motion.to_dict(program)})
         try:
-            with open_link(recipe, console, yes, runs) as link:
+            word = allowed and allowed.for_new_motion(run_key(recipe)["loop"], sha256_text(motion.text), moved)
+            with open_link(recipe, console, yes, runs, word) as link:
                 log = f"{name}.mcap"
                 recording = record_program(link, run, recipe, console, motion.text, program, "experiment", log, name)
         except BaseException as error:
             rounds.end, rounds.cut_short = f"cut short: {str(error) or type(error).__name__}", error
             return rounds
-        budget -= recording.duration
+        moved += recording.duration
         rounds.logs.append(recording.path)
         rounds.last = find([*logs, *rounds.logs])
     console.say(rounds.end)

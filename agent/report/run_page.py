@@ -20,6 +20,7 @@ from agent.report.common_sections import (
 from agent.report.figures import motion_box_plot
 from agent.report.motion_sections import MotionData, SearchData, motion_section, search_section
 from agent.report.page import About, Page, Section, Table, render
+from agent.report.rounds_section import rounds_sections
 from agent.report.torque_section import TorqueData, torque_plot
 
 
@@ -56,7 +57,10 @@ def render_run(data: RunData, title: str, headline: str, prediction: Section, se
         parameters_section(data.parameter_rows, result.get("estimation", {}).get("notes", ())),
         provenance_section(result),
     ]
-    sections.insert(0 if diagnosis else 1, diagnosis_part(diagnosis, result["reference"]))
+    found = (diagnosis or {}).get("result") or {}
+    parts = [diagnosis_part(diagnosis, result["reference"])]
+    parts += rounds_sections(found.get("rounds"), found.get("rounds_end", ""))
+    sections[0 if diagnosis else 1 : 0 if diagnosis else 1] = parts
     good = result["accepted"] is not False and not diagnosis
     title = f"{title} of {result['robot']} {result['serial']}".rstrip()
     return render(Page(title, headline, "good" if good else "bad", sections, data.about))

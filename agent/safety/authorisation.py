@@ -7,6 +7,7 @@ The file is read, never written, by the agent:
     program: 3f1c…            # SHA-256 of the program, as `agent trajectories` shows it
     problem: 90ab…            # and of what it was planned with (robot, URDF, tool, cell, sub-region, motion)
     limits: {speed: 1 m/s, duration: 20 min}
+    new_motions: {duration: 10 min}   # optional: motions that nobody has seen, see `NewMotions`
     expires: 2027-03-31       # the last day, UTC
     written_by: M. Rossi
 """
@@ -14,7 +15,7 @@ The file is read, never written, by the agent:
 from __future__ import annotations
 
 import stat
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import Annotated
@@ -41,6 +42,15 @@ class Limits(_AuthorisedPart):
     duration: Annotated[Time, Field(gt=0)]
 
 
+class NewMotions(_AuthorisedPart):
+    """Motions that a run plans in the problem's sub-region by itself, all of them together so long at most [s].
+
+    Each of them keeps the limits too, and the speed of a first run, as nobody has seen it.
+    """
+
+    duration: Annotated[Time, Field(gt=0)]
+
+
 class AuthorisationDocument(_AuthorisedPart):
     """The file as it is written."""
 
@@ -49,16 +59,21 @@ class AuthorisationDocument(_AuthorisedPart):
     program: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     problem: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     limits: Limits
+    new_motions: NewMotions | None = None
     expires: date
     written_by: Name
 
 
 @dataclass(frozen=True)
 class Authorisation:
-    """A person permits, in the file `path`, that one program runs on one machine, within limits, until a day ends."""
+    """A person permits, in the file `path`, that one program runs on one machine, within limits, until a day ends.
+
+    `unseen`: the program was planned by this run, and nobody has watched it (`for_new_motion`).
+    """
 
     path: Path
     document: AuthorisationDocument
+    unseen: bool = False
 
     def check(
         self, robot: str, serial: str, program: str, speed: float, duration: float, now: datetime | None = None
@@ -106,6 +121,29 @@ class Authorisation:
                 f"{self.path}: this authorisation is for problem {self.document.problem[:12]}…, this recipe, its robot "
                 f"and cell make {problem}. Nothing was moved; somebody who knows the cell has to write a new one"
             )
+
+    def for_new_motion(self, problem: str, program: str, before: float) -> Authorisation:
+        """The same for one program that was planned in the problem's sub-region; it can be stricter, never wider.
+
+        Args:
+            problem: as in `check_problem`; program: as in `check`.
+            before: how long the new motions of this run before it were [s].
+
+        Raises:
+            InputError: new motions are not released, are of another problem, or their time is used up.
+        """
+        released = self.document.new_motions
+        if released is None:
+            raise InputError(
+                f"{self.path}: this authorisation is for the stored loop; it releases no new motions (new_motions)"
+            )
+        self.check_problem(problem)
+        left = min(self.document.limits.duration, released.duration - before)
+        if not left > 0:
+            raise InputError(f"{self.path}: the {released.duration:.0f} s of new motions that it allows are used up")
+        limits = self.document.limits.model_copy(update={"duration": left})
+        document = self.document.model_copy(update={"program": program, "limits": limits})
+        return replace(self, document=document, unseen=True)
 
     def ends_soon(self, now: datetime | None = None) -> str | None:
         """What to say where it ends within two weeks."""

@@ -144,6 +144,11 @@ class GuardedLink:
             status = self._driver.status()
         return standing(status, self.robot, self.address)
 
+    @property
+    def _unseen(self) -> bool:
+        """Whether a motion is authorised that nobody has watched, and nobody watches now."""
+        return self._authorisation is not None and self._authorisation.unseen
+
     def needs_slow_run(self, program: PlannedProgram) -> bool:
         """Whether the program has to run slowly first: a machine, and a program that is new to it.
 
@@ -151,6 +156,13 @@ class GuardedLink:
             InputError: it has to, and nobody is there to watch.
         """
         if self._emulator or self._checked.has(self.identity.serial, program.checksum):
+            return False
+        if self._unseen:
+            if not program.speed <= FIRST_SPEED:
+                raise InputError(
+                    f"{self.address}: program {program.name!r} is new, and it reaches {program.speed:.2f} m/s; with "
+                    f"nobody there a new motion runs at no more than {FIRST_SPEED:g} m/s"
+                )
             return False
         if self._authorisation is not None:
             raise InputError(
@@ -230,7 +242,7 @@ class GuardedLink:
                     self._to_stop = False
             if not over:
                 self._stop()
-        if over and not self._emulator:  # it was slow, or known before
+        if over and not self._emulator and not self._unseen:  # it was slow, or known before
             self._checked.add(self.identity.serial, program.stands_for or program.checksum)
 
     @property

@@ -11,81 +11,137 @@ from types import SimpleNamespace
 import pytest
 
 from agent.blind_check import WAYS
+from agent.blind_check.cases import OPEN, draw_cases
 from agent.core import Console, InputError
-from agent.pipeline import active_check as module
-from agent.pipeline.active_check import ActiveCheck
+from agent.model import CATALOGUE
+from agent.pipeline.active_check import ActiveCheck, ActiveRun
+from agent.pipeline.active_worlds import ControllerMachines
+from agent.robot import load_robot
 from drivers.errors import DriverError
 
 QUIET = Console(verbosity=-1)
+BEGIN = ("excite",)
 
 
 @pytest.fixture
 def check(tmp_path: Path, monkeypatch):
     """Of three runs, whose first recordings are ambiguous, and that are settled by any second further motion."""
-    made = SimpleNamespace(recorded=[], asked=[], fails=False)
+    made = SimpleNamespace(ran=[], asked=[], read=[], fails="", refuses=(), folder=tmp_path / "check")
 
     def record(self, case, effects, recipe, texts, keep, folder):
-        assert not (self.folder / "key.json").exists(), "the key is closed while anything is recorded"
-        if made.fails and case.number == 1:
+        assert not (made.folder / "key.json").exists(), "the key is closed while anything is recorded"
+        if made.fails == f"{case.number} {folder.name}":
             raise DriverError("nobody there")
-        made.recorded.append((case.number, folder.name, tuple(texts), tuple(keep)))
-        return [folder / f"{name}.mcap" for name in keep]
+        made.ran.append((case.number, folder.name, tuple(texts), tuple(keep)))
+        for name in keep:
+            (folder / f"{name}.mcap").write_text("log")
 
-    def diagnose(self, recipe, logs, model):
-        verdict = "ambiguous" if len(logs) < 5 else "explained"
+    def diagnose(self, logs):
+        assert all(log.exists() for log in logs), "no earlier motion's log is lost"
+        made.read.append(len(logs))
+        verdict = "ambiguous" if len(logs) < 3 else "explained"
         cause = {"effect": "stribeck", "joints": ["joint_2"], "equivalent_to": []}
         return SimpleNamespace(result={"verdict": verdict, "causes": [cause], "closure": 0.9})
 
-    def motion(way, found, recipe, plan, seconds, name, seed):
-        made.asked.append((way, name, seconds))
+    def motion(self, way, found, seconds, name, seed):
+        made.asked.append((self._case.number, way, name, seconds))
+        if self._case.number in made.refuses:
+            return None
         return f"PROGRAM {name}", 17.0 if way == "planned" else seconds, []
 
-    monkeypatch.setattr(ActiveCheck, "_record", record)
-    monkeypatch.setattr(ActiveCheck, "_diagnose", diagnose)
-    monkeypatch.setattr(ActiveCheck, "_model", lambda self, case: tmp_path / "model.json")
-    monkeypatch.setattr(module, "make_plan", lambda *_: None)
-    monkeypatch.setattr(module, "_first", lambda *_: dict.fromkeys(("excite", "valid01", "valid02"), "PROGRAM"))
-    monkeypatch.setattr(module, "_motion", motion)
-    made.whole = ActiveCheck(3, 5, tmp_path / "check")
+    monkeypatch.setattr(ControllerMachines, "run", record)
+    monkeypatch.setattr(ActiveRun, "_diagnose", diagnose)
+    monkeypatch.setattr(ActiveRun, "_motion", motion)
+    monkeypatch.setattr(ActiveRun, "_recipe", None)
+    monkeypatch.setattr(ActiveRun, "_texts", dict.fromkeys(BEGIN, "PROGRAM"))
+    made.whole = ActiveCheck(3, 5, made.folder)
     return made
 
 
 def test_every_way_gets_the_time_of_the_planned_motions_and_begins_with_the_same_recording(check):
     scores = check.whole.run(QUIET)
-    first = [(way, name, seconds) for way, name, seconds in check.asked[: 2 * len(WAYS)]]
-    assert first[:2] == [("planned", "further1", 60.0), ("planned", "further2", 60.0)]
-    assert first[2:] == [(way, name, 17.0) for way in WAYS[1:] for name in ("further1", "further2")]
-    of_one = [entry for entry in check.recorded if entry[0] == 0]
-    begin = ("excite", "valid01", "valid02")
-    assert of_one[0] == (0, "0000", begin, begin)
-    assert of_one[2] == (0, "planned", (*begin, "further1", "further2"), ("further2",)), "as warm as it would be"
+    asked = {entry[1:] for entry in check.asked if entry[0] == 0}
+    assert {entry for entry in asked if entry[0] == "planned"} == {("planned", f"further{k}", 60.0) for k in (1, 2)}
+    assert asked - {entry for entry in asked if entry[0] == "planned"} == {
+        (way, name, 17.0) for way in WAYS[1:] for name in ("further1", "further2")
+    }
+    of_one = [entry for entry in check.ran if entry[0] == 0]
+    assert of_one[0] == (0, "0000", BEGIN, BEGIN)
+    assert (0, "planned2", (*BEGIN, "further1", "further2"), ("further2",)) in of_one, "as warm as it would be"
     assert scores["first"] == {"ambiguous": 3}
     assert scores["ways"]["random"]["robot_s"] == 3 * 2 * 17.0
 
 
+def test_the_first_further_motions_of_all_runs_come_before_any_second(check):
+    check.whole.run(QUIET)
+    order = [name for _, _, name, _ in check.asked]
+    assert order == ["further1"] * 12 + ["further2"] * 12
+
+
+def test_no_time_is_spent_where_no_motion_would_tell(check):
+    check.refuses = (1,)
+    scores = check.whole.run(QUIET)
+    assert [entry for entry in check.asked if entry[0] == 1] == [(1, "planned", "further1", 60.0)]
+    assert scores["no_motion"] == 1
+    assert scores["ways"]["planned"]["right_after_one"]["of"] == 3, "it counts all the same"
+
+
 def test_a_check_goes_on_where_it_was_and_says_what_could_not_be_recorded(check):
-    check.fails = True
+    check.fails = "1 0001"
     scores = check.whole.run(QUIET)
     assert scores["not_recorded"] == [{"run": 1, "why": "nobody there"}]
-    assert scores == json.loads((check.whole.folder / "active_check.json").read_text())
-    assert len(json.loads((check.whole.folder / "key.json").read_text())["cases"]) == 3
-    before = len(check.recorded)
+    assert scores == json.loads((check.folder / "active_check.json").read_text())
+    assert len(json.loads((check.folder / "key.json").read_text())["cases"]) == 3
+    before = len(check.ran)
     assert check.whole.run(QUIET) == scores
-    assert len(check.recorded) == before
+    assert len(check.ran) == before
+
+
+def test_a_check_that_is_stopped_keeps_every_answer_until_then(check, monkeypatch):
+    real = ActiveRun._motion
+    monkeypatch.setattr(
+        ActiveRun, "_motion", lambda self, way, *rest: 1 / 0 if way == "random" else real(self, way, *rest)
+    )
+    with pytest.raises(ZeroDivisionError):
+        check.whole.run(QUIET)
+    ran = len(check.ran)
+    assert ran == 3, "the first motions, a planned one, and the loop again"
+    monkeypatch.setattr(ActiveRun, "_motion", real)
+    check.whole.run(QUIET)
+    assert len({entry[:2] for entry in check.ran}) == len(check.ran), "nothing is recorded twice"
+
+
+def test_a_way_that_could_not_be_recorded_is_named_and_costs_no_other(check):
+    check.fails = "0 random1"
+    scores = check.whole.run(QUIET)
+    assert scores["not_recorded"] == [{"run": 0, "why": "random: nobody there"}]
+    assert scores["ways"]["d_optimal"]["robot_s"] == 3 * 2 * 17.0
 
 
 def test_another_check_in_the_folder_is_refused(check):
     check.whole.run(QUIET)
     with pytest.raises(InputError, match="another seed"):
-        ActiveCheck(3, 6, check.whole.folder).run(QUIET)
+        ActiveCheck(3, 6, check.folder).run(QUIET)
     with pytest.raises(InputError, match="at least one run"):
-        ActiveCheck(0, 6, check.whole.folder).run(QUIET)
+        ActiveCheck(0, 6, check.folder).run(QUIET)
+    with pytest.raises(InputError, match="no such world"):
+        ActiveCheck(3, 6, check.folder, "moon").run(QUIET)
 
 
-def test_other_worlds_are_refused(tmp_path):
+def test_weak_effects_that_are_easily_confused_are_drawn():
+    cases = draw_cases(60, 3, load_robot("comau_ns16"), OPEN)
+    assert {case.kind for case in cases} == {"one", "none"}
+    assert all(0.15 <= case.strength <= 0.8 for case in cases)
+    names = {effect["effect"] for case in cases for effect in case.effects}
+    assert names == set(OPEN.names or ())
+    assert {"gravity_spring", "dress_pack", "payload", "asymmetric_friction"} <= names <= set(CATALOGUE)
+    assert "torque_offset" not in names, "no motion settles it"
+
+
+def test_other_processes_are_refused(tmp_path):
     out = tmp_path / "x"
-    command = [sys.executable, "-m", "agent", "blind-check", "--active", "--world", "mujoco", "-o", str(out)]
+    command = [sys.executable, "-m", "agent", "blind-check", "--active", "--workers", "2", "-o", str(out)]
     run = subprocess.run(command, capture_output=True, text=True)
     assert run.returncode == 2
-    assert "leave out the other options" in run.stderr
+    assert "leave out --scheduler and --workers" in run.stderr
     assert not out.exists()

@@ -62,7 +62,8 @@ def test_every_way_is_counted_over_the_runs_that_were_ambiguous(scores):
 def test_predicted_probabilities_are_compared_with_what_came_where_the_truth_was_asked_about(scores):
     calibration = scores["calibration"]
     assert calibration["pairs"] == 3, "a pair without the truth has no right answer"
-    assert calibration["overall"] == {"said": pytest.approx(0.9), "came": pytest.approx(2 / 3)}
+    brier = (2 * 0.1**2 + 0.9**2) / 3
+    assert calibration["overall"] == pytest.approx({"said": 0.9, "came": 2 / 3, "brier": brier})
     assert "predicted 0.90, came 0.67" in active_text(scores)
 
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 
 from agent.diagnosis import Diagnosis, diagnose
 from agent.excitation import LoopProblem
-from agent.experiment import d_optimal_pieces, open_pairs, plan_experiment, random_pieces
+from agent.experiment import as_drawn, d_optimal, open_pairs, pieces_otherwise, plan_experiment
 from agent.experiment.outlook import GridMotion, Outlook
 from agent.experiment.pieces import Pieces
 from agent.motion import ViaRegions
@@ -103,6 +103,8 @@ def test_pieces_begin_and_end_at_rest_in_the_sub_region(problem):
         assert np.all(np.abs(motion.qd) <= arm.max_velocity * (1 + 1e-6))
         away = np.abs(tips.forward(motion.q)[:, :3, 3] - middle)
         assert away.max() < 0.1 + 2 * problem.settings.fly_distance, piece.text(arm)
+        speed = np.gradient(tips.forward(motion.q)[:, :3, 3], motion.time, axis=0)
+        assert np.linalg.norm(speed, axis=1).max() < 1.02 * problem.settings.linear_speed, piece.text(arm)
 
 
 @pytest.mark.verify
@@ -129,12 +131,12 @@ def test_pieces_at_random_use_the_time_and_can_be_run(problem):
     def fits(pieces):
         return len(pieces) < 3  # as if the way to a third were in the way of something
 
-    found = random_pieces(None, problem, 60.0, 7, fits)  # type: ignore[arg-type]
+    found = pieces_otherwise(as_drawn, problem, 60.0, 7, fits)
     assert 1 <= len(found) <= 2
     assert sum(piece.duration for piece in found) <= 60.0
-    again = random_pieces(None, problem, 60.0, 7, fits)  # type: ignore[arg-type]
+    again = pieces_otherwise(as_drawn, problem, 60.0, 7, fits)
     assert [piece.duration for piece in again] == [piece.duration for piece in found]
-    assert random_pieces(None, problem, 60.0, 7, lambda pieces: False) == ()  # type: ignore[arg-type]
+    assert pieces_otherwise(as_drawn, problem, 60.0, 7, lambda pieces: False) == ()
 
 
 @pytest.mark.verify
@@ -147,5 +149,6 @@ def test_d_optimal_pieces_say_more_of_the_model_than_pieces_at_random(problem):
         total = known + sum(outlook.information(piece.motion) for piece in pieces)
         return np.linalg.slogdet(total / np.sqrt(np.outer(np.diag(known), np.diag(known))))[1]
 
-    best, drawn = (choose(found, problem, 40.0, 3, lambda pieces: True) for choose in (d_optimal_pieces, random_pieces))
+    picks = d_optimal(found.dataset), as_drawn
+    best, drawn = (pieces_otherwise(pick, problem, 40.0, 3, lambda pieces: True) for pick in picks)
     assert worth(best) > worth(drawn)

@@ -8,14 +8,19 @@ from types import SimpleNamespace
 
 import pytest
 
+from agent.core import sha256_text, write_atomically
 from agent.core.console import Console
 from agent.pipeline import until_sure as module
 from agent.pipeline.until_sure import until_sure
+from agent.recipe import load_recipe, template
 from agent.report.page import Page, render
 from agent.report.rounds_section import rounds_sections
 from agent.runs.folder import RunFolder
+from agent.safety.authorisation import Authorisation, AuthorisationDocument
+from agent.safety.first_run import FIRST_SPEED
 from drivers.errors import DriverError
 
+PROBLEM = "cd" * 32
 PAIR = {"pair": ["stribeck on joint_2", "presliding on joint_2"], "before": 0.51, "after": 0.93}
 CAUSE = {"effect": "stribeck", "joints": ["joint_2"], "probability": 0.9}
 
@@ -36,7 +41,7 @@ class Motion:
 def ask(tmp_path: Path, monkeypatch):
     """`ask(verdicts, ends, budget)`: rounds whose diagnoses say these verdicts, whose recordings end as said."""
 
-    def run(verdicts, ends, budget=100.0):
+    def run(verdicts, ends, budget=100.0, allowed=None):
         recipe = tmp_path / "job.yaml"
         recipe.write_text("robot: comau_ns16\n", encoding="utf-8")
         folder = RunFolder.create(tmp_path / "logs", "comau_ns16", recipe)
@@ -58,13 +63,26 @@ def ask(tmp_path: Path, monkeypatch):
             return SimpleNamespace(result={"verdict": verdict, "causes": causes}), [], None
 
         plans = iter([Motion(), Motion(), "no motion would settle it: another load may"])
-        monkeypatch.setattr(module, "plan_next", lambda *_: next(plans))
-        monkeypatch.setattr(module, "open_link", lambda *_: nullcontext())
+        made.clear()
+
+        def plan(found, recipe, console, seconds, name):
+            made.append((recipe.motion.speed, seconds))
+            return next(plans)
+
+        def link(recipe, console, yes, runs, word=None):
+            made.append((recipe.motion.speed, word))
+            return nullcontext()
+
+        monkeypatch.setattr(module, "plan_next", plan)
+        monkeypatch.setattr(module, "open_link", link)
+        monkeypatch.setattr(module, "run_key", lambda recipe: {"loop": PROBLEM})
         monkeypatch.setattr(module, "record_program", record)
         first = [tmp_path / "excitation.mcap"]
-        found = until_sure(find, first, None, folder, Console(-1), tmp_path, True, budget)  # type: ignore[arg-type]
+        job = load_recipe(write_atomically(recipe, template()))
+        found = until_sure(find, first, job, folder, Console(-1), tmp_path, True, budget, allowed)  # type: ignore[arg-type]
         return found, seen
 
+    run.made = made = []
     return run
 
 
@@ -94,6 +112,37 @@ def test_what_cuts_a_round_short_leaves_what_was_found_before(ask, why):
     assert len(found.logs) == 1
     assert "verdict" not in found.asked[-1]
     assert found.end.startswith("cut short: ")
+
+
+def word(**released):
+    said = {
+        "robot": "comau_ns16",
+        "serial": "NS16-42",
+        "program": "ab" * 32,
+        "problem": PROBLEM,
+        "limits": {"speed": "1 m/s", "duration": "20 min"},
+        "expires": "2026-12-31",
+        "written_by": "M. Rossi",
+    }
+    return Authorisation(Path("word.yaml"), AuthorisationDocument.model_validate(said | released))
+
+
+def test_where_nobody_is_there_motions_are_slow_and_each_is_released_by_its_own_program_and_time(ask):
+    found, _ = ask(["ambiguous"] * 3, ["one", "two"], allowed=word(new_motions={"duration": "90 s"}))
+    (slow, _), (there, first), _, (_, second), *_ = ask.made
+    assert slow == pytest.approx(0.98 * FIRST_SPEED), "planned as slowly as a first run"
+    assert there == 1.0, "the problem is the recipe's own"
+    assert first.document.program == sha256_text(Motion.text)
+    assert [one.document.limits.duration for one in (first, second)] == [90.0, 70.0]
+    assert first.unseen
+    assert len(found.logs) == 2
+
+
+def test_motions_that_are_not_released_end_the_rounds_with_what_was_found(ask):
+    found, _ = ask(["ambiguous"], ["one"], allowed=word())
+    assert "releases no new motions" in found.end
+    assert found.logs == []
+    assert found.last[0].result["verdict"] == "ambiguous"
 
 
 def test_the_page_has_question_motion_and_answer_of_every_round(ask):

@@ -27,6 +27,18 @@ def test_nobody_watches_a_program_that_nobody_has_watched_before(bench, program,
     assert bench.controller.starts == 0
 
 
+def test_a_new_motion_that_is_released_runs_unwatched_as_slowly_as_a_first_run_and_does_not_count_as_one(
+    bench, program, authorisation
+):
+    slow, fast = program(FIRST_SPEED), program(0.4)
+    word = replace(authorisation(slow), unseen=True)
+    assert bench.run(slow, bench.open(yes=False, authorisation=word)) == 1000
+    assert not bench.checked.has("NS16-7", slow.checksum), "nobody watched it"
+    with pytest.raises(InputError, match=r"with nobody there a new motion runs at no more than 0\.25 m/s"):
+        bench.run(fast, bench.open(yes=False, authorisation=replace(authorisation(fast), unseen=True)))
+    assert bench.controller.starts == 1
+
+
 def test_a_program_that_is_new_to_a_machine_runs_slowly_first(bench, program):
     fast = program(0.8)
     guard = bench.open()

@@ -91,3 +91,38 @@ def test_it_covers_exactly_what_is_within_its_limits(speed: float, duration: flo
     else:
         with pytest.raises(InputError, match="are allowed"):
             allowed.check("comau_ns16", "NS16-42", PROGRAM, speed, duration, NOW)
+
+
+def _released(**changes: object) -> Authorisation:
+    document = {**SAID, "new_motions": {"duration": "10 min"}, **changes}
+    return Authorisation(Path("a"), AuthorisationDocument.model_validate(document))
+
+
+def test_new_motions_run_only_where_they_are_released(tmp_path: Path):
+    with pytest.raises(InputError, match="releases no new motions"):
+        load_authorisation(_write(tmp_path), NOW).for_new_motion(PROBLEM, "ef" * 32, 0.0)
+    allowed = load_authorisation(_write(tmp_path, new_motions={"duration": "10 min"}), NOW)
+    word = allowed.for_new_motion(PROBLEM, "ef" * 32, 0.0)
+    word.check("comau_ns16", "NS16-42", "ef" * 32, 0.2, 60.0, NOW)
+    assert word.unseen
+    with pytest.raises(InputError, match="it is for program abababababab"):
+        allowed.check("comau_ns16", "NS16-42", "ef" * 32, 0.2, 60.0, NOW)
+    with pytest.raises(InputError, match="this authorisation is for problem cdcdcdcdcdcd"):
+        allowed.for_new_motion("ef" * 32, "ef" * 32, 0.0)
+
+
+@given(speed=st.floats(0.01, 2.0), duration=st.floats(1.0, 1500.0), before=st.floats(0.0, 700.0))
+def test_a_new_motion_is_never_allowed_more_than_the_loop_and_its_own_time(
+    speed: float, duration: float, before: float
+):
+    allowed = _released(limits={"speed": "1 m/s", "duration": "90 s"})
+    assume(all(abs(x) > 1e-3 for x in (speed - 1.0, duration - 90.0, duration - (600.0 - before), before - 600.0)))
+    if speed <= 1.0 and duration <= 90.0 and before + duration <= 600.0:
+        allowed.for_new_motion(PROBLEM, "ef" * 32, before).check(
+            "comau_ns16", "NS16-42", "ef" * 32, speed, duration, NOW
+        )
+    else:
+        with pytest.raises(InputError, match=r"are allowed|are used up"):
+            allowed.for_new_motion(PROBLEM, "ef" * 32, before).check(
+                "comau_ns16", "NS16-42", "ef" * 32, speed, duration, NOW
+            )

@@ -1,0 +1,209 @@
+"""Where the runs with further motions happen: behind the fake controller, or on arms in MuJoCo.
+
+The fake controller runs the programs. The second world has no controller: its servo is given the set-points that the
+programs were planned to.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from agent.core import Console, InputError
+from agent.pipeline.planning import checked_chains
+from agent.recipe import Recipe, load_recipe, template
+from agent.robot import kinematics_for, load_robot
+
+if TYPE_CHECKING:
+    from agent.blind_check import Case
+
+_QUIET = Console(verbosity=-1)
+_NOWHERE = "127.0.0.1:9"
+#: The second world's servo, and so its set-points [Hz].
+_SERVO_RATE = 1000.0
+#: Of what an arm reaches, the half-size of the sub-region, and the joints [rad] in the middle of it, the others zero.
+_REGION, _POSTURES = 0.2, ((0.0, 0.6, 0.9), (0.0, 0.5, 1.2, 0.3), (0.0, -0.6, -0.9), (0.3, 0.4, 0.0, -1.2))
+
+
+class ActiveWorld(Protocol):
+    """Machines that run programs."""
+
+    @property
+    def title(self) -> str:
+        """What the key and the scores call it."""
+
+    @property
+    def group(self) -> int:
+        """Runs that share a machine."""
+
+    def draw(self, count: int, seed: int) -> list[Case]:
+        """The runs, the same for the same seed."""
+
+    def recipe(self, case: Case, machine: Path) -> Recipe:
+        """Robot and sub-region of the case's machine; what is kept of it lies in the folder `machine`."""
+
+    def run(
+        self,
+        case: Case,
+        effects: Sequence[Mapping[str, Any]],
+        recipe: Recipe,
+        texts: Mapping[str, str],
+        keep: Sequence[str],
+        folder: Path,
+    ) -> None:
+        """Run the programs one after the other; the logs of those to keep are in the folder, as `<name>.mcap`.
+
+        Raises:
+            AgentError, DriverError: the arm did not do it.
+        """
+
+
+@dataclass(frozen=True)
+class ControllerMachines:
+    """The fake controller over its TCP link."""
+
+    robot: str
+    title = "the fake controller"
+
+    @property
+    def group(self) -> int:
+        from agent.blind_check import GROUP
+
+        return GROUP
+
+    def draw(self, count: int, seed: int) -> list[Case]:
+        from agent.blind_check import OPEN, draw_cases
+
+        return draw_cases(count, seed, load_robot(self.robot), OPEN)
+
+    def recipe(self, case: Case, machine: Path) -> Recipe:
+        return _written(machine, template(self.robot, _NOWHERE, cycles=2))
+
+    def run(
+        self,
+        case: Case,
+        effects: Sequence[Mapping[str, Any]],
+        recipe: Recipe,
+        texts: Mapping[str, str],
+        keep: Sequence[str],
+        folder: Path,
+    ) -> None:
+        from agent.blind_check import fake_controller
+        from agent.link import open_link
+
+        with fake_controller(self.robot, case.machine, effects, ("--interpolator", "ours")) as address:
+            there = replace(recipe, controller=recipe.controller.model_copy(update={"address": address}))
+            with open_link(there, _QUIET, True, folder) as link:
+                for name, text in texts.items():
+                    program, chains = checked_chains(there, text, f"{name}.pdl", link.position())
+                    log = folder / f"{name}.mcap"
+                    link.run(program, text, log, name, chains, sum(chain.duration for chain in chains))
+                    if name not in keep:
+                        log.unlink()
+
+
+@dataclass(frozen=True)
+class MujocoMachines:
+    """Arms of four builds; each has a sub-region around a bent posture of its own."""
+
+    title = "MuJoCo"
+    group = 4
+
+    def draw(self, count: int, seed: int) -> list[Case]:
+        from agent.blind_check import OPEN, Case, second_world
+
+        drawn = second_world("draw", str(count), str(seed), json.dumps(asdict(OPEN)))
+        return [Case(**{**case, "effects": tuple(case["effects"])}) for case in drawn]
+
+    def recipe(self, case: Case, machine: Path) -> Recipe:
+        from agent.blind_check import second_world
+
+        robot = machine / "robot.yaml"
+        if not robot.exists():
+            job = {"machine": case.machine, "motion": 0, "effects": [], "set_points": {}}
+            second_world("run", text=json.dumps({**job, "describe": str(machine), "folder": str(machine)}))
+        return _written(machine, _region_text(robot))
+
+    def run(
+        self,
+        case: Case,
+        effects: Sequence[Mapping[str, Any]],
+        recipe: Recipe,
+        texts: Mapping[str, str],
+        keep: Sequence[str],
+        folder: Path,
+    ) -> None:
+        from agent.blind_check import second_world
+
+        files, at = {}, None
+        for name, text in texts.items():
+            points = _set_points(recipe, text, name, at)
+            files[name], at = folder / f"{name}.npy", points[-1]
+            np.save(files[name], points)
+        job = {"machine": case.machine, "motion": case.motion, "effects": list(effects), "folder": str(folder)}
+        paths = {name: str(path) for name, path in files.items()}
+        second_world("run", text=json.dumps({**job, "set_points": paths}))
+        for name, path in files.items():
+            path.unlink()
+            if name not in keep:
+                (folder / f"{name}.mcap").unlink()
+
+
+def _written(machine: Path, text: str) -> Recipe:
+    from agent.core import write_atomically
+
+    machine.mkdir(parents=True, exist_ok=True)
+    return load_recipe(write_atomically(machine / "recipe.yaml", text))
+
+
+def _region_text(robot: Path) -> str:
+    """A recipe whose sub-region has something to search in.
+
+    Raises:
+        InputError: no posture has.
+    """
+    from agent.excitation import Candidates
+    from agent.motion import pose_to_pos
+    from agent.pipeline.planning import loop_problem
+
+    arm = load_robot(str(robot))
+    kinematics = kinematics_for(arm, None)
+    middle = kinematics.middle
+    reach = float(np.linalg.norm(kinematics.forward(np.zeros((1, arm.dof)))[0, :3, 3]))
+    rng = np.random.default_rng(1)
+    for bent in _POSTURES:
+        posture = middle + np.pad(bent, (0, arm.dof - len(bent)))
+        x, y, z, *angles = pose_to_pos(kinematics.forward(posture[None])[0])
+        text = template(
+            "robot.yaml",
+            _NOWHERE,
+            cycles=2,
+            centre=[f"{value:.1f} mm" for value in (x, y, z)],
+            size=[f"{1000 * _REGION * reach:.0f} mm"] * 3,
+            orientation=[f"{angle:.2f} deg" for angle in angles],
+        )
+        recipe = _written(robot.parent, text)
+        try:
+            candidates = Candidates(loop_problem(recipe, recipe.motion.speed))
+        except InputError:
+            continue
+        if sum(candidates.score(rng.uniform(size=candidates.problem.genes)).feasible for _ in range(10)) >= 3:
+            return text
+    raise InputError(f"{robot}: no sub-region was found in which this arm moves freely")
+
+
+def _set_points(recipe: Recipe, text: str, name: str, start: np.ndarray | None) -> np.ndarray:
+    """(S, n) at the servo's rate, rests included, from `start` (n,) or the middle of all joints."""
+    from agent.link import check_cell
+    from agent.motion import create_interpolator, parse_program
+
+    interpolator = create_interpolator(recipe.search.interpolator, recipe.robot, recipe.tool, period=1.0 / _SERVO_RATE)
+    begin = kinematics_for(recipe.robot, recipe.tool).middle if start is None else start
+    trajectory = interpolator.plan(list(parse_program(text, name, recipe.robot).run()), begin)
+    check_cell(recipe, trajectory)
+    return trajectory.q
