@@ -103,7 +103,7 @@ class ActiveRun:
             for number in range(1, rounds + 1):
                 if last.get("verdict") in _SETTLED:
                     break
-                said = self._kept(f"{way}{number}", lambda w=way, n=number: self._further(w, n))  # type: ignore[misc]
+                said = self._kept(f"{way}{number}", lambda w=way, n=number: self._further(w, n))
                 if "result" not in said:
                     break
                 last = said["result"]

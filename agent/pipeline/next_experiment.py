@@ -195,7 +195,8 @@ def _with_a_mass(found: Diagnosis, pairs: Sequence[OpenPair], problem: LoopProbl
     from agent.robot import Tool, kinematics_for
 
     robot = problem.robot
-    postures = np.random.default_rng(0).uniform(*np.clip(robot.position_limits, -np.pi, np.pi), (50, robot.dof))
+    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
+    postures = np.random.default_rng(0).uniform(lower, upper, (50, robot.dof))
     reach = float(np.linalg.norm(kinematics_for(robot, None).forward(postures)[:, :3, 3], axis=1).max())
     strongest = float(np.max(found.dataset.fit.reference.scale))
     load = Tool(np.eye(4), float(f"{_TRIAL_LOAD * strongest / (9.81 * max(reach, 0.1)):.1g}"), np.zeros(3))
