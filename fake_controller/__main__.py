@@ -86,6 +86,7 @@ def _controller(options: argparse.Namespace) -> Controller:
     Raises:
         InputError: a scenario or an effect that makes no sense, or an unknown robot.
     """
+    from fake_controller.actuation.machine import weighs_nothing
     from fake_controller.build import build_controller
     from fake_controller.scenario import SetupSection, load_scenario
     from fake_controller.state import State
@@ -105,6 +106,12 @@ def _controller(options: argparse.Namespace) -> Controller:
         options.interpolator,
     )
     controller.state = State(**setup.state.model_dump())
+    if options.model is None and weighs_nothing(controller.robot):
+        print(
+            f"fake controller: the URDF of {controller.robot.name} gives no link a mass: this arm has rods of a usual "
+            "weight, so its torques are not those of yours",
+            file=sys.stderr,
+        )
     if scenario is not None:
         print(f"fake controller: scenario {options.scenario}: {scenario.title}", file=sys.stderr)
     return controller

@@ -79,6 +79,11 @@ class Dynamics:
         """(10 n,) inertial parameters of URDF and tool, in the regressor's order."""
         return np.concatenate([self._model.inertias[k + 1].toDynamicParameters() for k in range(self.dof)])
 
+    def link_ends(self) -> np.ndarray:
+        """(n, 3) where the next joint, after the last one the tip, is in the frame of each joint's link [m]."""
+        joints = [self._model.jointPlacements[k + 1].translation for k in range(1, self.dof)]
+        return np.array([*joints, self._model.frames[self._tip].placement.translation])
+
     def with_parameters(self, parameters: np.ndarray) -> Dynamics:
         """A copy whose links have these (10 n,) standard parameters; they need not be physical.
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from agent.robot.dynamics import Dynamics
 from fake_controller.actuation.drive import Drive
-from fake_controller.actuation.machine import draw_machine
+from fake_controller.actuation.machine import draw_machine, weighs_nothing
 from fake_controller.plant import Plant
 from tests.small_arms import true_torque
 
@@ -100,9 +103,27 @@ def test_the_truth_is_near_the_description_and_not_on_it(ns16, run):
     assert np.all(rotors != 0)
 
 
+def without_inertias(robot):
+    return replace(robot, urdf=re.sub("<inertial>.*?</inertial>", "", robot.urdf, flags=re.DOTALL))
+
+
+def test_an_arm_of_kinematics_alone_weighs_about_as_much_as_one_of_its_size(ns16):
+    bare = draw_machine(without_inertias(ns16), 0)
+    assert weighs_nothing(bare.robot)
+    assert not weighs_nothing(ns16)
+    real = Dynamics(ns16).standard_parameters()[::10].sum()
+    assert 0.4 * real < bare.parameters[::10].sum() < 2.5 * real
+    at = np.array([[0.0, 0.5, -1.5, 0.0, 0.5, 0.0]])
+    held = [machine.dynamics().inverse_dynamics(at, 0 * at, 0 * at)[0] for machine in (bare, draw_machine(ns16, 0))]
+    np.testing.assert_array_less(np.abs(held[0][1:3]), 4 * np.abs(held[1][1:3]))
+    np.testing.assert_array_less(np.abs(held[1][1:3]), 4 * np.abs(held[0][1:3]))
+
+
 @pytest.mark.parametrize("seed", range(10))
-def test_every_machine_has_links_that_are_bodies(ns16, seed):
-    for m, x, y, z, xx, xy, yy, xz, yz, zz in draw_machine(ns16, seed).parameters.reshape(6, 10):
+@pytest.mark.parametrize("bare", [False, True])
+def test_every_machine_has_links_that_are_bodies(ns16, seed, bare):
+    robot = without_inertias(ns16) if bare else ns16
+    for m, x, y, z, xx, xy, yy, xz, yz, zz in draw_machine(robot, seed).parameters.reshape(6, 10):
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         pseudo = np.zeros((4, 4))
         pseudo[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
