@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from agent.diagnosis.result import Diagnosis
+from agent.diagnosis.sizes import unit_of
 from agent.robot import ParameterLayout
 
 _WIDTH = 1.645  # standard deviations, 90 %
@@ -78,9 +79,16 @@ def ranges(diagnosis: Diagnosis) -> tuple[Range, ...]:
         own = slice(at, at + len(values))
         at = own.stop
         for name, value, least in zip(candidate.names, values, deviation[own], strict=True):
-            either = Range(candidate.text(robot.joint_names), name, float(value), *_ends(value, least), "SI")
-            result.append(either)
+            unit = _unit(candidate.effect.name, name, any(robot.joints[j].prismatic for j in candidate.joints))
+            result.append(Range(candidate.text(robot.joint_names), name, float(value), *_ends(value, least), unit))
     return tuple(result)
+
+
+def _unit(effect: str, parameter: str, slides: bool) -> str:
+    """1 where it is a ratio."""
+    unit = unit_of(effect, parameter)
+    unit = unit.replace("N·m", "N").replace("rad", "m") if slides else unit
+    return "1" if unit in ("", "%") else unit
 
 
 def _ends(value: float, deviation: float) -> tuple[float, float]:
@@ -95,5 +103,10 @@ def _range(of: str, parameter: str, value: float, deviation: float, unit: str) -
 
 def ranges_text(found: tuple[Range, ...]) -> str:
     """Content of a ranges file, YAML with one line a number."""
-    lines = [f"  - {json.dumps(asdict(entry), ensure_ascii=False)}" for entry in found]
+    rows = ({key: _rounded(value) for key, value in asdict(entry).items()} for entry in found)
+    lines = [f"  - {json.dumps(row, ensure_ascii=False)}" for row in rows]
     return "\n".join(["schema: randomisation/1", "interval: 0.9", "ranges:" if lines else "ranges: []", *lines, ""])
+
+
+def _rounded(value: float | str) -> float | str:
+    return value if isinstance(value, str) else float(f"{value:.6g}")

@@ -19,7 +19,6 @@ import numpy as np
 
 from agent.diagnosis.calibration import ReleasedSimulator, calibration
 from agent.diagnosis.dataset import Dataset, assemble
-from agent.diagnosis.excess import closed_excess, joint_energy
 from agent.diagnosis.finding import Finding
 from agent.diagnosis.gap import HeldOutGap, held_out_gap
 from agent.diagnosis.limits import LIMITS, DecisionLimits
@@ -145,8 +144,8 @@ def search_simulator(
     given = ReleasedSimulator(dataset, dataset, ())
     search = searching(given)
     total = float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
-    enough, (alone, sole) = limits.least_share * total, _left_by_one(dataset, search, unit)
-    if alone <= enough and sole:
+    enough, alone = limits.least_share * total, _left_by_one(dataset, search, unit)
+    if alone <= enough:
         plain = answer(given, search)
         if len(plain.finding.causes) == 1 and plain.left <= enough:
             return plain
@@ -169,16 +168,14 @@ def search_simulator(
     return settled(found[-1])
 
 
-def _left_by_one(dataset: Dataset, search: Search, unit: np.ndarray) -> tuple[float, bool]:
-    """Mean square over joints that the best effect alone leaves of a simulator as given, and whether it may be all."""
-    leading = search.scan(dataset.fit).eligible[: dataset.limits.starts]
-    before, best = joint_energy(dataset.fit), (np.inf, False)
-    for score in leading:
-        fit = dataset.fit.with_chosen((score.candidate,))
-        left = float(np.mean(held_out_gap(dataset, fit, unit).after ** 2))
-        if left < best[0]:
-            best = left, closed_excess(dataset.limits, before, fit) > dataset.limits.single_effect_closure
-    return best
+def _left_by_one(dataset: Dataset, search: Search, unit: np.ndarray) -> float:
+    """Mean square over joints that the best effect alone leaves of a simulator as given: no search is needed beyond.
+
+    Links that weigh otherwise are numbers of the file, which are moved link by link instead.
+    """
+    eligible = [score for score in search.scan(dataset.fit).eligible if score.candidate.effect.numbers != "links"]
+    fits = (dataset.fit.with_chosen((score.candidate,)) for score in eligible[: dataset.limits.starts])
+    return min((float(np.mean(held_out_gap(dataset, fit, unit).after ** 2)) for fit in fits), default=np.inf)
 
 
 def _expected(dataset: Dataset, residual: np.ndarray) -> float:

@@ -67,24 +67,25 @@ def _picture(steps: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def _forward(forward: Mapping[str, Any]) -> Section:
-    joints, horizons = forward["joints"], forward["horizon_s"]
-    columns = [f"{quantity}{side}" for quantity in ("", "velocity_") for side in ("before", "after")]
-    rows = [
-        (f"{joint}, {seconds:g} s", *(_error(forward, column, h, j) for column in columns))
-        for j, joint in enumerate(joints)
-        for h, seconds in enumerate(horizons)
-    ]
     text = [
         f"From {forward['windows']} measured states the simulator is run in {forward['engine']} by the recorded "
         f"{forward['driven_by'].replace('_', '-')}, as given and as corrected by the other motions: root mean square "
         "error of position [rad or m] and velocity [rad/s or m/s], and the range of 90 % in which it lies on another "
         "motion like these.",
     ]
-    head = (
-        "joint, after",
-        *(f"{what}, {side}" for what in ("position", "velocity") for side in ("given", "corrected")),
+    tables = (
+        Table(name, (f"{what}, after", "given", "corrected"), _forward_rows(forward, prefix))
+        for name, what, prefix in (("forward", "position", ""), ("forward-velocity", "velocity", "velocity_"))
     )
-    return Section("How far it drifts", text, (Table("forward", head, rows),))
+    return Section("How far it drifts", text, tuple(tables))
+
+
+def _forward_rows(forward: Mapping[str, Any], prefix: str) -> list[tuple[str, ...]]:
+    return [
+        (f"{joint}, {seconds:g} s", *(_error(forward, f"{prefix}{side}", h, j) for side in ("before", "after")))
+        for j, joint in enumerate(forward["joints"])
+        for h, seconds in enumerate(forward["horizon_s"])
+    ]
 
 
 def _error(forward: Mapping[str, Any], column: str, horizon: int, joint: int) -> str:
@@ -99,7 +100,8 @@ def _ranges(found: Sequence[Range]) -> Section:
     ]
     text = [
         "How far the numbers that were moved may still be off (90 %): the ranges over which it is justified to "
-        "randomise a simulator that policies are trained in. What is not listed was not moved. As YAML below.",
+        "randomise a simulator that policies are trained in. What is not listed was not moved. Masses of links trade "
+        "with one another: each may be anywhere in its range, but not all of them at once. As YAML below.",
     ]
     table = Table("ranges", ("number", "value", "range", "unit"), rows)
     return Section("For training policies", text, (table,), ranges_text(tuple(found)))

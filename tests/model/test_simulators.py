@@ -397,11 +397,14 @@ def test_friction_is_named_beside_wrong_numbers_of_larger_joints_though_the_file
 @pytest.mark.verify
 def test_a_small_effect_is_named_beside_a_large_one_and_numbers_moved_in_their_stead_move_no_more(tmp_path):
     def beside(qd):
-        return np.array([0, 0, 0.2]) * FORMS["stribeck"](qd)
+        return np.array([0, 0, 0.3]) * FORMS["stribeck"](qd)
 
     found = uneven(tmp_path, FORMS["asymmetric_friction"], 1, beside=beside)
     named = {(cause["effect"], *cause["joints"]) for cause in found.result["causes"]}
     assert named == {("asymmetric_friction", "lift"), ("stribeck", "tip")}
+    assert ("rotor inertia", 1) not in found.calibrated.released
+    units = {entry.parameter: entry.unit for entry in ranges(found)}
+    assert (units["rise"], units["frictionloss"]) == ("N·m", "N·m")
 
 
 @pytest.mark.verify
