@@ -169,12 +169,9 @@ def search_simulator(
 
 
 def _left_by_one(dataset: Dataset, search: Search, unit: np.ndarray) -> float:
-    """Mean square over joints that the best effect alone leaves of a simulator as given: no search is needed beyond.
-
-    Links that weigh otherwise are numbers of the file, which are moved link by link instead.
-    """
-    eligible = [score for score in search.scan(dataset.fit).eligible if score.candidate.effect.numbers != "links"]
-    fits = (dataset.fit.with_chosen((score.candidate,)) for score in eligible[: dataset.limits.starts])
+    """Mean square over joints that the best effect alone leaves of a simulator as given: no search is needed beyond."""
+    leading = search.scan(dataset.fit).eligible[: dataset.limits.starts]
+    fits = (dataset.fit.with_chosen((score.candidate,)) for score in leading)
     return min((float(np.mean(held_out_gap(dataset, fit, unit).after ** 2)) for fit in fits), default=np.inf)
 
 
