@@ -146,8 +146,8 @@ def weighs_nothing(robot: RobotDescription) -> bool:
 def nominal_parameters(robot: RobotDescription) -> np.ndarray:
     """(10n,) standard parameters of the description's links; rods where none of them weighs anything.
 
-    Many public descriptions are kinematics alone. Their arm gets `_WEIGHT` reach^1.5 a metre of link (0.6 m with 25 kg
-    and 1.7 m with 300 kg lie near that), to half of it at the tip, in rods whose radius is a tenth of the mean link.
+    Many public descriptions are kinematics alone. Their arm gets `_WEIGHT` reach^1.5 a metre of link (0.6 m with 20 kg
+    and 1.6 m with 250 kg lie near that), to half of it at the tip, in rods whose radius is a tenth of the mean link.
     """
     dynamics = Dynamics(robot)
     if not weighs_nothing(robot):
@@ -155,7 +155,7 @@ def nominal_parameters(robot: RobotDescription) -> np.ndarray:
     ends = dynamics.link_ends()
     lengths = np.linalg.norm(ends, axis=1)
     radius = max(0.1 * lengths.mean(), 0.01)
-    weight = _WEIGHT * max(lengths.sum(), 0.1) ** 1.5 * np.linspace(1.0, 0.5, robot.dof)
+    weight = _WEIGHT * max(lengths[1:].sum(), 0.1) ** 1.5 * np.linspace(1.0, 0.5, robot.dof)
     rods = []
     for end, length, per_metre in zip(ends, lengths, weight, strict=True):
         mass = per_metre * max(length, 2.0 * radius)
