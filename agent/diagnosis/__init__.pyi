@@ -1,6 +1,7 @@
 from .candidate import Candidate as Candidate
 from .correction import corrected as corrected
 from .dataset import Dataset as Dataset, background_of as background_of
+from .excess import joint_energy as joint_energy
 from .extension import extended_model as extended_model
 from .finding import Step as Step
 from .fit import Fit as Fit

@@ -9,9 +9,10 @@ over the rows of all earlier logs and of the motion, counted as independent ones
 same background σ as the verdict's. This is the criterion of T-optimality (Atkinson and Fedorov, Biometrika 62, 1975)
 with the parameters of model and rival projected out. The held-out advantage of a is then about normal with mean
 D² and standard deviation 2 D, so it passes the margin m of the verdict with probability Φ((D² − m) / (2 D)), averaged
-over the posterior of β, and over which of the two is true. m is at least a share of what a explains by itself: forms of
-effects are not trusted further. Where a closes less than the verdict calls a good fit, b stays its equal all the same
-if it explains half of what a does; a will close what the present cause closes, give or take.
+over the posterior of β, and over which of the two is true. m grows with the rows, as what a leaves over the background
+does, and is at least a share of what a explains by itself: forms of effects are not trusted further. Where a closes
+less than the verdict calls a good fit, b stays its equal all the same if it explains half of what a does; a will close
+what the present cause closes, give or take.
 
 Rows at a standstill of their joint count nothing: there the torque is what stiction makes of it, and no form of an
 effect is to be trusted. A motion that is repeated counts once: the model's own error comes back with it. It begins
@@ -45,6 +46,18 @@ class GridMotion:
     q: np.ndarray
     qd: np.ndarray
     qdd: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What motions add: per comparison moments (m, m), and how many independent rows they have."""
+
+    moments: tuple[np.ndarray, ...]
+    rows: float
+
+    def __add__(self, other: Told) -> Told:
+        """Of both."""
+        return Told(tuple(a + b for a, b in zip(self.moments, other.moments, strict=True)), self.rows + other.rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +111,13 @@ class Outlook:
         unit = sigma * weight
         return signals, unit, reference.model.columns(motion.q, motion.qd, motion.qdd) / unit[:, :, None]
 
-    def moments(self, motion: GridMotion) -> list[np.ndarray]:
-        """Per comparison the moments (m, m) that a motion adds."""
+    @property
+    def nothing(self) -> Told:
+        """No further motion."""
+        return Told(tuple(np.zeros_like(comparison.gram) for comparison in self.comparisons), 0.0)
+
+    def told(self, motion: GridMotion) -> Told:
+        """What a motion adds."""
         signals, unit, model = self._model_columns(motion)
         low_pass = _low_pass(1 / float(np.median(np.diff(motion.time))), self.dataset)
         made: dict[Candidate, np.ndarray] = {}
@@ -123,23 +141,28 @@ class Outlook:
             together = np.concatenate([*blocks, columns(comparison.truth.candidate)], axis=2)
             flat = together.reshape(-1, together.shape[2])
             result.append(flat.T @ flat)
-        return result
+        seconds = float(motion.time[-1] - motion.time[0])
+        return Told(tuple(result), seconds / _INDEPENDENT * motion.q.shape[1])
 
-    def distances(self, added: Sequence[np.ndarray]) -> np.ndarray:
-        """(comparisons,) D² on average over the draws; `added` as in `probabilities`."""
-        pairs = zip(self.comparisons, added, strict=True)
+    def _rows(self, added: Told) -> float:
+        """Independent rows of all motions."""
+        return float(self.dataset.fit.count.sum()) / self.dataset.fit.repeat + added.rows
+
+    def distances(self, added: Told) -> np.ndarray:
+        """(comparisons,) D² on average over the draws, after all earlier logs and the motions added."""
+        pairs = zip(self.comparisons, added.moments, strict=True)
         return np.array([np.mean(_distances(c, c.gram + more, len(c.prior))) for c, more in pairs])
 
-    def probabilities(self, added: Sequence[np.ndarray] | None = None) -> np.ndarray:
-        """(pairs,) probability of the right answer; `added` per comparison: moments of motions to come."""
+    def probabilities(self, added: Told) -> np.ndarray:
+        """(pairs,) probability of the right answer after all earlier logs and the motions added."""
         of_pair: list[dict[int, float]] = [{} for _ in self.pairs]
         for number, comparison in enumerate(self.comparisons):
-            gram = comparison.gram if added is None else comparison.gram + added[number]
+            gram = comparison.gram + added.moments[number]
             alone = _distances(comparison, gram, comparison.own)
             pair, limits = self.pairs[comparison.pair], self.dataset.limits
             chances = []
             for distance, whole in zip(_distances(comparison, gram, len(comparison.prior)), alone, strict=True):
-                chance = _passes(distance, max(pair.margin, limits.indistinguishable_gain * whole))
+                chance = _passes(distance, max(pair.margin * self._rows(added), limits.indistinguishable_gain * whole))
                 half = comparison.rival is not None and distance < (1 - limits.runner_up_gain) * whole
                 chances.append(chance * (pair.fits_well if half else 1.0))
             chance = float(np.mean(chances))
@@ -147,14 +170,14 @@ class Outlook:
             of_pair[comparison.pair][key] = min(of_pair[comparison.pair].get(key, 1.0), chance)
         return np.array([np.mean(list(found.values())) if found else 0.0 for found in of_pair])
 
-    def minimum_detectable_sizes(self, added: Sequence[np.ndarray]) -> list[float | None]:
+    def minimum_detectable_sizes(self, added: Told) -> list[float | None]:
         """Per pair with nothing as its rival: the size that four of five draws show, over the one asked about."""
         found: list[float | None] = [None] * len(self.pairs)
-        for comparison, more in zip(self.comparisons, added, strict=True):
+        for comparison, more in zip(self.comparisons, added.moments, strict=True):
             if comparison.rival is not None:
                 continue
             distance = float(np.mean(_distances(comparison, comparison.gram + more, comparison.own)))
-            margin = self.pairs[comparison.pair].margin
+            margin = self.pairs[comparison.pair].margin * self._rows(added)
             if distance > 0:
                 size = (1.6832 + np.sqrt(1.6832**2 + 4 * margin)) / 2 / np.sqrt(distance)
                 found[comparison.pair] = max(size, found[comparison.pair] or 0.0)

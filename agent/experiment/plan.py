@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.diagnosis import Diagnosis
 from agent.excitation import LoopProblem
-from agent.experiment.outlook import Outlook
+from agent.experiment.outlook import Outlook, Told
 from agent.experiment.pieces import Piece, Pieces
 from agent.experiment.questions import OpenPair
 from agent.robot import Tool
@@ -72,13 +72,13 @@ def plan_experiment(
         InputError: as `agent.excitation.Candidates`.
     """
     outlook = Outlook(found.dataset, pairs, load)
-    before = outlook.probabilities()
+    before = outlook.probabilities(outlook.nothing)
     pieces = Pieces(problem, _joints(found, pairs), (1 - _WAYS) * seconds, np.random.default_rng(seed))
-    pool: list[tuple[Piece, list[np.ndarray]]] = []
+    pool: list[tuple[Piece, Told]] = []
     for number in range(_POOL):
         progress(f"motions that would tell more: {number + 1} of {_POOL} weighed")
         if (piece := pieces.draw()) is not None:
-            pool.append((piece, outlook.moments(piece.motion)))
+            pool.append((piece, outlook.told(piece.motion)))
     known = before > _KNOWN if np.any(before <= _KNOWN) else np.zeros(len(before), dtype=bool)
     within_reach = ~known & (outlook.probabilities(_sum(outlook, pool)) > _WITHIN_REACH)
     if not within_reach.any():
@@ -90,7 +90,7 @@ def plan_experiment(
             other = pieces.vary(chosen[number][0])
             if other is None:
                 continue
-            varied = [*chosen[:number], (other, outlook.moments(other.motion)), *chosen[number + 1 :]]
+            varied = [*chosen[:number], (other, outlook.told(other.motion)), *chosen[number + 1 :]]
             fits = sum(piece.duration for piece, _ in varied) <= (1 - _WAYS) * seconds
             if fits and _utility(outlook, varied, within_reach) > _utility(outlook, chosen, within_reach):
                 chosen = varied
@@ -117,9 +117,9 @@ def _joints(found: Diagnosis, pairs: Sequence[OpenPair]) -> list[int]:
 
 
 def _greedy(
-    outlook: Outlook, pool: Sequence[tuple[Piece, list[np.ndarray]]], seconds: float, within_reach: np.ndarray
-) -> list[tuple[Piece, list[np.ndarray]]]:
-    chosen: list[tuple[Piece, list[np.ndarray]]] = []
+    outlook: Outlook, pool: Sequence[tuple[Piece, Told]], seconds: float, within_reach: np.ndarray
+) -> list[tuple[Piece, Told]]:
+    chosen: list[tuple[Piece, Told]] = []
     now = _utility(outlook, chosen, within_reach)
     while len(chosen) < _MOST_PIECES:
         left = seconds - sum(piece.duration for piece, _ in chosen)
@@ -136,12 +136,11 @@ def _greedy(
     return chosen
 
 
-def _sum(outlook: Outlook, chosen: Sequence[tuple[Piece, list[np.ndarray]]]) -> list[np.ndarray]:
-    zero = [np.zeros_like(comparison.gram) for comparison in outlook.comparisons]
-    return [sum((moments[k] for _, moments in chosen), start) for k, start in enumerate(zero)]
+def _sum(outlook: Outlook, chosen: Sequence[tuple[Piece, Told]]) -> Told:
+    return sum((told for _, told in chosen), outlook.nothing)
 
 
-def _utility(outlook: Outlook, chosen: Sequence[tuple[Piece, list[np.ndarray]]], within_reach: np.ndarray) -> float:
+def _utility(outlook: Outlook, chosen: Sequence[tuple[Piece, Told]], within_reach: np.ndarray) -> float:
     """Log odds of the pairs within reach, the worst first, then the others."""
     chance = np.clip(outlook.probabilities(_sum(outlook, chosen))[within_reach], 1e-9, 1 - 1e-9)
     odds = np.clip(np.log(chance / (1 - chance)), -20, 4)

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import ndtr
 
-from agent.diagnosis import Candidate, Diagnosis, Fit, best_by_place, plausible
+from agent.diagnosis import Candidate, Diagnosis, Fit, best_by_place, joint_energy, plausible
 from agent.model import CATALOGUE
 
 Place = tuple[str, tuple[int, ...]]
@@ -55,8 +55,8 @@ class Hypothesis:
 class OpenPair:
     """Two hypotheses that the logs do not separate, beside what both of them share (the chosen effects of `fit`).
 
-    `margin` [Σ e²/σ² of independent rows]: so much better has the true one to be. `fits_well`: the probability that it
-    will close as much as a verdict asks for without a rival.
+    `margin` [Σ e²/σ²]: so much better, for each row of all motions, has the true one to be. `fits_well`: the
+    probability that it will close as much as a verdict asks for without a rival.
     """
 
     first: Hypothesis
@@ -93,7 +93,7 @@ def _rivals(found: Diagnosis) -> Iterator[OpenPair]:
         for place in dict.fromkeys([*rivals, *near]):
             other = _hypothesis(found, fit, place)
             if mine.forms and other.forms:
-                yield OpenPair(mine, other, fit, _margin(found, fit), _fits_well(found))
+                yield OpenPair(mine, other, fit, _margin(found, cause), _fits_well(found))
 
 
 def _fits_well(found: Diagnosis) -> float:
@@ -118,7 +118,7 @@ def _leading(found: Diagnosis) -> Iterator[OpenPair]:
     scores = [s for s in finding.steps[0].scores if plausible(s) and s.gain > finding.least]
     leading = [_hypothesis(found, fit, score.candidate.place) for score in scores[:_LEADING]]
     for first, second in combinations([h for h in leading if h.forms], 2):
-        yield OpenPair(first, second, fit, _margin(found, fit))
+        yield OpenPair(first, second, fit, found.dataset.limits.equal_gain_floor)
 
 
 def _untested(found: Diagnosis) -> Iterator[OpenPair]:
@@ -136,7 +136,7 @@ def _untested(found: Diagnosis) -> Iterator[OpenPair]:
         forms = fit.candidates([(effect, places[0], s) for s in effect.settings(fit, places[0])[:_FORMS]])
         sized = tuple(_practical(fit, form) for form in forms)
         if sized:
-            least = finding.least / fit.repeat
+            least = finding.least / float(fit.count.sum())
             where = tuple(names[k] for k in places[0])
             yield OpenPair(Hypothesis(effect.name, where, sized), nothing, fit, least)
             count += 1
@@ -181,7 +181,7 @@ def _covariance(fit: Fit, candidate: Candidate) -> np.ndarray:
     return np.linalg.inv(schur * np.outer(scale, scale) + 1e-9 * np.eye(len(schur))) * np.outer(scale, scale)
 
 
-def _margin(found: Diagnosis, fit: Fit) -> float:
-    """What the verdict asks of a cause over its rival, in independent rows (point 9 of docs/diagnosis.md)."""
-    rows = float(fit.count.sum())
-    return found.dataset.limits.equal_gain_floor * rows / fit.repeat
+def _margin(found: Diagnosis, cause: Candidate) -> float:
+    """What the verdict asks of a cause over its rival (point 9 of docs/diagnosis.md): no less than the cause leaves."""
+    left = np.maximum(joint_energy(found.finding.fit) - 1, 0)[list(cause.blocks)]
+    return max(found.dataset.limits.equal_gain_floor, float(np.sum(left)) / len(found.dataset.fit.rows))

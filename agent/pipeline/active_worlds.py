@@ -26,8 +26,14 @@ _QUIET = Console(verbosity=-1)
 _NOWHERE = "127.0.0.1:9"
 #: The second world's servo, and so its set-points [Hz].
 _SERVO_RATE = 1000.0
-#: Of what an arm reaches, the half-size of the sub-region, and the joints [rad] in the middle of it, the others zero.
-_REGION, _POSTURES = 0.2, ((0.0, 0.6, 0.9), (0.0, 0.5, 1.2, 0.3), (0.0, -0.6, -0.9), (0.3, 0.4, 0.0, -1.2))
+#: Sides of the sub-region over what an arm reaches, and joints [rad] in the middle of it, the wrist bent.
+_REGION = 0.2
+_POSTURES = (
+    (0.2, -0.5, 1.2, 0.3, 0.8, 0.2),
+    (0.2, 0.4, 1.0, 0.3, 0.9, 0.2),
+    (0.2, 0.6, 0.3, -1.3, 0.4, 0.9, 0.2),
+    (0.2, -0.6, -1.0, 0.3, -0.8, 0.2),
+)
 
 
 class ActiveWorld(Protocol):

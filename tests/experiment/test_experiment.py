@@ -72,10 +72,9 @@ def test_what_is_ambiguous_is_what_is_asked(ambiguous):
 )
 def test_a_further_motion_never_brings_rivals_nearer(arm, ambiguous, first, second, seconds):
     outlook = Outlook(ambiguous.dataset, open_pairs(ambiguous))
-    one = outlook.moments(_wave(arm, first, seconds))
-    two = outlook.moments(_wave(arm, second, seconds))
-    together = [a + b for a, b in zip(one, two, strict=True)]
-    now, after, both = (outlook.distances(added) for added in ([0 * part for part in one], one, together))
+    one = outlook.told(_wave(arm, first, seconds))
+    together = one + outlook.told(_wave(arm, second, seconds))
+    now, after, both = (outlook.distances(added) for added in (outlook.nothing, one, together))
     assert np.all(after >= now * (1 - 1e-6))
     assert np.all(both >= after * (1 - 1e-6))
     chances = outlook.probabilities(together)
@@ -86,7 +85,9 @@ def test_a_standstill_tells_nothing(arm, ambiguous):
     outlook = Outlook(ambiguous.dataset, open_pairs(ambiguous))
     time = np.arange(0, 8, 0.02)
     zero = np.zeros((len(time), arm.dof))
-    assert not any(moments.any() for moments in outlook.moments(GridMotion(time, zero + 0.3, zero, zero)))
+    told = outlook.told(GridMotion(time, zero + 0.3, zero, zero))
+    assert not any(moments.any() for moments in told.moments)
+    assert np.all(outlook.probabilities(told) <= outlook.probabilities(outlook.nothing)), "only the margin grows"
 
 
 def test_pieces_begin_and_end_at_rest_in_the_sub_region(problem):

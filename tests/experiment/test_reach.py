@@ -44,8 +44,7 @@ def distance(found, truth, rival, motion: GridMotion, payload=None) -> float:
         form = Form(candidate, np.asarray(values, dtype=float), np.zeros((len(values),) * 2))
         sides.append(Hypothesis(name, (f"joint_{joint + 1}",), (form,)))
     outlook = Outlook(found.dataset, [OpenPair(*sides, fit, 1.0)], payload)
-    added = outlook.moments(motion)
-    after, before = (outlook.distances(moments)[0] for moments in (added, [0 * part for part in added]))
+    after, before = (outlook.distances(told)[0] for told in (outlook.told(motion), outlook.nothing))
     return float(after - before)
 
 

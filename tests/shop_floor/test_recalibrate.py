@@ -225,3 +225,27 @@ def test_an_authorisation_of_something_else_moves_nothing(shop, run_agent, chang
     assert run.returncode == 2
     assert why in run.stderr
     assert not (_runs(shop)[-1] / "excitation.mcap").exists()
+
+
+@pytest.mark.verify
+def test_what_is_left_open_is_asked_of_new_motions_where_they_are_released(shop, run_agent, tmp_path, start_controller):
+    effects = tmp_path / "spring.json"
+    spring = {"preload": 12.0, "rate": 6.0, "angle": 0.3}
+    effects.write_text(
+        json.dumps([{"effect": "gravity_spring", "joints": ["joint_6"], "parameters": spring}]), encoding="utf-8"
+    )
+    changed = start_controller("--clock", "fast", "--effects", str(effects))
+    recipe = shop / "recipe.yaml"
+    text = re.sub(r'address: "[^"]*"', f'address: "{changed.address}"', recipe.read_text(encoding="utf-8"))
+    recipe.write_text(text, encoding="utf-8")
+    run = run_agent("recalibrate", "recipe.yaml", "--authorisation", _authorisation(shop), "--json")
+    assert "rounds" not in json.loads(run.stdout)["diagnosis"]["result"], "not released"
+    released = _authorisation(shop, new_motions={"duration": "2 min"})
+    run = run_agent("recalibrate", "recipe.yaml", "--authorisation", released, "--json")
+    found = json.loads(run.stdout)["diagnosis"]["result"]
+    assert found["rounds_end"]
+    folder = _runs(shop)[-1]
+    for number, one in enumerate(found["rounds"], start=1):
+        assert one["duration_s"] <= 60.0
+        assert (folder / f"experiment_{number:02d}.mcap").exists()
+    assert "What further motions told" in (folder / "report.html").read_text(encoding="utf-8")
