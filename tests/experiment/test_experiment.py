@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 from agent.diagnosis import Diagnosis, diagnose
 from agent.excitation import LoopProblem
-from agent.experiment import as_drawn, d_optimal, open_pairs, pieces_otherwise, plan_experiment
+from agent.experiment import as_drawn, d_optimal, open_pairs, pieces_otherwise, plan_experiment, questions
 from agent.experiment.outlook import GridMotion, Outlook
 from agent.experiment.pieces import Pieces
 from agent.motion import ViaRegions
@@ -118,6 +119,30 @@ def test_the_motion_that_is_planned_tells_more_and_repeats(problem):
         assert expected.after >= expected.before
     if not first.pieces:
         assert first.expected == ()
+
+
+def test_places_that_explain_nearly_as_much_are_asked_about_too(ambiguous, monkeypatch):
+    """The truth may be none of the two that a verdict names: forms that are alike on little motion hide each other."""
+
+    def places() -> set[tuple[str, tuple[str, ...]]]:
+        return {(pair.second.effect, pair.second.joints) for pair in open_pairs(ambiguous)}
+
+    monkeypatch.setattr(questions, "_NEAR", 2.0)
+    named = places()
+    monkeypatch.setattr(questions, "_NEAR", 0.1)
+    assert named < places()
+    assert len(places()) <= len(named) + questions._NEAREST
+
+
+def test_a_cause_that_may_close_too_little_needs_a_rival_that_explains_less_than_half(arm, ambiguous):
+    pairs = [replace(pair, margin=1e-6, fits_well=0.25) for pair in open_pairs(ambiguous)]
+    sure = [replace(pair, fits_well=1.0) for pair in pairs]
+    motion = _wave(arm, [0.4, 0.4], 8.0)
+    doubtful, best = (
+        outlook.probabilities(outlook.told(motion)) for outlook in map(_outlook(ambiguous), (pairs, sure))
+    )
+    assert doubtful == pytest.approx(0.25 * best, abs=1e-9), "they are nearly one, so neither explains half alone"
+    assert np.all(best > 0)
 
 
 def test_a_settled_diagnosis_asks_nothing_of_causes(arm, ambiguous):
