@@ -138,9 +138,8 @@ def test_a_cause_that_may_close_too_little_needs_a_rival_that_explains_less_than
     pairs = [replace(pair, margin=1e-6, fits_well=0.25) for pair in open_pairs(ambiguous)]
     sure = [replace(pair, fits_well=1.0) for pair in pairs]
     motion = _wave(arm, [0.4, 0.4], 8.0)
-    doubtful, best = (
-        outlook.probabilities(outlook.told(motion)) for outlook in map(_outlook(ambiguous), (pairs, sure))
-    )
+    outlooks = [Outlook(ambiguous.dataset, asked) for asked in (pairs, sure)]
+    doubtful, best = (outlook.probabilities(outlook.told(motion)) for outlook in outlooks)
     assert doubtful == pytest.approx(0.25 * best, abs=1e-9), "they are nearly one, so neither explains half alone"
     assert np.all(best > 0)
 
