@@ -1,52 +1,24 @@
-"""The still picture of a plot: for paper, and where no script runs.
-
-It is written as SVG right away: a plotting library takes longer over the pictures of a page than all else on it takes.
-"""
+"""The still picture of a plot: for paper, and where no script runs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from collections.abc import Callable, Iterator
 from html import escape
 
 import numpy as np
 
 from agent.report.plots import Panel, Plot, Series, thinned
+from agent.report.svg import LETTER, WIDTH, Scale, dates, extent, picture, text_at, ticks
 
 _MOST_POINTS = 300
-#: Sizes in points. Of the picture, of its margins, and of the gaps between panels in parts of a panel.
-_WIDTH, _LEFT, _RIGHT, _EDGE = 720.0, 57.6, 7.2, 30.2
+#: Margins of the picture [pt], and the gaps between panels in parts of a panel.
+_LEFT, _RIGHT, _EDGE = 57.6, 7.2, 30.2
 _BESIDE, _BELOW = 0.2, 0.6
 #: A panel of so many points has one more tick.
 _TICK_WIDE, _TICK_TALL = 75.0, 28.0
-#: What is left free on either side of the data, in parts of them.
-_FREE = 0.05
 _TEXT, _TITLE, _LEGEND = 9.0, 8.0, 7.0
-#: Mean width of a letter in parts of its height.
-_LETTER = 0.55
 _HANDLE, _GAP = 14.0, 5.0
-_MINUTE, _HOUR, _DAY = 60.0, 3600.0, 86400.0
-_DATE_STEPS = (
-    *(1.0, 2.0, 5.0, 10.0, 30.0),
-    *(_MINUTE * count for count in (1, 2, 5, 10, 30)),
-    *(_HOUR * count for count in (1, 2, 3, 6, 12)),
-    *(_DAY * count for count in (1, 2, 7, 14, 30, 91, 182, 365, 730, 1826, 3652)),
-)
-
-
-@dataclass(frozen=True)
-class _Scale:
-    """From `low` to `high` of what is shown onto `begin` to `end` [pt] of the picture."""
-
-    low: float
-    high: float
-    begin: float
-    end: float
-
-    def __call__(self, values: np.ndarray) -> np.ndarray:
-        shown: np.ndarray = self.begin + (values - self.low) * ((self.end - self.begin) / (self.high - self.low))
-        return shown
+_MARK = 'stroke="#8a949e" stroke-width="1" stroke-dasharray="1 1.7"'
 
 
 def still(plot: Plot) -> str:
@@ -54,27 +26,22 @@ def still(plot: Plot) -> str:
     columns = min(plot.columns, len(plot.panels))
     rows = -(-len(plot.panels) // columns)
     height = 72.0 * ((1.9 if len(plot.panels) > 1 else 2.8) * rows + 0.5)
-    wide = (_WIDTH - _LEFT - _RIGHT) / (columns + _BESIDE * (columns - 1))
+    wide = (WIDTH - _LEFT - _RIGHT) / (columns + _BESIDE * (columns - 1))
     tall = (height - 2.0 * _EDGE) / (rows + _BELOW * (rows - 1))
-    size = f"{_WIDTH:g}pt", f"{height:.0f}pt"
-    picture = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{size[0]}" height="{size[1]}" '
-        f'viewBox="0 0 {_WIDTH:g} {height:.0f}" font-family="sans-serif" fill="none" stroke-linejoin="round" '
-        'overflow="visible">'
-    ]
+    parts: list[str] = []
     shown: tuple[str, ...] = ()
     for number, panel in enumerate(plot.panels):
         row, column = divmod(number, columns)
         left, top = _LEFT + column * (1.0 + _BESIDE) * wide, _EDGE + row * (1.0 + _BELOW) * tall
         labels = tuple(one.label for one in panel.series)
         legend = labels != shown and (len(labels) > 1 or bool(panel.marks))
-        picture += _panel(plot, panel, number, (left, top, wide, tall), legend)
+        parts += _panel(plot, panel, number, (left, top, wide, tall), legend)
         shown = labels
         if number >= len(plot.panels) - columns:
             label = f"{plot.x_label} [{plot.x_unit}]" if plot.x_unit else plot.x_label
-            text = _text(left + wide / 2, top + tall + 25.0, label, _TEXT, "middle")
-            picture.append(f'<g fill="currentColor">{text}</g>')
-    return "\n".join([*picture, "</svg>"])
+            text = text_at(left + wide / 2, top + tall + 25.0, label, _TEXT, "middle")
+            parts.append(f'<g fill="currentColor">{text}</g>')
+    return picture(height, "\n".join(parts))
 
 
 def _panel(
@@ -84,29 +51,29 @@ def _panel(
     x = plot.abscissa(panel)
     chosen = thinned(np.column_stack([one.values for one in panel.series]), _MOST_POINTS)
     outlines = list(_outlines(panel, chosen))
-    across = _Scale(*_range([x[chosen]]), left, left + wide)
+    across = Scale(*extent([x[chosen]]), left, left + wide)
     edges = [edge for _, pair in outlines for edge in pair]
-    low, high = _range([*edges, np.array(list(panel.marks.values()))])
+    low, high = extent([*edges, np.array(list(panel.marks.values()))])
     if panel.from_zero:
         low, high = 0.0, high if high > 0.0 else 1.0
-    up = _Scale(low, high, top + tall, top)
+    up = Scale(low, high, top + tall, top)
     steps = dates if plot.dates else ticks
     yield '<g fill="currentColor" stroke="none">'
     grid = []
     for value, text in steps(across.low, across.high, int(wide / _TICK_WIDE) + 1):
         place = float(across(np.array(value)))
         grid.append(f"M{place:.1f} {top:.1f}V{top + tall + 3.0:.1f}")
-        yield _text(place, top + tall + 13.0, text, _TEXT, "middle")
+        yield text_at(place, top + tall + 13.0, text, _TEXT, "middle")
     for value, text in ticks(up.low, up.high, int(tall / _TICK_TALL) + 1):
         place = float(up(np.array(value)))
         grid.append(f"M{left - 3.0:.1f} {place:.1f}H{left + wide:.1f}")
-        yield _text(left - 5.0, place + 3.0, text, _TEXT, "end")
+        yield text_at(left - 5.0, place + 3.0, text, _TEXT, "end")
     if panel.unit:
         middle = f"{left - 45.0:.1f} {top + tall / 2:.1f}"
-        unit = _text(0.0, 0.0, f"[{panel.unit}]", _TITLE, "middle")
+        unit = text_at(0.0, 0.0, f"[{panel.unit}]", _TITLE, "middle")
         yield f'<g transform="translate({middle}) rotate(-90)">{unit}</g>'
     pad = 13.0 if len(panel.series) > 2 else 3.0  # a long legend takes the line above the axis
-    yield _text(left, top - pad, panel.title, _TITLE, "start")
+    yield text_at(left, top - pad, panel.title, _TITLE, "start")
     if legend:
         yield from _legend(panel, left, left + wide, top - 3.0)
     yield "</g>"
@@ -138,37 +105,6 @@ def _outlines(panel: Panel, chosen: np.ndarray) -> Iterator[tuple[Series, tuple[
             above, below = above + np.maximum(values, 0), below + np.minimum(values, 0)
         else:
             yield one, (values if one.low is None else one.low[chosen], values)
-
-
-def _range(columns: Sequence[np.ndarray]) -> tuple[float, float]:
-    """What an axis shows of these."""
-    values = np.concatenate([np.asarray(column, dtype=float).ravel() for column in columns])
-    values = values[np.isfinite(values)]
-    if not len(values):
-        return 0.0, 1.0
-    low, high = float(values.min()), float(values.max())
-    free = _FREE * (high - low) or 0.05 * abs(high) or 0.05
-    return low - free, high + free
-
-
-def ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:
-    """At most so many round numbers from `low` to `high`, and their texts."""
-    exponent = int(np.floor(np.log10((high - low) / most)))
-    sizes = [(part, power) for power in (exponent, exponent + 1) for part in (1.0, 2.0, 2.5, 5.0)]
-    part, power = next(size for size in [*sizes, (1.0, exponent + 2)] if size[0] * 10.0 ** size[1] * most >= high - low)
-    step = part * 10.0**power
-    digits = max(0, -power + (part == 2.5))
-    numbers = np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1.0) * step + 0.0
-    many = max(abs(low), abs(high)) >= 1e5 or digits > 4
-    return [(float(value), f"{value:.6g}" if many else f"{value:.{digits}f}") for value in numbers]
-
-
-def dates(low: float, high: float, most: int) -> list[tuple[float, str]]:
-    """The same of seconds since 1970."""
-    step = next((size for size in _DATE_STEPS if size * most >= high - low), _DATE_STEPS[-1])
-    text = "%H:%M:%S" if step < _MINUTE else "%m-%d %H:%M" if step < _DAY else "%Y-%m-%d"
-    numbers = np.arange(np.ceil(low / step), np.floor(high / step) + 1.0) * step
-    return [(float(value), datetime.fromtimestamp(value, UTC).strftime(text)) for value in numbers]
 
 
 def _points(x: np.ndarray, y: np.ndarray, single: bool) -> str:
@@ -204,19 +140,16 @@ def _look(one: Series) -> str:
     return f'stroke="{colour}" stroke-width="1"{dashed}'
 
 
-_MARK = 'stroke="#8a949e" stroke-width="1" stroke-dasharray="1 1.7"'
-
-
 def _legend(panel: Panel, left: float, right: float, bottom: float) -> Iterator[str]:
     """One row that ends on the right, smaller where it would be too long."""
     entries = [(one.label, _entry(one)) for one in panel.series]
     entries += [(name, lambda x, y: f'<path d="M{x:.1f} {y:.1f}h{_HANDLE:g}" {_MARK}/>') for name in panel.marks]
-    sizes = [_HANDLE + 3.0 * _GAP + _LETTER * _LEGEND * len(label) for label, _ in entries]
+    sizes = [_HANDLE + 3.0 * _GAP + LETTER * _LEGEND * len(label) for label, _ in entries]
     part = min(1.0, (right - left) / sum(sizes))
     place = right - part * sum(sizes)
     for (label, handle), size in zip(entries, sizes, strict=True):
         yield f'<g fill="none">{handle(place, bottom - 2.5)}</g>'
-        yield _text(place + _HANDLE + _GAP, bottom, label, part * _LEGEND, "start")
+        yield text_at(place + _HANDLE + _GAP, bottom, label, part * _LEGEND, "start")
         place += part * size
 
 
@@ -226,7 +159,3 @@ def _entry(one: Series) -> Callable[[float, float], str]:
     if one.look == "points":
         return lambda x, y: f'<path d="M{x + _HANDLE / 2:.1f} {y:.1f}h0" {_look(one)}/>'
     return lambda x, y: f'<path d="M{x:.1f} {y:.1f}h{_HANDLE:g}" {_look(one)}/>'
-
-
-def _text(x: float, y: float, text: str, size: float, anchor: str) -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size:.3g}" text-anchor="{anchor}">{escape(text)}</text>'

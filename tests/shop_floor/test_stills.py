@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from agent.report.plots import Panel, Plot, Series
-from agent.report.stills import dates, still, ticks
+from agent.report.stills import still
+from agent.report.svg import dates, ticks
 
 T = np.linspace(0.0, 6.0, 1001)
 CURVE = Series("speed <v>", np.sin(T))
