@@ -144,17 +144,20 @@ class Candidates:
         """What the result is judged by: the regressor at every sample too, and from each one the way to a stop."""
         return self._score(genome, 1, self._cell.check_with_stopping)
 
-    def broken(self, genome: np.ndarray) -> LoopScore | None:
-        """What `score` says of a loop that breaks a limit, None of one that keeps all: without the fitness."""
+    def checked_loop(self, genome: np.ndarray) -> Loop | LoopScore:
+        """The loop of a genome that keeps all limits, or what `score` says of one that does not: without a fitness."""
         checked = self._checked(genome, self._cell.check)
-        return checked if isinstance(checked, LoopScore) else self._overload(_tenth(checked))
+        if isinstance(checked, LoopScore):
+            return checked
+        return self._overload(_tenth(checked.trajectory)) or checked
 
     def _score(
         self, genome: np.ndarray, every: int, check_cell: Callable[[Trajectory, float], CellReport]
     ) -> LoopScore:
-        trajectory = self._checked(genome, check_cell)
-        if isinstance(trajectory, LoopScore):
-            return trajectory
+        checked = self._checked(genome, check_cell)
+        if isinstance(checked, LoopScore):
+            return checked
+        trajectory = checked.trajectory
         tenth = _tenth(trajectory)
         regressor = self._dynamics.regressor(*tenth)
         overload = self._overload(tenth, regressor)
@@ -164,14 +167,13 @@ class Candidates:
             return LoopScore(self._criterion(*tenth, regressor))
         return LoopScore(self._criterion(trajectory.q[::every], trajectory.qd[::every], trajectory.qdd[::every]))
 
-    def _checked(
-        self, genome: np.ndarray, check_cell: Callable[[Trajectory, float], CellReport]
-    ) -> Trajectory | LoopScore:
-        """The motion of a genome, or what it breaks other than the torques."""
+    def _checked(self, genome: np.ndarray, check_cell: Callable[[Trajectory, float], CellReport]) -> Loop | LoopScore:
+        """The loop of a genome, or what it breaks other than the torques."""
         try:
-            trajectory = self.loop(genome).trajectory
+            loop = self.loop(genome)
         except (MotionError, KinematicsError) as error:
             return infeasible(error.excess, str(error))
+        trajectory = loop.trajectory
         wound = trajectory.q[-1] - trajectory.q[0]
         joint = int(np.argmax(np.abs(wound)))
         if abs(wound[joint]) > _CLOSED:
@@ -180,11 +182,11 @@ class Candidates:
             return infeasible(float(abs(wound[joint])), complaint)
         margin = self.problem.settings.fly_distance
         if check_cell == self._cell.check and self._cell.is_clear(trajectory, margin):
-            return trajectory
+            return loop
         report = check_cell(trajectory, margin)
         if report.collision is not None:
             return infeasible(report.depth / CELL_SCALE, str(report.collision))
-        return trajectory
+        return loop
 
     def _overload(
         self, tenth: tuple[np.ndarray, np.ndarray, np.ndarray], regressor: np.ndarray | None = None

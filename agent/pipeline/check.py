@@ -102,16 +102,16 @@ def _reach(recipe: Recipe, _: Console) -> str:
 
 def _feasible(recipe: Recipe, speed: float, seed: int, console: Console) -> str:
     from agent.core import InputError
-    from agent.excitation import Candidates
+    from agent.excitation import Candidates, LoopScore
     from agent.pipeline.planning import loop_problem
 
     candidates = Candidates(loop_problem(recipe, speed))
     rng = np.random.default_rng(seed)
     broken = []
     for number in range(LOOPS):
-        score = candidates.broken(rng.uniform(size=candidates.problem.genes))
-        if score is not None:
-            broken.append(score)
+        checked = candidates.checked_loop(rng.uniform(size=candidates.problem.genes))
+        if isinstance(checked, LoopScore):
+            broken.append(checked)
         console.progress(f"{number + 1} of {LOOPS} random loops at {speed:g} m/s tried", (number + 1) / LOOPS)
     text = f"{LOOPS - len(broken)} of {LOOPS} random loops at {speed:g} m/s keep all limits and clear of the cell"
     if not broken:

@@ -273,7 +273,7 @@ def _replanned(recipe: Recipe, stored: dict[str, Any]) -> Plan:
 
 
 def _draw_validation(recipe: Recipe, console: Console) -> Iterator[PlannedMotion]:
-    from agent.excitation import Candidates
+    from agent.excitation import Candidates, LoopScore
 
     candidates = Candidates(loop_problem(recipe, recipe.validate.speed))
     rng = np.random.default_rng(recipe.validate.seed)
@@ -282,11 +282,10 @@ def _draw_validation(recipe: Recipe, console: Console) -> Iterator[PlannedMotion
         if found == recipe.validate.motions:
             return
         genome = rng.uniform(size=candidates.problem.genes)
-        score = candidates.score(genome)
-        if not score.feasible:
-            reason = score.reason
+        loop = candidates.checked_loop(genome)
+        if isinstance(loop, LoopScore):
+            reason = loop.reason
             continue
-        loop = candidates.loop(genome)
         try:
             check_cell(recipe, loop.trajectory)
         except InputError as error:
