@@ -41,8 +41,6 @@ _LIBRARIES = (
     "jinja2",
     "lark",
     "lazy_loader",
-    "matplotlib.backends.backend_svg",
-    "matplotlib.pyplot",
     "mcap.writer",
     "mcap_ros2.decoder",
     "paho.mqtt.client",

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from agent.report.bars import standing_bars
 from agent.report.common_sections import percent
-from agent.report.figures import Figure, answer_along, new_plot, to_figure
+from agent.report.figures import Figure
 from agent.report.page import Section, Table
 from agent.report.plots import SERIES
 
@@ -73,22 +74,19 @@ def changes_figure(comparison: Comparison, name: str = "changes") -> Figure:
 
     changes = comparison.parameters
     values = np.array([change.deviations for change in changes])
-    plot, axes = new_plot(height=2.6)
-    place = np.arange(len(changes))
-    colours = [SERIES[3] if change.moved else SERIES[0] for change in changes]
     shown = np.clip(values, -_SHOWN, _SHOWN)
-    axes[0, 0].bar(place, shown, color=colours)
-    texts = (
-        f"{c.name}: {c.before:.4g} before, {c.after:.4g} {c.unit} after, {c.deviations:+.1f} standard deviations"
-        for c in changes
+    svg = standing_bars(
+        [change.name for change in changes],
+        [
+            f"{c.name}: {c.before:.4g} before, {c.after:.4g} {c.unit} after, {c.deviations:+.1f} standard deviations"
+            for c in changes
+        ],
+        shown,
+        [SERIES[3] if change.moved else SERIES[0] for change in changes],
+        "change [std. deviations]",
+        1.1 * max(5.0, float(np.abs(shown).max(initial=0.0))),
+        (BEYOND, -BEYOND),
     )
-    answer_along(axes[0, 0].axvspan, texts)
-    axes[0, 0].axhline(BEYOND, linestyle=":", color=SERIES[3])
-    axes[0, 0].axhline(-BEYOND, linestyle=":", color=SERIES[3])
-    top = max(5.0, float(np.abs(shown).max(initial=0.0)))
-    axes[0, 0].set_ylim(-1.1 * top, 1.1 * top)
-    axes[0, 0].set_xticks(place, [change.name for change in changes], rotation=90, fontsize=6)
-    axes[0, 0].set_ylabel("change [std. deviations]")
     rows = np.column_stack([[c.before for c in changes], [c.after for c in changes], values])
     caption = "Change of each parameter in standard deviations of a change, cut at 30; beyond the dots it is no chance."
-    return to_figure(name, caption, plot, ("before", "after", "deviations"), rows)
+    return Figure(name, caption, svg, ("before", "after", "deviations"), rows)

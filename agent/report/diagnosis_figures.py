@@ -9,7 +9,8 @@ import numpy as np
 from agent.diagnosis import BANDS, Diagnosis, Simulated, band_shares, masks, motor_phase_share
 from agent.model import REGIMES
 from agent.recording import Log
-from agent.report.figures import Figure, answer_along, cell_map, new_plot, to_figure
+from agent.report.bars import Bar, lying_bars
+from agent.report.figures import Figure, cell_map
 from agent.report.plots import SERIES, Panel, Plot, Series
 from agent.report.torque_section import worst_first
 from agent.robot import SHARE, torque_units
@@ -84,27 +85,30 @@ def log_title(log: Log) -> str:
 def before_and_after(diagnosis: Diagnosis) -> Figure:
     """Bars of the held-out torque error of every joint, with the floor as a mark."""
     gap = diagnosis.result["gap"]
-    count = np.arange(len(gap["joints"]))
+    count = len(gap["joints"])
     shares = np.array(gap["units"]) == SHARE
     # a torque cannot be drawn on an axis of shares; the table has it
-    scale = np.where(shares, 100.0, np.nan) if shares.any() else np.ones(len(count))
+    scale = np.where(shares, 100.0, np.nan) if shares.any() else np.ones(count)
     before, after = (scale * np.array(gap[side]) for side in ("before", "after"))
-    floor = np.full(len(count), np.nan) if gap["floor"] is None else scale * np.array(gap["floor"])
+    floor = np.full(count, np.nan) if gap["floor"] is None else scale * np.array(gap["floor"])
     rows = np.column_stack([before, after, floor])
-    plot, axes = new_plot(height=0.42 * len(count) + 1.2)
-    axis = axes[0, 0]
-    axis.barh(count - 0.18, before, 0.34, label="model alone", color=SERIES[1])
-    axis.barh(count + 0.18, after, 0.34, label="with the effects", color=SERIES[0])
-    axis.plot(floor, count, "|", markersize=16, markeredgewidth=2, color=SERIES[3], label="floor", linestyle="none")
     unit = "% of nominal" if shares.any() else "N·m"
-    answer_along(axis.axhspan, (_sides(joint, row, unit) for joint, row in zip(gap["joints"], rows, strict=True)))
-    axis.set_yticks(count, gap["joints"])
-    axis.invert_yaxis()
-    axis.grid(visible=False, axis="y")
-    axis.set_xlabel(f"torque error held out [{unit}]")
-    axis.legend(fontsize=7, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    sides = (("model alone", SERIES[1], before), ("with the effects", SERIES[0], after))
+    svg = lying_bars(
+        gap["joints"],
+        [_sides(joint, row, unit) for joint, row in zip(gap["joints"], rows, strict=True)],
+        [
+            Bar(row, 0.0, float(size), colour, lane)
+            for lane, (_, colour, sizes) in enumerate(sides)
+            for row, size in enumerate(sizes)
+        ],
+        f"torque error held out [{unit}]",
+        lanes=2,
+        legend=(*((name, colour) for name, colour, _ in sides), ("floor", SERIES[3])),
+        marks=floor,
+    )
     caption = "Torque error before and after, and the floor: what does not even repeat from cycle to cycle."
-    return to_figure("before-after", caption, plot, ("before", "after", "floor"), rows)
+    return Figure("before-after", caption, svg, ("before", "after", "floor"), rows)
 
 
 def _sides(joint: str, row: np.ndarray, unit: str) -> str:

@@ -1,27 +1,17 @@
-"""Plots of a report: SVG, written here or by matplotlib, that follows the page's light or dark colours, each with its
-data.
+"""Plots of a report: SVG that follows the page's light or dark colours, each with its data.
 
-What a part of a picture shows is written into it (`answer`): the page says it under the pointer.
+What a part of a picture shows is written into it (`answering`): the page says it under the pointer.
 """
 
 from __future__ import annotations
 
-import io
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
-from typing import Any
 
 import numpy as np
 
 from agent.report.plots import SERIES, Panel, Plot, Series, joint_series
-from agent.report.svg import LETTER, WIDTH, Scale, picture, text_at, ticks
-
-#: A colour no plot uses: replaced by `currentColor`, so axes and text follow the page.
-_INK = "#010203"
-#: What begins the id of a part that knows what it shows.
-_ANSWER = "answer:"
+from agent.report.svg import LETTER, WIDTH, Scale, answering, picture, text_at, ticks
 
 
 @dataclass(frozen=True)
@@ -33,82 +23,6 @@ class Figure:
     svg: str
     header: tuple[str, ...]
     rows: np.ndarray
-
-
-def to_figure(
-    name: str, caption: str, plot: Any, header: tuple[str, ...], rows: np.ndarray, fitted: bool = True
-) -> Figure:
-    """A matplotlib figure with its data; `fitted` as in `svg_text`."""
-    return Figure(name, caption, svg_text(name, plot, fitted), header, np.asarray(rows))
-
-
-def svg_text(name: str, plot: Any, fitted: bool = True) -> str:
-    """Turn a matplotlib figure into SVG without fixed ink, and close it.
-
-    `fitted` margins follow their texts, which draws the plot twice.
-    """
-    import matplotlib.pyplot as plt
-
-    buffer = io.StringIO()
-    box = "tight" if fitted else None
-    plot.savefig(buffer, format="svg", transparent=True, bbox_inches=box, metadata={"Date": None})
-    plt.close(plot)
-    svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :].replace(_INK, "currentColor")
-    svg = re.sub(rf'<g id="{_ANSWER}([^"]*)">', r'<g class="answer"><title>\1</title>', svg)
-    # ids repeat from plot to plot on one page, and a clip path would then be another plot's
-    svg = re.sub(r"(\d{1,4}\.\d\d)\d+", r"\1", svg)  # a hundredth of a point is finer than paper
-    return re.sub(r'(id="|url\(#|href="#)', rf"\g<1>{name}-", svg)
-
-
-def answer(part: Any, text: str) -> None:
-    """Let a part of a plot say what it shows."""
-    part.set_gid(_ANSWER + text)
-
-
-def answer_along(span: Any, texts: Iterable[str], first: int = 0) -> None:
-    """Let every unit of an axis say what it shows; `span` is `axvspan` or `axhspan` of the plot's axes."""
-    for place, text in enumerate(texts, start=first):
-        # not quite transparent: a pointer falls through what is
-        answer(span(place - 0.5, place + 0.5, facecolor=(0.5, 0.5, 0.5, 0.002), linewidth=0), text)
-
-
-def answering(shape: str, text: str) -> str:
-    """The same of a shape of SVG, whose tag is still open; what is not to be seen is not quite transparent, as a
-    pointer falls through what is."""
-    fill = "" if "fill=" in shape else ' fill="#808080" fill-opacity="0.002"'
-    return f'<g class="answer"><title>{escape(text)}</title>{shape}{fill}/></g>'
-
-
-def new_plot(width: float = 10.0, height: float = 3.2, rows: int = 1, columns: int = 1, **options: Any) -> Any:
-    """A figure and its axes in the house's style, drawn without a display."""
-    import matplotlib as mpl
-    from cycler import cycler
-
-    mpl.use("svg")
-    import matplotlib.pyplot as plt
-
-    style = {
-        "text.color": _INK,
-        "axes.labelcolor": _INK,
-        "axes.edgecolor": _INK,
-        "xtick.color": _INK,
-        "ytick.color": _INK,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.prop_cycle": cycler(color=SERIES),
-        "font.size": 9,
-        "svg.fonttype": "none",
-        "svg.hashsalt": "calibration",
-        "font.family": "sans-serif",
-        "legend.frameon": False,
-        "grid.alpha": 0.25,
-        "grid.color": _INK,
-        "axes.grid": True,
-        "lines.linewidth": 1.3,
-    }
-    mpl.rcParams.update(style)  # type: ignore[arg-type]  # its stub lists every key
-    return plt.subplots(rows, columns, figsize=(width, height), squeeze=False, **options)
 
 
 def search_history(best: np.ndarray, mean: np.ndarray) -> Plot:

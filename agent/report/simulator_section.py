@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from agent.diagnosis import Diagnosis, Range, ranges, ranges_text
-from agent.report.figures import Figure, answer_along, new_plot, to_figure
+from agent.report.bars import Bar, lying_bars
+from agent.report.figures import Figure
 from agent.report.page import Section, Table
 from agent.report.plots import SERIES
 
@@ -51,19 +52,16 @@ def waterfall_parts(steps: Sequence[Mapping[str, Any]]) -> tuple[str, Figure, Ta
 def _picture(steps: Sequence[Mapping[str, Any]]) -> Figure:
     closes = 100 * np.array([entry["closes"] for entry in steps])
     before = 100 - np.concatenate([[0.0], np.cumsum(closes)[:-1]])
-    plot, grid = new_plot(height=0.9 + 0.3 * len(steps))
-    axes = np.ravel(grid)[0]
-    places = np.arange(len(steps))
-    axes.barh(places[:-1], closes[:-1], left=before[:-1] - closes[:-1], color=SERIES[0])
-    axes.barh(places[-1:], closes[-1:], color=SERIES[1])
-    texts = (f"{entry['step']}: {part:.3g} % of the gap" for entry, part in zip(steps, closes, strict=True))
-    answer_along(axes.axhspan, texts)
-    axes.set_yticks(places, [entry["step"] for entry in steps])
-    axes.invert_yaxis()
-    axes.set_xlabel("% of the gap that is left")
+    last = len(steps) - 1
+    bars = [
+        Bar(k, 0.0 if k == last else left - part, part if k == last else left, SERIES[1] if k == last else SERIES[0])
+        for k, (part, left) in enumerate(zip(closes.tolist(), before.tolist(), strict=True))
+    ]
+    said = [f"{entry['step']}: {part:.3g} % of the gap" for entry, part in zip(steps, closes, strict=True)]
+    svg = lying_bars([entry["step"] for entry in steps], said, bars, "% of the gap that is left")
     caption = "From the whole gap, each step takes its bar away; the last bar is what remains."
-    rows = np.column_stack([places, closes, before])
-    return to_figure("waterfall-picture", caption, plot, ("step", "closes", "before"), rows)
+    rows = np.column_stack([np.arange(len(steps)), closes, before])
+    return Figure("waterfall-picture", caption, svg, ("step", "closes", "before"), rows)
 
 
 def _forward(forward: Mapping[str, Any]) -> Section:

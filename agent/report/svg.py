@@ -84,3 +84,10 @@ def dates(low: float, high: float, most: int) -> list[tuple[float, str]]:
 def text_at(x: float, y: float, text: str, size: float, anchor: str) -> str:
     """A text of so many points, its `anchor` (start, middle, end) there."""
     return f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size:.3g}" text-anchor="{anchor}">{escape(text)}</text>'
+
+
+def answering(shape: str, text: str) -> str:
+    """The same of a shape of SVG, whose tag is still open; what is not to be seen is not quite transparent, as a
+    pointer falls through what is."""
+    fill = "" if "fill=" in shape else ' fill="#808080" fill-opacity="0.002"'
+    return f'<g class="answer"><title>{escape(text)}</title>{shape}{fill}/></g>'

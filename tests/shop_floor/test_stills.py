@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from agent.report.bars import Bar, lying_bars, standing_bars
+from agent.report.figures import cell_map, motion_box_plot
 from agent.report.plots import Panel, Plot, Series
 from agent.report.stills import still
 from agent.report.svg import dates, ticks
@@ -90,3 +92,41 @@ def test_dates_are_told_as_finely_as_they_lie_apart():
     assert [text for _, text in dates(day, day + 3 * 86400.0, 4)] == [
         f"2023-11-{number}" for number in (15, 16, 17, 18)
     ]
+
+
+def test_a_bar_is_as_long_as_its_value_and_says_it():
+    bars = [Bar(0, 0.0, 2.0, "#111111"), Bar(1, 2.0, 6.0, "#222222"), Bar(2, 0.0, np.nan, "#333333")]
+    picture = ElementTree.fromstring(lying_bars(["a", "b <c>", "d"], ["a: 2", "b: 4", "none"], bars, "error [%]"))
+    rectangles = {found.get("fill"): found for found in picture.iter(f"{SVG}rect")}
+    first, second = rectangles["#111111"], rectangles["#222222"]
+    assert float(second.get("width")) == pytest.approx(2 * float(first.get("width")), abs=0.2)
+    end = float(first.get("x")) + float(first.get("width"))
+    assert float(second.get("x")) == pytest.approx(end, abs=0.2)
+    assert "#333333" not in rectangles
+    assert [title.text for title in picture.iter(f"{SVG}title")] == ["a: 2", "b: 4", "none"]
+
+
+def test_standing_bars_go_both_ways():
+    values = np.array([3.0, -1.5])
+    picture = standing_bars(["up", "down"], ["u", "d"], values, ["#111111", "#222222"], "change", 5.0, (3.3,))
+    up, down = (
+        next(found for found in ElementTree.fromstring(picture).iter(f"{SVG}rect") if found.get("fill") == colour)
+        for colour in ("#111111", "#222222")
+    )
+    assert float(up.get("height")) == pytest.approx(2 * float(down.get("height")), abs=0.2)
+    assert float(up.get("y")) + float(up.get("height")) == pytest.approx(float(down.get("y")), abs=0.2)
+
+
+def test_what_is_far_from_the_box_is_a_dot():
+    rmse = np.append(np.linspace(0.9, 1.1, 20), 9.0)[:, None]
+    figure = motion_box_plot(rmse, np.array([np.nan]), ("joint_1",), 0.03, "")
+    assert figure.svg.count("stroke-linecap") == 1
+    assert "joint_1: median 1" in figure.svg
+    assert motion_box_plot(rmse[:-1], np.array([np.nan]), ("joint_1",), 0.03, "").svg.count("stroke-linecap") == 0
+
+
+def test_a_map_shades_by_the_largest_of_the_same_unit():
+    values = np.array([[1.0, np.nan], [0.25, 0.5]])
+    svg = cell_map("cells", "", values, ["slow", "fast"], ["joint_1", "joint_2"], ["%", "N·m"]).svg
+    shades = [float(found.get("fill-opacity")) for found in ElementTree.fromstring(svg).iter(f"{SVG}rect")]
+    assert shades == [0.9, pytest.approx(0.49), 0.9]
