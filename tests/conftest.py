@@ -98,8 +98,13 @@ _SYSTEM = ctypes.CDLL(None)
 _PR_SET_PDEATHSIG = 1
 
 
-# A job that a shell starts in the background ignores these, and so would every program that is tested from there.
-for _number, _usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGQUIT, signal.SIG_DFL)):
+# A job in the background, or under nohup, ignores these, and so would every program that is tested from there. What is
+# caught here is not ignored there, and a terminal that closes still does not end the tests.
+for _number, _usual in (
+    (signal.SIGINT, signal.default_int_handler),
+    (signal.SIGQUIT, signal.SIG_DFL),
+    (signal.SIGHUP, lambda *_: None),
+):
     if signal.getsignal(_number) is signal.SIG_IGN:
         signal.signal(_number, _usual)
 
