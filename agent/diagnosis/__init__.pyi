@@ -1,4 +1,4 @@
-from .candidate import Candidate as Candidate
+from .candidate import Candidate as Candidate, HeldOutScore as HeldOutScore
 from .correction import corrected as corrected
 from .dataset import Dataset as Dataset, background_of as background_of
 from .excess import joint_energy as joint_energy

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import ndtr
 
-from agent.diagnosis import Candidate, Diagnosis, Fit, best_by_place, joint_energy, plausible
+from agent.diagnosis import Candidate, Diagnosis, Fit, HeldOutScore, best_by_place, joint_energy, plausible
 from agent.model import CATALOGUE
 
 Place = tuple[str, tuple[int, ...]]
@@ -21,6 +21,8 @@ _LEADING = 3
 #: Beside what a verdict takes for equal, so many other places are asked about that explain at least this part of what
 #: the cause does: forms that are alike on little motion hide each other, and the truth may be none of the first two.
 _NEAREST, _NEAR = 4, 0.9
+#: A form that these logs hardly show is as large as the cause, give or take so many times it.
+_RESTRAINT = 3.0
 #: What an effect closes differs so much from motion to motion (standard deviation, of the excess).
 _CLOSES_OTHERWISE = 0.015
 #: Of effects that could not be tested so many are asked about.
@@ -90,8 +92,10 @@ def _rivals(found: Diagnosis) -> Iterator[OpenPair]:
         fit = base.with_chosen([c for k, c in enumerate(finding.causes) if k != number])
         mine = _hypothesis(found, fit, cause.place)
         near = _near(found, cause.place) if len(finding.causes) == 1 else []
-        for place in dict.fromkeys([*rivals, *near]):
-            other = _hypothesis(found, fit, place)
+        others = [_hypothesis(found, fit, place) for place in dict.fromkeys([*rivals, *near])]
+        known = {cause.place, *rivals, *near}
+        others += [_restrained(found, fit, place, cause) for place in _of_its_kind(found, cause) if place not in known]
+        for other in others:
             if mine.forms and other.forms:
                 yield OpenPair(mine, other, fit, _margin(found, cause), _fits_well(found))
 
@@ -108,6 +112,30 @@ def _near(found: Diagnosis, cause: Place) -> list[Place]:
     least = _NEAR * best[cause].gain if cause in best else np.inf
     others = sorted((s for place, s in best.items() if place != cause and s.gain > least), key=lambda s: -s.gain)
     return [score.candidate.place for score in others[:_NEAREST]]
+
+
+def _of_its_kind(found: Diagnosis, cause: Candidate) -> list[Place]:
+    """Other shapes of a cause's kind on its joints: on little motion all of them are the same."""
+    kin = [effect for effect in CATALOGUE.values() if set(effect.shapes) & set(cause.effect.shapes) and not effect.once]
+    return [(e.name, cause.joints) for e in kin if cause.joints in list(e.places(found.dataset.robot))]
+
+
+def _restrained(found: Diagnosis, fit: Fit, place: Place, cause: Candidate) -> Hypothesis:
+    """The forms of an effect, kept to about the size of a cause: what these logs hardly show could fit at any size."""
+    effect = CATALOGUE[place[0]]
+    size = found.finding.fit.values[found.finding.causes.index(cause)]
+    energy = float(size @ _energy(fit, cause) @ size)
+    made: list[tuple[float, Form]] = []
+    for candidate in fit.candidates([(effect, place[1], settings) for settings in effect.settings(fit, place[1])]):
+        own = np.maximum(_energy(fit, candidate).diagonal(), 1e-9)
+        ridge = fit.ridge(candidate, own) + np.diag(own / (_RESTRAINT**2 * max(energy, 1e-9)))
+        fitted, covariance, gain = _fitted(fit, candidate, ridge)
+        if plausible(HeldOutScore(candidate, 0.0, gain, fitted)):
+            made.append((gain, Form(candidate, fitted, covariance)))
+    best = sorted(made, key=lambda entry: -entry[0])[:_FORMS]
+    forms = [form for gain, form in best if gain > 0.5 * best[0][0]]
+    names = found.dataset.robot.joint_names
+    return Hypothesis(effect.name, tuple(names[k] for k in place[1]), tuple(forms))
 
 
 def _leading(found: Diagnosis) -> Iterator[OpenPair]:
@@ -165,20 +193,31 @@ def _hypothesis(found: Diagnosis, fit: Fit, place: Place) -> Hypothesis:
     forms: list[Form] = []
     for score in scores:
         if best is not None and score.gain > 0.5 * best.gain and len(forms) < _FORMS:
-            forms.append(Form(score.candidate, score.values, _covariance(fit, score.candidate)))
+            ridge = fit.ridge(score.candidate, np.maximum(_energy(fit, score.candidate).diagonal(), 1e-9))
+            forms.append(Form(score.candidate, score.values, _fitted(fit, score.candidate, ridge)[1]))
     names = found.dataset.robot.joint_names
     return Hypothesis(effect.name, tuple(names[k] for k in place[1]), tuple(forms))
 
 
-def _covariance(fit: Fit, candidate: Candidate) -> np.ndarray:
-    """(k, k) of its parameters, the model and the effects beside it being fitted as well."""
-    (_, (cross, own)), *_ = fit.moments([candidate])
-    reach, total = cross.sum(axis=0)[:-1] / fit.repeat, own.sum(axis=0) / fit.repeat
-    inverse = fit.solve(np.ones(fit.cells, dtype=bool))[0]
-    information = total + fit.ridge(candidate, np.maximum(np.diag(own.sum(axis=0)), 1e-9))
-    schur = information - reach.T @ inverse @ reach
+def _energy(fit: Fit, candidate: Candidate) -> np.ndarray:
+    """(k, k) second moments of a candidate's columns over all rows."""
+    ((_, (_, own)),) = fit.moments([candidate])
+    return own.sum(axis=0)
+
+
+def _fitted(fit: Fit, candidate: Candidate, ridge: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Its parameters (k,) under a prior precision, their covariance (k, k), the model and the effects beside it being
+    fitted as well, and what they gain on independent rows."""
+    ((_, (cross, own)),) = fit.moments([candidate])
+    b, total = cross.sum(axis=0) / fit.repeat, own.sum(axis=0) / fit.repeat
+    inverse, alone = fit.solve(np.ones(fit.cells, dtype=bool))
+    information = total + ridge
+    schur = information - b[:-1].T @ inverse @ b[:-1]
     scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    return np.linalg.inv(schur * np.outer(scale, scale) + 1e-9 * np.eye(len(schur))) * np.outer(scale, scale)
+    covariance = np.linalg.inv(schur * np.outer(scale, scale) + 1e-9 * np.eye(len(schur))) * np.outer(scale, scale)
+    side = b[-1] - b[:-1].T @ alone
+    values = covariance @ side
+    return values, covariance, float(side @ values)
 
 
 def _margin(found: Diagnosis, cause: Candidate) -> float:
