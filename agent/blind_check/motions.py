@@ -8,7 +8,16 @@ import numpy as np
 
 from agent.core import InputError
 from agent.link import check_cell
-from agent.motion import JointTarget, MotionSettings, Move, MoveType, Termination, create_interpolator, write_program
+from agent.motion import (
+    JointTarget,
+    MotionSettings,
+    Move,
+    MoveType,
+    Termination,
+    create_interpolator,
+    with_frames,
+    write_program,
+)
 from agent.recipe import Recipe
 from agent.robot import RobotDescription
 
@@ -40,7 +49,7 @@ def _draw_program(recipe: Recipe, name: str, rng: np.random.Generator, cycle: fl
         except InputError as error:
             reason = str(error)
             continue
-        calm = MotionSettings(speed_override=0.3, termination=Termination.FINE)
+        calm = _settings(recipe, 0.3).changed(termination=Termination.FINE)
         approach = Move(MoveType.JOINT, moves[-1].target, calm)
         return write_program(name, [approach, *moves * CYCLES], recipe.robot)
     raise InputError(f"blind check: none of {_MOST_DRAWS} drawn motions {name!r} keeps all limits; the last: {reason}")
@@ -50,7 +59,7 @@ def _draw_cycle(recipe: Recipe, name: str, rng: np.random.Generator, cycle: floa
     """Moves from and back to the last one's target."""
     robot = recipe.robot
     speed, range_, flying = _STYLE[name]
-    settings = MotionSettings(speed_override=speed)
+    settings = _settings(recipe, speed)
     lower, upper = (np.clip(limit, -_WIDEST, _WIDEST) for limit in robot.position_limits)
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
     at = middle + rng.uniform(-0.3, 0.3, robot.dof) * half
@@ -69,6 +78,11 @@ def _draw_cycle(recipe: Recipe, name: str, rng: np.random.Generator, cycle: floa
     moves.append(Move(MoveType.JOINT, JointTarget(home), settings.changed(termination=Termination.FINE)))
     _check(recipe, moves, home)
     return moves
+
+
+def _settings(recipe: Recipe, speed: float) -> MotionSettings:
+    """With the tool, on whose path a corner between joint moves is flown: a controller has that of its last program."""
+    return with_frames(MotionSettings(speed_override=speed), recipe.tool)
 
 
 def _seconds(robot: RobotDescription, way: np.ndarray, speed: float) -> float:

@@ -1,4 +1,4 @@
-"""How far the error of each joint is over the background, and whether that has a size."""
+"""How far the error of each joint is over the background, whether that has a size, and where an effect has it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import warnings
 
 import numpy as np
 
+from agent.diagnosis.candidate import HeldOutScore
 from agent.diagnosis.fit import Fit
+from agent.diagnosis.isolability import plausible
 from agent.diagnosis.limits import DecisionLimits
 
 
@@ -23,6 +25,27 @@ def over_background(fit: Fit) -> np.ndarray:
     for number in np.unique(log):
         total += np.maximum(np.nansum(energy[log == number] - 1, axis=0), 0)
     return total
+
+
+def put_elsewhere(fit: Fit, score: HeldOutScore) -> float:
+    """Σ e² / σ² that an effect adds on the joints beside the one where it gains most; below nought where it takes away.
+
+    A force or a body pulls at all joints below it. One that is fitted to what a single joint has, as a sensor that
+    holds its value, puts torque on the others that nobody measured.
+    """
+    joints = list(score.candidate.blocks)
+    if len(joints) < 2:
+        return 0.0
+    before = np.concatenate(fit.residuals)
+    after = np.concatenate(fit.with_chosen((*fit.chosen, score.candidate)).residuals)
+    gained = np.sum(((before**2 - after**2) / fit.sigma**2)[:, joints], axis=0)
+    return float(gained.max() - gained.sum())
+
+
+def possible_together(fit: Fit) -> bool:
+    """Whether the parameters of all chosen effects, fitted together, can be true: one may turn to cancel another."""
+    chosen = zip(fit.chosen, fit.values, strict=True)
+    return all(plausible(HeldOutScore(candidate, 0.0, 0.0, values)) for candidate, values in chosen)
 
 
 def closed_excess(limits: DecisionLimits, before: np.ndarray, fit: Fit) -> float:

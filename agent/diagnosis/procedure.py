@@ -9,7 +9,14 @@ import numpy as np
 from agent.diagnosis.band import gain_in_band
 from agent.diagnosis.candidate import Candidate, HeldOutScore, Where
 from agent.diagnosis.evidence import Null, null_gains
-from agent.diagnosis.excess import closed_excess, joint_energy, noticed, over_background
+from agent.diagnosis.excess import (
+    closed_excess,
+    joint_energy,
+    noticed,
+    over_background,
+    possible_together,
+    put_elsewhere,
+)
 from agent.diagnosis.finding import Finding, Step
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.isolability import best_by_place, complexity, imitates, plausible, structurally_equivalent
@@ -167,6 +174,8 @@ class Search:
                 continue
             if effect.fast_torque and gain_in_band(fit, score) < self.limits.in_band_gain:
                 continue  # it takes noise out of the prediction
+            if put_elsewhere(fit, score) > self.least:
+                continue  # what it explains is on one joint, and its torque on others is not there
             result.append(score)
         return tuple(sorted(result, key=lambda s: -s.gain))
 
@@ -234,6 +243,7 @@ class Search:
             if len(chosen) == self.limits.most_effects or not step.eligible:
                 return chosen
             worth = [s for s in step.eligible if s.gain > self._further(fit, s) and not imitates(chosen, s)]
+            worth = [s for s in worth if possible_together(self.fit.with_chosen((*chosen, s.candidate)))]
             if not worth:
                 return chosen
             step = Step(step.chosen, step.error, step.scores, tuple(worth))

@@ -10,6 +10,8 @@ import pytest
 
 from agent.blind_check.cases import OUTSIDE, draw_cases, draw_effect
 from agent.blind_check.key import key_text, open_key, seal
+from agent.blind_check.motions import draw_programs
+from agent.blind_check.runs import link_recipe
 from agent.core import sha256_text
 from agent.core.errors import InputError
 from agent.model import CATALOGUE
@@ -65,3 +67,9 @@ def test_the_key_is_fixed_before_it_is_opened(tmp_path):
     opened = (tmp_path / "key.json").read_text()
     assert sha256_text(opened) == digest
     assert [case["kind"] for case in json.loads(opened)["cases"]] == [case.kind for case in cases]
+
+
+def test_a_program_says_with_which_tool_its_corners_are_flown():
+    """What another program has left in the controller shapes the corners of joint moves, too."""
+    programs = draw_programs(link_recipe(ROBOT.name, "127.0.0.1:9"), 3, 2.0)
+    assert all("$TOOL := POS(0, 0, 0, 0, 0, 0" in text for text in programs.values())

@@ -97,3 +97,17 @@ def test_a_coupling_of_any_ratio_is_tried(reference):
     tried = [abs(settings["ratio"]) for settings in CATALOGUE["wrist_coupling"].settings(None, (4, 5))]
     assert min(tried) <= 0.05
     assert max(tried) == 2.0
+
+
+def test_a_coupled_shaft_rubs_and_turns(reference):
+    settings = {"ratio": 0.5, "besides": 1.0, "shaft": 1.0}
+    fastest = float(reference.robot.max_velocity[4])  # of the pair that is tried
+    for coulomb, viscous, inertia, expected in (
+        (1.0, 0.5, 0.1, True),
+        (1.0, -0.05, 0.1, True),
+        (1.0, -0.5, 0.1, False),
+        (-0.5, 1.0, 0.1, False),
+        (1.0, 0.5, -0.1, False),
+    ):
+        values = {"coulomb": coulomb, "viscous": viscous / fastest, "inertia": inertia}
+        assert possible(reference, "wrist_coupling", settings, values) is expected

@@ -229,6 +229,9 @@ CASES = {
         viscous=0.3,
         coulomb=0.2,
     ),
+    "wrist_coupling, a shaft besides": entry(
+        "wrist_coupling", "lift", "turn", ratio=-0.7, besides=1, shaft=1, inertia=0.05, viscous=0.3, coulomb=0.2
+    ),
     "torque_constant": entry("torque_constant", "pan", scale_error=0.07),
     "torque_offset": entry("torque_offset", "turn", offset=0.3),
 }

@@ -8,7 +8,7 @@ import numpy as np
 
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.friction_terms import AxleMotion, axle_columns
-from agent.model.signals import MotionSignals
+from agent.model.signals import MotionSignals, NominalModel
 from agent.robot import RobotDescription
 
 _RATIOS = (0.05, 0.068, 0.09, 0.12, 0.16, 0.22, 0.3, 0.4, 0.55, 0.74, 1.0, 1.4, 2.0)
@@ -27,7 +27,8 @@ class WristCoupling(Effect):
     model's friction sits elsewhere, viscous and Coulomb part and that load have factors of their own (`free`).
 
     A seal or bearing of the coupled shaft rubs at that speed too, c sign(w + r q̇_i) + d (w + r q̇_i) on axle j, and r
-    times that on joint i: though the motors turn as described (`besides`), or where they do not (`turning`, too).
+    times that on joint i: though the motors turn as described (`besides`), or where they do not (`turning`, too). What
+    turns at that speed beside the motors may have an inertia of its own (`shaft`), e (ẇ + r q̈_i) likewise.
     """
 
     name = "wrist_coupling"
@@ -64,12 +65,14 @@ class WristCoupling(Effect):
         tied = {name: value for name, value in settings.items() if name != "free"}
         kinds = [settings, tied] if "free" in settings else [settings]
         if "besides" in settings:
-            kinds = [settings, {**settings, "turning": 1.0}]
+            rubbing = {"ratio": settings["ratio"], "besides": 1.0}
+            kinds = [rubbing, {**rubbing, "turning": 1.0}, {**rubbing, "shaft": 1.0}]
         return [{**kind, "ratio": kind["ratio"] * factor**power} for kind in kinds for power in range(-3, 4)]
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         if "besides" in settings:
-            return ("viscous", "coulomb", *(("rotor", "share") if "turning" in settings else ()))
+            more = ("rotor", "share") if "turning" in settings else ("inertia",) if "shaft" in settings else ()
+            return ("viscous", "coulomb", *more)
         if "free" not in settings:
             return ("rotor", "share")
         return ("rotor", "viscous", "coulomb", *(("transmission",) if "axle_side" in settings else ()))
@@ -79,6 +82,9 @@ class WristCoupling(Effect):
         ratio = settings["ratio"]
         if "besides" in settings:
             rubbing = _friction(signals, j, i, ratio, free=True)
+            if "shaft" in settings:
+                turned = signals.qdd @ signals.reference.coupling[j] + ratio * signals.qdd[:, i]
+                rubbing = np.column_stack([rubbing, turned])
             shares = signals.reference.coupling[j] + ratio * np.eye(len(signals.reference.coupling))[i]
             found = {int(k): shares[k] * rubbing for k in np.flatnonzero(shares)}
             if "turning" not in settings:
@@ -106,8 +112,22 @@ class WristCoupling(Effect):
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
         if "besides" in settings:
             rubs = values["coulomb"] > 0 or values["viscous"] > 0
-            return rubs and values.get("rotor", 1.0) > 0 and 0.3 < values.get("share", 1.0) < 1.7
+            turns = min(values.get("rotor", 1.0), values.get("inertia", 1.0)) > 0
+            return rubs and turns and 0.3 < values.get("share", 1.0) < 1.7
         return values["rotor"] > 0 and 0.3 < values.get("share", 1.0) < 1.7 and values.get("transmission", -1.0) < 0
+
+    def possible(
+        self,
+        reference: NominalModel,
+        joints: tuple[int, ...],
+        settings: Mapping[str, float],
+        values: Mapping[str, float],
+    ) -> bool:
+        """What rubs at the coupled speed drives at none, but for a tenth of what it rubs: both are estimates."""
+        if "besides" not in settings:
+            return True
+        at_most = values["viscous"] * float(reference.robot.max_velocity[joints[1]])
+        return min(values["coulomb"], at_most) > -0.1 * max(values["coulomb"], at_most)
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 1 + len(self.names(settings))

@@ -191,6 +191,8 @@ class Effects:
         felt = np.zeros_like(qd)
         if "besides" in p:
             rubbing = p["viscous"] * speed + p["coulomb"] * self._slide(j, speed)
+            if "shaft" in p:
+                rubbing = rubbing + p["inertia"] * (qdd[..., j] + ratio * qdd[..., i])
             felt[..., j], felt[..., i] = rubbing, ratio * rubbing
             if "turning" in p:
                 tied = {"ratio": ratio, "rotor": p["rotor"], "share": p["share"]}

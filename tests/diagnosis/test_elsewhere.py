@@ -1,0 +1,62 @@
+"""A force on the arm pulls at all joints below it: what only one joint shows is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from agent.diagnosis.excess import put_elsewhere
+from agent.diagnosis.finding import Step
+from agent.diagnosis.procedure import Search
+from agent.model.effects import CATALOGUE
+from tests.diagnosis.test_evidence import redrawn
+
+FORCE = np.array([30.0, -20.0, 40.0])  # N
+PUSH = {"log_1": 0.0, "link_1": 6.0, "start_1": 4.0, "duration_1": 0.4}
+
+
+@pytest.mark.parametrize("joint", [None, 4])
+def test_a_push_takes_away_on_every_joint_and_a_joint_alone_is_none(diagnosed, joint):
+    """All joints, or what a torque sensor of one that holds its value shows."""
+    fit = diagnosed(0).dataset.fit
+    push = fit.candidate(CATALOGUE["contact"], (), PUSH)
+    seen = redrawn(fit, np.random.default_rng(3), push, FORCE)
+    if joint is not None:
+        alone = redrawn(fit, np.random.default_rng(3))
+        for other in range(6):
+            if other != joint:
+                seen.rows[other] = alone.rows[other]
+        seen = redrawn_from(seen)
+    (score,) = seen.score([push])
+    assert score.gain > 0
+    assert (put_elsewhere(seen, score) > 0.02 * float(seen.count.sum())) == (joint is not None)
+
+
+def redrawn_from(fit):
+    """The fit with its moments made anew of its rows."""
+    return type(fit)(
+        fit.reference, fit.signals, fit.rows, fit.index, fit.sigma, fit.precision, fit.shift,
+        fit.cell, fit.block, fit.folds, fit.single,
+    )  # fmt: skip
+
+
+class Left(Search):
+    """A search that is told what is left."""
+
+    def scan(self, fit):
+        found = [] if len(fit.chosen) > 1 else fit.score([hose(fit)])
+        return Step(fit.chosen, fit.error(), tuple(found), tuple(found))
+
+
+def hose(fit):
+    return fit.candidate(CATALOGUE["dress_pack"], (4,), {"travel": 0.02})
+
+
+@pytest.mark.parametrize("rubs", [40.0, -40.0])
+def test_a_further_effect_that_only_turns_against_the_first_is_none(diagnosed, rubs):
+    """A hose that drives, where friction is taken too high."""
+    fit = diagnosed(0).dataset.fit
+    seen = redrawn(fit, np.random.default_rng(4), hose(fit), np.array([0.0, 0.0, rubs]))
+    search = Left(seen)
+    friction = seen.candidate(CATALOGUE["friction_change"], (3,), {"coulomb": 1.0})
+    assert len(search._forward((friction,), [])) == (2 if rubs > 0 else 1)
