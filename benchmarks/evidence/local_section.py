@@ -6,12 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.pipeline.planning import loop_problem
 from agent.recipe import Recipe
 from benchmarks.evidence import figures
 from benchmarks.evidence.emulation import WORLDS
 from benchmarks.evidence.local import DISTANCES, SECONDS
-from benchmarks.evidence.loops import FIRST_MACHINE, SEARCHES, LocalLoops
 from benchmarks.evidence.results import Results
 from benchmarks.evidence.section import PageSection
 from benchmarks.evidence.statistics import each, mean_of, ratio_of, text, verdict
@@ -23,7 +21,7 @@ _ALIKE = 1.05  # a ratio that nobody would notice
 _FIRST, _LAST = slice(0, 3), slice(3, None)
 
 
-def section(results: Results, loops: Results, recipe: Recipe, pictures: Path) -> PageSection:
+def section(results: Results, recipe: Recipe, pictures: Path) -> PageSection:
     """The section; empty but for what is missing where nothing was run."""
     part = PageSection()
     part.say("## Local against global")
@@ -38,7 +36,6 @@ def section(results: Results, loops: Results, recipe: Recipe, pictures: Path) ->
         "is better; `covered` is the share of samples in motion within the 95 % intervals of either."
     )
     _errors(part, worlds, pictures)
-    _branches(part, worlds, loops, recipe)
     _outside(part, worlds, pictures)
     _seconds(part, worlds)
     _axes(part, worlds, recipe, pictures)
@@ -108,47 +105,6 @@ def _compared(ratio: tuple[float, float, float], said: str) -> str:
     if ratio[2] < _ALIKE:
         return "as wrong as"
     return "worse than" if said == "worse" else "not shown to be better than"
-
-
-def _branches(part: PageSection, worlds: dict, loops: Results, recipe: Recipe) -> None:
-    """Where the loop has the wrist on another branch than the work: a box of poses is no box of joint positions."""
-    away = {
-        seed: off
-        for seed in range(FIRST_MACHINE, FIRST_MACHINE + SEARCHES)
-        if (off := _off_posture(recipe, loops, seed)) is not None
-    }
-    flipped = {seed for seed, angle in away.items() if angle > np.pi / 2}
-    if not flipped:
-        return
-    rows = []
-    for world, lines in worlds.items():
-        groups = [
-            {m: v for m, v in lines.items() if ((FIRST_MACHINE + (m - FIRST_MACHINE) % SEARCHES) in flipped) == other}
-            for other in (False, True)
-        ]
-        rows.append(
-            [world, *(text(ratio_of(_near(LOCAL)(g), _near(GLOBAL)(g))) + f" ({len(g)})" if g else "-" for g in groups)]
-        )
-    part.say(
-        f"Of the {len(away)} loops in the sub-region {len(flipped)} run with the wrist on its other branch (joint 4 "
-        "half a turn away, joint 5 of the other sign): at its first point that branch is the nearer one, which the "
-        "search is free to choose and random motions hardly ever meet. The motions that judge are on the usual branch. "
-        "Ratio by machines whose loop is on the branch of the work, and on the other (machines):"
-    )
-    part.table(["world", "same branch", "other branch"], rows)
-    part.weak.append(
-        f"{len(flipped)} of {len(away)} loops that were found for the sub-region run on the wrist's other branch, half "
-        "a turn of joint 4 away from the work: the same poses, but not the same place for hoses and gears"
-    )
-
-
-def _off_posture(recipe: Recipe, loops: Results, seed: int) -> float | None:
-    """[rad] the largest angle of a joint between a loop's start and the posture that work in the sub-region has."""
-    kept = loops.get(seed, LOCAL)
-    if kept is None:
-        return None
-    candidates = LocalLoops(loop_problem(recipe, recipe.motion.speed))
-    return float(np.abs(candidates.loop(np.array(kept["genome"])).start - candidates.posture).max())
 
 
 def _outside(part: PageSection, worlds: dict, pictures: Path) -> None:

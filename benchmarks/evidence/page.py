@@ -50,7 +50,7 @@ def write(folder: Path, docs: Path, recipe: Recipe, pieces: Iterable[str]) -> Pa
     results = {piece: Results(folder, piece) for piece in pieces}
     pictures = docs / "evidence"
     parts = [
-        local_section.section(results["local"], Results(folder, "loops"), recipe, pictures),
+        local_section.section(results["local"], recipe, pictures),
         loop_sections.criteria(results["criteria"], pictures),
         loop_sections.searches({name: r for name, r in results.items() if name.startswith("search-")}, pictures),
         few_data_section.section(results["few-data"], pictures),
