@@ -61,9 +61,8 @@ def render_run(data: RunData, title: str, headline: str, prediction: Section, se
     parts = [diagnosis_part(diagnosis, result["reference"])]
     parts += rounds_sections(found.get("rounds"), found.get("rounds_end", ""))
     sections[0 if diagnosis else 1 : 0 if diagnosis else 1] = parts
-    good = result["accepted"] is not False and not diagnosis
     title = f"{title} of {result['robot']} {result['serial']}".rstrip()
-    return render(Page(title, headline, "good" if good else "bad", sections, data.about))
+    return render(Page(title, headline, _colour(result), sections, data.about))
 
 
 def run_report(data: RunData) -> str:
@@ -74,6 +73,11 @@ def run_report(data: RunData) -> str:
         headline = f"{headline} {result['diagnosis']['summary']}"
     assert data.search is not None
     return render_run(data, "Calibration", headline, _validation(data), search_section(data.search))
+
+
+def _colour(result: dict[str, Any]) -> str:
+    """Of the headline: what nobody judged is neither good nor bad, what changed is bad."""
+    return "bad" if result["diagnosis"] else {True: "good", False: "bad", None: "plain"}[result["accepted"]]
 
 
 def _headline(result: dict[str, Any]) -> str:

@@ -15,7 +15,7 @@ from agent.pipeline.calibrate import CalibrationOutcome
 from agent.pipeline.drift_check import worse_joints
 from agent.pipeline.result import judge
 from agent.report.figures import motion_box_plot
-from agent.report.run_page import _headline
+from agent.report.run_page import _colour, _headline
 from agent.robot import RobotDescription, load_robot
 from agent.robot.torque_figures import figure_text, not_judged_text
 from agent.runs.history import History, history_json, history_table, open_history
@@ -65,6 +65,7 @@ def test_summary_and_headline(shares, said):
     assert "nan" not in text + headline
     assert ("0.25 N·m on j1" in headline) == (shares[0] is None)
     assert ("Not judged" in headline) == (None in shares)
+    assert _colour({**result(*shares), "diagnosis": None}) == ("plain" if shares == (None, None) else "good")
 
 
 @pytest.mark.parametrize(
