@@ -20,8 +20,9 @@ _POOL, _NEIGHBOURS = 240, 12
 _MOST_PIECES, _SURE = 5, 0.97
 #: Of the time for a motion so much goes into the ways between its pieces.
 _WAYS = 0.15
-#: A pair that all pieces together leave below this is not asked about: these motions cannot tell.
-_WITHIN_REACH = 0.5
+#: A pair that all pieces together leave below this is not asked about: these motions cannot tell. Where one of the two
+#: can always do what the other does, as friction by direction can be an offset, only the other half can be told: 0.5.
+_WITHIN_REACH = 0.3
 #: A pair of which the right answer is this likely without another motion is not asked about beside others.
 _KNOWN = 0.9
 #: A further piece raises what is expected by at least so much.

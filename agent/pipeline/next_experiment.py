@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
 #: Longest motion that is planned [s].
 LONGEST = 60.0
-#: A motion that makes the right answer of no pair this likely settles nothing.
-_HELPS = 0.5
+#: A motion that makes the right answer of no pair this likely settles nothing; where one of two rivals can do all that
+#: the other does, half is the most there is.
+_HELPS = 0.3
 #: A mass is tried whose weight, far out, is this part of the strongest joint's nominal torque.
 _TRIAL_LOAD = 0.1
 #: At so much of its joint speeds the arm goes from piece to piece, or at half of it, and so on, where the tool would be

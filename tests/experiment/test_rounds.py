@@ -11,6 +11,7 @@ import pytest
 from agent.core import sha256_text, write_atomically
 from agent.core.console import Console
 from agent.pipeline import until_sure as module
+from agent.pipeline.next_experiment import NextMotion
 from agent.pipeline.until_sure import until_sure
 from agent.recipe import load_recipe, template
 from agent.report.page import Page, render
@@ -143,6 +144,12 @@ def test_motions_that_are_not_released_end_the_rounds_with_what_was_found(ask):
     assert "releases no new motions" in found.end
     assert found.logs == []
     assert found.last[0].result["verdict"] == "ambiguous"
+
+
+@pytest.mark.parametrize(("before", "after", "helps"), [(0.0, 0.5, True), (0.0, 0.2, False), (0.9, 0.92, False)])
+def test_a_motion_helps_that_tells_one_of_two_of_which_the_other_can_always_be_it(before, after, helps):
+    experiment = SimpleNamespace(expected=[SimpleNamespace(before=before, after=after)])
+    assert NextMotion(experiment, "", (), None).helps() is helps  # type: ignore[arg-type]
 
 
 def test_the_page_has_question_motion_and_answer_of_every_round(ask):
