@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.blind_check import BlindCheck
+from agent.blind_check import BlindCheck, Case
 from agent.blind_check.worlds import MujocoWorld
 from agent.core.console import Console
 from agent.core.errors import InputError
 from agent.model import CATALOGUE
+from agent.pipeline.active_worlds import MujocoMachines
 from agent.recording import read_log
 from agent.robot import load_robot
 
@@ -137,3 +138,25 @@ def test_eight_runs_are_diagnosed_and_scored_by_recorder(tmp_path: Path) -> None
     assert sum(row["runs"] for row in scores["recorders"].values()) == 8
     assert "By recorder" in (tmp_path / "blind_check.md").read_text()
     assert json.loads((tmp_path / "key.json").read_text())["robot"] == "arms of four builds"
+
+
+def test_set_points_that_are_given_are_followed_one_after_the_other(tmp_path):
+    arm = draw_arm(2)
+    ramp = 0.2 * (1 - np.cos(np.pi * np.arange(800) / 799))[:, None] * np.ones(arm.n)
+    for name, points in (("there", ramp), ("back", ramp[::-1])):
+        np.save(tmp_path / f"{name}.npy", points)
+    files = {name: str(tmp_path / f"{name}.npy") for name in ("there", "back")}
+    answer = run({"machine": 2, "motion": 5, "effects": [], "folder": str(tmp_path / "run"), "set_points": files})
+    assert [Path(log).stem for log in answer["logs"]] == ["there", "back"]
+    for log, end in zip(answer["logs"], (0.4, 0.0), strict=True):
+        reached = read_log(Path(log)).position[-1]
+        assert reached == pytest.approx(np.full(arm.n, end), abs=0.05)
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("machine", range(4))
+def test_every_build_has_a_sub_region_of_its_own(tmp_path, machine):
+    case = Case(machine, "none", machine, 7, 1.0, ())
+    recipe = MujocoMachines().recipe(case, tmp_path / "machine")
+    assert recipe.robot.name == draw_arm(machine).build.name
+    assert recipe.motion.via_points.box is not None
