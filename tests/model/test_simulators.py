@@ -199,6 +199,10 @@ REFUSED = {
     "other joints": (scene(CHAIN.replace("pan", "one").replace("lift", "two")), "--map"),
     "two arms": (scene(BRANCHES), "another branch"),
     "a floating base": (scene(f'<body name="base"><freejoint/>{BODY}{CHAIN}</body>'), "floats"),
+    "two joints of one body": (
+        scene(f'<body name="wrist"><joint name="pan" axis="0 0 1"/><joint name="lift" axis="0 1 0"/>{BODY}</body>'),
+        "pan, lift move one body",
+    ),
     "a loop": (
         scene(CHAIN, '<equality><connect body1="b" anchor="0 0 0"/></equality>'),
         "closes a loop",
@@ -234,6 +238,20 @@ def test_what_cannot_be_used_is_refused_with_one_message(what, tmp_path, robot):
         load_simulator(written(tmp_path, text, "model.xml"), robot, ())
     assert "model.xml" in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_more_joints_than_an_arm_has_are_refused(tmp_path):
+    names = [f"j{k}" for k in range(8)]
+    links = "".join(f'<link name="{name}_link"/>' for name in ["base", *names])
+    inertial = '<inertial><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    links = links.replace("/>", f">{inertial}</link>")
+    joints = "".join(
+        f'<joint name="{name}" type="continuous"><parent link="{before}_link"/><child link="{name}_link"/></joint>'
+        for before, name in zip(["base", *names], names, strict=False)
+    )
+    path = written(tmp_path, f'<robot name="snake">{links}{joints}</robot>', "snake.urdf")
+    with pytest.raises(InputError, match=r"8 joints are to be compared.*at most 7"):
+        load_simulator(path, None, names)
 
 
 TOOL = """<link name="finger_a"/><link name="finger_b"/><link name="tcp"/>

@@ -17,6 +17,7 @@ from agent.model.simulators.urdf import read_urdf
 from agent.robot import RobotDescription
 
 _GRAVITY = (0.0, 0.0, -9.80665)
+_MOST_JOINTS = 7
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +74,11 @@ def load_simulator(
         arm = read_mjcf(path, match)
     else:
         raise InputError(f"{path}: neither an MJCF (<mujoco>) nor a URDF (<robot>): it starts with <{root.tag}>")
+    if len(arm.joint_names) > _MOST_JOINTS:
+        raise InputError(
+            f"{path}: {len(arm.joint_names)} joints are to be compared, and a serial arm has at most "
+            f"{_MOST_JOINTS}: name those of the arm with --map"
+        )
     if robot is not None and arm.joint_names != robot.joint_names:
         missing = [name for name in robot.joint_names if name not in arm.joint_names]
         how = f"{', '.join(missing)} missing" if missing else f"the file's chain is {', '.join(arm.joint_names)}"

@@ -15,7 +15,7 @@ import numpy as np
 from agent.core import InputError, needed
 from agent.model.simulators.arm import SimulatedArm, described, model_of
 from agent.model.simulators.bodies import CarryingBody, parameters
-from agent.model.simulators.joints import leaving_out
+from agent.model.simulators.joints import leaving_out, listed
 from agent.model.urdf_elements import digits, inertial_element, rpy_of
 
 _BASE = "base"
@@ -94,8 +94,14 @@ def _links(path: Path, model: Any, chosen: list[int], names: Mapping[int, str], 
     link_of = np.zeros(model.nbody, dtype=int)
     for body in range(1, model.nbody):
         link = link_of[model.body_parentid[body]]
+        own = [j for j in chosen if model.jnt_bodyid[j] == body]
+        if len(own) > 1:
+            raise InputError(
+                f"{path}: {listed([names[j] for j in own])} move one body ({model.body(body).name!r}), and every joint "
+                f"needs a link of its own: give each a body, or {leaving_out(used, [names[j] for j in own])}"
+            )
         for number, j in enumerate(chosen, 1):
-            if model.jnt_bodyid[j] == body:
+            if j in own:
                 if link != number - 1:
                     raise InputError(
                         f"{path}: {names[j]} is on another branch than {names[chosen[number - 2]]}. One serial arm is "
@@ -115,7 +121,10 @@ def _refuse(
     while body > 0:
         for j in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
             if model.jnt_type[j] in free:
-                raise InputError(f"{path}: the arm's base floats (joint of body {model.body(body).name!r}): fix it")
+                raise InputError(
+                    f"{path}: the arm's base floats (joint of body {model.body(body).name!r}): "
+                    "delete that joint, so that the base stands"
+                )
         body = int(model.body_parentid[body])
     loops = {int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)}
     sites = int(mujoco.mjtObj.mjOBJ_SITE)
