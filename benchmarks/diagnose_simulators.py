@@ -20,7 +20,8 @@ import mujoco
 import numpy as np
 
 from agent.core.console import Console
-from agent.diagnosis.rollout import MujocoEngine
+from agent.diagnosis.rollout import MujocoEngine, at_motors
+from agent.model import ModelEffect
 from agent.pipeline.diagnose import GapQuestion, diagnose_files
 from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile
@@ -29,27 +30,27 @@ RATE, SECONDS, LOGS, UNSEEN = 125.0, 20.0, 3, 2
 HORIZONS, STARTS = np.array([0.2, 0.5, 1.0]), 6
 
 
-def stribeck(level, q, qd, torque):
+def stribeck(level, q, qd, torque, load):
     return 0.6 * level * np.tanh(qd / 0.01) / (1 + (qd / 0.15) ** 2)
 
 
-def asymmetric_friction(level, q, qd, torque):
+def asymmetric_friction(level, q, qd, torque, load):
     return 0.5 * level * (np.abs(np.tanh(qd / 0.01)) + 0.5 * np.abs(qd))
 
 
-def load_dependent_friction(level, q, qd, torque):
-    return 0.12 * np.abs(torque) * np.tanh(qd / 0.01)
+def load_dependent_friction(level, q, qd, torque, load):
+    return 0.12 * np.abs(load) * np.tanh(qd / 0.01)
 
 
-def viscous_nonlinearity(level, q, qd, torque):
+def viscous_nonlinearity(level, q, qd, torque, load):
     return -0.6 * level * qd * np.abs(qd)
 
 
-def gravity_spring(level, q, qd, torque):
+def gravity_spring(level, q, qd, torque, load):
     return 1.5 * level * np.cos(q - 0.4)
 
 
-def torque_constant(level, q, qd, torque):
+def torque_constant(level, q, qd, torque, load):
     return 0.1 * torque
 
 
@@ -124,11 +125,13 @@ class Oracle:
             while data.time < until - 0.25 * self._model.opt.timestep:
                 q, qd = data.qpos, data.qvel
                 given = drive(data.time, q, qd)
-                torque = given.copy()
+                torque, dry = given.copy(), self._coulomb * np.tanh(qd / 0.01)
+                rubbing = dry + self._model.dof_damping * qd
                 for effect, k in self._put_in:
                     for _ in range(3):  # the effect is of the torque without it
-                        torque[k] = given[k] - effect(self._coulomb[k], q[k], qd[k], torque[k])
-                data.qfrc_applied[:] = torque - self._coulomb * np.tanh(qd / 0.01)
+                        load = torque[k] - rubbing[k]
+                        torque[k] = given[k] - effect(self._coulomb[k], q[k], qd[k], torque[k], load)
+                data.qfrc_applied[:] = torque - dry
                 mujoco.mj_step(self._model, data)
             found[:, row] = data.qpos, data.qvel
         return found[0], found[1]
@@ -145,8 +148,9 @@ def recorded(path, seed, folder, effects=None, count=LOGS):
     for number in range(count):
         t, q, qd, qdd = motion(rng, *model.jnt_range.T, model.nq)
         torque = inverse(model, q, qd, qdd) + coulomb * np.tanh(qd / 0.01)
+        load = torque - coulomb * np.tanh(qd / 0.01) - model.dof_damping * qd
         for effect, k in put_in:
-            torque[:, k] += effect(coulomb[k], q[:, k], qd[:, k], torque[:, k])
+            torque[:, k] += effect(coulomb[k], q[:, k], qd[:, k], torque[:, k], load[:, k])
         torque += 0.005 * torque.std(axis=0) * rng.normal(size=torque.shape)
         logs.append(folder / f"{number}.mcap")
         file = LogFile(logs[-1], names, path.stem, f"motion {number}", RATE)
@@ -156,13 +160,18 @@ def recorded(path, seed, folder, effects=None, count=LOGS):
     return logs, [[effect.__name__, names[k]] for effect, k in put_in], Oracle(model, coulomb, put_in)
 
 
-def drift(which, log, horizons, starts):
-    """(windows, horizons, n) position error of a simulator that is given a log's torque from its states on."""
+def drift(which, log, horizons, starts, causes=()):
+    """(windows, horizons, n) position error of a simulator that is given a log's torque from its states on.
+
+    `causes` of a result that are of the report say what torque the motors had.
+    """
     errors = []
+    entries = [ModelEffect(c["effect"], tuple(c["joints"]), c["parameters"]) for c in causes]
+    effort = at_motors(entries, log.joint_names, log.effort)
     for first in starts:
 
         def drive(t, q, qd, at=first):
-            return log.effort[min(at + round(t * RATE), len(log.t) - 1)]
+            return effort[min(at + round(t * RATE), len(log.t) - 1)]
 
         q, _ = which.run(log.position[first], log.velocity[first], drive, horizons)
         errors.append(q - log.position[first + np.round(horizons * RATE).astype(int)])
@@ -185,10 +194,11 @@ def draw(path, seed):
             "fixed": MujocoEngine(fixed, names, effects if effects.exists() else None),
             "oracle": oracle,
         }
-        errors = {
-            side: np.sqrt(np.mean(np.concatenate([drift(arm, log, HORIZONS, starts) for log in unseen]) ** 2, axis=0))
-            for side, arm in arms.items()
-        }
+        errors = {}
+        for side, arm in arms.items():
+            causes = result["causes"] if side == "fixed" else ()
+            all_errors = np.concatenate([drift(arm, log, HORIZONS, starts, causes) for log in unseen])
+            errors[side] = np.sqrt(np.mean(all_errors**2, axis=0))
         changes = json.loads((folder / "fixed.changes.json").read_text(encoding="utf-8"))
     promised = np.array(result["forward"]["after_interval"])[: len(HORIZONS)]
     inside = (promised[..., 0] <= errors["fixed"]) & (errors["fixed"] <= promised[..., 1])

@@ -6,7 +6,11 @@ from .extension import extended_model as extended_model
 from .finding import Step as Step
 from .fit import Fit as Fit
 from .forward import Simulated as Simulated, simulate as simulate, simulation_part as simulation_part
-from .forward_windows import forward_lines as forward_lines, forward_or_reason as forward_or_reason
+from .forward_windows import (
+    forward_lines as forward_lines,
+    forward_or_reason as forward_or_reason,
+    forward_warning as forward_warning,
+)
 from .isolability import best_by_place as best_by_place, plausible as plausible
 from .labels import (
     REGIMES as REGIMES,

@@ -30,6 +30,7 @@ from agent.model import PAYLOAD, ModelEffect, Simulator, write_corrected, writte
 _HORIZONS = (0.2, 0.5, 1.0, 2.0)  # s
 _WINDOWS = 24  # at most, over all motions
 _DESCRIBED = 0.95  # of the torque's variance, by the servo on every joint, on the last third of the motion
+_WORSE = 1.1  # times the drift as given, to where the corrected simulator drifts as far
 _RUNS_AWAY = np.pi  # rad, rad/s or m: an error counts no more
 
 
@@ -212,6 +213,20 @@ def forward_or_reason(diagnosis: Diagnosis, simulator: Simulator) -> tuple[dict[
         return forward(diagnosis, simulator), ""
     except (InputError, RejectedError) as error:
         return {}, f"no roll-out: {error}"
+
+
+def forward_warning(result: dict[str, Any]) -> str:
+    """What to mind where the corrected simulator drifts further than the one given; empty where it does not."""
+    before, after = (np.sqrt(np.mean(np.array(result[side]) ** 2, axis=1)) for side in ("before", "after"))
+    worse = [
+        f"{seconds:g} s" for seconds, a, b in zip(result["horizon_s"], after, before, strict=True) if a > _WORSE * b
+    ]
+    if not worse:
+        return ""
+    return (
+        f"the corrected simulator drifts further than the one given after {', '.join(worse)}: what was found predicts "
+        "torque, but do not train in it; more motion, faster and over more of the range, settles its numbers"
+    )
 
 
 def forward_lines(result: dict[str, Any]) -> Iterator[str]:

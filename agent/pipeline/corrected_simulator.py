@@ -40,13 +40,19 @@ def check_simulator_out(model: Path | None, out: Path, inputs: Sequence[Path]) -
 
 def run_forward(found: Diagnosis, simulator: Simulator, console: Console) -> dict[str, Any]:
     """`forward` of a result: the simulator run as given and corrected; nothing where it cannot be."""
-    from agent.diagnosis import forward_or_reason
+    from agent.diagnosis import forward_or_reason, forward_warning
 
     console.step("running the simulator forward, as given and corrected")
     figures, reason = forward_or_reason(found, simulator)
     if reason:
         console.warn(reason)
-    return {"forward": figures} if figures else {}
+    if not figures:
+        return {}
+    warning = forward_warning(figures)
+    if not warning:
+        return {"forward": figures}
+    console.warn(warning)
+    return {"forward": figures, "warnings": [*found.result["warnings"], warning]}
 
 
 def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: Console) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.diagnosis import Diagnosis, Range, ranges, ranges_text
+from agent.diagnosis import Diagnosis, Range, forward_warning, ranges, ranges_text
 from agent.report.bars import Bar, lying_bars
 from agent.report.figures import Figure
 from agent.report.page import Section, Table
@@ -23,7 +23,7 @@ def simulator_sections(diagnosis: Diagnosis, forward: Mapping[str, Any] | None =
         text, picture, table = waterfall_parts(result["waterfall"])
         sections.append(Section("What the simulator gets wrong", (text,), (picture, table)))
     if forward:
-        sections.append(_forward(forward))
+        sections.append(_forward(dict(forward)))
     found = ranges(diagnosis)
     if found:
         sections.append(_ranges(found))
@@ -64,13 +64,15 @@ def _picture(steps: Sequence[Mapping[str, Any]]) -> Figure:
     return Figure("waterfall-picture", caption, svg, ("step", "closes", "before"), rows)
 
 
-def _forward(forward: Mapping[str, Any]) -> Section:
+def _forward(forward: dict[str, Any]) -> Section:
     text = [
         f"From {forward['windows']} measured states the simulator is run in {forward['engine']} by the recorded "
         f"{forward['driven_by'].replace('_', '-')}, as given and as corrected by the other motions: root mean square "
         "error of position [rad or m] and velocity [rad/s or m/s], and the range of 90 % in which it lies on another "
         "motion like these.",
     ]
+    if warning := forward_warning(forward):
+        text.append(f"Mind: {warning}.")
     tables = (
         Table(name, (f"{what}, after", "given", "corrected"), _forward_rows(forward, prefix))
         for name, what, prefix in (("forward", "position", ""), ("forward-velocity", "velocity", "velocity_"))

@@ -526,6 +526,9 @@ def test_the_page_of_a_recorded_run_has_drift_and_ranges(nominal, tmp_path, monk
     page = diagnose_again(tmp_path, nominal[0].robot, "bench", Console(-1))
     for text in ("How far it drifts", "0.3 (0.1 to 0.4)", "For training policies", "schema: randomisation/1"):
         assert text in page
+    assert "drifts further than the one given" not in page
+    forward["after"] = [[0.5, 0.4]]
+    assert "further than the one given after 0.2 s" in diagnosis_report(nominal[2], (), forward)
 
 
 def test_mujoco_runs_the_arm_that_it_is_given(tmp_path):

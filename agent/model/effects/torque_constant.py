@@ -8,6 +8,9 @@ from types import MappingProxyType
 from agent.model.effects.effect import Columns, Effect, on_axle
 from agent.model.signals import MotionSignals
 
+#: A scale off by a larger factor is no drive's: a joint's friction beside it would then be as wrong the other way.
+_MOST = 3.0
+
 
 class TorqueConstant(Effect):
     """τ = a τ_model of the axle: bodies, rotor and friction alike."""
@@ -27,6 +30,9 @@ class TorqueConstant(Effect):
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("scale_error",)
+
+    def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+        return 1 / _MOST - 1 < values["scale_error"] < _MOST - 1
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         return on_axle(signals.reference, joints[0], signals.axle_torque[:, joints[0]])
