@@ -19,7 +19,7 @@ from agent.model.standard_parameters import (
 )
 from agent.robot import ParameterLayout
 
-_ROUNDS, _PULLS = 60, (1.0, 1e-2, 1e-4, 1e-6)  # Newton steps for each weight of the distance from the file
+_ROUNDS, _PULLS = 60, (1.0, 0.1)  # Newton steps for each weight of the distance from the file
 _STEP = 1e-10  # relative, at which a minimum counts as found
 
 
@@ -77,8 +77,9 @@ def nearest(
 
     Near is by `weight` (b, b), the information of the logs; what these leave open is as near to the file's own `blocks`
     and `rotors` as can be, by relative entropy Σ tr(S₀⁻¹ S) − log det S + Σ J / J₀ − log J (Lee, Wensing and Park, IEEE
-    T-RO 36, 2020), which has no end at bodies that could not exist. Newton's method, the distance weighing ever less
-    (an interior-point method: Boyd and Vandenberghe, Convex Optimization, 11). `reach` [m] of the arm sizes a body that
+    T-RO 36, 2020), which has no end at bodies that could not exist. Newton's method, the distance weighing less and less
+    (Boyd and Vandenberghe, Convex Optimization, 11), but never nothing: a link of tons would fit a little better than
+    one that is there. `reach` [m] of the arm sizes a body that
     the file gives no extent.
     """
     mass = max(sum(max(block[0], 0.0) for block in blocks), 1e-3)
