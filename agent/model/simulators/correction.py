@@ -26,6 +26,8 @@ from agent.model.urdf_elements import digits, inertial_element, pose_of, rotatio
 from agent.robot import LINK_PARAMETERS, ParameterLayout
 
 _FRICTION = ("coulomb", "viscous")
+_LOST = 0.01  # of what moving bodies gained, from where on it is said that they could not exist
+_STRAINED = 10.0  # times the mass in the file, which no wrong number of a file is
 
 
 @dataclass
@@ -181,28 +183,43 @@ def _with_bodies(
     arm: SimulatedArm, model: IdentifiedModel, target: np.ndarray, weight: np.ndarray, released: Released
 ) -> tuple[SimulatedArm, list[str]]:
     """The arm whose released bodies and rotors moved its base parameters by `target` (b,), as near as bodies can."""
-    links, rotors = sorted(released.links), sorted(released.rotors)
-    if not links and not rotors:
+    links = sorted(released.links)
+    if not links and not released.rotors:
         return arm, []
     robot, layout = model.robot, ParameterLayout.of(model.robot)
-    gears = robot.gear_ratios[rotors] ** 2
-    columns = np.hstack(
-        [
-            *(model.projection[:, layout.link(k)] for k in links),
-            model.projection[:, layout.rotors][:, rotors] / gears,
-        ]
-    )
     own = [arm.carrying[k].own for k in links]
-    begin = np.concatenate([*own, arm.armature[rotors]])
     inertia = np.diag(model.rigid.dynamics.mass_matrix(np.zeros(robot.dof)))
-    usual = np.where(arm.armature[rotors] > 0, arm.armature[rotors], 0.1 * np.maximum(inertia[rotors], 1e-6))
     reach = max(float(np.abs(model.rigid.dynamics.tip_pose(np.zeros((1, robot.dof)))[0, :3, 3]).sum()), 0.1)
-    wanted = target + columns @ begin
-    blocks, armature = nearest(columns, wanted, weight, own, usual, reach)
-    missed = columns @ np.concatenate([blocks.ravel(), armature]) - wanted
-    lost, size = float(missed @ weight @ missed), float(target @ weight @ target)
+
+    def with_rotors(rotors: list[int]) -> tuple[np.ndarray, np.ndarray, float, bool]:
+        """Bodies, armature of rotors, what is lost by bodies that exist, and whether one is strained to exist."""
+        columns = np.hstack(
+            [
+                *(model.projection[:, layout.link(k)] for k in links),
+                model.projection[:, layout.rotors][:, rotors] / robot.gear_ratios[rotors] ** 2,
+            ]
+        )
+        usual = np.where(arm.armature[rotors] > 0, arm.armature[rotors], 0.1 * np.maximum(inertia[rotors], 1e-6))
+        wanted = target + columns @ np.concatenate([*own, arm.armature[rotors]])
+        blocks, armature = nearest(columns, wanted, weight, own, usual, reach)
+        missed = columns @ np.concatenate([blocks.ravel(), armature]) - wanted
+        lost = float(missed @ weight @ missed)
+        heavy = any(block[0] > _STRAINED * old[0] > 0 for block, old in zip(blocks, own, strict=True))
+        return blocks, armature, lost, heavy or lost > _LOST * size
+
+    size = float(target @ weight @ target)
+    rotors = sorted(released.rotors)
+    blocks, armature, lost, strained = with_rotors(rotors)
+    if strained and not set(links) <= set(rotors):
+        # what turns with a motor may have been found as a link's, and no body turns about one axis only
+        every = sorted({*rotors, *links})
+        other = with_rotors(every)
+        if not other[3] or other[2] < 0.5 * lost:
+            rotors, (blocks, armature, lost, _) = every, other
+            for k in links:
+                released.rotors.setdefault(k, released.links[k])
     said = []
-    if size > 0 and lost > 0.01 * size:
+    if size > 0 and lost > _LOST * size:
         said.append(
             f"the bodies that fit best could not exist; the nearest that could are written, which lose "
             f"{100 * min(lost / size, 1.0):.0f} % of what moving them gained"
