@@ -20,10 +20,11 @@ import numpy as np
 from agent.diagnosis.calibration import ReleasedSimulator, calibration
 from agent.diagnosis.dataset import Dataset, assemble
 from agent.diagnosis.finding import Finding
+from agent.diagnosis.fit import Fit
 from agent.diagnosis.gap import HeldOutGap, held_out_gap
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.procedure import Search
-from agent.diagnosis.verdict import judge
+from agent.diagnosis.verdict import abstained, judge
 from agent.estimation import FilterSettings, resolve_cutoff
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.recording import Log
@@ -31,6 +32,7 @@ from agent.robot import RobotDescription
 
 _OF_THE_MIDDLE = 1.5  # times the relative error of the joint in the middle is expected of every joint
 _SHARPER = 0.7  # times the error expected before, from where on the data are looked at again
+_BELOW_ZERO = 0.1  # of a friction level without an effect, that chance may take it below zero beside one
 _ROUNDS = 2  # of choosing numbers beside effects and effects beside numbers
 _AS_GOOD = 1.1  # times the squared error left, to where another choice of numbers is as good
 
@@ -104,13 +106,23 @@ def search_simulator(
         share = _expected(dataset, first.moved.residual)
         dataset = expecting(share)
     unit = dataset.fit.reference.scale
+    total = float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
 
     def searching(of: ReleasedSimulator) -> Search:
         return Search(of.moved.fit, without, True, progress, limits, moved=bool(of.groups))
 
     def answer(calibrated: ReleasedSimulator, search: Search) -> Explanation:
         moved = calibrated.moved
-        return Explanation(calibrated, search, *judge(moved, search.run(), moved.fit, unit))
+        finding, gap = judge(moved, search.run(), moved.fit, unit)
+        kept = [k for k in range(len(finding.causes)) if _possible(model, finding.fit, k)]
+        if len(kept) < len(finding.causes):
+            if kept:
+                finding = finding.only(kept, moved.fit)
+            else:
+                closed = 1 - float(np.mean(gap.before**2)) / max(total, 1e-300)
+                finding = finding.without_causes(abstained(closed < limits.explained), moved.fit)
+            finding, gap = judge(moved, finding, moved.fit, unit)
+        return Explanation(calibrated, search, finding, gap)
 
     def settled(entry: Explanation) -> Explanation:
         """Numbers chosen beside its effects, and effects at these numbers, as long as that leaves no more.
@@ -143,7 +155,6 @@ def search_simulator(
 
     given = ReleasedSimulator(dataset, dataset, ())
     search = searching(given)
-    total = float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
     enough, alone = limits.least_share * total, _left_by_one(dataset, search, unit)
     if alone <= enough:
         plain = answer(given, search)
@@ -173,6 +184,17 @@ def _left_by_one(dataset: Dataset, search: Search, unit: np.ndarray) -> float:
     leading = search.scan(dataset.fit).eligible[: dataset.limits.starts]
     fits = (dataset.fit.with_chosen((score.candidate,)) for score in leading)
     return min((float(np.mean(held_out_gap(dataset, fit, unit).after ** 2)) for fit in fits), default=np.inf)
+
+
+def _possible(given: IdentifiedModel, fit: Fit, number: int) -> bool:
+    """Whether an effect can be beside the numbers fitted with it: of such a size, and with no friction below zero."""
+    candidate, (change, effects) = fit.chosen[number], fit.fitted()
+    values = dict(zip(candidate.names, map(float, effects[number]), strict=True))
+    base = len(given.independent)
+    before, level = fit.reference.model.values[base:], (given.values + change)[base:]
+    own = [k for k, term in enumerate(given.terms) if term.axle in candidate.joints]
+    drives = all(level[k] >= -_BELOW_ZERO * abs(before[k]) for k in own)
+    return drives and candidate.effect.plausible(candidate.settings, values)
 
 
 def _expected(dataset: Dataset, residual: np.ndarray) -> float:

@@ -20,6 +20,7 @@ from agent.model.simulators import load_simulator
 from agent.model.simulators.corrected_file import write_corrected
 from agent.model.simulators.correction import Released, correct
 from agent.model.simulators.xml_text import XmlText
+from agent.robot import ParameterLayout
 
 NAMES = ("pan", "lift", "turn")
 MJCF = """<?xml version="1.0"?>
@@ -445,3 +446,18 @@ def test_a_format_that_the_simulator_does_not_have_is_refused(tmp_path):
     code.write_text("")
     with pytest.raises(InputError, match="fixed_effects"):
         check_simulator_out(tmp_path / "arm.urdf", tmp_path / "fixed.urdf", [code])
+
+
+@pytest.mark.parametrize("kind", PATHS)
+def test_a_rotor_found_as_a_link_becomes_armature_and_no_link_of_tons(tmp_path, kind):
+    given = simulator(tmp_path, kind)
+    layout = ParameterLayout.of(given.model.robot)
+    change = np.zeros(len(given.model.values))
+    change[: len(given.model.independent)] = 2.0 * given.model.projection[:, layout.rotors][:, 1]
+    found = corrected(given, links=(1,), change=change)
+    assert found.arm.carrying[1].own[0] < 3 * given.arm.carrying[1].own[0]
+    q, qd, qdd = np.random.default_rng(2).uniform(-1, 1, (3, 20, 3))
+    time = np.arange(20.0)
+    gained = found.model.predict(q, qd, qdd, time) - given.model.predict(q, qd, qdd, time)
+    np.testing.assert_allclose(gained[:, 1], 2.0 * qdd[:, 1], atol=0.05)
+    assert found.arm.armature[1] == pytest.approx(given.arm.armature[1] + 2.0, abs=0.2)

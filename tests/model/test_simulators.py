@@ -8,6 +8,7 @@ import re
 import runpy
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from agent.diagnosis import diagnose, extended_model, forward_windows
 from agent.diagnosis.dataset import assemble
 from agent.diagnosis.randomisation import ranges, ranges_text
 from agent.diagnosis.rollout import MujocoEngine
-from agent.diagnosis.simulator import with_expected_error
+from agent.diagnosis.simulator import _possible, with_expected_error
 from agent.model import CATALOGUE
 from agent.model.identified import IdentifiedModel
 from agent.model.simulators import load_joint_map, load_simulator
@@ -442,6 +443,22 @@ def test_sharp_friction_of_a_simulator_has_no_part_that_a_delay_would_sharpen(tm
     fit = assemble(model.robot, with_expected_error(model, [late]), [late], None).fit
     (found,) = CATALOGUE["time_delay"].settings(fit, ())
     assert found == {"delay": pytest.approx(1 / RATE, rel=0.2)}
+
+
+def test_an_effect_that_needs_friction_below_zero_or_has_an_impossible_size_is_none(nominal):
+    model, change = nominal[0], np.zeros(len(nominal[0].values))
+    level = len(model.independent)
+
+    def possible(scale: float) -> bool:
+        chosen = SimpleNamespace(effect=CATALOGUE["torque_constant"], joints=(0,), names=("scale_error",), settings={})
+        reference = SimpleNamespace(model=model)
+        fit = SimpleNamespace(chosen=[chosen], fitted=lambda: (change, [[scale]]), reference=reference)
+        return _possible(model, fit, 0)
+
+    assert possible(0.1)
+    assert not possible(2.4)
+    change[level] = -1.2 * model.values[level]
+    assert not possible(0.1)
 
 
 def test_the_corrected_simulator_predicts_the_robot(nominal):

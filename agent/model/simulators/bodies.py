@@ -78,9 +78,8 @@ def nearest(
     Near is by `weight` (b, b), the information of the logs; what these leave open is as near to the file's own `blocks`
     and `rotors` as can be, by relative entropy Σ tr(S₀⁻¹ S) − log det S + Σ J / J₀ − log J (Lee, Wensing and Park, IEEE
     T-RO 36, 2020), which has no end at bodies that could not exist. Newton's method, the distance weighing less and
-    less (Boyd and Vandenberghe, Convex Optimization, 11), but never nothing: a link of tons would fit a little better than
-    one that is there. `reach` [m] of the arm sizes a body that
-    the file gives no extent.
+    less (Boyd and Vandenberghe, Convex Optimization, 11), but never nothing: a link of tons would fit a little better.
+    `reach` [m] of the arm sizes a body that the file gives no extent.
     """
     mass = max(sum(max(block[0], 0.0) for block in blocks), 1e-3)
     bodies = [block if is_body(block) else nearby_body(block, 0.02 * mass, reach) for block in blocks]
