@@ -1,4 +1,10 @@
-"""A rigid arm fitted to samples by plain least squares, as often as mistakes are tried on them."""
+"""A rigid arm fitted to samples by plain least squares, and how well it predicts what was held out.
+
+Mistakes are judged by likelihood: with e_j the squared error of joint j on a part of the logs held out, a mistake gains
+Σ_j log(e_j as it is / e_j with it undone), twice the log-likelihood ratio for each independent sample when the noise of
+every joint is estimated too. No unit and no joint with much torque decides it alone. Its mean over the parts, and its
+scatter between them, say whether that is chance.
+"""
 
 from __future__ import annotations
 
@@ -8,48 +14,123 @@ import numpy as np
 
 from agent.robot import RobotDescription
 
+FOLDS = 8  #: parts of every log that are held out in turn
+_ROUNDS = 3  # of weights from residuals
+_PRIOR_WEIGHT = 10.0  # independent samples that the sizes of parameters count for
+_DOUBT = 2.5  # standard deviation of a parameter, relative to the largest that the torques could hold
+_LINK_RADIUS = 0.5  # of the reach: the size of such a link
+_LEAST = 1e-10  # squared error of a joint, relative to its torque, below which round-off begins
+
 
 @dataclass(frozen=True, eq=False)
 class FitSamples:
-    """S low-passed samples: q, qd, qdd, torque and the direction of motion, all (S, n); so many are independent."""
+    """S low-passed samples: q, qd, qdd, torque and the direction of motion, all (S, n), and the `fold` (S,) that each
+    is held out with; so many are `independent`."""
 
     q: np.ndarray
     qd: np.ndarray
     qdd: np.ndarray
     torque: np.ndarray
     direction: np.ndarray
+    fold: np.ndarray
     independent: float
-
-    def thinned(self, every: int) -> FitSamples:
-        """Every k-th."""
-        signals = (self.q, self.qd, self.qdd, self.torque, self.direction)
-        q, qd, qdd, torque, direction = (values[::every] for values in signals)
-        return FitSamples(q, qd, qdd, torque, direction, self.independent)
 
 
 class Bodies:
-    """Rigid links and rotors of a robot, read once for many fits."""
+    """Rigid links and rotors of a robot, with Coulomb and viscous friction of its axles and offsets of its joints."""
 
     def __init__(self, robot: RobotDescription):
         from agent.robot import Dynamics
 
         self.robot = robot
-        self._dynamics = Dynamics(robot)
-        self._last: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self.dynamics = Dynamics(robot)
 
-    def of(self, samples: FitSamples) -> np.ndarray:
-        """(S, n, 11 n) along the samples; many a mistake is one of torque alone, and has the motion of another."""
-        key = id(samples.q)
-        if key not in self._last:
-            self._last = dict([*self._last.items()][:1])  # the motion as it is, and one of a mistake
-            self._last[key] = samples.q, self.regressor(samples.q, samples.qd, samples.qdd)
-        return self._last[key][1]
+    def columns(self, s: FitSamples) -> np.ndarray:
+        """(S, n, 14 n) along the samples."""
+        count, n = s.q.shape
+        coupling = self.robot.coupling
+        friction = [coupling.T[None] * column[:, None, :] for column in (s.direction, s.qd @ coupling.T)]
+        offset = np.broadcast_to(np.eye(n)[None], (count, n, n))
+        return np.concatenate([self.regressor(s.q, s.qd, s.qdd), *friction, offset], axis=2)
 
     def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-        """(S, n, 11 n)."""
+        """(S, n, 11 n) of links and rotors."""
         from agent.robot import rotor_regressor
 
-        return np.concatenate([self._dynamics.regressor(q, qd, qdd), rotor_regressor(self.robot, qdd)], axis=2)
+        return np.concatenate([self.dynamics.regressor(q, qd, qdd), rotor_regressor(self.robot, qdd)], axis=2)
+
+    def reach(self) -> float:
+        """[m] of the tip, as far as random postures show it."""
+        q = np.random.default_rng(0).uniform(-3, 3, (50, self.robot.dof))
+        return max(float(np.linalg.norm(self.dynamics.tip_pose(q)[:, :3, 3], axis=1).max()), 0.1)
+
+    def precision(self, s: FitSamples) -> np.ndarray:
+        """(14 n,) of a prior that knows of the parameters only what these torques could lift, speed up or rub."""
+        n = self.robot.dof
+        torque = np.maximum(np.abs(s.torque).max(axis=0), 1e-9)
+        reach = self.reach()
+        gravity = max(float(np.linalg.norm(self.robot.gravity)), 1.0)
+        mass, radius = torque.max() / gravity / reach, _LINK_RADIUS * reach
+        link = _DOUBT * mass * np.array([1.0, *[radius] * 3, *[radius**2] * 6])
+        acceleration = np.maximum(np.abs(s.qdd).max(axis=0), 0.01 * self.robot.max_acceleration)
+        speed = np.maximum(np.abs(s.qd).max(axis=0), 1e-6 * self.robot.max_velocity)
+        rotors = torque / acceleration / self.robot.gear_ratios**2
+        rows_each = max(1.0, len(s.q) / max(s.independent, 1.0))
+        return (
+            _PRIOR_WEIGHT * rows_each / np.concatenate([np.tile(link, n), rotors, torque, torque / speed, torque]) ** 2
+        )
+
+
+class HeldOutFit:
+    """Second moments of a motion's columns with themselves and with every joint's torque, per fold and joint.
+
+    Torques that are swapped or flipped are fits to the same moments.
+    """
+
+    def __init__(self, bodies: Bodies, s: FitSamples, precision: np.ndarray):
+        columns = bodies.columns(s)
+        folds = [np.flatnonzero(s.fold == fold) for fold in range(FOLDS)]
+        self._precision = precision
+        self._rows = np.array([len(rows) for rows in folds])
+        self._torque = np.array([np.sum(s.torque[rows] ** 2, axis=0) for rows in folds])
+        centred = s.torque - s.torque.mean(axis=0)
+        self._alone = np.array([np.sum(centred[rows] ** 2, axis=0) for rows in folds])
+        parts = [[columns[rows, joint] for joint in range(s.q.shape[1])] for rows in folds]
+        self._own = np.array([[part.T @ part for part in joints] for joints in parts])
+        self._with = np.array(
+            [[s.torque[rows].T @ part for part in joints] for rows, joints in zip(folds, parts, strict=True)]
+        )
+
+    def errors(self, order: np.ndarray, sign: np.ndarray) -> np.ndarray:
+        """(FOLDS, n) squared error held out of every torque channel, at most that of a constant torque.
+
+        Joint j has the torque of channel order[j], times sign[j].
+        """
+        joints = np.arange(len(order))
+        own, cross = self._own, self._with[:, joints, order] * sign[:, None]
+        torque = self._torque[:, order]
+        own_all, cross_all, torque_all = own.sum(axis=0), cross.sum(axis=0), torque.sum(axis=0)
+        least = _LEAST * torque_all + 1e-300
+        left = torque_all
+        for _ in range(_ROUNDS):
+            weights = self._rows.sum() / np.maximum(left, least)
+            left = _squared(self._solve(own_all, cross_all, weights), own_all, cross_all, torque_all)
+        weights = self._rows.sum() / np.maximum(left, least)
+        errors = np.empty(torque.shape)
+        for fold in range(FOLDS):
+            solution = self._solve(own_all - own[fold], cross_all - cross[fold], weights)
+            errors[fold, order] = np.maximum(_squared(solution, own[fold], cross[fold], torque[fold]), least)
+        return np.minimum(errors, np.maximum(self._alone, least[np.argsort(order)]))
+
+    def _solve(self, own: np.ndarray, cross: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        matrix = np.tensordot(weights, own, axes=1) + np.diag(self._precision)
+        scale = 1 / np.sqrt(np.diag(matrix))
+        return scale * np.linalg.solve(matrix * np.outer(scale, scale), scale * (weights @ cross))
+
+
+def _squared(solution: np.ndarray, own: np.ndarray, cross: np.ndarray, torque: np.ndarray) -> np.ndarray:
+    """(n,) squared error of a solution (p,) from moments (n, p, p), (n, p), (n,)."""
+    return torque - 2 * cross @ solution + (own @ solution) @ solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +151,7 @@ class Solved:
 def solved(bodies: Bodies, s: FitSamples) -> Solved:
     """Rigid links, rotors, Coulomb, viscous and offset, by least squares with every joint weighted alike."""
     count, n = s.q.shape
-    own = np.eye(n)[None]
-    coupling = bodies.robot.coupling.T[None]
-    axle = s.qd @ bodies.robot.coupling.T, s.direction
-    friction = [coupling * column[:, None, :] for column in (axle[1], axle[0])]
-    rigid = bodies.of(s)
-    columns = np.concatenate([rigid, *friction, np.broadcast_to(own, (count, n, n))], axis=2)
+    columns = bodies.columns(s)
     scale = np.sqrt(np.mean(s.torque**2, axis=0))
     scale = np.where(scale > 0, scale, 1.0)
     a = (columns / scale[None, :, None]).reshape(count * n, -1)

@@ -72,6 +72,59 @@ def test_gravity_in_another_direction_is_named(healthy):
     assert "gravity in the base frame looks like (0, 0, -9.807)" in found
 
 
+DOWN = r"gravity in the base frame looks like \(0, 0, -9.807\)"
+
+
+@pytest.mark.parametrize("gravity", [(9.80665, 0.0, 0.0), (0.0, -9.80665, 0.0), (0.0, 0.0, 9.80665)])
+@pytest.mark.parametrize(
+    ("robot", "logs"),
+    [("kr300/robot_none.yaml", ("kr300/A", "kr300/B")), ("tiago/robot.yaml", ("tiago/held",))],
+    ids=["kr300", "tiago"],
+)
+def test_gravity_in_another_direction_is_named_on_real_arms(shared_data, robot, logs, gravity):
+    described = load_robot(str(shared_data / f"real-dev/{robot}"))
+    recorded = [read_log(shared_data / f"real-dev/{name}.mcap", described) for name in logs]
+    (found,) = plausibility_warnings(replace(described, gravity=gravity), recorded)
+    assert re.search(DOWN, found), found
+
+
+@pytest.mark.parametrize("gravity", [(9.80665, 0.0, 0.0), (-9.80665, 0.0, 0.0), (0.0, 0.0, 9.80665)])
+def test_gravity_that_a_pendulum_follows_in_any_direction_is_told_by_its_described_mass(shared_data, gravity):
+    robot = load_robot(str(shared_data / "real-dev/bam_xl330/robot.yaml"))
+    logs = [
+        read_log(shared_data / f"real-dev/bam_xl330/kp400_{name}.mcap", robot) for name in ("sin_sin", "up_and_down")
+    ]
+    (found,) = plausibility_warnings(replace(robot, gravity=gravity), logs)
+    assert re.search(DOWN, found), found
+    unmeasured = replace(
+        robot, gravity=gravity, urdf=re.sub(r"<inertial>.*?</inertial>", "", robot.urdf, flags=re.DOTALL)
+    )
+    assert not plausibility_warnings(unmeasured, logs)  # these torques alone cannot tell
+
+
+def test_a_thousand_times_the_described_weight_is_nmm(shared_data):
+    """The drives' torques are not in this description, and a block of steel of its reach would do."""
+    robot = load_robot(str(shared_data / "real-dev/bam_xl330/robot.yaml"))
+    log = read_log(shared_data / "real-dev/bam_xl330/kp400_sin_sin.mcap", robot)
+    joints = tuple(replace(joint, nominal_motor_torque=None) for joint in robot.joints)
+    (found,) = plausibility_warnings(replace(robot, joints=joints), [replace(log, effort=1000 * log.effort)])
+    assert "torques look like N·mm" in found
+
+
+@pytest.mark.parametrize("swapped", [False, True], ids=["flipped", "swapped"])
+def test_a_joint_of_a_real_arm_with_its_torque_in_the_wrong_place_is_named(shared_data, swapped):
+    robot = load_robot(str(shared_data / "real-dev/kr300/robot_none.yaml"))
+    logs = [read_log(shared_data / f"real-dev/kr300/{name}.mcap", robot) for name in "AB"]
+    order = [0, 1, 3, 2, 4, 5] if swapped else list(range(6))
+    change = (lambda values: values[:, order]) if swapped else turned
+    wrong = [
+        replace(log, position=change(log.position), effort=change(log.effort), velocity=None, reference_position=None)
+        for log in logs
+    ]
+    reason = "joint_3 and joint_4 look swapped" if swapped else "position and torque of joint_2 look flipped"
+    assert plausibility_warnings(robot, wrong)[0].startswith(reason)
+
+
 @pytest.mark.parametrize(
     ("robot", "logs"),
     [
