@@ -208,7 +208,8 @@ def _samples(logs: Sequence[Log]) -> FitSamples | None:
     rows, fold = rows[::every], np.concatenate([*folds, np.empty(0, dtype=int)])[::every]
     if len(rows) * rows.shape[1] // 5 < 100:
         return None
-    return FitSamples(*np.split(rows, 5, axis=1), fold, independent)
+    q, qd, qdd, torque, direction = np.split(rows, 5, axis=1)
+    return FitSamples(q, qd, qdd, torque, direction, fold, independent)
 
 
 def _mechanics(robot: RobotDescription, samples: FitSamples) -> Iterator[str]:
@@ -270,7 +271,9 @@ def _mistakes(
     """Fits to the motion as it would be without a mistake, each with the mistakes it can undo, the likelier first."""
     robot = bodies.robot
     names, n = robot.joint_names, robot.dof
-    everyone, given, signs = tuple(range(n)), np.arange(n), np.ones(n)
+    everyone = tuple(range(n))
+    given: np.ndarray = np.arange(n)
+    signs: np.ndarray = np.ones(n)
     turning = ~np.array([joint.prismatic for joint in robot.joints])
 
     def fit(of: Bodies = bodies, scale: np.ndarray = signs, order: np.ndarray = given) -> HeldOutFit:
@@ -285,7 +288,7 @@ def _mistakes(
     yield fit(scale=degrees), [("positions look like degrees", given, signs, everyone)]
     for k in range(n):
         sign = np.where(given == k, -1.0, 1.0)
-        turned = [(f"position and torque of {names[k]} look flipped", given, sign, (k,))]
+        turned: list[_Mistake] = [(f"position and torque of {names[k]} look flipped", given, sign, (k,))]
         if driven[k]:
             yield plain, [(f"the torque of {names[k]} looks flipped", given, sign, (k,))]
             turned.insert(0, (f"the position of {names[k]} looks flipped", given, signs, (k,)))
@@ -295,7 +298,7 @@ def _mistakes(
         order[[a, b]] = b, a
         who = f"{names[a]} and {names[b]}"
         yield plain, [(f"the torques of {who} look swapped", order, signs, (a, b))]
-        both = [(f"the positions of {who} look swapped", given, signs, (a, b))]
+        both: list[_Mistake] = [(f"the positions of {who} look swapped", given, signs, (a, b))]
         # a slide in the place of a turning joint changes what the columns are, and may fit better whatever the truth
         if turning[a] == turning[b]:
             both.append((f"{who} look swapped", order, signs, (a, b)))
