@@ -63,7 +63,8 @@ def _panel(
     for value, text in steps(across.low, across.high, int(wide / _TICK_WIDE) + 1):
         place = float(across(np.array(value)))
         grid.append(f"M{place:.1f} {top:.1f}V{top + tall + 3.0:.1f}")
-        yield text_at(place, top + tall + 13.0, text, _TEXT, "middle")
+        inside = min(place, WIDTH - 0.5 * _TEXT * LETTER * len(text))
+        yield text_at(inside, top + tall + 13.0, text, _TEXT, "middle")
     for value, text in ticks(up.low, up.high, int(tall / _TICK_TALL) + 1):
         place = float(up(np.array(value)))
         grid.append(f"M{left - 3.0:.1f} {place:.1f}H{left + wide:.1f}")
