@@ -181,12 +181,11 @@ def _check_folder(folder: Path) -> None:
 
 
 def _other_test(pairs: Sequence[OpenPair]) -> str:
-    """What could still tell, by the knowledge that the open effects carry."""
+    """What could still tell the most urgent pair apart, by the knowledge that its effects carry."""
     from agent.model import CATALOGUE
 
-    names = {name for pair in pairs for name in pair.names if name in CATALOGUE}
-    experiment = min(CATALOGUE[name].experiment for name in names)
-    return f"another posture, load or temperature may: {experiment.motion}"
+    looks = [f"for {name}, {CATALOGUE[name].look_at}" for name in dict.fromkeys(pairs[0].names) if name in CATALOGUE]
+    return f"another posture, load or temperature may, or a look at the arm: {'; '.join(looks)}"
 
 
 def _with_a_mass(found: Diagnosis, pairs: Sequence[OpenPair], problem: LoopProblem, seconds: float, seed: int) -> str:

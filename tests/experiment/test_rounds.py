@@ -10,8 +10,9 @@ import pytest
 
 from agent.core import sha256_text, write_atomically
 from agent.core.console import Console
+from agent.model import CATALOGUE
 from agent.pipeline import until_sure as module
-from agent.pipeline.next_experiment import NextMotion
+from agent.pipeline.next_experiment import NextMotion, _other_test
 from agent.pipeline.until_sure import until_sure
 from agent.recipe import load_recipe, template
 from agent.report.page import Page, render
@@ -150,6 +151,13 @@ def test_motions_that_are_not_released_end_the_rounds_with_what_was_found(ask):
 def test_a_motion_helps_that_tells_one_of_two_of_which_the_other_can_always_be_it(before, after, helps):
     experiment = SimpleNamespace(expected=[SimpleNamespace(before=before, after=after)])
     assert NextMotion(experiment, "", (), None).helps() is helps  # type: ignore[arg-type]
+
+
+def test_where_no_motion_helps_it_says_where_to_look_for_either():
+    pairs = [SimpleNamespace(names=names) for names in (("torque_offset", "none"), ("stribeck", "presliding"))]
+    text = _other_test(pairs)  # type: ignore[arg-type]
+    assert CATALOGUE["torque_offset"].look_at in text
+    assert CATALOGUE["stribeck"].look_at not in text, "the most urgent pair"
 
 
 def test_the_page_has_question_motion_and_answer_of_every_round(ask):
