@@ -57,9 +57,9 @@ def test_a_turn_that_is_cut_by_less_than_the_margin_is_no_delay(swing, turn, sca
     """Late on the way in, early on the way out, wherever in the turn the pace was last compared."""
     margin, ramp = 0.08, 0.45
     chain = out_and_back(swing(), turn, ramp)
-    wider = ramp + 2 * cut * margin / watcher(chain)._path.levers[0]
-    cutting = paced(out_and_back(chain, turn, wider), scale)
-    assert follow(watcher(chain, margin=margin), cutting, chunk=64) is None
+    check = watcher(chain, margin=margin)
+    wider = ramp + 2 * cut * margin / check._path.levers[0]
+    assert follow(check, paced(out_and_back(chain, turn, wider), scale), chunk=64) is None
 
 
 def test_half_the_speed_is_seen_within_a_second(swing):
