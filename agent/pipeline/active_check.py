@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -85,7 +85,7 @@ class ActiveRun:
     """One run: what is said after its first motions, and after every further one of every way."""
 
     def __init__(self, world: ActiveWorld, case: Case, folder: Path):
-        self._world, self._case, self._check = world, case, folder
+        self._world, self._case = world, case
         self._folder = folder / "runs" / f"{case.number:04d}"
         #: Machines are numbered as they come: their seed would tell of the key.
         self._machine = folder / "machines" / f"{case.number // world.group:04d}"
@@ -128,7 +128,7 @@ class ActiveRun:
         path = self._folder / f"{name}.json"
         return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
-    def _kept(self, name: str, make: Any) -> dict[str, Any]:
+    def _kept(self, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """An answer, made where it is not there yet."""
         path = self._folder / f"{name}.json"
         if not path.exists():
