@@ -14,7 +14,7 @@ import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -103,7 +103,7 @@ class ActiveRun:
             for number in range(1, rounds + 1):
                 if last.get("verdict") in _SETTLED:
                     break
-                said = self._kept(f"{way}{number}", lambda w=way, n=number: self._further(w, n))
+                said = self._kept(f"{way}{number}", partial(self._further, way, number))
                 if "result" not in said:
                     break
                 last = said["result"]
