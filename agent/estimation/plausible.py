@@ -217,7 +217,7 @@ def _mechanics(robot: RobotDescription, samples: FitSamples) -> Iterator[str]:
     names = robot.joint_names
     if not plain.enough:
         return
-    pushed = np.flatnonzero(plain.pushing > np.maximum(_DRIVING, _SIGNIFICANT * plain.deviation))
+    pushed = _driven_on(plain)
     still = np.flatnonzero(np.ptp(samples.q, axis=0) < 1e-6)
     share = f"a rigid arm explains {100 * max(0.0, 1 - plain.unexplained):.0f} % of the torque, whatever its parameters"
     size = np.std(samples.torque, axis=0)
@@ -241,6 +241,10 @@ def _mechanics(robot: RobotDescription, samples: FitSamples) -> Iterator[str]:
         yield from described_gravity_doubts(robot, samples.q, plain.gravity, samples.torque)
 
 
+def _driven_on(fit: _Fit) -> np.ndarray:
+    return np.flatnonzero(fit.pushing > np.maximum(_DRIVING, _SIGNIFICANT * fit.deviation))
+
+
 def _likeliest(robot: RobotDescription, samples: FitSamples, pushed: np.ndarray, pushing: np.ndarray) -> str | None:
     """The mistake that explains clearly more of what is held out than the log as it is; None where none does.
 
@@ -260,9 +264,11 @@ def _likeliest(robot: RobotDescription, samples: FitSamples, pushed: np.ndarray,
             after = fit.errors(order, sign)
             gains = np.log(before / after).sum(axis=1)
             if gains.mean() > max(_GAIN, _CERTAIN * gains.std(ddof=1) / np.sqrt(FOLDS)):
-                tried.append((float(gains.mean()), what))
-    best = max((gain for gain, _ in tried), default=0.0)
-    return next((what for gain, what in tried if gain > best - _AS_GOOD), None)
+                tried.append((float(gains.mean()), what, fit.bodies.robot, fit.undone(order, sign)))
+    # what would drive joints on is no better an arm
+    tried = [each for each in tried if not len(_driven_on(_fit(each[2], each[3])))]
+    best = max((gain for gain, *_ in tried), default=0.0)
+    return next((what for gain, what, *_ in tried if gain > best - _AS_GOOD), None)
 
 
 def _mistakes(

@@ -8,7 +8,7 @@ scatter between them, say whether that is chance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -89,6 +89,7 @@ class HeldOutFit:
 
     def __init__(self, bodies: Bodies, s: FitSamples, precision: np.ndarray):
         columns = bodies.columns(s)
+        self.bodies, self._samples = bodies, s
         folds = [np.flatnonzero(s.fold == fold) for fold in range(FOLDS)]
         self._precision = precision
         self._rows = np.array([len(rows) for rows in folds])
@@ -100,6 +101,10 @@ class HeldOutFit:
         self._with = np.array(
             [[s.torque[rows].T @ part for part in joints] for rows, joints in zip(folds, parts, strict=True)]
         )
+
+    def undone(self, order: np.ndarray, sign: np.ndarray) -> FitSamples:
+        """The samples with the torque of channel order[j], times sign[j], on every joint j."""
+        return replace(self._samples, torque=self._samples.torque[:, order] * sign)
 
     def errors(self, order: np.ndarray, sign: np.ndarray) -> np.ndarray:
         """(FOLDS, n) squared error held out of every torque channel, at most that of a constant torque.
