@@ -18,6 +18,7 @@ _CLEARANCE = 2.0  # durations before and after, where no window comes near it
 _BORDER = 0.3  # s from where a motion's samples begin: what there is before tells whether that is quiet
 _ALONE = 2.0  # times the window at the same place of another cycle
 _MAX_PUSHES, _LEAST_GAIN_RATIO = 6, 0.1  # pushes, and part of the strongest one's gain that another has
+_EDGE_STEPS, _EDGE_PARTS = 8, 40  # by which either end of a push is moved to fit, of so many parts of its length each
 _LINKS = 3  # tried as the one that all pushes are on
 
 
@@ -105,9 +106,28 @@ class _Push:
 
 
 @dataclass(frozen=True, eq=False)
+class _Sums:
+    """Running sums over the rows of one motion, time (S',) [s]: moments (S', 3, 3) of the columns of a force, and with
+    the error (S', 3)."""
+
+    time: np.ndarray
+    gram: np.ndarray
+    side: np.ndarray
+
+    def gains(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """(K,) what a constant force takes away from `starts` to `ends` (K,) [s]."""
+        first = np.searchsorted(self.time, starts)
+        last = np.minimum(np.searchsorted(self.time, ends), len(self.time) - 1)
+        moments = self.gram[last] - self.gram[first]
+        moments += 1e-6 * np.trace(moments, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
+        pull = self.side[last] - self.side[first]
+        return np.asarray(np.einsum("ka,ka->k", pull, np.linalg.solve(moments, pull[:, :, None])[:, :, 0]))
+
+
+@dataclass(frozen=True, eq=False)
 class _Windows:
-    """All windows of a length in one motion: starts (K,) [s], gain (K,) of a force on a link; `again` (K,) is the
-    largest gain at the same place of another cycle."""
+    """All windows of a length in one motion: starts (K,) [s], gain (K,) of a force on a link, from its `sums`; `again`
+    (K,) is the largest gain at the same place of another cycle."""
 
     link: int
     log: int
@@ -115,6 +135,7 @@ class _Windows:
     starts: np.ndarray
     gain: np.ndarray
     cycle_starts: Sequence[float]
+    sums: _Sums
 
     @classmethod
     def of(cls, link: int, signals: MotionSignals, residual: np.ndarray, sigma: np.ndarray) -> Iterator[_Windows]:
@@ -125,17 +146,13 @@ class _Windows:
         gram = np.cumsum(np.einsum("san,sbn->sab", columns, columns), axis=0)
         side = np.cumsum(np.einsum("san,sn->sa", columns, residual / sigma), axis=0)
         time = signals.time[signals.kept]
+        sums = _Sums(time, gram, side)
         for duration in _DURATIONS:
             starts = np.arange(time[0], time[-1] - duration, _STARTS)
             if len(starts) == 0:
                 return
-            first = np.searchsorted(time, starts)
-            last = np.minimum(np.searchsorted(time, starts + duration), len(time) - 1)
-            moments = gram[last] - gram[first]
-            moments += 1e-6 * np.trace(moments, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
-            pull = side[last] - side[first]
-            gain = np.einsum("ka,ka->k", pull, np.linalg.solve(moments, pull[:, :, None])[:, :, 0])
-            yield cls(link, signals.log_index, duration, starts, gain, signals.cycle_starts)
+            gain = sums.gains(starts, starts + duration)
+            yield cls(link, signals.log_index, duration, starts, gain, signals.cycle_starts, sums)
 
     def best(self, taken: Sequence[_Push]) -> _Push | None:
         """The strongest window beside those taken."""
@@ -145,6 +162,22 @@ class _Windows:
         if not np.isfinite(gain[at]):
             return None
         return _Push(float(gain[at]), self.link, self.log, float(self.starts[at]), self.duration)
+
+    def fitted(self, push: _Push, taken: Sequence[_Push]) -> _Push:
+        """A push of these windows with both ends where it gains most: what it leaves out would be seen beside it."""
+        step = max(_STARTS, push.duration / _EDGE_PARTS)
+        moved = step * np.arange(-_EDGE_STEPS, _EDGE_STEPS + 1)
+        starts, ends = (part.ravel() for part in np.meshgrid(push.start + moved, push.start + push.duration + moved))
+        free = (starts >= self.starts[0] + _BORDER) & (ends <= self.sums.time[-1])
+        free &= ends - starts >= _DURATIONS[0] - 1e-9
+        for other in taken:
+            free &= (other.log != self.log) | (starts >= other.start + other.duration) | (ends <= other.start)
+        if not free.any():
+            return push
+        starts, ends = starts[free], ends[free]
+        gain = self.sums.gains(starts, ends)
+        at = int(np.argmax(gain))
+        return _Push(float(gain[at]), self.link, self.log, float(starts[at]), float(ends[at] - starts[at]))
 
     def beside(self, taken: Sequence[_Push]) -> np.ndarray:
         """Gains of the windows that share no time with those taken."""
@@ -184,11 +217,13 @@ def _strongest(windows: Sequence[_Windows]) -> list[_Push]:
     """The strongest windows that do not overlap, as far as they stand out; strongest first."""
     taken: list[_Push] = []
     while len(taken) < _MAX_PUSHES:
-        candidates = [push for push in (w.best(taken) for w in windows) if push is not None]
-        push = max(candidates, key=lambda push: push.gain, default=None)
-        if push is None or (taken and push.gain < _LEAST_GAIN_RATIO * taken[0].gain):
+        candidates = [(push, w) for w in windows if (push := w.best(taken)) is not None]
+        if not candidates:
             break
-        taken.append(push)
+        push, of_length = max(candidates, key=lambda pair: pair[0].gain)
+        if taken and push.gain < _LEAST_GAIN_RATIO * taken[0].gain:
+            break
+        taken.append(of_length.fitted(push, taken))
     while taken:
         if all(_stands_out(push, taken, windows) for push in taken):
             return taken
@@ -198,10 +233,12 @@ def _strongest(windows: Sequence[_Windows]) -> list[_Push]:
 
 def _stands_out(push: _Push, taken: Sequence[_Push], windows: Sequence[_Windows]) -> bool:
     of_link = [w for w in windows if w.link == push.link]
-    alike = [w for w in of_link if w.duration == push.duration]
+    here = [w for w in of_link if w.log == push.log]
+    as_long = min((w.duration for w in here), key=lambda duration: abs(duration - push.duration))
+    scale = push.duration / as_long
     usual = _usual(push, taken, of_link)
-    again = max((w.again(push) for w in alike if w.log == push.log), default=0.0)
-    near = max((w.near(push) for w in alike if w.log == push.log), default=0.0)
+    again = scale * max((w.again(push) for w in here if w.duration == as_long), default=0.0)
+    near = scale * max((w.near(push) for w in here if w.duration == as_long), default=0.0)
     shortest = [w for w in of_link if w.duration == _DURATIONS[0] and w.log == push.log]
     near = max(near, push.duration * max((w.beside_edges(push) for w in shortest), default=0.0))
     return push.gain > max(_STANDS_OUT * usual, _STANDS_OUT * near, _ALONE * again)

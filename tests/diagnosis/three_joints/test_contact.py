@@ -64,7 +64,7 @@ def forces(found):
     )
 
 
-@pytest.mark.parametrize("times", [[(2.0, 2.6)], [(1.2, 2.0), (6.9, 7.5)], [(1.0, 7.0)]])
+@pytest.mark.parametrize("times", [[(2.0, 2.6)], [(1.2, 2.0), (6.9, 7.5)], [(1.0, 7.0)], [(1.22, 2.78), (8.0, 9.56)]])
 def test_pushes_are_found_on_their_link_with_force_and_times(arm, model, free, times):
     found = forces(best(arm, model, [pushed(arm, free[0], "link_3", times), free[1]]))
     assert len(found) == len(times)
