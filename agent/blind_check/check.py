@@ -143,7 +143,7 @@ class BlindCheck:
 
     def _judge(self, case: Case) -> dict[str, Any]:
         """The case with its diagnosis, the one without its effect, and the oracle. Logs of clear cases are let go."""
-        from agent.blind_check.size import MATTERS
+        from agent.blind_check.size import kind_by_size
 
         folder = self._folder(case)
         kept = folder / "judged.json"
@@ -154,8 +154,7 @@ class BlindCheck:
         logs = sorted(folder.glob("*.mcap"))
         if case.effects and "error" not in found:
             entry["size"] = self._world.size(case, folder, self._model(case).with_suffix(""))
-            if case.kind == "one" and entry["size"] < MATTERS:
-                entry["kind"] = "small"
+            entry["kind"] = kind_by_size(case.kind, entry["size"])
         if case.kind in ("one", "two") and "error" not in found:
             entry.update(self._second_opinions(case, found["result"]))
         entry["outcome"] = outcome(entry)

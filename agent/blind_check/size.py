@@ -19,6 +19,14 @@ MATTERS = 0.005
 _MEAN = 25  # samples, against noise
 
 
+def kind_by_size(kind: str, change: float) -> str:
+    """What a run counts as: one effect, of the catalogue or not, that changes less than matters is a small one.
+
+    A torque that is cut off at a level which this motion never reaches is nothing that could be called unknown.
+    """
+    return "small" if kind in ("one", "outside") and change < MATTERS else kind
+
+
 def torque_change(robot: RobotDescription, logs: Sequence[Path], others: Sequence[Path]) -> float:
     """Root mean square change over nominal torque (over N·m without one), on the joint and in the motion of the most.
 

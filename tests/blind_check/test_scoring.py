@@ -7,6 +7,7 @@ from hypothesis import given, strategies as st
 
 from agent.blind_check.report import report_text, summary_text, weak_spots
 from agent.blind_check.scoring import clopper_pearson, outcome, score
+from agent.blind_check.size import kind_by_size
 
 
 def cause(effect, *joints, probability=0.9, equal=()):
@@ -160,3 +161,8 @@ def test_exact_interval_holds_the_share_and_has_the_tails_it_promises(counts):
         assert binom.sf(hits - 1, trials, low) == pytest.approx(0.025, abs=1e-6)
     if hits < trials:
         assert binom.cdf(hits, trials, high) == pytest.approx(0.025, abs=1e-6)
+
+
+def test_an_effect_that_changes_nothing_is_a_small_one():
+    assert [kind_by_size(kind, 0.0) for kind in ("one", "outside", "two", "none")] == ["small", "small", "two", "none"]
+    assert [kind_by_size(kind, 0.01) for kind in ("one", "outside")] == ["one", "outside"]
