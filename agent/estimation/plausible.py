@@ -253,9 +253,8 @@ def _likeliest(robot: RobotDescription, samples: FitSamples, pushed: np.ndarray,
     """
     bodies = Bodies(robot)
     precision = bodies.precision(samples)
-    as_given = np.arange(robot.dof), np.ones(robot.dof)
     plain = HeldOutFit(bodies, samples, precision)
-    before = plain.errors(*as_given)
+    before = plain.errors(np.arange(robot.dof), np.ones(robot.dof))
     tried = []
     for fit, mistakes in _mistakes(bodies, samples, plain, precision, pushing > 0):
         for what, order, sign, about in mistakes:
@@ -265,8 +264,7 @@ def _likeliest(robot: RobotDescription, samples: FitSamples, pushed: np.ndarray,
             gains = np.log(before / after).sum(axis=1)
             if gains.mean() > max(_GAIN, _CERTAIN * gains.std(ddof=1) / np.sqrt(FOLDS)):
                 tried.append((float(gains.mean()), what, fit.bodies.robot, fit.undone(order, sign)))
-    # what would drive joints on is no better an arm
-    tried = [each for each in tried if not len(_driven_on(_fit(each[2], each[3])))]
+    tried = [each for each in tried if not len(_driven_on(_fit(*each[2:])))]  # else it is no better an arm
     best = max((gain for gain, *_ in tried), default=0.0)
     return next((what for gain, what, *_ in tried if gain > best - _AS_GOOD), None)
 
@@ -317,18 +315,21 @@ def _fit(robot: RobotDescription, s: FitSamples) -> _Fit:
     fit = solved(bodies, s)
     count, n = s.q.shape
     total = np.linalg.norm(s.torque)
-    independent = n * min(count, s.independent)
-    spare = independent - np.count_nonzero(fit.known)
+    independent, known = n * min(count, s.independent), np.count_nonzero(fit.known)
     push = _push(robot, s, fit.columns, bodies.regressor) / fit.scale[:, None] / fit.length
-    variance = np.mean(fit.joints**2) * count * n / max(spare, 1e-9)
-    scatter = np.linalg.norm(push @ fit.directions.T / np.maximum(fit.sizes, 1e-7 * fit.sizes[0]), axis=1)
+    variance = max(float(np.mean(fit.joints**2)), _EXACT**4) * count * n / max(independent - known, 1e-9)
+    # with what the torques could hold, or directions that few seconds leave open would push by any amount
+    information = (fit.directions.T * fit.sizes**2) @ fit.directions / variance
+    precision = information + np.diag(bodies.precision(s) * min(1.0, s.independent / count) / fit.length**2)
+    likely = np.linalg.solve(precision, information @ (fit.solution * fit.length))
+    scatter = np.sqrt(np.maximum(np.sum(push * np.linalg.solve(precision, push.T).T, axis=1), 0.0))
     return _Fit(
         fit.joints,
         float(np.linalg.norm(fit.error) / total) if total > 0 else 0.0,
         bodies.regressor(s.q, 0 * s.q, 0 * s.q) @ fit.solution[: 11 * n],
-        push @ (fit.solution * fit.length),
-        np.sqrt(variance) * scatter,
-        bool(independent > _SAMPLES_PER_PARAMETER * np.count_nonzero(fit.known)),
+        push @ likely,
+        scatter,
+        bool(independent > _SAMPLES_PER_PARAMETER * known),
     )
 
 

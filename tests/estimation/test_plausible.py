@@ -168,6 +168,13 @@ def test_two_torques_of_a_real_arm_that_are_swapped_are_named(shared_data):
     assert "the torques of joint_2 and joint_3 look swapped" in plausibility_warnings(robot, swapped)[0]
 
 
+def test_a_flipped_torque_of_a_real_arm_is_not_taken_for_that_of_its_neighbour(shared_data):
+    robot = load_robot(str(shared_data / "real-dev/tiago/robot.yaml"))
+    log = read_log(shared_data / "real-dev/tiago/fit.mcap", robot)
+    (found,) = plausibility_warnings(robot, [replace(log, effort=turned(log.effort, 4))])
+    assert re.match("the torque of arm_4_joint looks flipped|torque and motion of arm_4_joint", found), found
+
+
 def test_an_unsigned_current_of_a_real_arm_is_refused(shared_data):
     robot = load_robot(str(shared_data / "real-dev/so101/robot.yaml"))
     log = read_log(shared_data / "real-dev/so101/custom_motion.mcap", robot)
