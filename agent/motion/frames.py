@@ -52,8 +52,8 @@ def pose_in_robot_base(target: Target, settings: MotionSettings) -> np.ndarray:
 def left_open(statements: Iterable[Statement], tool: Tool | None) -> Mapping[str, np.ndarray]:
     """The frames (4, 4) [m] that a plan of these statements takes for granted, as the program does not set them.
 
-    A move to a pose needs all three, a straight line or an arc between joint positions the tool, a joint move to
-    joint positions none.
+    A move to a pose needs all three, a straight line or an arc between joint positions the tool, and so does a joint
+    move that flies by its target, as the distance from it is the tool's; one that stops there needs none.
     """
     needed: set[str] = set()
     for move in statements:
@@ -62,7 +62,7 @@ def left_open(statements: Iterable[Statement], tool: Tool | None) -> Mapping[str
         if any(isinstance(target, CartesianTarget) for target in (move.target, move.via)):
             names = {*FRAMES}
         else:
-            names = set() if move.type is MoveType.JOINT else {"$TOOL"}
+            names = set() if move.type is MoveType.JOINT and not move.fly else {"$TOOL"}
         needed |= {name for name in names if getattr(move.settings, FRAMES[name]) is None}
     taken = {"$BASE": np.eye(4), "$TOOL": tool_frame(tool), "$UFRAME": np.eye(4)}
     return {name: taken[name] for name in FRAMES if name in needed}

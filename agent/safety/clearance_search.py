@@ -71,12 +71,12 @@ class ClearanceSearch:
             distances = self.model.distances(self._postures(_middle(stretches)), np.any(is_open, axis=0))
             if not (distances >= self.margin).all():
                 return False
-            is_open &= distances - along - aside < self.margin
+            is_open &= ~(distances - along - aside >= self.margin)
             going_on = is_open.any(axis=1)
             if not going_on.any():
                 return True
-            across_u = along[going_on].max(axis=1) >= aside[going_on].max(axis=1)
-            stretches = _halves(stretches[going_on], across_u)
+            across_u = np.where(is_open, along, 0.0).max(axis=1) >= np.where(is_open, aside, 0.0).max(axis=1)
+            stretches = _halves(stretches[going_on], across_u[going_on])
             is_open = np.concatenate([is_open[going_on]] * 2)
         return False
 

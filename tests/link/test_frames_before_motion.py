@@ -118,6 +118,7 @@ def test_a_link_that_reads_no_frames_takes_no_program_that_leaves_them_open():
     ("said", "move", "names"),
     [
         ("", "MOVE JOINT TO {0, 0, -90, 0, 5, 0}", []),
+        ("", "MOVEFLY JOINT TO {0, 0, -90, 0, 5, 0} ADVANCE", ["$TOOL"]),
         ("", "MOVE LINEAR TO {0, 0, -90, 0, 5, 0}", ["$TOOL"]),
         ("", "MOVE JOINT TO POS(1000, 0, 800, 0, 180, 0)", ["$BASE", "$TOOL", "$UFRAME"]),
         ("$TOOL := POS(0, 0, 0, 0, 0, 0)", "MOVE LINEAR TO POS(1000, 0, 800, 0, 180, 0)", ["$BASE", "$UFRAME"]),
