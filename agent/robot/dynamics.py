@@ -62,7 +62,8 @@ class Dynamics:
         if len(q) >= _MANY:
             # All in one call, on one thread: two are slower.
             samples = (np.asarray(values, dtype=float).T for values in (q, qd, qdd))
-            return np.asarray(pin.rneaInParallel(1, pin.ModelPool(self._model, 1), *samples).T)
+            torque = pin.rneaInParallel(1, pin.ModelPool(self._model, 1), *samples)
+            return np.asarray(torque).reshape(self.dof, -1).T  # of a single joint it is a vector
         torque = np.empty(np.shape(q))
         for k in range(len(torque)):
             torque[k] = pin.rnea(self._model, self._data, q[k], qd[k], qdd[k])

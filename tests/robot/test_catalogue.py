@@ -8,6 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 from agent.robot import RobotDescription, builtin_robots, kinematics_for
 from agent.robot.dynamics import Dynamics, Tool
+from tests.small_arms import make_arm
 
 #: a [m], d [m], alpha [deg], sign, bias [deg] of the standard Denavit-Hartenberg convention.
 DH = (
@@ -71,9 +72,11 @@ def test_holding_the_outstretched_arm_is_within_what_the_motors_can_do(ns16: Rob
     assert (torque < ns16.nominal_torque).all()
 
 
-def test_the_torque_of_many_samples_is_that_of_each(ns16: RobotDescription) -> None:
-    motion = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 200, 6))
-    arm = Dynamics(ns16, Tool(np.eye(4), 2.0, np.array([0.0, 0.0, 0.1])))
+@pytest.mark.parametrize("joints", [1, 3, 6])
+def test_the_torque_of_many_samples_is_that_of_each(ns16: RobotDescription, joints: int) -> None:
+    motion = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 200, joints))
+    robot = ns16 if joints == 6 else make_arm("RPR"[:joints])
+    arm = Dynamics(robot, Tool(np.eye(4), 2.0, np.array([0.0, 0.0, 0.1])))
     for dynamics in (arm, arm.with_parameters(1.1 * arm.standard_parameters())):
         one_by_one = [dynamics.inverse_dynamics(*sample[:, None])[0] for sample in motion.transpose(1, 0, 2)]
         np.testing.assert_array_equal(dynamics.inverse_dynamics(*motion), one_by_one)
