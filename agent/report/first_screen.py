@@ -28,6 +28,8 @@ from agent.robot import SHARE, figure_text
 NOT_TESTABLE = "Not testable here"
 #: Equivalents of a cause that the headline names, at most.
 _MOST_OTHERS = 2
+#: Steps of a simulator's waterfall on the first screen, at most, and the part of the gap from which one is said.
+_MOST_STEPS, _NAMED_STEP = 3, 0.05
 _HEADLINES = {
     "no_gap": "No gap: model and robot agree within what the model's own prediction error allows.",
     "unknown": "There is a gap, and no effect of the catalogue closes it.",
@@ -141,7 +143,7 @@ def about_diagnosis(diagnosis: Diagnosis, next_steps: Sequence[NextStep]) -> Abo
 
 def _facts(diagnosis: Diagnosis) -> list[str]:
     result = diagnosis.result
-    facts = []
+    facts = list(_largest_steps(result)) if diagnosis.calibrated is not None else []
     worst = result["where"][0]["joint"]
     if torque_gap(result):
         own = result["causes"][0]["joints"] if result["causes"] else []
@@ -164,6 +166,15 @@ def _facts(diagnosis: Diagnosis) -> list[str]:
             for one in (cause, *cause["equivalent_to"])
         ]
     return facts
+
+
+def _largest_steps(result: Mapping[str, Any]) -> Iterator[str]:
+    """Of a simulator, what closes most of the gap: numbers that are off may matter more than an effect it has not."""
+    steps = [step for step in result.get("waterfall", ())[:-1] if step["closes"] >= _NAMED_STEP]  # the last: the rest
+    largest = sorted(steps, key=lambda step: -step["closes"])[:_MOST_STEPS]
+    if largest:
+        closing = ", ".join(f"{step['step']} ({100 * step['closes']:.0f} %)" for step in largest)
+        yield f"Most of the gap closes with: {closing}."
 
 
 def _error(result: Mapping[str, Any], joint: str) -> str:

@@ -73,7 +73,8 @@ def _panel(
         middle = f"{left - 45.0:.1f} {top + tall / 2:.1f}"
         unit = text_at(0.0, 0.0, f"[{panel.unit}]", _TITLE, "middle")
         yield f'<g transform="translate({middle}) rotate(-90)">{unit}</g>'
-    pad = 13.0 if len(panel.series) > 2 else 3.0  # a long legend takes the line above the axis
+    crowded = legend and LETTER * _TITLE * len(panel.title) + sum(_legend_sizes(panel)) > wide
+    pad = 13.0 if crowded or len(panel.series) > 2 else 3.0  # a long legend takes the line above the axis
     yield text_at(left, top - pad, panel.title, _TITLE, "start")
     if legend:
         yield from _legend(panel, left, left + wide, top - 3.0)
@@ -145,13 +146,18 @@ def _legend(panel: Panel, left: float, right: float, bottom: float) -> Iterator[
     """One row that ends on the right, smaller where it would be too long."""
     entries = [(one.label, _entry(one)) for one in panel.series]
     entries += [(name, lambda x, y: f'<path d="M{x:.1f} {y:.1f}h{_HANDLE:g}" {_MARK}/>') for name in panel.marks]
-    sizes = [_HANDLE + 3.0 * _GAP + LETTER * _LEGEND * len(label) for label, _ in entries]
+    sizes = _legend_sizes(panel)
     part = min(1.0, (right - left) / sum(sizes))
     place = right - part * sum(sizes)
     for (label, handle), size in zip(entries, sizes, strict=True):
         yield f'<g fill="none">{handle(place, bottom - 2.5)}</g>'
         yield text_at(place + _HANDLE + _GAP, bottom, label, part * _LEGEND, "start")
         place += part * size
+
+
+def _legend_sizes(panel: Panel) -> list[float]:
+    labels = [*(one.label for one in panel.series), *panel.marks]
+    return [_HANDLE + 3.0 * _GAP + LETTER * _LEGEND * len(label) for label in labels]
 
 
 def _entry(one: Series) -> Callable[[float, float], str]:

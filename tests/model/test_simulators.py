@@ -526,6 +526,8 @@ def test_ranges_hold_what_is_true_and_stand_on_the_page(nominal, tmp_path):
     text = ranges_text(ranges(found))
     assert YAML(typ="safe").load(text)["ranges"][0]["of"].startswith("joint ")
     page = diagnosis_report(found)
+    steps = sorted(found.result["waterfall"][:-1], key=lambda step: -step["closes"])
+    assert f"Most of the gap closes with: {steps[0]['step']} ({100 * steps[0]['closes']:.0f} %)" in page
     for title in ("What the simulator gets wrong", "For training policies"):
         assert title in page
     assert html.escape(text, quote=True).replace("&quot;", "&#34;") in page  # the YAML, to be copied

@@ -54,6 +54,17 @@ def test_axes_units_and_labels_are_there_and_are_text():
     assert {"tool", "[m/s]", "time [s]", "speed <v>", "planned", "limit", "-1.0", "0.0", "6"} <= set(shown)
 
 
+@pytest.mark.parametrize(
+    ("title", "above"), [("joint_2", False), ("joint_2, 20261122T183433Z_arm/validation_01", True)]
+)
+def test_a_title_too_long_to_stand_beside_the_legend_stands_above_it(title, above):
+    pair = (CURVE, replace(CURVE, label="with the effects"))
+    panels = tuple(Panel(title, "m/s", pair) for _ in range(2))
+    picture = ElementTree.fromstring(still(Plot("cycle", "Two.", "time", panels, T, "s", columns=2)))
+    heights = {text.text: float(text.get("y")) for text in reversed([*picture.iter(f"{SVG}text")])}
+    assert (heights[title] < heights["with the effects"] - 5.0) == above
+
+
 def test_nothing_is_drawn_where_nothing_is_known():
     values = np.where((T > 2.0) & (T < 3.0), np.nan, np.sin(T))
     band = Series("band", values + 1.0, colour="#009e73", low=values - 1.0)
