@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, contextmanager, suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -210,7 +210,7 @@ class GuardedLink:
         over = False
         lost: DriverError | None = None
 
-        def samples() -> Iterator[SampleBlock]:
+        def samples() -> Generator[SampleBlock, None, None]:
             nonlocal over
             with suppress(*(DriverError,) if lost else ()):  # it only repeats what was lost
                 yield from watch.samples()
@@ -218,7 +218,10 @@ class GuardedLink:
                 raise lost
             over = True
 
-        with stop_to_come():
+        given = samples()
+        # Closed last, after any stop, and here: whoever keeps an error keeps what is left of the samples with it, and
+        # a watch that ends with the interpreter would wait for a thread that is gone.
+        with closing(given), stop_to_come():
             self._to_stop = True
             try:
                 with self._advice("make sure that the arm rests, put that right, then run the command again"):
@@ -229,7 +232,7 @@ class GuardedLink:
                     except DriverError as error:  # the arm may be moving: what came of that is kept, and judged
                         lost, watch.stopped = error, True
                         self._stop()
-                    yield samples()
+                    yield given
             except RefusedError:
                 self._to_stop = False
                 raise

@@ -149,6 +149,16 @@ def test_a_closed_link_is_closed(bench):
         guard.position()
 
 
+def test_whoever_keeps_the_error_of_a_motion_keeps_no_watch_going(bench, program):
+    """The end of the program would wait for it for ever: its thread does not go on then."""
+    guard = bench.open()
+    guard.send(program())
+    with pytest.raises(OSError, match="disk full") as kept:
+        _take_and_raise(guard, program(), OSError, 2)
+    assert kept.value.__traceback__ is not None
+    assert "patience" not in {thread.name for thread in threading.enumerate()}
+
+
 def _take_and_raise(guard: GuardedLink, chosen: PlannedProgram, error: type[BaseException], blocks: int = 1) -> None:
     with guard.motion(chosen) as samples:
         for _ in range(blocks):
