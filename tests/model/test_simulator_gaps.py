@@ -1,0 +1,293 @@
+"""What a simulator of others gets wrong is found, corrected, driven and told."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import runpy
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from agent.core.console import Console
+from agent.diagnosis import diagnose, extended_model, forward_windows
+from agent.diagnosis.dataset import assemble
+from agent.diagnosis.randomisation import ranges, ranges_text
+from agent.diagnosis.simulator import _possible, with_expected_error
+from agent.model import CATALOGUE
+from agent.model.identified import IdentifiedModel
+from agent.model.simulators import load_simulator
+from agent.pipeline.corrected_simulator import write_simulator
+from agent.pipeline.diagnose import GapQuestion, diagnose_again, diagnose_files
+from agent.pipeline.printed_diagnosis import diagnosis_text
+from agent.recording import read_log
+from agent.report.diagnosis_page import diagnosis_report
+from tests.model.bench import (
+    CHAIN,
+    RATE,
+    URDF,
+    recorded,
+    scene,
+    states,
+    written,
+)
+
+
+def test_a_right_simulator_has_no_gap_and_needs_no_description(tmp_path, robot, monkeypatch):
+    monkeypatch.setattr(forward_windows, "_WINDOWS", 2)
+    right = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model
+    logs = [recorded(tmp_path / f"{k}.mcap", right, k) for k in (1, 2)]
+    result = diagnose_files(None, logs, GapQuestion(tmp_path / "arm.urdf", out=tmp_path / "same.urdf"), Console(-1))
+    assert result["verdict"] == "no_gap"
+    assert result["forward"]["before"] == result["forward"]["after"]
+    assert (tmp_path / "same.urdf").read_text() == URDF
+    assert json.loads((tmp_path / "same.changes.json").read_text())["changes"] == []
+    assert result["gap"]["joints"] == ["pan", "lift"]
+    json.dumps(result, allow_nan=False)
+
+
+def wrong(model: IdentifiedModel) -> IdentifiedModel:
+    """The robot that a model is a poor simulator of: it has rotors, more friction on both joints, and lighter links."""
+    standard = np.append(model.standard[:20] * 0.8, [0.5, 0.4])
+    friction = model.values[len(model.independent) :] + [1.5, 1.0, 1.5, 2.0]
+    return replace(model, values=np.append(model.projection @ standard, friction))
+
+
+@pytest.fixture(scope="module")
+def nominal(tmp_path_factory):
+    """A URDF that is wrong in friction, rotors and links: model, robot, diagnosis."""
+    folder = tmp_path_factory.mktemp("nominal")
+    model = load_simulator(written(folder, URDF, "arm.urdf"), None, ("pan", "lift")).model
+    robot = wrong(model)
+    logs = [read_log(recorded(folder / f"{k}.mcap", robot, k), model.robot) for k in (1, 2)]
+    return model, robot, diagnose(model.robot, logs, model)
+
+
+def test_a_simulator_that_is_wrong_in_many_ways_is_corrected_step_by_step(nominal):
+    result = nominal[2].result
+    steps = {entry["step"]: entry for entry in result["waterfall"]}
+    assert sum(entry["closes"] for entry in steps.values()) == pytest.approx(1)
+    assert list(steps)[-1] == "remainder"
+    assert steps["remainder"]["closes"] < 0.03
+    assert steps["remainder"]["alone"] is None
+    assert {"friction of pan", "friction of lift"} <= set(steps)
+    for entry in steps.values():
+        low, high = entry["interval"]
+        assert low <= entry["closes"] <= high
+    assert result["verdict"] in ("explained", "ambiguous")
+    assert {cause["effect"] for cause in result["causes"]} <= {"inertial_mismatch", "friction_change", "payload"}
+    assert result["closure"] > 0.97
+    json.dumps(result, allow_nan=False)
+
+
+def weighing(*masses: float) -> str:
+    """A URDF of three links, of which the last turns with a hundredth of the first one's torque."""
+    shape = ((0.3, 0.8, "0 0 0", "0 1 0"), (0.2, 0.08, "0.6 0 0", "0 1 0"), (0.06, 0.002, "0.4 0 0", "0 0 1"))
+    parts, parent = ['<robot name="uneven"><link name="base"/>'], "base"
+    limit = '<limit lower="-2" upper="2" velocity="3" effort="100"/>'
+    for name, mass, (centre, inertia, origin, axis) in zip(("pan", "lift", "tip"), masses, shape, strict=True):
+        moments = f'ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"'
+        parts.append(
+            f'<link name="{name}_link"><inertial><origin xyz="{centre} 0 0"/><mass value="{mass}"/><inertia {moments}/>'
+            f'</inertial></link><joint name="{name}" type="revolute"><parent link="{parent}"/>'
+            f'<child link="{name}_link"/><origin xyz="{origin}"/><axis xyz="{axis}"/>{limit}</joint>'
+        )
+        parent = f"{name}_link"
+    return "".join([*parts, "</robot>"])
+
+
+FORMS = {
+    "stribeck": lambda w: 0.6 * np.tanh(w / 0.01) / (1 + (w / 0.15) ** 2),
+    "asymmetric_friction": lambda w: 0.5 * (np.abs(np.tanh(w / 0.01)) + 0.5 * np.abs(w)),
+}
+
+
+def uneven(folder: Path, form=lambda w: 0 * w, joint: int = 0, scale: float = 1.0, beside=lambda qd: 0 * qd):
+    """Diagnosis of an arm that weighs otherwise than its file, which has no friction, with one effect on a joint.
+
+    `beside` (S, 3) of speeds is added to what the friction levels are multiplied with.
+    """
+    names = ("pan", "lift", "tip")
+    model = load_simulator(written(folder, weighing(20, 6, 0.8), "given.urdf"), None, names).model
+    right = load_simulator(written(folder, weighing(22, 5.2, 0.7), "right.urdf"), None, names).model
+    levels, there = np.array([10.5, 1.8, 0.22]), np.arange(3) == joint
+    values = right.values.copy()
+    values[len(right.independent) :: 2] += levels
+    values[len(right.independent) + 1 :: 2] += 0.7 * levels
+    robot = replace(right, values=values)
+
+    def added(qd):
+        return (form(qd) * there + beside(qd)) * levels
+
+    paths = [recorded(folder / f"{k}.mcap", robot, k, added) for k in (1, 2)]
+    logs = [read_log(path, model.robot) for path in paths]
+    return diagnose(model.robot, [replace(log, effort=log.effort * np.where(there, scale, 1)) for log in logs], model)
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize(("effect", "joint"), [("stribeck", 2), ("asymmetric_friction", 1)])
+def test_friction_is_named_beside_wrong_numbers_of_larger_joints_though_the_file_has_none(tmp_path, effect, joint):
+    found = uneven(tmp_path, FORMS[effect], joint)
+    named = [(cause["effect"], cause["joints"]) for cause in found.result["causes"]]
+    assert named == [(effect, [("pan", "lift", "tip")[joint]])]
+    if joint == 2:
+        assert found.result["causes"][0]["closure"] < 0.005, "of all joints' gap in N·m"
+        assert "closes less than 1 % of the gap" in diagnosis_report(found)
+
+
+@pytest.mark.verify
+def test_a_small_effect_is_named_beside_a_large_one_and_numbers_moved_in_their_stead_move_no_more(tmp_path):
+    def beside(qd):
+        return np.array([0, 0, 0.3]) * FORMS["stribeck"](qd)
+
+    found = uneven(tmp_path, FORMS["asymmetric_friction"], 1, beside=beside)
+    named = {(cause["effect"], *cause["joints"]) for cause in found.result["causes"]}
+    assert named == {("asymmetric_friction", "lift"), ("stribeck", "tip")}
+    assert ("rotor inertia", 1) not in found.calibrated.released
+    units = {entry.parameter: entry.unit for entry in ranges(found)}
+    assert (units["rise"], units["frictionloss"]) == ("N·m", "N·m")
+
+
+@pytest.mark.verify
+def test_where_links_may_weigh_anything_a_scale_of_torque_may_be_that_of_the_joint_next_to_it(tmp_path):
+    result = uneven(tmp_path, joint=1, scale=1.1).result
+    cause = result["causes"][0]
+    members = {(one["effect"], *one["joints"]) for one in (cause, *cause["equivalent_to"])}
+    assert result["verdict"] == "ambiguous"
+    assert ("torque_constant", "lift") in members
+
+
+def test_sharp_friction_of_a_simulator_has_no_part_that_a_delay_would_sharpen(tmp_path, robot):
+    """An effects file could not say it: there torque is late, friction and all."""
+    model = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model
+    log = read_log(recorded(tmp_path / "1.mcap", model, 1), model.robot)
+    late = replace(log, effort=np.roll(log.effort, 1, axis=0))
+    fit = assemble(model.robot, with_expected_error(model, [late]), [late], None).fit
+    (found,) = CATALOGUE["time_delay"].settings(fit, ())
+    assert found == {"delay": pytest.approx(1 / RATE, rel=0.2)}
+
+
+def test_an_effect_that_needs_friction_below_zero_or_has_an_impossible_size_is_none(nominal):
+    model, change = nominal[0], np.zeros(len(nominal[0].values))
+    level = len(model.independent)
+
+    def possible(scale: float) -> bool:
+        chosen = SimpleNamespace(effect=CATALOGUE["torque_constant"], joints=(0,), names=("scale_error",), settings={})
+        reference = SimpleNamespace(model=model)
+        fit = SimpleNamespace(chosen=[chosen], fitted=lambda: (change, [[scale]]), reference=reference)
+        return _possible(model, fit, 0)
+
+    assert possible(0.1)
+    assert not possible(2.4)
+    change[level] = -1.2 * model.values[level]
+    assert not possible(0.1)
+
+
+def test_the_corrected_simulator_predicts_the_robot(nominal):
+    model, robot, found = nominal
+    corrected = extended_model(found)
+    q, qd, qdd = states(2, 200)
+    expected = robot.predict(q, qd, qdd)
+    left, before = (np.std(m.predict(q, qd, qdd, np.arange(200.0)) - expected) for m in (corrected, model))
+    assert left < 0.15 * before
+
+
+def test_the_corrected_urdf_is_a_right_simulator_of_the_robot(nominal, tmp_path):
+    model, robot, found = nominal
+    simulator = load_simulator(written(tmp_path, URDF, "arm.urdf"), None, ("pan", "lift"))
+    write_simulator(found, simulator, tmp_path / "fixed.urdf", Console(-1))
+    fixed = load_simulator(tmp_path / "fixed.urdf", None, ("pan", "lift")).model
+    document = json.loads((tmp_path / "fixed.changes.json").read_text())
+    assert document["changes"][0]["reason"].endswith("of the held-out gap")
+    armature = np.zeros(2)
+    if document["effects_file"]:  # rotors, which a URDF cannot say
+        armature = np.array(runpy.run_path(str(tmp_path / document["effects_file"]))["ARMATURE"])
+    q, qd, qdd = states(2, 200)
+    expected = robot.predict(q, qd, qdd)
+    left = fixed.predict(q, qd, qdd) + armature * qdd - expected
+    assert np.std(left) < 0.15 * np.std(model.predict(q, qd, qdd) - expected)
+
+
+@pytest.mark.parametrize("set_points", [False, True])
+def test_the_corrected_simulator_follows_the_robot_for_longer(nominal, tmp_path, monkeypatch, set_points):
+    monkeypatch.setattr(forward_windows, "_WINDOWS", 4)
+    found = nominal[2]
+    simulator = load_simulator(written(tmp_path, URDF, "arm.urdf"), None, ("pan", "lift"))
+    if set_points:  # of a servo that is soft enough for the model to show: 100 N·m/rad, 3 N·m·s/rad
+        logs = tuple(replace(log, reference_position=behind(log)) for log in found.dataset.logs)
+        found = replace(found, dataset=replace(found.dataset, logs=logs))
+    result = forward_windows.forward(found, simulator)
+    assert result["driven_by"] == ("set_points" if set_points else "torque")
+    assert result["horizon_s"] == [0.2, 0.5, 1.0, 2.0]
+    for prefix in ("", "velocity_"):
+        before, after, high = (np.array(result[f"{prefix}{key}"]) for key in ("before", "after", "after_interval"))
+        assert np.all(after < 0.2 * before)
+        assert np.all((high[..., 0] <= after) & (after <= high[..., 1]))
+    assert "pinocchio" in diagnosis_text({**found.result, "simulation": None, "forward": result})
+    json.dumps(result, allow_nan=False)
+
+
+def behind(log):
+    """Set-points (S, 2) whose servo gives the torque of a log."""
+    period, kp, kd = 1 / RATE, 100.0, 3.0
+    error = np.zeros(log.effort.shape)
+    for k in range(1, len(error)):  # kp e + kd ė = τ
+        error[k] = (log.effort[k] + kd / period * error[k - 1]) / (kp + kd / period)
+    return log.position + error
+
+
+def test_ranges_hold_what_is_true_and_stand_on_the_page(nominal, tmp_path):
+    model, robot, found = nominal
+    by_name = {(entry.of, entry.parameter): entry for entry in ranges(found)}
+    true = robot.values[len(model.independent) :]
+    for k, joint in enumerate(("pan", "lift")):
+        for entry, value in zip(("frictionloss", "damping"), true[2 * k : 2 * k + 2], strict=True):
+            found_range = by_name[f"joint {joint}", entry]
+            assert found_range.low - 0.02 <= value <= found_range.high + 0.02
+            assert 0 < found_range.high - found_range.low < 0.5
+    text = ranges_text(ranges(found))
+    assert YAML(typ="safe").load(text)["ranges"][0]["of"].startswith("joint ")
+    page = diagnosis_report(found)
+    steps = sorted(found.result["waterfall"][:-1], key=lambda step: -step["closes"])
+    assert f"Most of the gap closes with: {steps[0]['step']} ({100 * steps[0]['closes']:.0f} %)" in page
+    for title in ("What the simulator gets wrong", "For training policies"):
+        assert title in page
+    assert html.escape(text, quote=True).replace("&quot;", "&#34;") in page  # the YAML, to be copied
+    assert page.count("<svg") > 3
+
+
+def test_the_page_of_a_recorded_run_has_drift_and_ranges(nominal, tmp_path, monkeypatch):
+    names, error = ["pan", "lift"], [[0.3, 0.2]]
+    sides = ("before", "after", "velocity_before", "velocity_after")
+    forward = {"horizon_s": [0.2], "joints": names, "engine": "mujoco", "driven_by": "torque", "windows": 8}
+    forward |= {side: error for side in sides} | {f"{side}_interval": [[[0.1, 0.4], [0.1, 0.4]]] for side in sides}
+    (tmp_path / "state.json").write_text(json.dumps({"question": {"cutoff": None, "without": []}}))
+    (tmp_path / "result.json").write_text(json.dumps({**nominal[2].result, "forward": forward}))
+    monkeypatch.setattr("agent.pipeline.diagnose._find", lambda *_: (nominal[2], [], None))
+    page = diagnose_again(tmp_path, nominal[0].robot, "bench", Console(-1))
+    for text in ("How far it drifts", "0.3 (0.1 to 0.4)", "For training policies", "schema: randomisation/1"):
+        assert text in page
+    assert "drifts further than the one given" not in page
+    forward["after"] = [[0.5, 0.4]]
+    assert "further than the one given after 0.2 s" in diagnosis_report(nominal[2], (), forward)
+
+
+def test_the_waterfall_is_a_table_for_people(nominal):
+    text = diagnosis_text({**nominal[2].result, "simulation": None})
+    assert re.search(r"friction of pan +[0-9.]+ % .*#", text)
+    assert re.search(r"remainder +-?[0-9.]+ %", text)
+
+
+def test_what_an_mjcf_lacks_is_named(tmp_path):
+    pytest.importorskip("mujoco")
+    arm = load_simulator(written(tmp_path, scene(CHAIN), "arm.xml"), None, ("pan", "lift")).model
+    bent = [recorded(tmp_path / f"{k}.mcap", arm, k, lambda qd: np.sign(qd) * [0, 0.3]) for k in (1, 2)]
+    found = diagnose(arm.robot, [read_log(path, arm.robot) for path in bent], replace(arm))
+    cause = found.result["causes"][0]
+    assert (cause["effect"], cause["joints"]) == ("friction_change", ["lift"])
+    assert cause["closure"] > 0.8
