@@ -138,10 +138,10 @@ class Authorisation:
                 f"{self.path}: this authorisation is for the stored loop; it releases no new motions (new_motions)"
             )
         self.check_problem(problem)
-        left = min(self.document.limits.duration, released.duration - before)
+        left = released.duration - before
         if not left > 0:
             raise InputError(f"{self.path}: the {released.duration:.0f} s of new motions that it allows are used up")
-        limits = self.document.limits.model_copy(update={"duration": left})
+        limits = self.document.limits.model_copy(update={"duration": min(self.document.limits.duration, left)})
         document = self.document.model_copy(update={"program": program, "limits": limits})
         return replace(self, document=document, unseen=True)
 

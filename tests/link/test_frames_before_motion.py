@@ -70,6 +70,15 @@ def test_a_frame_that_is_no_number_is_another():
         check_frames(planned(MOUNTED), Lost("127.0.0.1:1"), "here")
 
 
+def test_a_controller_that_tells_other_frames_only_is_not_asked_to_move():
+    class Other(TcpDriver):
+        def frames(self):
+            return {"$UFRAME": MOUNTED}
+
+    with pytest.raises(InputError, match=r"does not set \$TOOL"):
+        check_frames(planned(MOUNTED), Other("127.0.0.1:1"), "here")
+
+
 @pytest.mark.parametrize("wire", [wire for wire in WIRES if wire != "cnr_comau"])
 def test_every_wire_has_the_frames_that_are_in_force(wire):
     controller = build_controller("comau_ns16", seed=3, clock="fast")

@@ -52,6 +52,28 @@ def test_a_clear_motion_is_clear_and_its_clearance_is_found(trajectory_through):
         assert clearance <= column.min() + max(0.001, 0.25 * abs(clearance - 0.02)) + 1e-5
 
 
+@pytest.mark.parametrize("distance", [-0.01, np.nan])
+def test_a_proof_of_clearance_is_given_up_at_the_first_look_that_shows_none(trajectory_through, distance, monkeypatch):
+    cell, looks = Cell(ROBOT, tool(), [TABLE]), []
+
+    def found(postures: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+        looks.append(len(postures))
+        return np.full((len(postures), len(wanted)), distance)
+
+    monkeypatch.setattr(cell._model, "distances", found)
+    assert not cell.is_clear(trajectory_through([REACHING, REACHING + 0.2]))
+    assert len(looks) == 1
+
+
+def test_positions_that_are_no_numbers_are_not_clear(trajectory_through):
+    motion = trajectory_through([REACHING, REACHING + 0.2])
+    lost = replace(motion, q=np.where(motion.t[:, None] > motion.t[-1] / 2, np.nan, motion.q))
+    bodiless = Cell(ROBOT)
+    bodiless._model.leave_out(bodiless._model.pairs)
+    assert bodiless.is_clear(motion)
+    assert not bodiless.is_clear(lost)
+
+
 def test_the_first_collision_is_named_with_its_time_and_depth(trajectory_through):
     """The arm bends down onto a table that it has already reached past."""
     cell = Cell(ROBOT, tool(), [TABLE])

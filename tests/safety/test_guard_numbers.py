@@ -117,13 +117,16 @@ def test_limits_that_are_no_numbers_limit_everything(program):
 
 
 @pytest.mark.parametrize("place", [0, 1])
-def test_a_speed_of_the_tool_that_is_none_is_not_slow(bench, program, place):
+def test_a_speed_of_the_tool_that_is_none_is_not_slow(bench, program, place, authorisation):
     speeds = np.full(500, 0.1)
     speeds[17] = np.nan
     slow, none = program().chains[0], replace(program().chains[0], path_speed=speeds)
     chosen = replace(program(), chains=(none, slow) if place == 0 else (slow, none))
     assert np.isnan(chosen.speed)
     assert bench.open().needs_slow_run(chosen)
+    unwatched = bench.open(yes=False, authorisation=replace(authorisation(program()), unseen=True))
+    with pytest.raises(InputError, match="reaches nan m/s; with nobody there"):
+        unwatched.needs_slow_run(chosen)
 
 
 def test_a_motion_that_may_last_for_no_number_of_seconds_may_not_last(bench, program):

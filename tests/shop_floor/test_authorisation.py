@@ -109,6 +109,9 @@ def test_new_motions_run_only_where_they_are_released(tmp_path: Path):
         allowed.check("comau_ns16", "NS16-42", "ef" * 32, 0.2, 60.0, NOW)
     with pytest.raises(InputError, match="this authorisation is for problem cdcdcdcdcdcd"):
         allowed.for_new_motion("ef" * 32, "ef" * 32, 0.0)
+    for used_up in (600.0, 700.0, float("nan")):
+        with pytest.raises(InputError, match="600 s of new motions that it allows are used up"):
+            allowed.for_new_motion(PROBLEM, "ef" * 32, used_up)
 
 
 @given(speed=st.floats(0.01, 2.0), duration=st.floats(1.0, 1500.0), before=st.floats(0.0, 700.0))
