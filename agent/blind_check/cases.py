@@ -30,17 +30,12 @@ class Mix:
 
 
 USUAL = Mix(SHARES, (0.5, 2.0))
-#: Weak effects that equal another one by definition unless the data tell them apart: what a first recording often
-#: leaves open. No torque offset: friction that differs by direction can always be one, so no motion settles it.
+#: Weak effects that are an offset on little motion, and so each other: what a first recording leaves open. No torque
+#: offset: friction that differs by direction can always be one, so no motion settles it.
 OPEN = Mix(
     {"one": 0.9, "none": 0.1},
     (0.15, 0.8),
-    tuple(
-        sorted(
-            {name for one in CATALOGUE.values() if one.structurally_equivalent for name in one.structurally_equivalent}
-            | {one.name for one in CATALOGUE.values() if one.structurally_equivalent} - {"torque_offset"}
-        )
-    ),
+    tuple(sorted(name for name, effect in CATALOGUE.items() if "torque_offset" in effect.special_cases)),
 )
 
 

@@ -20,8 +20,8 @@ from agent.robot import (
     NumericalKinematics,
     RobotDescription,
     Tool,
+    TorqueLimits,
     kinematics_for,
-    rotor_regressor,
 )
 from agent.safety import Cell, CellReport
 
@@ -50,7 +50,8 @@ class LoopProblem:
 
     `settings` are those of the loop's moves, `period` [s] the controller's. The arm stays away from itself and from the
     boxes of `keep_out` by the FLY distance of the settings: by so much the controller's blends may differ from ours.
-    `joint_ranges`: by joint name, (lower, upper) [rad, m] where the joint may go less far than it can.
+    `joint_ranges`: by joint name, (lower, upper) [rad, m] where the joint may go less far than it can. `load` is a
+    known mass at the flange beside the tool: the drives have to bear it.
     """
 
     robot: RobotDescription
@@ -61,6 +62,7 @@ class LoopProblem:
     joint_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     interpolator: str = "fly"
     period: float = 0.002
+    load: Tool | None = None
 
     @property
     def genes(self) -> int:
@@ -99,8 +101,7 @@ class Candidates:
         self._cell = Cell(problem.robot, problem.tool, problem.keep_out, problem.joint_ranges)
         self._cell.check_boxes(problem.settings.fly_distance)
         self._standard = self._dynamics.standard_parameters()
-        self._rotors = np.array([joint.rotor_inertia or 0.0 for joint in problem.robot.joints])
-        self._max_torque = np.array([joint.max_torque or np.inf for joint in problem.robot.joints])
+        self._limits = TorqueLimits(problem.robot, problem.tool, problem.load)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -195,19 +196,8 @@ class Candidates:
 
         `regressor` is that of the rigid bodies there, where it is known already.
         """
-        if np.isinf(self._max_torque).all():
-            return None
-        rigid = self._dynamics.inverse_dynamics(*tenth) if regressor is None else regressor @ self._standard
-        torque = np.abs(rigid + rotor_regressor(self.problem.robot, tenth[2]) @ self._rotors)
-        excess = (torque / self._max_torque).max(axis=0) - 1.0
-        joint = int(np.argmax(excess))
-        if excess[joint] <= 0:
-            return None
-        return infeasible(
-            float(excess[joint]),
-            f"{self.problem.robot.joint_names[joint]} needs {torque[:, joint].max():.0f} N·m by the description's "
-            f"inertias, its max_torque is {self._max_torque[joint]:g} N·m",
-        )
+        overload = self._limits.overload(*tenth, None if regressor is None else regressor @ self._standard)
+        return None if overload is None else infeasible(*overload)
 
 
 def _tenth(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -12,7 +12,6 @@ from agent.excitation import LoopProblem
 from agent.experiment.outlook import Outlook, Told
 from agent.experiment.pieces import Piece, Pieces
 from agent.experiment.questions import OpenPair
-from agent.robot import Tool
 
 #: Pieces that are drawn, of which the best are put together; then so many neighbours of each are tried.
 _POOL, _NEIGHBOURS = 240, 12
@@ -62,17 +61,16 @@ def plan_experiment(
     seed: int = 1,
     progress: Callable[[str], None] = lambda text: None,
     runnable: Callable[[Sequence[Piece]], bool] = lambda pieces: True,
-    load: Tool | None = None,
 ) -> Experiment:
     """The motion of at most `seconds` in the problem's sub-region that settles most of what is open (`pairs`).
 
     The worst pair counts first. The same seed gives the same motion. `runnable` says whether pieces can be run one
-    after the other: while they cannot, the last one is left out. `load` is a known mass that will be at the flange.
+    after the other: while they cannot, the last one is left out.
 
     Raises:
         InputError: as `agent.excitation.Candidates`.
     """
-    outlook = Outlook(found.dataset, pairs, load)
+    outlook = Outlook(found.dataset, pairs, problem.load)
     before = outlook.probabilities(outlook.nothing)
     pieces = Pieces(problem, _joints(found, pairs), (1 - _WAYS) * seconds, np.random.default_rng(seed))
     pool: list[tuple[Piece, Told]] = []

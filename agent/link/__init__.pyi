@@ -1,6 +1,11 @@
 from .alignment import Aligner as Aligner, moving_segments as moving_segments
 from .controller import answering as answering
-from .planned import check_cell as check_cell, plan_statements as plan_statements
+from .planned import (
+    check_cell as check_cell,
+    check_load as check_load,
+    plan_statements as plan_statements,
+    torque_limits as torque_limits,
+)
 from .record import (
     MotionOfMany as MotionOfMany,
     Recording as Recording,

@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core import InputError
+from agent.core import Console, InputError
 from agent.recipe import Recipe
 
 if TYPE_CHECKING:
     from agent.motion import Trajectory
+    from agent.robot import Tool, TorqueLimits
 
+#: Torques are looked at in every so many set-points, as a search does.
+_EVERY = 10
 #: Rad or m by which an arm that comes round again may start elsewhere on the same way: joints written in a program, and
 #: those that inverse kinematics gives for a pose, differ in their last digits.
 _SAME = 1e-6
@@ -56,6 +59,29 @@ def check_cell(recipe: Recipe, trajectory: Trajectory) -> None:
         raise InputError(
             f"{report.collision}: move or shrink motion.via_points, or move the arm to another start position"
         )
+
+
+def torque_limits(recipe: Recipe, load: Tool, console: Console) -> TorqueLimits:
+    """What the drives can bear with a known mass at the flange; says which of them nothing is known of."""
+    from agent.robot import TorqueLimits
+
+    if unknown := [joint.name for joint in recipe.robot.joints if joint.max_torque is None]:
+        console.warn(
+            f"robot {recipe.robot.name} has no max_torque for {', '.join(unknown)}: nothing checks there whether it "
+            "can bear the mass"
+        )
+    return TorqueLimits(recipe.robot, recipe.tool, load)
+
+
+def check_load(limits: TorqueLimits | None, trajectory: Trajectory) -> None:
+    """Every joint stays within its max_torque along a trajectory; nothing is asked without a mass (None).
+
+    Raises:
+        InputError: names the joint, what it would need and what it has.
+    """
+    tenth = (trajectory.q[::_EVERY], trajectory.qd[::_EVERY], trajectory.qdd[::_EVERY])
+    if limits is not None and (overload := limits.overload(*tenth)) is not None:
+        raise InputError(f"with the mass at the flange {overload[1]}: mount a lighter one, or move more slowly")
 
 
 @lru_cache(maxsize=4)

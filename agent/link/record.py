@@ -274,7 +274,8 @@ def record_program_file(
     """
     from agent.core import InputError
     from agent.link.payload import mounted
-    from agent.link.planned import check_cell, plan_statements
+    from agent.link.planned import check_cell, check_load, plan_statements, torque_limits
+    from agent.model import known_payload
 
     if log.exists():
         raise InputError(f"{log}: exists already; name another log with -o")
@@ -283,10 +284,13 @@ def record_program_file(
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{program}: cannot be read: {error}") from None
     facts = mounted(program, payload, console.confirm)
+    load = known_payload(facts)
+    limits = None if load is None else torque_limits(recipe, load, console)
     with open_link(recipe, console, yes, runs, watching=True, facts=facts) as link:
         name, chains = plan_statements(recipe, text, str(program), link.position())
         for chain in chains:
             check_cell(recipe, chain)
+            check_load(limits, chain)
         total = sum(chain.duration for chain in chains)
         if total == 0:
             raise InputError(f"{program}: the program moves nothing, so there is nothing to record; add a MOVE")

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.core import AgentError, Console, InputError, finite, write_atomically
-from agent.pipeline.active_worlds import ActiveWorld, ControllerMachines, MujocoMachines
+from agent.pipeline.active_worlds import ActiveWorld, ControllerMachines, Job, MujocoMachines
 from agent.pipeline.next_experiment import LONGEST, NextMotion, plan_next, run_otherwise
 from agent.pipeline.planning import Plan, make_plan, program_text
 from agent.recipe import Recipe
@@ -34,7 +34,7 @@ _QUIET = Console(verbosity=-1)
 _ROUNDS = 2
 _SETTLED = ("explained", "no_gap")
 #: Of the sub-region's sides, where the first loop lies.
-_LOOK_PART = 0.4
+_LOOK_PART = 0.25
 WORLDS = ("emulator", "mujoco")
 
 
@@ -230,7 +230,7 @@ class ActiveRun:
         folder.mkdir(parents=True, exist_ok=True)
         for log in (folder / f"{name}.mcap" for name in texts):
             log.unlink(missing_ok=True)  # of a check that was stopped in the middle of it
-        self._world.run(self._case, effects, recipe or self._recipe, texts, keep, folder)
+        self._world.run(Job(self._case, effects, recipe or self._recipe, texts, keep, folder))
         return [folder / f"{name}.mcap" for name in keep]
 
     def _diagnose(self, logs: Sequence[Path]) -> Diagnosis:

@@ -36,6 +36,19 @@ _POSTURES = (
 )
 
 
+@dataclass(frozen=True)
+class Job:
+    """Programs (`texts`, by name) that a case's machine runs one after the other with `effects`, and which of their
+    logs to `keep`, as `<name>.mcap` in `folder`."""
+
+    case: Case
+    effects: Sequence[Mapping[str, Any]]
+    recipe: Recipe
+    texts: Mapping[str, str]
+    keep: Sequence[str]
+    folder: Path
+
+
 class ActiveWorld(Protocol):
     """Machines that run programs."""
 
@@ -53,16 +66,8 @@ class ActiveWorld(Protocol):
     def recipe(self, case: Case, machine: Path) -> Recipe:
         """Robot and sub-region of the case's machine; what is kept of it lies in the folder `machine`."""
 
-    def run(
-        self,
-        case: Case,
-        effects: Sequence[Mapping[str, Any]],
-        recipe: Recipe,
-        texts: Mapping[str, str],
-        keep: Sequence[str],
-        folder: Path,
-    ) -> None:
-        """Run the programs one after the other; the logs of those to keep are in the folder, as `<name>.mcap`.
+    def run(self, job: Job) -> None:
+        """Run the programs and record them.
 
         Raises:
             AgentError, DriverError: the arm did not do it.
@@ -90,26 +95,18 @@ class ControllerMachines:
     def recipe(self, case: Case, machine: Path) -> Recipe:
         return _written(machine, template(self.robot, _NOWHERE, cycles=2))
 
-    def run(
-        self,
-        case: Case,
-        effects: Sequence[Mapping[str, Any]],
-        recipe: Recipe,
-        texts: Mapping[str, str],
-        keep: Sequence[str],
-        folder: Path,
-    ) -> None:
+    def run(self, job: Job) -> None:
         from agent.blind_check import fake_controller
         from agent.link import open_link
 
-        with fake_controller(self.robot, case.machine, effects, ("--interpolator", "ours")) as address:
-            there = replace(recipe, controller=recipe.controller.model_copy(update={"address": address}))
-            with open_link(there, _QUIET, True, folder) as link:
-                for name, text in texts.items():
+        with fake_controller(self.robot, job.case.machine, job.effects, ("--interpolator", "ours")) as address:
+            there = replace(job.recipe, controller=job.recipe.controller.model_copy(update={"address": address}))
+            with open_link(there, _QUIET, True, job.folder) as link:
+                for name, text in job.texts.items():
                     program, chains = checked_chains(there, text, f"{name}.pdl", link.position())
-                    log = folder / f"{name}.mcap"
+                    log = job.folder / f"{name}.mcap"
                     link.run(program, text, log, name, chains, sum(chain.duration for chain in chains))
-                    if name not in keep:
+                    if name not in job.keep:
                         log.unlink()
 
 
@@ -135,29 +132,21 @@ class MujocoMachines:
             second_world("run", text=json.dumps({**job, "describe": str(machine), "folder": str(machine)}))
         return _written(machine, _region_text(robot))
 
-    def run(
-        self,
-        case: Case,
-        effects: Sequence[Mapping[str, Any]],
-        recipe: Recipe,
-        texts: Mapping[str, str],
-        keep: Sequence[str],
-        folder: Path,
-    ) -> None:
+    def run(self, job: Job) -> None:
         from agent.blind_check import second_world
 
         files, at = {}, None
-        for name, text in texts.items():
-            points = _set_points(recipe, text, name, at)
-            files[name], at = folder / f"{name}.npy", points[-1]
+        for name, text in job.texts.items():
+            points = _set_points(job.recipe, text, name, at)
+            files[name], at = job.folder / f"{name}.npy", points[-1]
             np.save(files[name], points)
-        job = {"machine": case.machine, "motion": case.motion, "effects": list(effects), "folder": str(folder)}
+        machine = {"machine": job.case.machine, "motion": job.case.motion, "effects": list(job.effects)}
         paths = {name: str(path) for name, path in files.items()}
-        second_world("run", text=json.dumps({**job, "set_points": paths}))
+        second_world("run", text=json.dumps({**machine, "folder": str(job.folder), "set_points": paths}))
         for name, path in files.items():
             path.unlink()
-            if name not in keep:
-                (folder / f"{name}.mcap").unlink()
+            if name not in job.keep:
+                (job.folder / f"{name}.mcap").unlink()
 
 
 def _written(machine: Path, text: str) -> Recipe:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from agent.core import Console, InputError, write_atomically
+from agent.link import torque_limits
 from agent.pipeline.planning import checked_chains, loop_problem
 from agent.recipe import Recipe
 from agent.runs import make_folder, write_json
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from agent.excitation import LoopProblem
     from agent.experiment import Experiment, OpenPair, Pick, Piece
     from agent.motion import Trajectory
-    from agent.robot import RobotDescription, Tool
+    from agent.robot import RobotDescription, Tool, TorqueLimits
 
 #: Longest motion that is planned [s].
 LONGEST = 60.0
@@ -100,10 +101,11 @@ def plan_next(
     pairs = open_pairs(found)
     if not pairs:
         return "nothing is open: no further motion is needed"
-    problem = loop_problem(recipe, recipe.motion.speed)
+    problem = replace(loop_problem(recipe, recipe.motion.speed), load=load)
+    limits = None if load is None else torque_limits(recipe, load, console)
     console.step(f"searching for a motion of at most {seconds:.0f} s that tells more")
-    runs = _Runs(recipe, name)
-    experiment = plan_experiment(found, pairs, problem, seconds, recipe.search.seed, console.progress, runs, load)
+    runs = _Runs(recipe, name, limits)
+    experiment = plan_experiment(found, pairs, problem, seconds, recipe.search.seed, console.progress, runs)
     if runs.motion is not None:
         motion = NextMotion(experiment, *runs.motion, recipe.robot, load)
         if motion.helps():
@@ -200,7 +202,7 @@ def _with_a_mass(found: Diagnosis, pairs: Sequence[OpenPair], problem: LoopProbl
     reach = float(np.linalg.norm(kinematics_for(robot, None).forward(postures)[:, :3, 3], axis=1).max())
     strongest = float(np.max(found.dataset.fit.reference.scale))
     load = Tool(np.eye(4), float(f"{_TRIAL_LOAD * strongest / (9.81 * max(reach, 0.1)):.1g}"), np.zeros(3))
-    tried = plan_experiment(found, pairs, problem, seconds, seed, load=load)
+    tried = plan_experiment(found, pairs, replace(problem, load=load), seconds, seed)
     helped = [e for e in tried.expected if e.after > max(_HELPS, e.before + 0.05)]
     if not helped:
         return ""
@@ -218,8 +220,8 @@ class _Runs:
     `motion`: text and set-points of the last ones that can; `refused`: why the last ones cannot.
     """
 
-    def __init__(self, recipe: Recipe, name: str):
-        self._recipe, self._name = recipe, name
+    def __init__(self, recipe: Recipe, name: str, limits: TorqueLimits | None = None):
+        self._recipe, self._name, self._limits = recipe, name, limits
         self.motion: tuple[str, tuple[Trajectory, ...]] | None = None
         self.refused = ""
 
@@ -231,7 +233,7 @@ class _Runs:
         while True:
             text = _text(self._recipe, pieces, self._name, speed)
             try:
-                _, chains = checked_chains(self._recipe, text, path, start)
+                _, chains = checked_chains(self._recipe, text, path, start, self._limits)
             except (InputError, MotionError) as error:
                 self.refused = str(error)
                 return False

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.core import Console, InputError, TaskEngine, read_json, sha256_file, sha256_text
-from agent.link import check_cell, plan_statements
+from agent.link import check_cell, check_load, plan_statements
 from agent.recipe import Recipe
 from agent.runs import RunFolder
 
 if TYPE_CHECKING:
     from agent.excitation import Loop, LoopProblem
     from agent.motion import Target, Trajectory
+    from agent.robot import TorqueLimits
 
 #: The arm goes to the first point at this share of its joint speeds.
 APPROACH_SPEED = 0.1
@@ -173,8 +174,11 @@ def programs(
     return ready
 
 
-def checked_chains(recipe: Recipe, text: str, path: str, start: np.ndarray) -> tuple[str, list[Trajectory]]:
-    """Name of a program, and its set-points from stop to stop from `start` (n,), all checked against the cell.
+def checked_chains(
+    recipe: Recipe, text: str, path: str, start: np.ndarray, limits: TorqueLimits | None = None
+) -> tuple[str, list[Trajectory]]:
+    """Name of a program, and its set-points from stop to stop from `start` (n,), all checked against the cell and,
+    where a known mass is at the flange, against what the drives can bear (`limits`).
 
     Raises:
         InputError: one of them breaks a limit.
@@ -182,6 +186,7 @@ def checked_chains(recipe: Recipe, text: str, path: str, start: np.ndarray) -> t
     name, chains = plan_statements(recipe, text, path, start)
     for chain in {id(chain): chain for chain in chains}.values():
         check_cell(recipe, chain)
+        check_load(limits, chain)
     return name, chains
 
 

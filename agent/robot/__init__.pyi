@@ -40,4 +40,5 @@ from .torque_figures import (
     torque_units as torque_units,
     without_nominal as without_nominal,
 )
+from .torque_limits import TorqueLimits as TorqueLimits
 from .urdf_checks import check_urdf as check_urdf

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from agent.core.errors import InputError
-from agent.fleet import simulate, store
+from agent.fleet import figures, make_question, simulate, store
+from agent.recording import read_log, write_log
 from tests.fleet.conftest import rows_of
 
 
@@ -55,6 +57,30 @@ def test_validation_and_diagnosis_are_those_of_the_single_command(command, plant
     single = _single(command, small.parent, row, tmp_path, "diagnose", *robot, *mixed)
     assert json.loads(row["result"]) == single
     assert (row["verdict"], row["gap_before"]) == (single["verdict"], single["gap"]["before"])
+
+
+def test_a_mass_that_a_log_names_counts_in_a_diagnosis_and_is_refused_elsewhere(plant, estimated, tmp_path):
+    """As with the single command: of a fleet nobody looks at every row."""
+    described = str(plant / "robot_0003" / "robot.yaml")
+    model = estimated / next(row["model"] for row in rows_of(estimated) if row["robot"] == "robot_0003")
+    silent = next((plant / "robot_0003").glob("*/*.mcap"))
+    log = read_log(silent)
+    write_log(tmp_path / "a.mcap", replace(log, metadata={**log.metadata, "payload": "2 kg, 0 mm, 0 mm, 0 mm"}))
+
+    def answer(kind: str, path: Path, model: Path | None) -> dict:
+        question = make_question(kind, described, None if model is None else str(model))
+        return figures.WORK[kind](question, described, model, [path], figures.Notes())[0]
+
+    for kind, known, reason in (
+        ("estimate", None, "leave it out"),
+        ("validate", model, "leave it out"),
+        ("diagnose", None, "name one with --model"),
+    ):
+        with pytest.raises(InputError, match=reason):
+            answer(kind, tmp_path / "a.mcap", known)
+    said, without = (answer("diagnose", path, model) for path in (tmp_path / "a.mcap", silent))
+    assert without["verdict"] == "no_gap"
+    assert said["verdict"] != "no_gap", "the model carries what the log says, which this arm did not"
 
 
 def test_a_log_of_nonsense_is_a_row_with_its_reason(estimated: Path):

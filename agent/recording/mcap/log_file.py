@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from agent.core import package_version, written_whole
-from agent.recording.log import MACHINE, Log
+from agent.recording.log import Log
 from agent.recording.mcap.foxglove import FOXGLOVE_LAYOUT as LAYOUT_NAME, foxglove_layout
 from agent.recording.mcap.joint_state import SCHEMA_NAME, SCHEMA_TEXT, JointStateLayout, layout_for
 from agent.recording.mcap.output import CHUNK_SIZE, MESSAGE_HEAD, McapOutput, RecordingError
@@ -251,11 +251,15 @@ def write_log(path: Path, log: Log, further: Mapping[str, Sequence[np.ndarray]] 
         raise RecordingError(path, error.reason) from None
 
 
+#: Of the record `run`, what the writer says itself.
+_OWN = ("robot", "motion", "sample_rate_hz", "cycle_starts_s")
+
+
 def _write_whole(path: Path, log: Log, further: Mapping[str, Sequence[np.ndarray]]) -> None:
     times = log.stamp + log.t
     run = log.metadata
     robot, motion = run.get("robot", ""), run.get("motion", "")
-    facts = {key: run[key] for key in MACHINE if key in run}
+    facts = {key: value for key, value in run.items() if key not in _OWN}
     file = LogFile(path, log.joint_names, robot, motion, log.sample_rate, clock=lambda: times[0], facts=facts)
     try:
         file.write(_Block(np.arange(len(times)), times, log.position, log.velocity, log.effort))
