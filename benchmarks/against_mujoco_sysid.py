@@ -5,7 +5,9 @@
 MuJoCo's fits every joint's frictionloss, damping and armature and every body's mass, each from the file's value or a
 tenth of the joint's torque, to windows of 0.2 s that start at measured states and run by recorded torque: positions and
 speeds, its own roll-outs, residuals and optimizer, on one core. Two motions are fitted to, the third is run forward by
-either. First without an effect that neither can move, then with friction that grows with the load on the third joint.
+either, and by the true arm. First without an effect, then with one that none of these parameters is, on the third
+joint: friction that grows with its load, a spring. Printed with it: the parameters of that joint in the true arm and as
+MuJoCo's moved them, and by how much the parameters of all other joints are off, in the middle.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from diagnose_simulators import RATE, drift, load_dependent_friction, recorded
+from diagnose_simulators import RATE, drift, gravity_spring, load_dependent_friction, recorded
 from mujoco import sysid
 
 from agent.core.console import Console
@@ -27,6 +29,7 @@ from agent.pipeline.diagnose import GapQuestion, diagnose_files
 from agent.recording import read_log
 
 WINDOW, HORIZONS, STARTS = 0.2, np.array([0.2, 0.5, 1.0]), 40
+WITHHELD, JOINT = ([], [load_dependent_friction], [gravity_spring]), 2
 
 
 def torque_driven(path, names):
@@ -77,7 +80,7 @@ def windows(spec, logs, names):
 
 
 def by_sysid(path, names, logs):
-    """A roll-out engine with what MuJoCo's identification finds, and its processor time."""
+    """A roll-out engine with what MuJoCo's identification finds, that, and its processor time."""
     started = time.process_time()
     spec = torque_driven(path, names)
     given = spec.compile()
@@ -96,13 +99,31 @@ def by_sysid(path, names, logs):
     seconds = time.process_time() - started
     engine = MujocoEngine(path, names)
     engine._model = with_parameters(engine._model, found.as_vector())
-    return engine, seconds
+    return engine, found.as_vector(), seconds
+
+
+def told(found, oracle, path):
+    """What MuJoCo's identification moved, beside the true arm's."""
+    n, model = len(oracle._coulomb), oracle._model
+    true = np.concatenate(
+        [oracle._coulomb, model.dof_damping, model.dof_armature, model.body_mass[model.body_mass > 0]]
+    )
+    given = mujoco.MjModel.from_xml_path(str(path))
+    file = [given.dof_frictionloss, given.dof_damping, given.dof_armature, given.body_mass[given.body_mass > 0]]
+    off = np.abs(found / true - 1)
+    for kind, name in enumerate(("frictionloss", "damping", "armature", "mass")):
+        k, part = kind * n + JOINT, slice(kind * n, (kind + 1) * n if kind < 3 else None)
+        others = np.median(np.delete(off[part], JOINT)) if kind < 3 else np.median(off[part])
+        own = (
+            f"{file[kind][JOINT]:.3g} in the file, {found[k]:.3g} by sysid, {true[k]:.3g} in truth" if kind < 3 else ""
+        )
+        print(f"  sysid: {name:12} {own:60} others off by {100 * others:.0f} %")
 
 
 def compare(path, seed, effects):
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        logs, put_in, _ = recorded(path, seed, folder, effects)
+        logs, put_in, oracle = recorded(path, seed, folder, [(effect, JOINT) for effect in effects])
         fixed = folder / "fixed.xml"
         started = time.process_time()
         result = diagnose_files(None, logs[:2], GapQuestion(path, out=fixed), Console(-1))
@@ -111,19 +132,22 @@ def compare(path, seed, effects):
         names = read[0].joint_names
         beside = folder / "fixed_effects.py"
         ours = MujocoEngine(fixed, names, beside if beside.exists() else None)
-        theirs, theirs_s = by_sysid(path, names, read[:2])
+        theirs, moved, theirs_s = by_sysid(path, names, read[:2])
         starts = np.linspace(250, len(read[2].t) - 300, 24).astype(int)
-        print("put in:", put_in, "named:", [[c["effect"], *c["joints"]] for c in result["causes"]], result["verdict"])
-        for called, which, seconds in (
-            ("given", MujocoEngine(path, names), 0.0),
-            ("sysid", theirs, theirs_s),
-            ("ours", ours, ours_s),
+        named = [[c["effect"], *c["joints"], round(c["probability"], 2)] for c in result["causes"]]
+        print(path.stem, seed, "put in:", put_in, "named:", named, result["verdict"])
+        told(moved, oracle, path)
+        for called, which, seconds, causes in (
+            ("given", MujocoEngine(path, names), 0.0, ()),
+            ("sysid", theirs, theirs_s, ()),
+            ("ours", ours, ours_s, result["causes"]),
+            ("true", oracle, 0.0, ()),
         ):
-            error = np.sqrt(np.mean(drift(which, read[2], HORIZONS, starts) ** 2, axis=(0, 2)))
+            error = np.sqrt(np.mean(drift(which, read[2], HORIZONS, starts, causes) ** 2, axis=(0, 2)))
             print(f"  {called:6} {seconds:6.1f} s  error after {HORIZONS} s: {error.round(4)} rad", flush=True)
 
 
 if __name__ == "__main__":
     for seed in map(int, sys.argv[2:] or ("5",)):
-        compare(Path(sys.argv[1]), seed, [])
-        compare(Path(sys.argv[1]), seed, [(load_dependent_friction, 2)])
+        for effects in WITHHELD:
+            compare(Path(sys.argv[1]), seed, effects)

@@ -68,14 +68,14 @@ def motion(rng, low, high, count):
     """q, qd, qdd (S, n): sums of sines in the middle of the range, at rest where it starts."""
     t = np.arange(int(SECONDS * RATE)) / RATE
     low, high = (np.where(high > low, end, side) for end, side in ((low, -np.pi), (high, np.pi)))  # 0 0: unlimited
-    span = np.minimum(high - low, 2 * np.pi)
+    middle, span = 0.5 * (low + high), np.minimum(high - low, 2 * np.pi)
     q, qd, qdd = np.zeros((3, len(t), count))
     for part, size in ((1, 0.22), (2, 0.1), (3, 0.05)):
         w, phase = part * rng.uniform(0.7, 1.3, count), rng.uniform(0, 2 * np.pi, count)
         a, amplitude = np.outer(t, w) + phase, size * span
         q, qd = q + amplitude * np.sin(a), qd + amplitude * w * np.cos(a)
         qdd = qdd - amplitude * w**2 * np.sin(a)
-    return t, q + 0.5 * (np.clip(low, -np.pi, np.pi) + np.clip(high, -np.pi, np.pi)), qd, qdd
+    return t, q + middle, qd, qdd
 
 
 def robot(path, rng):

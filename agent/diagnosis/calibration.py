@@ -4,8 +4,8 @@ A simulator's file holds its parameters as exact, and most are a little wrong at
 of one axle, one rotor, one link, are released one after the other, each time the one that takes most from the held-out
 error (forward selection), until none gains what an effect would have to (`least_gain`). Beside effects that were found
 they are chosen anew: what was moved in an effect's stead need not move then. A released group G has the
-prior covariance G Gᵀ: friction of the order of the joint's torque, a rotor of the order of the joint's inertia, a link
-half of itself (`NominalModel.prior_std`). Every figure is of motion that the released parameters were not fitted to.
+prior covariance G Gᵀ: friction and rotors that would take all of the joint's torque, a link half of itself
+(`NominalModel.prior_std`). Every figure is of motion that the released parameters were not fitted to.
 """
 
 from __future__ import annotations
@@ -112,8 +112,10 @@ def _groups(dataset: Dataset) -> list[Group]:
     torque = np.maximum(torque, np.sqrt(np.mean(dataset.residual**2, axis=0)))
     speed = np.maximum(np.sqrt(np.mean(dataset.speed**2, axis=0)), 1e-9)
     scale = reference.prior_std.copy()
-    carried = np.diag(reference.solid.mass_matrix(np.zeros(dataset.robot.dof))) / dataset.robot.gear_ratios**2
-    scale[layout.rotors] = np.maximum(scale[layout.rotors], carried)  # a file's rotor may be wrong by any factor
+    acceleration = np.concatenate([s.qdd[s.kept] for s in dataset.fit.signals])
+    fast = np.maximum(np.sqrt(np.mean(acceleration**2, axis=0)), 1e-9)
+    # a file's rotor may be wrong by any factor, and of a wrist's inertia it is nearly all
+    scale[layout.rotors] = np.maximum(scale[layout.rotors], torque / fast / dataset.robot.gear_ratios**2)
     friction: list[Group] = []
     rotors: list[Group] = []
     links: list[Group] = []

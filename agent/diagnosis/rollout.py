@@ -1,7 +1,7 @@
 """A simulator's file run forward: MuJoCo by its own integrator, a URDF through Pinocchio, contacts off.
 
 Joints that are not compared are held; actuators of the file are off, as the torque comes from the recorded robot or a
-servo like its own.
+servo like its own. Ranges of joints are off too: where the recorded robot was, the simulator may go.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class MujocoEngine:
         self._mujoco = mujoco = mujoco_package()
         self._model = model = compiled(path)
         off = mujoco.mjtDisableBit
-        for bit in ("CONTACT", "ACTUATION", "AUTORESET"):
+        for bit in ("CONTACT", "LIMIT", "ACTUATION", "AUTORESET"):
             model.opt.disableflags |= int(getattr(off, f"mjDSBL_{bit}", 0))
         model.opt.density = model.opt.viscosity = 0.0
         model.body_gravcomp[:] = 0.0

@@ -34,6 +34,8 @@ _OF_THE_MIDDLE = 1.5  # times the relative error of the joint in the middle is e
 _SHARPER = 0.7  # times the error expected before, from where on the data are looked at again
 _BELOW_ZERO = 0.1  # of a friction level without an effect, that chance may take it below zero beside one
 _ROUNDS = 2  # of choosing numbers beside effects and effects beside numbers
+#: Effects that are the file's numbers under another name.
+_NUMBERS = tuple(name for name, effect in CATALOGUE.items() if effect.numbers in ("friction", "links"))
 _AS_GOOD = 1.1  # times the squared error left, to where another choice of numbers is as good
 
 
@@ -109,7 +111,9 @@ def search_simulator(
     total = float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
 
     def searching(of: ReleasedSimulator) -> Search:
-        return Search(of.moved.fit, without, True, progress, limits, moved=bool(of.groups))
+        """Where numbers moved, no effect is one that is numbers again: it would take the place of another."""
+        again = _NUMBERS if of.groups else ()
+        return Search(of.moved.fit, (*without, *again), True, progress, limits, moved=bool(of.groups))
 
     def answer(calibrated: ReleasedSimulator, search: Search) -> Explanation:
         moved = calibrated.moved

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from agent.core import Console, InputError
 from agent.pipeline.identify import check_output
@@ -13,6 +15,7 @@ if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
     from agent.model import Simulator
 
+_OVER_RANGE = 0.01  # rad or m, by which a joint is where its file does not let it be
 _FORMATS = {".xml": "an MJCF", ".mjcf": "an MJCF", ".urdf": "a URDF"}
 
 
@@ -46,13 +49,27 @@ def run_forward(found: Diagnosis, simulator: Simulator, console: Console) -> dic
     figures, reason = forward_or_reason(found, simulator)
     if reason:
         console.warn(reason)
-    if not figures:
-        return {}
-    warning = forward_warning(figures)
-    if not warning:
-        return {"forward": figures}
-    console.warn(warning)
-    return {"forward": figures, "warnings": [*found.result["warnings"], warning]}
+    said = list(beyond_range(found, simulator))
+    warning = forward_warning(figures) if figures else ""
+    said += [warning] if warning else []
+    for text in said:
+        console.warn(text)
+    result: dict[str, Any] = {"forward": figures} if figures else {}
+    return {**result, "warnings": [*found.result["warnings"], *said]} if said else result
+
+
+def beyond_range(found: Diagnosis, simulator: Simulator) -> Iterator[str]:
+    """Joints that moved where the file does not let them: a simulator that holds its ranges is stopped there."""
+    arm = simulator.arm
+    low, high = (end([end(log.position, axis=0) for log in found.dataset.logs], axis=0) for end in (np.min, np.max))
+    beyond = np.maximum(arm.lower - low, high - arm.upper)
+    for k in np.flatnonzero(beyond > _OVER_RANGE):
+        unit = "m" if arm.prismatic[k] else "rad"
+        yield (
+            f"{arm.path.name}: {arm.joint_names[k]} moves from {low[k]:.3g} to {high[k]:.3g} {unit} in the logs, and "
+            f"the file lets it move from {arm.lower[k]:.3g} to {arm.upper[k]:.3g}: widen its range there, or a "
+            "simulator stops it; the roll-out is without ranges"
+        )
 
 
 def write_simulator(found: Diagnosis, simulator: Simulator, out: Path, console: Console) -> None:

@@ -215,6 +215,7 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
     from agent.model import SIMULATOR
 
     reference, simulator = _simulator(robot, paths, question, console)
+    described = robot is not None or simulator is None
     if reference is not None and (robot is None or reference.method == SIMULATOR):
         robot = reference.robot  # of the file, with the drives of the description
     if robot is None:
@@ -227,7 +228,7 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
     console.step(f"reading {len(paths)} logs")
     logs = read_logs(list(paths), robot, console)
     check_one_machine(logs, reference, question.allow_mixed, payload_counts=True)
-    check_plausible(robot, logs, question.force, console)
+    check_plausible(robot, logs, question.force, console, described=described)
     console.step("searching for what model and robot disagree in")
     found = diagnose(robot, logs, reference, question.cutoff, question.without, console.progress)
     say_used(logs, found.dataset.cutoff, found.dataset.model.order, console)

@@ -89,8 +89,11 @@ def check_plausible(
     force: bool,
     console: Console,
     advice: str = "Nothing is written; mend it, or go on with --force",
+    described: bool = True,
 ) -> None:
     """Refuse logs that no motion of this robot can have made, with what to do; with `force` only say so.
+
+    `described`: the robot's name is that of a description, and not what somebody called a simulator.
 
     Raises:
         RejectedError: with the likeliest reason first.
@@ -98,7 +101,7 @@ def check_plausible(
     from agent.estimation import plausibility_warnings
 
     found = plausibility_warnings(robot, logs)
-    others = sorted({log.metadata.get("robot", "") for log in logs} - {"", robot.name})
+    others = sorted({log.metadata.get("robot", "") for log in logs} - {"", robot.name}) if described else []
     named = [f"the logs say that they are of robot {' and '.join(others)}, not of {robot.name}"] if others else []
     if found and not force:
         names = ", ".join(log.name for log in logs)

@@ -1,0 +1,63 @@
+"""Which numbers of a simulator move, and how it is run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from agent.core import Console
+from agent.diagnosis.calibration import calibration
+from agent.diagnosis.dataset import assemble
+from agent.diagnosis.limits import LIMITS
+from agent.diagnosis.rollout import MujocoEngine
+from agent.diagnosis.simulator import with_expected_error
+from agent.model import load_simulator
+from agent.pipeline.corrected_simulator import beyond_range
+from agent.pipeline.identify import check_plausible
+from agent.recording import read_log
+from tests.model.bench import CHAIN, URDF, recorded, scene, written
+
+
+def test_a_rotor_that_is_most_of_a_wrists_inertia_is_moved_as_far_as_it_must(tmp_path):
+    wrist = URDF.replace('<mass value="3"/>', '<mass value="0.05"/>').replace('xyz="0.2 0 0"', 'xyz="0.01 0 0"')
+    wrist = wrist.replace('ixx="0.03" iyy="0.04" izz="0.05"', 'ixx="3e-5" iyy="4e-5" izz="5e-5"')
+    model = load_simulator(written(tmp_path, wrist, "arm.urdf"), None, ("pan", "lift")).model
+    with_rotor = np.append(model.standard[:20], [0.0, 0.08])  # a thousand times what it turns
+    values = np.append(model.projection @ with_rotor, model.values[len(model.independent) :] + [0, 0, 0.2, 0.1])
+    robot = replace(model, values=values)
+    logs = [read_log(recorded(tmp_path / f"{k}.mcap", robot, k), model.robot) for k in (1, 2)]
+    found = calibration(assemble(model.robot, with_expected_error(model, logs), logs, None, LIMITS))
+    assert ("rotor inertia", 1) in found.released
+    assert np.nanstd(found.moved.residual[:, 1]) < 0.01 * np.std(logs[0].effort[:, 1])
+
+
+def test_a_roll_out_goes_where_the_robot_was_though_the_file_does_not_let_it(tmp_path):
+    pytest.importorskip("mujoco")
+    narrow = CHAIN.replace('<joint name="lift"', '<joint name="lift" limited="true" range="-5 5"')
+    free, held = (
+        MujocoEngine(written(tmp_path, scene(bodies), name), ("pan", "lift"))
+        for bodies, name in ((CHAIN, "free.xml"), (narrow, "narrow.xml"))
+    )
+    runs = [each.run(np.zeros(2), np.ones(2), lambda *_: np.zeros(2), np.array([0.3]))[0] for each in (free, held)]
+    np.testing.assert_allclose(runs[1], runs[0])
+    assert runs[0][0, 1] > 0.2
+
+
+def test_a_joint_that_moved_beyond_its_range_in_the_file_is_named(tmp_path):
+    simulator = load_simulator(written(tmp_path, URDF, "arm.urdf"), None, ("pan", "lift"))
+    log = SimpleNamespace(position=np.array([[0.0, -1.9], [2.005, 2.4]]))
+    found = SimpleNamespace(dataset=SimpleNamespace(logs=[log]))
+    (said,) = beyond_range(found, simulator)
+    assert "arm.urdf: lift moves from -1.9 to 2.4 rad in the logs, and the file lets it move from -2 to 2" in said
+
+
+def test_a_simulator_may_be_called_otherwise_than_the_robot_of_the_logs(tmp_path, robot, capsys, monkeypatch):
+    monkeypatch.setattr("agent.estimation.plausibility_warnings", lambda *_: [])
+    log = SimpleNamespace(metadata={"robot": "cell 7"}, name="a.mcap")
+    check_plausible(robot, [log], False, Console(-1), described=False)
+    assert "cell 7" not in capsys.readouterr().err
+    check_plausible(robot, [log], False, Console(-1))
+    assert "of robot cell 7, not of bench" in capsys.readouterr().err
