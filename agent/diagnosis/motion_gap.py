@@ -1,15 +1,23 @@
-"""Planned against executed set-points: r(t) ≈ p(a t + b), p averaged over a short time."""
+"""Planned against executed set-points: r(t) ≈ p(a t + b), p averaged over a short time.
+
+A plan is laid onto a log from stop to stop (`agent.link.Aligner`): each way begins when the controller begins it,
+however long the one before took. So t counts from the last stop, unless the log's own time explains more: a plan may
+also be that of the whole log.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.recording import Log
+
+_REST = 0.006  # s: the shortest standstill of set-points that is a stop
+_SHORTEST = 10  # samples of a way that can be run at another rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,55 +58,89 @@ class MotionGap:
 
 def motion_gap(logs: Sequence[Log], limits: DecisionLimits = LIMITS) -> MotionGap | None:
     """The gap over all logs; None where a log lacks planned or executed set-points."""
-    pairs = []
+    pairs: list[_Pair] = []
     for log in logs:
         if log.planned_position is None or log.reference_position is None:
             return None
         good = np.all(np.isfinite(log.planned_position) & np.isfinite(log.reference_position), axis=1)
         if good.sum() < 10:
             return None
-        pairs.append((log.t[good], log.planned_position[good], log.reference_position[good]))
-    before = _rms([executed - planned for _, planned, executed in pairs])
-    as_it_is = MotionGap(before, before, _floor(logs, [e - p for _, p, e in pairs]), 1.0, 0.0, 0.0, limits)
+        pairs.append(_Pair(log.t[good], log.planned_position[good], log.reference_position[good]))
+    before = _rms([pair.executed - pair.planned for pair in pairs])
+    as_it_is = MotionGap(before, before, _floor(logs, [p.executed - p.planned for p in pairs]), 1.0, 0.0, 0.0, limits)
     if not as_it_is.notable:
         return as_it_is
-    fitted = [_fit(*pair) for pair in pairs]
+    stopped = [replace(pair, starts=_after_stops(pair)) for pair in pairs]
+    tried = [_described(logs, some, before, limits) for some in (pairs, stopped)]
+    found = min(tried, key=lambda gap: float(np.sum(gap.after**2)))
+    # other corners and ramps are no change of rate: what one motion teaches then makes another one worse
+    return found if found.practical and np.sum(found.after**2) < np.sum(before**2) else as_it_is
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """Planned and executed set-points (S, n) of a log over time (S,) [s], and times [s] where the plan starts anew."""
+
+    time: np.ndarray
+    planned: np.ndarray
+    executed: np.ndarray
+    starts: np.ndarray = field(default_factory=lambda: np.empty(0))
+
+
+def _described(logs: Sequence[Log], pairs: Sequence[_Pair], before: np.ndarray, limits: DecisionLimits) -> MotionGap:
+    """The gap that is left by rate and blend of the other logs, and a shift of each."""
+    fitted = [_fit(pair) for pair in pairs]
     errors = []
     for number, pair in enumerate(pairs):
         others = [one for k, one in enumerate(fitted) if k != number] or fitted
         rate, blend = (float(np.median([other[k] for other in others])) for k in (0, 2))
-        errors.append(pair[2] - _executed(*pair[:2], rate, fitted[number][1], blend))
+        errors.append(pair.executed - _executed(pair, rate, fitted[number][1], blend))
     rate, shift, blend = (float(np.median([one[k] for one in fitted])) for k in range(3))
-    found = MotionGap(before, _rms(errors), _floor(logs, errors), rate, shift, blend, limits)
-    # other corners and ramps are no change of rate: what one motion teaches then makes another one worse
-    return found if found.practical and np.sum(found.after**2) < np.sum(before**2) else as_it_is
+    return MotionGap(before, _rms(errors), _floor(logs, errors), rate, shift, blend, limits)
+
+
+def _after_stops(pair: _Pair) -> np.ndarray:
+    """Times [s] at which the executed set-points move again after they stood still, or the plan goes on."""
+    moves = np.any(np.diff(pair.executed, axis=0) != 0.0, axis=1)
+    changes, period = np.flatnonzero(moves), float(np.median(np.diff(pair.time)))
+    if not len(changes):
+        return np.empty(0)
+    again = changes[np.flatnonzero(np.diff(changes) > round(_REST / period)) + 1]
+    gaps = np.flatnonzero(np.diff(pair.time) > 1.5 * period) + 1
+    return np.asarray(pair.time[np.union1d(again, gaps)])
 
 
 def _rms(parts: Sequence[np.ndarray]) -> np.ndarray:
     return np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0))
 
 
-def _executed(time: np.ndarray, planned: np.ndarray, rate: float, shift: float, blend: float) -> np.ndarray:
+def _executed(pair: _Pair, rate: float, shift: float, blend: float) -> np.ndarray:
     """(S, n) set-points of a plan run at another rate, later by `shift` and averaged over `blend`."""
     from scipy.interpolate import CubicSpline
     from scipy.ndimage import uniform_filter1d
 
-    at = np.clip(time[0] + rate * (time - time[0]) - shift, time[0], time[-1])
-    moved = CubicSpline(time, planned)(at)
-    width = 1 + 2 * int(0.5 * blend / np.median(np.diff(time)))
-    return uniform_filter1d(moved, width, axis=0, mode="nearest") if width > 1 else moved
+    width = 1 + 2 * int(0.5 * blend / np.median(np.diff(pair.time)))
+    parts = []
+    cuts = np.searchsorted(pair.time, pair.starts)
+    for time, planned in zip(np.split(pair.time, cuts), np.split(pair.planned, cuts), strict=True):
+        if len(time) >= _SHORTEST:
+            at = np.clip(time[0] + rate * (time - time[0]) - shift, time[0], time[-1])
+            planned = CubicSpline(time, planned)(at)
+            planned = uniform_filter1d(planned, width, axis=0, mode="nearest") if width > 1 else planned
+        parts.append(planned)
+    return np.concatenate(parts)
 
 
-def _fit(time: np.ndarray, planned: np.ndarray, executed: np.ndarray) -> tuple[float, float, float]:
+def _fit(pair: _Pair) -> tuple[float, float, float]:
     """Rate, shift and blend of one log: a coarse grid of rates, then least squares."""
     from scipy.optimize import least_squares
 
-    thin = slice(None, None, max(1, len(time) // 3000))
-    t, p, e = time[thin], planned[thin], executed[thin]
-    size = np.maximum(np.std(p, axis=0), 1e-3)
+    step = slice(None, None, max(1, len(pair.time) // 3000))
+    thin = replace(pair, time=pair.time[step], planned=pair.planned[step], executed=pair.executed[step])
+    size = np.maximum(np.std(thin.planned, axis=0), 1e-3)
 
     def error(x: np.ndarray) -> np.ndarray:
-        return ((_executed(t, p, x[0], x[1], 0.0) - e) / size).ravel()
+        return ((_executed(thin, x[0], x[1], 0.0) - thin.executed) / size).ravel()
 
     start = min(
         ((rate, shift) for rate in (0.94, 0.97, 0.985, 1.0, 1.015, 1.03, 1.06) for shift in (-0.02, 0.0, 0.02)),
@@ -106,7 +148,7 @@ def _fit(time: np.ndarray, planned: np.ndarray, executed: np.ndarray) -> tuple[f
     )
     rate, shift = least_squares(error, start, x_scale=(1e-3, 1e-3), max_nfev=60).x
     blends = (0.0, 0.01, 0.02, 0.04, 0.06, 0.1, 0.15, 0.25)
-    blend = min(blends, key=lambda w: float(np.sum((_executed(time, planned, rate, shift, w) - executed) ** 2)))
+    blend = min(blends, key=lambda w: float(np.sum((_executed(pair, rate, shift, w) - pair.executed) ** 2)))
     return float(rate), float(shift), blend
 
 
