@@ -11,18 +11,30 @@ def cubic_spline(knots: np.ndarray, values: np.ndarray, places: np.ndarray, natu
     Not-a-knot at the ends (one cubic over the first two intervals, and one over the last two): the outer cubics go on
     beyond them. `natural`: no bending at the ends, and straight on beyond them.
     """
-    slope = spline_slopes(knots, values.T, natural).T
-    width = np.diff(knots)[:, None]
-    secant = np.diff(values, axis=0) / width
-    bend = (slope[:-1] + slope[1:] - 2 * secant) / width
-    cubic, square = bend / width, (secant - slope[:-1]) / width - bend
-    inside = np.clip(places, knots[0], knots[-1]) if natural else places
-    at = np.clip(np.searchsorted(knots, inside, side="right") - 1, 0, len(knots) - 2)
-    x = (inside - knots[at])[:, None]
-    found = ((cubic[at] * x + square[at]) * x + slope[at]) * x + values[at]
-    if natural:
-        found += (places - inside)[:, None] * np.where((places < knots[0])[:, None], slope[0], slope[-1])
-    return np.asarray(found)
+    return CubicSplines(knots, values, natural)(places)
+
+
+class CubicSplines:
+    """The splines of `cubic_spline` through values (K, m), to be asked at places more than once."""
+
+    def __init__(self, knots: np.ndarray, values: np.ndarray, natural: bool = False):
+        self._knots, self._values, self._natural = knots, values, natural
+        self._slope = slope = spline_slopes(knots, values.T, natural).T
+        width = np.diff(knots)[:, None]
+        secant = np.diff(values, axis=0) / width
+        bend = (slope[:-1] + slope[1:] - 2 * secant) / width
+        self._cubic, self._square = bend / width, (secant - slope[:-1]) / width - bend
+
+    def __call__(self, places: np.ndarray) -> np.ndarray:
+        """(P, m) at places (P,)."""
+        knots, slope = self._knots, self._slope
+        inside = np.clip(places, knots[0], knots[-1]) if self._natural else places
+        at = np.clip(np.searchsorted(knots, inside, side="right") - 1, 0, len(knots) - 2)
+        x = (inside - knots[at])[:, None]
+        found = ((self._cubic[at] * x + self._square[at]) * x + slope[at]) * x + self._values[at]
+        if self._natural:
+            found += (places - inside)[:, None] * np.where((places < knots[0])[:, None], slope[0], slope[-1])
+        return np.asarray(found)
 
 
 def spline_slopes(knots: np.ndarray, rows: np.ndarray, natural: bool = False) -> np.ndarray:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from agent.model import Effect, FitContext, ModelEffect, NominalModel
+from agent.model import Effect, FitContext, ModelEffect, MotionSignals, NominalModel
 
 #: An effect's name, and joints from 0; none for one of the whole arm or base.
 Where = tuple[str, tuple[int, ...]]
 #: Effect, joints and nonlinear parameters of a candidate that is asked for.
 Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
 
-_AT_ONCE = 64  # blocks of columns filtered together
+_AT_ONCE = 16  # columns filtered together, so that they stay in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,20 +73,37 @@ def make_candidates(context: FitContext, wanted: Sequence[Wanted]) -> list[Candi
     for kind in {effect for effect, *_ in wanted}:
         kind.prepare(context.signals, [(joints, settings) for effect, joints, settings in wanted if effect is kind])
     for signals, sigma in zip(context.signals, context.sigmas, strict=True):
-        pending: list[tuple[int, int, np.ndarray]] = []
-        for number, (effect, joints, settings) in enumerate(wanted):
-            for joint, block in effect.columns(signals, joints, settings).items():
-                pending.append((number, joint, block))
-        for first in range(0, len(pending), _AT_ONCE):
-            some = pending[first : first + _AT_ONCE]
+        over = [column[:, None] for column in np.ascontiguousarray(sigma.T)]
+        ready = [effect.filtered(signals, joints, settings) for effect, joints, settings in wanted]
+        for some in _batches(signals, [(k, wanted[k]) for k, found in enumerate(ready) if found is None]):
             filtered = signals.low_pass(np.concatenate([block.T for *_, block in some]).T)
             ends = np.cumsum([block.shape[1] for *_, block in some])[:-1]
             for (number, joint, _), block in zip(some, np.split(filtered, ends, axis=1), strict=True):
-                parts[number].setdefault(joint, []).append(block / sigma[:, joint, None])
+                parts[number].setdefault(joint, []).append(block / over[joint])
+        for number, blocks in enumerate(ready):
+            for joint, block in (blocks or {}).items():
+                parts[number].setdefault(joint, []).append(block / over[joint])
     result = []
     for (effect, joints, settings), found in zip(wanted, parts, strict=True):
-        blocks = {joint: np.concatenate(block) for joint, block in found.items()}
+        joined = {joint: np.concatenate(block) for joint, block in found.items()}
         prior = effect.prior_precision(context, joints, settings)
         names = effect.names(settings)
-        result.append(Candidate(effect, joints, dict(settings), names, blocks, prior, context.reference))
+        result.append(Candidate(effect, joints, dict(settings), names, joined, prior, context.reference))
     return result
+
+
+def _batches(
+    signals: MotionSignals, wanted: Sequence[tuple[int, Wanted]]
+) -> Iterator[list[tuple[int, int, np.ndarray]]]:
+    """Columns to be filtered, some at a time: number of the candidate, joint, (S, k)."""
+    some: list[tuple[int, int, np.ndarray]] = []
+    width = 0
+    for number, (effect, joints, settings) in wanted:
+        for joint, block in effect.columns(signals, joints, settings).items():
+            some.append((number, joint, block))
+            width += block.shape[1]
+            if width >= _AT_ONCE:
+                yield some
+                some, width = [], 0
+    if some:
+        yield some

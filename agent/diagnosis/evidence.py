@@ -77,6 +77,7 @@ def null_gains(fit: Fit, candidates: Sequence[Candidate], limits: DecisionLimits
     square = dict.fromkeys(wanted, 0.0)
     direction = {c: fit.practical(c) for c in wanted}
     moments = dict(fit.moments(wanted))
+    together = np.concatenate([both[:, :-1] for both, _ in moments.values()], axis=2)  # (cells, p, all parameters)
     for number, fold in enumerate(fit.folds):
         test, train = fold_of == number, fold_of != number
         x_test, x_train = signs[:, test] @ model[test], signs[:, train] @ model[train] / fit.repeat
@@ -84,19 +85,19 @@ def null_gains(fit: Fit, candidates: Sequence[Candidate], limits: DecisionLimits
         inverse = fit.solve(fold.train)[0]
         change = x_train @ inverse
         gram = fit.gram[fold.test].sum(axis=0)[:-1, :-1]
-        for c in wanted:
-            both, alone = moments[c]
-            x_z = both[fold.train].sum(axis=0)[:-1] / fit.repeat
-            follows = inverse @ x_z
-            schur = alone[fold.train].sum(axis=0) / fit.repeat - x_z.T @ follows
+        x_z, x_z_test = together[fold.train].sum(axis=0) / fit.repeat, together[fold.test].sum(axis=0)
+        follows = inverse @ x_z
+        beyond = x_z_test - gram @ follows
+        side = z_train - x_train @ follows
+        slope = z_test - x_test @ follows - change @ beyond
+        for c, span in spans.items():
+            alone, followed = moments[c][1], follows[:, span]
+            schur = alone[fold.train].sum(axis=0) / fit.repeat - x_z[:, span].T @ followed
             schur += fit.ridge(c, np.maximum(alone.sum(axis=0).diagonal(), 1e-9))
-            values = np.linalg.solve(schur, (z_train[:, spans[c]] - x_train @ follows).T).T
-            x_z_test = both[fold.test].sum(axis=0)[:-1]
-            beyond = x_z_test - gram @ follows
-            slope = z_test[:, spans[c]] - x_test @ follows - change @ beyond
-            energy = alone[fold.test].sum(axis=0) - follows.T @ x_z_test - beyond.T @ follows
-            own[c] += np.sum(values * (2 * slope - values @ energy), axis=1)
-            cross[c] += 2 * slope @ direction[c]
+            values = np.linalg.solve(schur, side[:, span].T).T
+            energy = alone[fold.test].sum(axis=0) - followed.T @ x_z_test[:, span] - beyond[:, span].T @ followed
+            own[c] += np.sum(values * (2 * slope[:, span] - values @ energy), axis=1)
+            cross[c] += 2 * slope[:, span] @ direction[c]
             square[c] += float(direction[c] @ energy @ direction[c])
     return Null(np.max(np.stack(list(own.values())), axis=0), own, cross, square, limits)
 

@@ -311,8 +311,6 @@ class Fit:
 
     def practical(self, candidate: Candidate) -> np.ndarray:
         """(k,) parameters at which the effect has its practical size and the model can follow it least."""
-        from scipy.linalg import eigh
-
         (_, (cross, own)), *_ = self.moments([candidate])
         b, a = cross.sum(axis=0)[:-1] / self.repeat, own.sum(axis=0) / self.repeat
         schur = a - b.T @ self.solve(np.ones(self.cells, dtype=bool))[0] @ b
@@ -322,5 +320,6 @@ class Fit:
             torque += part.T @ part / len(part)
         size = np.sqrt(np.maximum(np.diag(torque), 1e-300))
         scaled = torque / np.outer(size, size) + 1e-9 * np.eye(len(size))
-        vector = eigh(schur / np.outer(size, size), scaled)[1][:, -1]
+        half = np.linalg.inv(np.linalg.cholesky(scaled))
+        vector = half.T @ np.linalg.eigh(half @ (schur / np.outer(size, size)) @ half.T)[1][:, -1]
         return candidate.effect.practical * vector / np.sqrt(vector @ scaled @ vector) / size

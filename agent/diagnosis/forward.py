@@ -48,9 +48,14 @@ class Simulated:
 
 
 def simulate(diagnosis: Diagnosis) -> list[Simulated]:
-    """Simulate every log that has set-points, its longest segment without a gap, at most `LONGEST` seconds of it."""
+    """Simulate every log that has set-points, its longest segment without a gap, at most `LONGEST` seconds of it.
+
+    None where no effect was found: there are no two arms to compare.
+    """
     dataset = diagnosis.dataset
-    found = []
+    found: list[Simulated] = []
+    if not diagnosis.finding.causes:
+        return found
     for number, log in enumerate(dataset.logs):
         if log.reference_position is None or log.metadata.get(PAYLOAD):  # the model simulates the bare arm
             continue

@@ -55,7 +55,9 @@ def _turns(q: np.ndarray, least: float) -> int:
     """How often a position (S,) turns back by more than `least`."""
     turns, way = 0, 0
     low = high = q[0]
-    for value in q[:: max(1, len(q) // 5000)]:
+    q = q[:: max(1, len(q) // 5000)]
+    onwards = np.diff(q)[:-1] * np.diff(q)[1:] > 0  # only where it turns it may be farthest
+    for value in q[np.concatenate([[True], ~onwards, [True]])[: len(q)]].tolist():
         low, high = min(low, value), max(high, value)
         if way >= 0 and value < high - least:
             turns, way, low = turns + (way > 0), -1, value

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -279,6 +279,7 @@ def _respond(signals: np.ndarray, rate: float, responses: list[_Response], kept:
     return [result.T for result in results]
 
 
+@cache
 def _fast_length(least: int) -> int:
     """The smallest product of twos, threes and fives that is not less: what a Fourier transform is quick with."""
     length = least

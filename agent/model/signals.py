@@ -194,12 +194,17 @@ class MotionSignals:
 
     def pushed(self, link: int, rows: np.ndarray) -> np.ndarray:
         """(K, 3, n) Jacobian of the far end of a link (from 0), in the base frame, at the rows (S,) bool; K of them."""
-        screws, ends = self._screws
+        screws, ends, known = self._screws
+        if np.any(new := rows & ~known):
+            screws[new], ends[new] = self.reference.links.joint_screws(self.q[new])
+            known |= new
         screws, point = screws[rows], ends[rows, link]
         jacobian = screws[:, :3] + np.cross(screws[:, 3:], point[:, :, None], axis=1)
         jacobian[:, :, link + 1 :] = 0
         return jacobian
 
     @cached_property
-    def _screws(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.reference.links.joint_screws(self.q)
+    def _screws(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Joint screws (S, 6, n) and ends of links (S, n, 3), and in which rows (S,) they are known so far."""
+        samples, dof = self.q.shape
+        return np.empty((samples, 6, dof)), np.empty((samples, dof, 3)), np.zeros(samples, dtype=bool)

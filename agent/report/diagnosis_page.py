@@ -155,7 +155,11 @@ def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Se
         parts.append(Table("motion-gap", ("joint", "before [mrad, mm]", "after", "floor"), rows))
     figures = simulation_part(diagnosis, simulated)
     if figures is None:
-        text.append("No log has set-points without a gap, so nothing was simulated.")
+        text.append(
+            "No log has set-points without a gap, so nothing was simulated."
+            if diagnosis.finding.causes
+            else "No effect was found, so there is nothing to compare in forward simulation."
+        )
     else:
         parts += [_simulation_table(diagnosis, figures), simulated_torque(diagnosis, simulated)]
         text.append(

@@ -149,6 +149,13 @@ class Effect(ABC):
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         """Torque per unit of each linear parameter."""
 
+    def filtered(
+        self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]
+    ) -> Columns | None:
+        """`columns` after the filter of the torque, where many forms are made of few parts; None: they are to be
+        filtered one by one."""
+        return None
+
     def prior_precision(
         self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
     ) -> np.ndarray | None:

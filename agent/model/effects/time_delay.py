@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.core import cubic_spline
+from agent.core import CubicSplines
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.effects.experiments import SHARP_REVERSALS
 from agent.model.friction_terms import axle_columns
@@ -65,8 +65,7 @@ class TimeDelay(Effect):
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         late = np.clip(signals.time - settings["delay"], signals.time[0], signals.time[-1])
-        shifted = signals.predicted if "reversal" not in settings else _turning_faster(signals, settings["reversal"])
-        change = cubic_spline(signals.time, shifted, late) - signals.predicted
+        change = _predicted(signals, settings.get("reversal"))(late) - signals.predicted
         return {joint: change[:, joint, None] for joint in range(signals.q.shape[1])}
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
@@ -74,6 +73,16 @@ class TimeDelay(Effect):
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return len(settings)
+
+
+def _predicted(signals: MotionSignals, part: float | None) -> CubicSplines:
+    """Of the model's torque over time, its friction turning over a `part` of the way; remembered, as many delays are
+    tried."""
+    known = signals.__dict__.setdefault("_over_time", {})
+    if part not in known:
+        torque = signals.predicted if part is None else _turning_faster(signals, part)
+        known[part] = CubicSplines(signals.time, torque)
+    return known[part]
 
 
 def _turns_slowly(model: RigidFrictionModel) -> bool:

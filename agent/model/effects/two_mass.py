@@ -13,6 +13,7 @@ from agent.model.signals import MotionSignals
 
 _MASSLESS = 1e-9  # kg·m² or kg: a description of kinematics alone, whose links cannot ring
 _RATE = 1500.0  # Hz of the integration, at least
+_BLOCK = 100  # samples whose factors are worked out together
 _TRIED = 2  # of a joint's grid, in full
 _SUSPECT = 1.3  # Σ e² / σ² to a row from which on a joint gets the whole grid, and half of the worst joint's
 _PROMISING = 0.15  # of a joint's Σ e² / σ², taken away by the best of the grid: its neighbours are worth a look
@@ -46,25 +47,36 @@ def leads(
     step = period / substeps
     first = load[0, column]
     twist = first / k + np.sign(first) * half
-    momentum, velocity = np.zeros((2, len(k)))
+    momentum, velocity, beyond = np.zeros((3, len(k)))
     torque, second = np.empty((2, longest, len(k)), dtype=np.float32)
-    has_gap = bool(np.any(half > 0))
+    has_gap, touching = bool(np.any(half > 0)), np.ones(len(k), dtype=bool)
     impulse, spring, mobility = step * load, step * k, 1 / inertia
     followed = 1 / np.maximum(step**2 * k, step * c)
-    for sample in range(longest):
-        pushed, before = impulse[sample, column], momentum
-        inverse = np.minimum(mobility[sample, column], followed)
-        kept, moved = 1 - step * c * inverse, step * inverse
-        for _ in range(substeps):
-            if has_gap:
-                beyond = twist - np.minimum(np.maximum(twist, -half), half)
-                momentum = np.where(beyond != 0, kept, 1.0) * momentum + pushed - spring * beyond
-            else:
-                momentum = kept * momentum + pushed - spring * twist
-            twist = twist + moved * momentum
-        torque[sample] = (momentum - before) / period
-        slower, velocity = velocity, momentum * inverse
-        second[sample] = (velocity - slower) / period
+    for start in range(0, longest, _BLOCK):
+        here = slice(start, start + _BLOCK)
+        inverse = np.minimum(mobility[here][:, column], followed)
+        momenta = np.empty((len(inverse) + 1, len(k)))
+        momenta[0] = momentum
+        steps = zip(impulse[here][:, column], 1 - step * c * inverse, step * inverse, momenta[1:], strict=True)
+        for pushed, kept, moved, after in steps:
+            for _ in range(substeps):  # in place: small arrays cost by their number
+                np.copyto(beyond, twist)
+                if has_gap:
+                    np.maximum(beyond, -half, out=beyond)
+                    np.minimum(beyond, half, out=beyond)
+                    np.subtract(twist, beyond, out=beyond)
+                    np.not_equal(beyond, 0, out=touching)
+                np.multiply(momentum, kept, out=momentum, where=touching)
+                momentum += pushed
+                beyond *= spring
+                momentum -= beyond
+                np.multiply(moved, momentum, out=beyond)
+                twist += beyond
+            after[:] = momentum
+        torque[here] = np.diff(momenta, axis=0) / period
+        speeds = np.concatenate([velocity[None], momenta[1:] * inverse])
+        second[here] = np.diff(speeds, axis=0) / period
+        velocity = speeds[-1]
     parts = zip(*(np.split(part, len(motions), axis=1) for part in (torque, second)), motions, strict=True)
     return [(one[: len(motion.time)], two[: len(motion.time)]) for one, two, motion in parts]
 

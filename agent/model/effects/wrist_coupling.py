@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -78,34 +78,37 @@ class WristCoupling(Effect):
         return ("rotor", "viscous", "coulomb", *(("transmission",) if "axle_side" in settings else ()))
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+        return self._made(_Parts(signals), joints, settings)
+
+    def filtered(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
+        return self._made(_FilteredParts(signals), joints, settings)
+
+    def _made(self, parts: _Parts, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         i, j = joints
         ratio = settings["ratio"]
+        coupling = parts.signals.reference.coupling
         if "besides" in settings:
-            rubbing = _friction(signals, j, i, ratio, free=True)
+            rubbing = parts.friction(j, i, ratio, free=True)
             if "shaft" in settings:
-                turned = signals.qdd @ signals.reference.coupling[j] + ratio * signals.qdd[:, i]
-                rubbing = np.column_stack([rubbing, turned])
-            shares = signals.reference.coupling[j] + ratio * np.eye(len(signals.reference.coupling))[i]
+                rubbing = np.column_stack([rubbing, parts.axle(j) + ratio * parts.joint(i)])
+            shares = coupling[j] + ratio * np.eye(len(coupling))[i]
             found = {int(k): shares[k] * rubbing for k in np.flatnonzero(shares)}
             if "turning" not in settings:
                 return found
-            motor, none = self.columns(signals, joints, {"ratio": ratio}), np.zeros_like(rubbing)
+            motor, none = self._made(parts, joints, {"ratio": ratio}), np.zeros_like(rubbing)
             return {k: np.hstack([found.get(k, none), motor.get(k, none)]) for k in found.keys() | motor.keys()}
-        alone, turned = (_friction(signals, j, i, part, "free" in settings) for part in (0.0, ratio))
-        coupling = signals.reference.coupling
-        acceleration = signals.qdd @ coupling[j]
+        alone, turned = (parts.friction(j, i, part, "free" in settings) for part in (0.0, ratio))
         width = len(self.names(settings))
         more, carried = np.zeros((2, len(alone), width))
         last = 1 + alone.shape[1]
-        more[:, 0], more[:, 1:last] = ratio * signals.qdd[:, i], turned - alone
+        more[:, 0], more[:, 1:last] = ratio * parts.joint(i), turned - alone
         if "axle_side" in settings:
             carriers = coupling[i]
-            carried[:, 0] = acceleration
-            assert signals.axles.load is not None
-            carried[:, -1] = signals.axles.load[:, j] * (1.0 if "free" in settings else -1.0)
+            carried[:, 0] = parts.axle(j)
+            carried[:, -1] = parts.load(j) * (1.0 if "free" in settings else -1.0)
         else:
             carriers = np.eye(len(coupling))[i]
-            carried[:, 0], carried[:, 1:last] = acceleration + ratio * signals.qdd[:, i], turned
+            carried[:, 0], carried[:, 1:last] = parts.axle(j) + ratio * parts.joint(i), turned
         felt = np.flatnonzero(np.abs(coupling[j]) + np.abs(carriers))
         return {int(k): coupling[j, k] * more + carriers[k] * ratio * carried for k in felt}
 
@@ -133,13 +136,48 @@ class WristCoupling(Effect):
         return 1 + len(self.names(settings))
 
 
-def _friction(signals: MotionSignals, axle: int, joint: int, ratio: float, free: bool) -> np.ndarray:
-    """(S, 1) of the model, or (S, 2) parts of its own, remembered: both sides ask for the same."""
-    known = signals.__dict__.setdefault("_turning", {})
-    key = (axle, joint if ratio else axle, ratio, free)
-    if key not in known:
-        known[key] = (_viscous_and_coulomb if free else _model_friction)(signals, axle, joint, ratio)
-    return known[key]
+class _Parts:
+    """What all columns are made of, along one motion."""
+
+    def __init__(self, signals: MotionSignals):
+        self.signals = signals
+
+    def friction(self, axle: int, joint: int, ratio: float, free: bool) -> np.ndarray:
+        """(S, 1) of the model on an axle that also turns with a joint, or (S, 2) parts of its own."""
+        make = _viscous_and_coulomb if free else _model_friction
+        return self._part((axle, joint if ratio else axle, ratio, free), lambda: make(self.signals, axle, joint, ratio))
+
+    def axle(self, axle: int) -> np.ndarray:
+        """(S,) acceleration of an axle as described."""
+        return self._part(("axle", axle), lambda: self.signals.qdd @ self.signals.reference.coupling[axle])
+
+    def joint(self, joint: int) -> np.ndarray:
+        """(S,) acceleration of a joint."""
+        return self._part(("joint", joint), lambda: self.signals.qdd[:, joint])
+
+    def load(self, axle: int) -> np.ndarray:
+        """(S,) torque that an axle carries, without its rotor."""
+        carried = self.signals.axles.load
+        assert carried is not None
+        return self._part(("load", axle), lambda: carried[:, axle])
+
+    def _part(self, key: tuple[object, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
+        """Remembered: many forms ask for the same."""
+        known = self.signals.__dict__.setdefault("_turning", {})
+        if key not in known:
+            known[key] = make()
+        return known[key]
+
+
+class _FilteredParts(_Parts):
+    """The same, filtered as torque is."""
+
+    def _part(self, key: tuple[object, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
+        known = self.signals.__dict__.setdefault("_turning_filtered", {})
+        if key not in known:
+            part = super()._part(key, make)
+            known[key] = self.signals.low_pass(part.reshape(len(part), -1)).reshape(-1, *part.shape[1:])
+        return known[key]
 
 
 def _model_friction(signals: MotionSignals, axle: int, joint: int, ratio: float) -> np.ndarray:
