@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from agent.core import keep_freed_memory
+from agent.core import InputError, keep_freed_memory
 from agent.excitation.criterion import Criterion
 from agent.excitation.scoring import LoopScore, infeasible
 from agent.motion import MotionError, MotionSettings, Move, Trajectory, ViaRegions, create_interpolator, loop_moves
@@ -93,6 +93,7 @@ class Candidates:
         self.problem = problem
         self.kinematics = kinematics_for(problem.robot, problem.tool)
         self.posture = posture(self.kinematics, problem.regions)
+        self._redundant = isinstance(self.kinematics, NumericalKinematics) and self.kinematics.dof > 6
         self._interpolator = create_interpolator(
             problem.interpolator, problem.robot, problem.tool, period=problem.period
         )
@@ -114,48 +115,100 @@ class Candidates:
         Raises:
             MotionError, KinematicsError: it breaks a limit; names the point, the limit and by how much.
         """
-        poses = self.problem.regions.poses(genome)
-        joints = self._joints(poses)
-        start = self.kinematics.solve_on_branch(poses[0], self.posture) if joints is None else joints[0]
-        moves = loop_moves(poses, self.problem.settings, joints)
-        loop = Loop(genome, poses, start, moves, self._interpolator.plan(moves, start))
-        if joints is None:
-            via_joints(self.kinematics, loop)
+        (loop,) = self.loops(np.asarray(genome)[None])
+        if isinstance(loop, InputError):
+            raise loop
         return loop
+
+    def loops(self, genomes: np.ndarray) -> list[Loop | MotionError | KinematicsError]:
+        """The loops of genomes (N, 6 K), worked out together, or the limits that they break; all are held at once."""
+        poses = self.problem.regions.poses(genomes)
+        joints, refused = self._joints(poses)
+        loops: list[Loop | MotionError | KinematicsError] = []
+        for genome, points, there, refusal in zip(genomes, poses, joints, refused, strict=True):
+            if refusal is not None:
+                loops.append(refusal)
+                continue
+            moves = loop_moves(points, self.problem.settings, there if self._redundant else None)
+            try:
+                loops.append(Loop(genome, points, there[0], moves, self._interpolator.plan(moves, there[0])))
+            except (MotionError, KinematicsError) as error:
+                loops.append(error)
+        return loops if self._redundant else self._reaching(loops)
 
     def clear(self, trajectory: Trajectory) -> bool:
         """Whether a motion keeps clear of the arm, of the boxes and of the ends of joint ranges, within max_torque."""
         collision = self._cell.check(trajectory, self.problem.settings.fly_distance).collision
         return collision is None and self._overload(_tenth(trajectory)) is None
 
-    def _joints(self, poses: np.ndarray) -> np.ndarray | None:
-        """(K, n) of a redundant arm at the via-points, nearest to its posture, so that a loop ends where it began."""
-        if not isinstance(self.kinematics, NumericalKinematics) or self.kinematics.dof <= 6:
-            return None
-        joints, found = self.kinematics.nearest(poses, np.tile(self.posture, (len(poses), 1)))
-        for k in np.flatnonzero(~found):
-            joints[k] = self.kinematics.solve(poses[k], self.posture)
-        return joints
+    def _joints(self, poses: np.ndarray) -> tuple[np.ndarray, list[KinematicsError | None]]:
+        """Joints at the beginning of loops through poses (N, K, 4, 4), and which have none.
+
+        (N, 1, n); of a redundant arm (N, K, n) at all via-points, nearest to its posture, so that a loop ends where it
+        began.
+        """
+        points = poses if self._redundant else poses[:, :1]
+        flat = points.reshape(-1, 4, 4)
+        near = np.tile(self.posture, (len(flat), 1))
+        if isinstance(self.kinematics, NumericalKinematics) and self._redundant:
+            q, found = self.kinematics.nearest(flat, near)
+            q[~found], found[~found] = self.kinematics.find(flat[~found], near[~found])
+        else:
+            q, found = self.kinematics.find_on_branch(flat, near)
+        found = found.reshape(points.shape[:2])
+        refused = [
+            None if reached.all() else self.kinematics.refusal(one[reached.argmin()], self.posture)
+            for one, reached in zip(points, found, strict=True)
+        ]
+        return q.reshape(*points.shape[:2], -1), refused
+
+    def _reaching(
+        self, loops: list[Loop | MotionError | KinematicsError]
+    ) -> list[Loop | MotionError | KinematicsError]:
+        """The same loops, but for those with a via-point where the arm itself cannot be."""
+        planned = [loop for loop in loops if isinstance(loop, Loop)]
+        if not planned:
+            return loops
+        poses, near = (
+            np.concatenate(parts) for parts in zip(*((loop.poses[1:], _passing(loop)) for loop in planned), strict=True)
+        )
+        found = iter(self.kinematics.find(poses, near)[1].reshape(len(planned), -1))
+
+        def checked(loop: Loop) -> Loop | KinematicsError:
+            reached = next(found)
+            k = int(reached.argmin())
+            return loop if reached[k] else self.kinematics.refusal(loop.poses[k + 1], _passing(loop)[k])
+
+        return [checked(loop) if isinstance(loop, Loop) else loop for loop in loops]
 
     def score(self, genome: np.ndarray) -> LoopScore:
         """What the search takes: limits and cell at every sample, the regressor at every tenth."""
-        return self._score(genome, EVERY, self._cell.check)
+        return self.scores(np.asarray(genome)[None])[0]
+
+    def scores(self, genomes: np.ndarray) -> list[LoopScore]:
+        """The scores of genomes (N, 6 K), whose loops are worked out together and held at once."""
+        return [self._score(loop, EVERY, self._cell.check) for loop in self.loops(genomes)]
 
     def score_on_all(self, genome: np.ndarray) -> LoopScore:
         """What the result is judged by: the regressor at every sample too, and from each one the way to a stop."""
-        return self._score(genome, 1, self._cell.check_with_stopping)
+        (loop,) = self.loops(np.asarray(genome)[None])
+        return self._score(loop, 1, self._cell.check_with_stopping)
 
     def checked_loop(self, genome: np.ndarray) -> Loop | LoopScore:
         """The loop of a genome that keeps all limits, or what `score` says of one that does not: without a fitness."""
-        checked = self._checked(genome, self._cell.check)
+        (loop,) = self.loops(np.asarray(genome)[None])
+        checked = self._checked(loop, self._cell.check)
         if isinstance(checked, LoopScore):
             return checked
         return self._overload(_tenth(checked.trajectory)) or checked
 
     def _score(
-        self, genome: np.ndarray, every: int, check_cell: Callable[[Trajectory, float], CellReport]
+        self,
+        loop: Loop | MotionError | KinematicsError,
+        every: int,
+        check_cell: Callable[[Trajectory, float], CellReport],
     ) -> LoopScore:
-        checked = self._checked(genome, check_cell)
+        checked = self._checked(loop, check_cell)
         if isinstance(checked, LoopScore):
             return checked
         trajectory = checked.trajectory
@@ -168,12 +221,12 @@ class Candidates:
             return LoopScore(self._criterion(*tenth, regressor))
         return LoopScore(self._criterion(trajectory.q[::every], trajectory.qd[::every], trajectory.qdd[::every]))
 
-    def _checked(self, genome: np.ndarray, check_cell: Callable[[Trajectory, float], CellReport]) -> Loop | LoopScore:
-        """The loop of a genome, or what it breaks other than the torques."""
-        try:
-            loop = self.loop(genome)
-        except (MotionError, KinematicsError) as error:
-            return infeasible(error.excess, str(error))
+    def _checked(
+        self, loop: Loop | MotionError | KinematicsError, check_cell: Callable[[Trajectory, float], CellReport]
+    ) -> Loop | LoopScore:
+        """The loop, or what it breaks other than the torques."""
+        if not isinstance(loop, Loop):
+            return infeasible(loop.excess, str(loop))
         trajectory = loop.trajectory
         wound = trajectory.q[-1] - trajectory.q[0]
         joint = int(np.argmax(np.abs(wound)))
@@ -212,8 +265,13 @@ def via_joints(kinematics: Kinematics, loop: Loop) -> list[np.ndarray]:
     Raises:
         KinematicsError: such a point.
     """
+    return [loop.start, *kinematics.solve_each(loop.poses[1:], _passing(loop))]
+
+
+def _passing(loop: Loop) -> np.ndarray:
+    """(K - 1, n) joints of a loop where it passes its via-points after the first."""
     there = np.searchsorted(loop.trajectory.move, np.arange(len(loop.poses) - 1), side="right") - 1
-    return [loop.start, *kinematics.solve_each(loop.poses[1:], loop.trajectory.q[there])]
+    return loop.trajectory.q[there]
 
 
 def posture(kinematics: Kinematics, regions: ViaRegions) -> np.ndarray:

@@ -33,8 +33,9 @@ def random_search(
 METHODS = {"genetic": genetic, "random": random_search}
 #: A process more costs as much to start as so many candidates to score.
 _CANDIDATES_A_WORKER = 60
-#: Candidates that travel together: their way costs a twentieth of their scores, and a generation feeds many workers.
-_TOGETHER = 5
+#: At most so many candidates travel and are worked out together: what they share costs little, and a generation feeds
+#: many workers.
+_TOGETHER = 7
 #: So many of the best candidates are scored again on all samples.
 FINALISTS = 10
 
@@ -211,4 +212,4 @@ class Scorer:
             _built.candidates = Candidates(self._problem)
             _built.key = self._key
         with one_blas_thread():
-            return [_built.candidates.score(genome) for genome in genomes]
+            return _built.candidates.scores(genomes)

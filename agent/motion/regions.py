@@ -24,8 +24,8 @@ _TASK_CONE = np.radians(10.0)
 class Region(Protocol):
     """Where one via-point may lie."""
 
-    def pose(self, genes: np.ndarray) -> np.ndarray:
-        """(4, 4) from six genes in [0, 1]."""
+    def poses(self, genes: np.ndarray) -> np.ndarray:
+        """(N, 4, 4) from six genes in [0, 1] each (N, 6)."""
         ...
 
 
@@ -36,7 +36,7 @@ class PointRegion:
     middle: np.ndarray
     spread: np.ndarray
 
-    def pose(self, genes: np.ndarray) -> np.ndarray:
+    def poses(self, genes: np.ndarray) -> np.ndarray:
         return pose_of(self.middle + (2.0 * genes - 1.0) * self.spread)
 
 
@@ -56,13 +56,13 @@ class BoxRegion:
     def _turn(self) -> np.ndarray:
         return self.cone * np.array([np.sqrt(0.5), np.sqrt(0.5), 1.0])
 
-    def pose(self, genes: np.ndarray) -> np.ndarray:
+    def poses(self, genes: np.ndarray) -> np.ndarray:
         signed = 2.0 * genes - 1.0
-        pose = self.middle.copy()
-        pose[:3, 3] += signed[:3] * self.half
-        turn = rotation.from_rotation_vector(signed[3:] * self._turn)
-        pose[:3, :3] = self.middle[:3, :3] @ rotation.to_matrix(turn)
-        return pose
+        poses = np.tile(self.middle, (len(genes), 1, 1))
+        poses[:, :3, 3] += signed[:, :3] * self.half
+        turn = rotation.from_rotation_vector(signed[:, 3:] * self._turn)
+        poses[:, :3, :3] = self.middle[:3, :3] @ rotation.to_matrix(turn)
+        return poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +80,14 @@ class TubeRegion:
     radius: float
     cone: float
 
-    def pose(self, genes: np.ndarray) -> np.ndarray:
+    def poses(self, genes: np.ndarray) -> np.ndarray:
+        return np.array([self._pose(one) for one in genes])
+
+    def _pose(self, genes: np.ndarray) -> np.ndarray:
         middle, across = self._at(self.begin + genes[0] * (self.end - self.begin))
         middle[:3, 3] += np.sqrt(0.5) * self.radius * (2.0 * genes[1:3] - 1.0) @ across
-        return BoxRegion(middle, np.zeros(3), self.cone).pose(np.concatenate((np.full(3, 0.5), genes[3:])))
+        turned = np.concatenate((np.full(3, 0.5), genes[3:]))
+        return BoxRegion(middle, np.zeros(3), self.cone).poses(turned[None])[0]
 
     def _at(self, length: float) -> tuple[np.ndarray, np.ndarray]:
         """The path's pose (4, 4) at an arc length [m], and two unit vectors (2, 3) across it."""
@@ -117,15 +121,17 @@ class ViaRegions:
         return 6 * len(self.regions)
 
     def poses(self, genome: np.ndarray) -> np.ndarray:
-        """(K, 4, 4) via-points of a genome (6K,) in [0, 1].
+        """(K, 4, 4) via-points of a genome (6K,) in [0, 1]; (N, K, 4, 4) of several (N, 6K).
 
         Raises:
             InputError: a genome of another length, or outside [0, 1].
         """
         genes = np.asarray(genome, dtype=float)
-        if genes.shape != (self.genes,) or not (genes >= 0.0).all() or not (genes <= 1.0).all():
+        if genes.shape[-1:] != (self.genes,) or not (genes >= 0.0).all() or not (genes <= 1.0).all():
             raise InputError(f"a genome of {self.genes} numbers from 0 to 1 is needed for {self.count} via-points")
-        return np.array([region.pose(part) for region, part in zip(self.regions, genes.reshape(-1, 6), strict=True)])
+        parts = genes.reshape(-1, self.count, 6)
+        poses = np.stack([region.poses(parts[:, k]) for k, region in enumerate(self.regions)], axis=1)
+        return poses.reshape(*genes.shape[:-1], self.count, 4, 4)
 
     @classmethod
     def from_points(

@@ -77,6 +77,21 @@ def test_every_tenth_sample_is_enough_for_the_regressor(candidates: Candidates) 
         assert tenth.fitness == pytest.approx(every.fitness, abs=0.5)
 
 
+def test_loops_worked_out_together_are_those_worked_out_alone(problem_with: Any) -> None:
+    """To the bit, among them some that start out of reach, that cannot be run and that have a point out of reach."""
+    candidates = Candidates(problem_with((1.25, 0.0, 0.8), (0.8, 0.8, 0.5)))
+    drawn = genomes(8, seed=1)
+    together = candidates.loops(drawn)
+    assert len({type(loop) for loop in together}) == 3
+    for genome, loop in zip(drawn, together, strict=True):
+        if isinstance(loop, InputError):
+            with pytest.raises(type(loop), match=re.escape(str(loop))):
+                candidates.loop(genome)
+        else:
+            assert np.array_equal(candidates.loop(genome).trajectory.q, loop.trajectory.q)
+    assert candidates.scores(drawn) == [candidates.score(genome) for genome in drawn]
+
+
 def test_a_loop_out_of_reach_is_infeasible_by_how_far(problem_with: Any) -> None:
     near, far = (Candidates(problem_with((x, 0.0, 0.8))) for x in (1.45, 1.6))
     genome = np.full(36, 0.5)

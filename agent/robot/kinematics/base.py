@@ -127,7 +127,11 @@ class Kinematics(ABC):
         Raises:
             KinematicsError: no such solution; index 0.
         """
-        return self._nearest(np.asarray(pose, dtype=float)[None], np.asarray(near, dtype=float)[None])[0]
+        pose, near = np.asarray(pose, dtype=float), np.asarray(near, dtype=float)
+        q, found = self._nearest(pose[None], near[None])
+        if not found[0]:
+            raise self.refusal(pose, near)
+        return q[0]
 
     def solve_on_branch(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
         """(n,) as `solve`, on the branch of `near` (n,) where an arm has such and a solution there keeps the limits.
@@ -137,7 +141,11 @@ class Kinematics(ABC):
         Raises:
             KinematicsError: as `solve`.
         """
-        return self.solve_each(np.asarray(pose)[None], np.asarray(near)[None])[0]
+        pose, near = np.asarray(pose, dtype=float), np.asarray(near, dtype=float)
+        q, found = self.find_on_branch(pose[None], near[None])
+        if not found[0]:
+            raise self.refusal(pose, near)
+        return q[0]
 
     def solve_each(self, poses: np.ndarray, near: np.ndarray) -> np.ndarray:
         """(S, n) as `solve` for each of poses (S, 4, 4), nearest to `near` (S, n).
@@ -145,18 +153,40 @@ class Kinematics(ABC):
         Raises:
             KinematicsError: as `solve`, of the first pose without solution.
         """
+        q, found = self.find(poses, near)
+        for k in np.flatnonzero(~found):
+            raise self.refusal(poses[k], near[k])
+        return q
+
+    def find(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(S, n) what `solve` says of each of poses (S, 4, 4), nearest to `near` (S, n), and where it does (S,)."""
         return self._nearest(np.asarray(poses, dtype=float), np.asarray(near, dtype=float))
 
-    def _nearest(self, poses: np.ndarray, near: np.ndarray) -> np.ndarray:
+    def find_on_branch(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(S, n) what `solve_on_branch` says of each of poses (S, 4, 4), and where it does (S,)."""
+        return self.find(poses, near)
+
+    def _nearest(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        candidates, _, allowed = self._options(poses, near)
+        away = np.where(allowed, np.linalg.norm(candidates - near[:, None], axis=2), np.inf)
+        return candidates[np.arange(len(poses)), away.argmin(axis=1)], np.any(allowed, axis=1)
+
+    def _options(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Solutions (S, B, n) at the turns nearest to `near` that the limits allow, which are some (S, B), and which
+        keep the limits (S, B)."""
         found = self._candidates(poses, near)
         candidates = self.turned_into_limits(self.nearest_turn(found.q, near[:, None]))
-        allowed = found.valid & self.within_limits(candidates)
-        for k in np.flatnonzero(~allowed.any(axis=1)):
-            if not found.valid[k].any():
-                self._refuse(poses[k])
-            self._refuse_limits(poses[k], candidates[k, found.valid[k]])
-        away = np.where(allowed, np.linalg.norm(candidates - near[:, None], axis=2), np.inf)
-        return candidates[np.arange(len(poses)), away.argmin(axis=1)]
+        return candidates, found.valid, found.valid & self.within_limits(candidates)
+
+    def refusal(self, pose: np.ndarray, near: np.ndarray) -> KinematicsError:
+        """Why there is no solution for a pose (4, 4) near joints (n,) where `find` has found none."""
+        candidates, valid, _ = self._options(pose[None], near[None])
+        try:
+            if not valid.any():
+                self._refuse(pose)
+            self._refuse_limits(pose, candidates[valid])
+        except KinematicsError as error:
+            return error
 
     def _refuse_limits(self, pose: np.ndarray, candidates: np.ndarray) -> NoReturn:
         beyond = np.maximum(candidates - self.upper, self.lower - candidates)

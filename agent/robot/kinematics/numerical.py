@@ -8,7 +8,6 @@ nearest to its guess.
 
 from __future__ import annotations
 
-import contextlib
 from typing import NoReturn
 
 import numpy as np
@@ -197,23 +196,27 @@ class NumericalKinematics(Kinematics):
 
     def solve(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
         """As in `Kinematics`; a redundant arm's nearest solution is looked for from `near` itself first."""
-        if self.dof > 6:
-            with contextlib.suppress(KinematicsError):
-                q = self._follow_near(np.asarray(pose, dtype=float)[None], np.asarray(near, dtype=float)[None])[0]
-                if self.within_limits(q):
-                    return q
-        return super().solve(pose, near)
+        return (
+            self.solve_each(np.asarray(pose)[None], np.asarray(near)[None])[0]
+            if self.dof > 6
+            else super().solve(pose, near)
+        )
 
-    def solve_each(self, poses: np.ndarray, near: np.ndarray) -> np.ndarray:
+    def find(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        poses, near = np.asarray(poses, dtype=float), np.asarray(near, dtype=float)
         if self.dof > 6:
-            return np.array([self.solve(pose, there) for pose, there in zip(poses, near, strict=True)])
-        # Most are next to where they are looked for: no other solution is nearer than one that is on this branch.
-        q, error = self._converge(poses, near)
-        sure = (error < ACCURACY * self.length) & (self.singularity(q).smallest >= SINGULAR_DISTANCE)
-        sure &= self.within_limits(q) & (np.abs(q - near)[:, self._revolute] <= _NEIGHBOURS).all(axis=1)
-        if not sure.all():
-            q[~sure] = super().solve_each(poses[~sure], near[~sure])
-        return q
+            q, found = self.nearest(poses, near)
+        else:
+            # Most are next to where they are looked for: no other solution is nearer than one that is on this branch.
+            q, error = self._converge(poses, near)
+            found = (error < ACCURACY * self.length) & (np.abs(q - near)[:, self._revolute] <= _NEIGHBOURS).all(axis=1)
+        found &= self.within_limits(q)
+        found[found] = self.singularity(q[found]).smallest >= SINGULAR_DISTANCE
+        rest = np.flatnonzero(~found)
+        for k in range(0, len(rest), _POSES_AT_ONCE):
+            part = rest[k : k + _POSES_AT_ONCE]
+            q[part], found[part] = self._nearest(poses[part], near[part])
+        return q, found
 
     def singularity(self, q: np.ndarray) -> SingularityDistance:
         """One kind, "arm": smallest over largest singular value of the Jacobian (rotations weighed by the length)."""

@@ -82,12 +82,18 @@ class SphericalWristKinematics(Kinematics):
         q = np.ascontiguousarray(self._unwrapped(angles, start, poses).T)
         return self._polish(poses, q)
 
-    def solve_on_branch(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
-        try:
-            q = self.turned_into_limits(self.follow(np.asarray(pose)[None], near)[0])
-        except KinematicsError:
-            return self.solve(pose, near)
-        return q if self.within_limits(q) else self.solve(pose, near)
+    def find_on_branch(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        distances = self._signed_distances(near)
+        # One by one: the last digit of a product depends on how many columns there are.
+        wrist = np.concatenate([self._wrist(pose[None]) for pose in poses], axis=1)
+        angles, margins = self._branch(wrist, np.sign(distances))
+        found = (margins >= SINGULAR_DISTANCE**2).all(axis=0) & (np.abs(distances) >= SINGULAR_DISTANCE).all(axis=0)
+        q = angles.T + 2 * np.pi * np.round((near - angles.T) / (2 * np.pi))
+        q[found] = self.turned_into_limits(self._polish(poses[found], q[found]))
+        found &= self.within_limits(q)
+        if not found.all():
+            q[~found], found[~found] = self.find(poses[~found], near[~found])
+        return q, found
 
     def singularity(self, q: np.ndarray) -> SingularityDistance:
         """Distances in the order of `SINGULARITIES`.
