@@ -53,6 +53,10 @@ class Criterion:
         self._rotors = [k - inertial for k in names if k >= inertial]
         self.weights = torque_weights(robot)
         self._used = self._may_be_used()
+        self._upper = [
+            weight * np.triu(np.ones((len(used), len(used))))
+            for weight, used in zip(self.weights, self._used, strict=True)
+        ]
         self.columns = (
             *(names[k] for k in self._inertial),
             *(names[k + inertial] for k in self._rotors),
@@ -96,11 +100,11 @@ class Criterion:
         from scipy.linalg.lapack import dgeqrf
 
         rows = []
-        for weight, used, of_joint in zip(self.weights, self._used, columns.transpose(1, 0, 2), strict=True):
+        for upper, used, of_joint in zip(self._upper, self._used, columns.transpose(1, 0, 2), strict=True):
             block = of_joint[used]
             factored, _, _, _ = dgeqrf(block.T, lwork=_LAPACK_BLOCK * len(block), overwrite_a=True)
             triangle = np.zeros((min(block.shape), len(columns)))
-            triangle[:, used] = weight * np.triu(factored[: len(triangle)])
+            triangle[:, used] = upper[: len(triangle)] * factored[: len(triangle)]
             rows.append(triangle)
         return np.concatenate(rows)
 

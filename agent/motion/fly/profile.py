@@ -250,7 +250,8 @@ class Ramps:
             np.minimum.accumulate(bits[:, ::-1], axis=1, out=lowest_bits[:, ::-1])  # of none that is negative
             lowest -= falling
             z = np.minimum(z, _lifted(lowest, inverse, unused))
-            if np.max(before - z) <= 1e-4 * np.max(z):
+            before -= z
+            if before.max() <= 1e-4 * z.max():
                 break
         # Standstill belongs to the ends alone: a knot between them may not hold the arm for ever.
         z[1:-1] = np.maximum(z[1:-1], 1e-9 * np.max(ceiling[1:-1]))

@@ -67,6 +67,7 @@ class SegmentMaker:
         own = tool_frame(tool)
         self._of_tool: dict[Any, Kinematics] = {None: self.kinematics, _key(own): self.kinematics}
         self._of_frame: dict[Frame | None, Kinematics] = {}
+        self._asked: tuple[bytes, np.ndarray] = b"", np.empty(0)
 
     def with_lever(self, lever: float) -> SegmentMaker:
         """The same with another lever."""
@@ -87,8 +88,10 @@ class SegmentMaker:
 
     def pose_at(self, q: np.ndarray) -> np.ndarray:
         """(7,) position [m] and orientation (unit quaternion) of the interpolator's own TCP at joints (n,)."""
-        pose = self.kinematics.forward(q[None])[0]
-        return np.concatenate((pose[:3, 3], rotation.from_matrix(pose[:3, :3])))
+        # A rest and the move after it ask for the same.
+        if self._asked[0] != q.tobytes():
+            self._asked = q.tobytes(), np.concatenate(_pose_of(self.kinematics, q))
+        return self._asked[1]
 
     def segment(self, index: int, move: Move, pending: Sequence[Segment], rest: np.ndarray) -> Segment | None:
         """The segment of a move that follows `pending` ones, which started at `rest` (n,); None where it moves nothing.
@@ -114,7 +117,7 @@ class SegmentMaker:
     def _cartesian(
         self, index: int, label: str, move: Move, kinematics: Kinematics, pending: Sequence[Segment], rest: np.ndarray
     ) -> Segment | None:
-        start, start_turn = _end_pose(pending, rest, kinematics)
+        start, start_turn = self._end_pose(pending, rest, kinematics)
         end, end_turn = self._pose(label, move.target, move.settings, kinematics)
         curve: Line | Arc = Line(start, end)
         if move.type is MoveType.CIRCULAR:
@@ -139,6 +142,17 @@ class SegmentMaker:
         if isinstance(target, JointTarget):
             return np.array([start, self._joint_target(segment.label, target)])
         return np.array([start, _end_of_sweep(segment, start)])
+
+    def _end_pose(
+        self, pending: Sequence[Segment], rest: np.ndarray, kinematics: Kinematics
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Where the TCP of `kinematics` is after the pending moves: exactly the last target where that is its own."""
+        if pending and isinstance(pending[-1], CartesianSegment) and pending[-1].kinematics is kinematics:
+            return pending[-1].curve.last, pending[-1].turn.last
+        if pending or kinematics is not self.kinematics:
+            return _pose_of(kinematics, _end_joints(pending, rest))
+        pose = self.pose_at(rest)
+        return pose[:3], pose[3:]
 
     def _arc(
         self, index: int, label: str, move: Move, kinematics: Kinematics, start: np.ndarray, end: np.ndarray
@@ -226,12 +240,9 @@ class SegmentMaker:
         return self._of_frame[settings.tool]
 
 
-def _end_pose(pending: Sequence[Segment], rest: np.ndarray, kinematics: Kinematics) -> tuple[np.ndarray, np.ndarray]:
-    """Where the TCP of `kinematics` is after the pending moves: exactly the last target where it is the same TCP."""
-    if pending and isinstance(pending[-1], CartesianSegment) and pending[-1].kinematics is kinematics:
-        one = np.ones(1)
-        return pending[-1].curve.position(one)[0], pending[-1].turn.orientation(one)[0]
-    pose = kinematics.forward(_end_joints(pending, rest)[None])[0]
+def _pose_of(kinematics: Kinematics, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Position (3,) [m] and orientation (4,) of the TCP at joints (n,)."""
+    pose = kinematics.forward(q[None])[0]
     return pose[:3, 3].copy(), rotation.from_matrix(pose[:3, :3])
 
 

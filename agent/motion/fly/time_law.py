@@ -46,20 +46,21 @@ class TimeLaw:
     def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """s, ṡ, s̈ (S,) at times t (S,) [s] since the start of the run; at rest outside of it."""
         t = t / self.stretch
-        late, early = self._raw(t), self._raw(t - self.window)
-        s, speed, acceleration = ((one - other) / self.window for one, other in zip(late, early, strict=True))
+        raw = self._raw((t, t - self.window))
+        s, speed, acceleration = ((late - early) / self.window for late, early in raw)
         return s, speed / self.stretch, acceleration / self.stretch**2
 
-    def _raw(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Integral of s, s and ṡ before the averaging."""
-        counts = samples_in(self.t[1:-1], t, "left")
-        begin, s0, v, a, integral = np.repeat(self._cells, counts, axis=1)
-        dt = np.clip(t, 0.0, self.t[-1]) - begin
+    def _raw(self, times: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(2, S) each: integral of s, s and ṡ before the averaging, at two rows of times (S,)."""
+        cells = np.concatenate([samples_in(self.t[1:-1], t, "left") for t in times])
+        begin, s0, v, a, integral = np.repeat(np.tile(self._cells, 2), cells, axis=1)
+        t = np.concatenate(times)
+        dt = np.minimum(np.maximum(t, 0.0), self.t[-1]) - begin
         speed = v + a * dt
         s = s0 + dt * (v + 0.5 * a * dt)
         integral += dt * (s0 + dt * (0.5 * v + a * dt / 6.0))
-        after = np.maximum(t - self.t[-1], 0.0)
-        return integral + after * self.s[-1], s, speed
+        integral += np.maximum(t - self.t[-1], 0.0) * self.s[-1]
+        return integral.reshape(2, -1), s.reshape(2, -1), speed.reshape(2, -1)
 
 
 def time_law(path: Path, z: np.ndarray, window: float) -> TimeLaw:

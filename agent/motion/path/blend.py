@@ -179,21 +179,18 @@ def _reach(settings: MotionSettings, half: float, before: Segment, parameters: F
 
 
 def _deflection(before: CartesianSegment, after: CartesianSegment) -> float:
-    one = before.curve.derivative(np.ones(1))[0]
-    two = after.curve.derivative(np.zeros(1))[0]
-    sizes = np.linalg.norm(one) * np.linalg.norm(two)
+    one, two = before.curve.directions()[1], after.curve.directions()[0]
+    sizes = rotation.length(one) * rotation.length(two)
     if sizes < 1e-12:
         return 0.0
-    return float(np.arccos(np.clip(np.dot(one, two) / sizes, -1.0, 1.0)))
+    return float(np.arccos(min(max(one.dot(two) / sizes, -1.0), 1.0)))
 
 
 def _deviation(corner: Corner, before: CartesianSegment, after: CartesianSegment) -> float:
     """[m] of the path from the corner point, or for FLY_PASS of the path from the two moves."""
     if isinstance(before.curve, Line) and isinstance(after.curve, Line) and not corner.through:
-        sides = corner.after * (after.curve.end - after.curve.start) - corner.before * (
-            before.curve.end - before.curve.start
-        )
-        return float(2.0 * corner.step.integral(np.array(0.5)) * np.linalg.norm(sides))
+        sides = corner.after * after.curve.way - corner.before * before.curve.way
+        return 2.0 * float(corner.step.integral(np.array(0.5))) * rotation.length(sides)
     tau = np.linspace(0.0, 1.0, 33)
     points = blended_position(corner, before, after, tau)
     if not corner.through:
@@ -284,7 +281,7 @@ def _rates(
     """ds/dτ (S,) of the blend, and of its two moves one after the other."""
     rate_one, rate_two = corner.rate(tau)
     if isinstance(before.curve, Line) and isinstance(after.curve, Line) and not corner.through:
-        one, two = before.curve.end - before.curve.start, after.curve.end - after.curve.start
+        one, two = before.curve.way, after.curve.way
         squares = rate_one * (rate_one * (one @ one) + rate_two * (2.0 * (one @ two))) + rate_two**2 * (two @ two)
     else:
         sigma_one, sigma_two = corner.sigma(tau)

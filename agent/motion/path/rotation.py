@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 
+def length(vector: np.ndarray) -> float:
+    """Of one vector (m,), as NumPy's norm has it to the last digit, at a tenth of what that costs."""
+    return math.sqrt(vector.dot(vector))
+
+
 def multiply(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """(S, 4) Hamilton product; either side may be one quaternion (4,)."""
+    """(S, 4) Hamilton product; either side may be one quaternion (4,), or both, which is quicker in plain numbers."""
+    if left.ndim == right.ndim == 1:
+        (w, x, y, z), (a, b, c, d) = left.tolist(), right.tolist()
+        return np.array(
+            (
+                w * a - x * b - y * c - z * d,
+                w * b + x * a + y * d - z * c,
+                w * c - x * d + y * a + z * b,
+                w * d + x * c - y * b + z * a,
+            )
+        )
     w1, x1, y1, z1 = left.T
     w2, x2, y2, z2 = right.T
     product = np.empty(np.broadcast_shapes(left.shape, right.shape))
@@ -97,7 +113,7 @@ def to_matrix(quaternion: np.ndarray) -> np.ndarray:
 def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
     """(3,) axis times angle [rad], the shorter way round, of one unit quaternion (4,)."""
     q = quaternion if quaternion[0] >= 0 else -quaternion
-    sine = float(np.linalg.norm(q[1:]))
+    sine = length(q[1:])
     if sine < 1e-12:
         return 2.0 * q[1:]
     return 2.0 * np.arctan2(sine, q[0]) / sine * q[1:]

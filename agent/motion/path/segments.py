@@ -24,17 +24,31 @@ class Line:
     end: np.ndarray
 
     @cached_property
+    def way(self) -> np.ndarray:
+        """(3,) from start to end [m]."""
+        return self.end - self.start
+
+    @cached_property
     def length(self) -> float:
         """[m]"""
-        return float(np.linalg.norm(self.end - self.start))
+        return rotation.length(self.way)
+
+    @property
+    def last(self) -> np.ndarray:
+        """(3,) [m] the position at σ = 1."""
+        return self.start + self.way
 
     def position(self, sigma: np.ndarray) -> np.ndarray:
         """(S, 3) [m]"""
-        return self.start + sigma[:, None] * (self.end - self.start)
+        return self.start + sigma[:, None] * self.way
 
     def derivative(self, sigma: np.ndarray) -> np.ndarray:
         """(S, 3) dp/dσ [m]"""
-        return np.broadcast_to(self.end - self.start, (len(sigma), 3))
+        return np.broadcast_to(self.way, (len(sigma), 3))
+
+    def directions(self) -> tuple[np.ndarray, np.ndarray]:
+        """dp/dσ (3,) at start and end."""
+        return self.way, self.way
 
     def path_frame(self, sigma: np.ndarray) -> np.ndarray:
         """(S, 4) how far the tangent has turned since the start: not at all."""
@@ -54,6 +68,16 @@ class Arc:
     def length(self) -> float:
         """[m]"""
         return float(np.linalg.norm(self.radius) * self.angle)
+
+    @property
+    def last(self) -> np.ndarray:
+        """(3,) [m] the position at σ = 1."""
+        return self.position(np.ones(1))[0]
+
+    def directions(self) -> tuple[np.ndarray, np.ndarray]:
+        """dp/dσ (3,) at start and end."""
+        one, other = self.derivative(np.array([0.0, 1.0]))
+        return one, other
 
     def position(self, sigma: np.ndarray) -> np.ndarray:
         """(S, 3) [m]"""
@@ -98,6 +122,13 @@ class SingleAxis:
     angle: float
     curve: Line | Arc | None = None
 
+    @property
+    def last(self) -> np.ndarray:
+        """(4,) the orientation at σ = 1."""
+        if self.curve is not None:
+            return self.orientation(np.ones(1))[0]
+        return rotation.multiply(rotation.about(self.axis, np.array(self.angle)), self.start)
+
     def orientation(self, sigma: np.ndarray) -> np.ndarray:
         """(S, 4) unit quaternions."""
         turned = rotation.multiply(rotation.about(self.axis, sigma * self.angle), self.start)
@@ -112,6 +143,11 @@ class EulerAngles:
     change: np.ndarray
     world: np.ndarray
 
+    @property
+    def last(self) -> np.ndarray:
+        """(4,) the orientation at σ = 1."""
+        return self.orientation(np.ones(1))[0]
+
     def orientation(self, sigma: np.ndarray) -> np.ndarray:
         """(S, 4) unit quaternions in the robot's base."""
         return rotation.multiply(self.world, rotation.from_euler(self.start + sigma[:, None] * self.change))
@@ -122,7 +158,7 @@ def single_axis(start: np.ndarray, end: np.ndarray, curve: Line | Arc | None = N
     if curve is not None:
         end = rotation.multiply(rotation.conjugate(curve.path_frame(np.ones(1))[0]), end)
     vector = rotation.rotation_vector(rotation.multiply(end, rotation.conjugate(start)))
-    angle = float(np.linalg.norm(vector))
+    angle = rotation.length(vector)
     return SingleAxis(start, vector / angle if angle > 0 else vector, angle, curve)
 
 
