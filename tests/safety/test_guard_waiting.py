@@ -87,15 +87,29 @@ def test_silence_is_told_and_hides_no_other_reason(bench, program, fails, later,
         bench.run(program(), bench.open(clock=lambda: 5.0 * next(ticks)))
 
 
-def test_a_taker_who_is_slow_is_no_silence():
-    gone = []
-    clock = iter(range(0, 10**6, 100))
-    patience = Patience(10.0, lambda: next(clock), lambda: gone.append(1))
-    taken = []
-    for item in patience.each(iter([1, 2])):
-        taken.append(item)
-    assert taken == [1, 2]
-    assert not patience.lost
+def test_a_taker_who_is_slow_is_no_silence_and_a_silence_after_it_is_one(monkeypatch):
+    monkeypatch.setattr("agent.safety.patience._TURN", 0.001)
+    looks, gone, now = threading.Semaphore(0), threading.Event(), [0.0]
+
+    class Looks(threading.Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            looks.release()
+            return super().wait(timeout)
+
+    def items():
+        yield 1
+        now[0] = 200.0
+        assert gone.wait(5.0)
+        yield 2
+
+    patience = Patience(10.0, lambda: now[0], gone.set)
+    patience._over = Looks()
+    for item in patience.each(items()):
+        if item == 1:
+            now[0] = 100.0
+            assert all(looks.acquire(timeout=5.0) for _ in range(3))
+            assert not patience.lost
+    assert patience.lost
 
 
 def test_who_is_waited_for_no_longer_than_the_limit_is_not_given_up(monkeypatch):
