@@ -67,7 +67,10 @@ def _share(hits: Iterable[bool]) -> dict[str, Any]:
 
 
 def _asked(done: Sequence[Entry]) -> Iterator[tuple[float, bool]]:
-    """Predicted probability of the right answer and whether it came, of pairs of which one side is the truth."""
+    """Predicted probability of the right answer and whether it came, of pairs of which one side is the truth.
+
+    What was predicted for that side: how often either side is the truth is up to the draw.
+    """
     for entry in done:
         truths = [_text(effect) for effect in entry["effects"]]
         for one in entry["ways"].get("planned", ()):
@@ -75,7 +78,8 @@ def _asked(done: Sequence[Entry]) -> Iterator[tuple[float, bool]]:
                 sides = [side for side in pair["pair"] if side in truths]
                 if len(sides) == 1:
                     (rival,) = (side for side in pair["pair"] if side != sides[0])
-                    yield pair["after"], _answers(one["result"], sides[0], rival)
+                    said = pair["after_if"][pair["pair"].index(sides[0])]
+                    yield said, _answers(one["result"], sides[0], rival)
 
 
 def _answers(result: Mapping[str, Any], truth: str, rival: str) -> bool:

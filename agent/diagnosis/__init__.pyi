@@ -11,7 +11,7 @@ from .forward_windows import (
     forward_or_reason as forward_or_reason,
     forward_warning as forward_warning,
 )
-from .isolability import best_by_place as best_by_place, plausible as plausible
+from .isolability import best_by_place as best_by_place, complexity as complexity, plausible as plausible
 from .labels import (
     REGIMES as REGIMES,
     closes as closes,
@@ -25,6 +25,7 @@ from .limits import DecisionLimits as DecisionLimits
 from .randomisation import Range as Range, ranges as ranges, ranges_text as ranges_text
 from .regimes import BANDS as BANDS, band_shares as band_shares, masks as masks, motor_phase_share as motor_phase_share
 from .result import Diagnosis as Diagnosis
+from .rivals import exact_in_both as exact_in_both
 from .sizes import (
     amplitude as amplitude,
     intervals as intervals,

@@ -19,9 +19,16 @@ from agent.diagnosis.excess import (
 )
 from agent.diagnosis.finding import Finding, Step
 from agent.diagnosis.fit import Fit
-from agent.diagnosis.isolability import best_by_place, complexity, imitates, plausible, structurally_equivalent
+from agent.diagnosis.isolability import (
+    best_by_place,
+    complexity,
+    imitates,
+    plausible,
+    structurally_equivalent,
+)
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.needs import Excursions
+from agent.diagnosis.rivals import as_good, equals_by_definition, gain_at_best, gain_by_form
 from agent.diagnosis.standstill import at_rest
 from agent.diagnosis.verdict import abstained, named
 from agent.model import CATALOGUE
@@ -191,10 +198,14 @@ class Search:
         joints = score.candidate.joints
         places = [(limit, ())] if CATALOGUE[limit].scope != "joint" else [(limit, (j,)) for j in joints]
         simpler = [best[place] for place in places if place in best and plausible(best[place])]
-        margin = max(self.limits.equal_gain_floor * self.rows, 0.5 * self.limits.equal_gain * score.gain)
+        least, share = self.limits.equal_gain_floor * self.rows, 0.5 * self.limits.equal_gain
         if score.candidate.effect.rivals_special_cases and limit in self.allowed:
             return False
-        return any(score.gain - other.gain < margin for other in simpler)
+        place = score.candidate.place
+        return any(
+            score.gain - other.gain < max(least, share * gain_by_form(score.gain, best, place, other.candidate.place))
+            for other in simpler
+        )
 
     def size(self, fit: Fit, score: HeldOutScore) -> float:
         """Root mean square torque of an effect over nominal, on the joint and log where it is largest."""
@@ -219,17 +230,9 @@ class Search:
         """Forms that do as well as the best, as far as that one fits: what it leaves is how uncertain it is."""
         best = step.eligible[0]
         left = self._excess(self.fit.with_chosen((*step.chosen, best.candidate)), tuple(best.candidate.blocks))
-        margin = max(
-            self.limits.equal_gain_floor * self.rows,
-            min(self.limits.equal_gain * best.gain, max(self.limits.indistinguishable_gain * best.gain, left)),
-        )
-        far_simpler = complexity(best.candidate) / self.limits.simpler_ratio
-        return [
-            s
-            for s in step.eligible
-            if best.gain - s.gain <= margin
-            or (complexity(s.candidate) <= far_simpler and best.gain - s.gain <= self.limits.equal_gain * best.gain)
-        ]
+        least = max(self.limits.equal_gain_floor * self.rows, min(self.limits.equal_gain * best.gain, left))
+        places = best_by_place(step.scores)
+        return [score for score in step.eligible if as_good(self.limits, score, best, least, places)]
 
     def _simplest(self, step: Step) -> HeldOutScore:
         return min(self._near(step), key=lambda s: (complexity(s.candidate), -s.gain))
@@ -290,25 +293,23 @@ class Search:
             without = self.fit.with_chosen(others)
             step = self.scan(without)
             lost = self._total(without) - total
-            margin = max(
-                self.limits.equal_gain_floor * self.rows,
-                self._alike * lost,
-                self._excess(fit, tuple(candidate.blocks)),
-            )
+            least = max(self.limits.equal_gain_floor * self.rows, self._excess(fit, tuple(candidate.blocks)))
+            places = best_by_place(step.scores)
+            trust = {there: gain_by_form(lost, places, candidate.place, there) for there in places}
+            margins = {there: max(least, self._alike * by_form) for there, by_form in trust.items()}
             level: list[Where] = []
             runners: list[Where] = []
             behind = np.inf
-            equals = [
-                s.candidate.place
-                for s in step.scores
-                if structurally_equivalent(candidate, s) and lost - s.gain <= margin
-            ]
+            equals = equals_by_definition(self.limits, without, self.tried, candidate, lost, margins, places)
             for score in step.eligible:
                 if score.candidate.place == candidate.place:
                     continue
-                short = lost - score.gain
+                short = lost - gain_at_best(self.limits, score, places, candidate.place)
+                margin = margins[score.candidate.place]
                 better = short < -self.limits.equal_gain_floor * self.rows
                 equal = better or complexity(score.candidate) <= complexity(candidate) + 1
+                if structurally_equivalent(candidate, score):
+                    equal = better or score.candidate.place in equals
                 if short <= margin and equal:
                     level.append(score.candidate.place)
                 elif short > margin:

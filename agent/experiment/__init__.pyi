@@ -5,5 +5,5 @@ from .otherwise import (
     pieces_otherwise as pieces_otherwise,
 )
 from .pieces import Piece as Piece
-from .plan import Experiment as Experiment, plan_experiment as plan_experiment
+from .plan import Expected as Expected, Experiment as Experiment, plan_experiment as plan_experiment
 from .questions import OpenPair as OpenPair, open_pairs as open_pairs

@@ -19,10 +19,10 @@ _POOL, _NEIGHBOURS = 240, 12
 _MOST_PIECES, _SURE = 5, 0.97
 #: Of the time for a motion so much goes into the ways between its pieces.
 _WAYS = 0.15
-#: A pair that all pieces together leave below this is not asked about: these motions cannot tell. Where one of the two
-#: can always do what the other does, as friction by direction can be an offset, only the other half can be told: 0.5.
+#: A pair is asked about where one of the two, if it is true, can be told by all pieces together with more than this. Of
+#: two of which one can always do what the other does, as friction by direction can be an offset, only one can be told.
 _WITHIN_REACH = 0.3
-#: A pair of which the right answer is this likely without another motion is not asked about beside others.
+#: One of which the right answer is this likely without another motion is not asked about beside others.
 _KNOWN = 0.9
 #: A further piece raises what is expected by at least so much.
 _LEAST_IMPROVEMENT = 0.01
@@ -30,12 +30,15 @@ _LEAST_IMPROVEMENT = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """Of one open pair: the probability of the right answer without another motion and after it; where the rival is
-    nothing, the smallest size that would be found (in the parameters that were asked about: 1 is practical size)."""
+    """Of one open pair: the probability of the right answer without another motion and after it, and both where the
+    first or the second of the two is true (None: not weighed); where the rival is nothing, the smallest size that would
+    be found (in the parameters that were asked about: 1 is practical size)."""
 
     pair: OpenPair
     before: float
     after: float
+    before_if: tuple[float | None, float | None]
+    after_if: tuple[float | None, float | None]
     minimum_detectable_size: float | None
 
 
@@ -78,8 +81,9 @@ def plan_experiment(
         progress(f"motions that would tell more: {number + 1} of {_POOL} weighed")
         if (piece := pieces.draw()) is not None:
             pool.append((piece, outlook.told(piece.motion)))
-    known = before > _KNOWN if np.any(before <= _KNOWN) else np.zeros(len(before), dtype=bool)
-    within_reach = ~known & (outlook.probabilities(_sum(outlook, pool)) > _WITHIN_REACH)
+    before_if, at_best = outlook.chances(outlook.nothing), outlook.chances(_sum(outlook, pool))
+    least_known = _KNOWN if np.any(before_if <= _KNOWN) else 1.0
+    within_reach = np.any((before_if <= least_known) & (at_best > np.maximum(before_if, _WITHIN_REACH)), axis=1)
     if not within_reach.any():
         return Experiment((), (), len(pool))
     chosen = _greedy(outlook, pool, (1 - _WAYS) * seconds, within_reach)
@@ -96,14 +100,18 @@ def plan_experiment(
     while chosen and not runnable([piece for piece, _ in chosen]):
         chosen = chosen[:-1]
     added = _sum(outlook, chosen)
-    after = outlook.probabilities(added)
+    after, each = outlook.probabilities(added), outlook.chances(added)
     detectable = outlook.minimum_detectable_sizes(added)
     expected = tuple(
-        Expected(pair, float(a), float(b), size)
-        for pair, a, b, size, asked in zip(pairs, before, after, detectable, within_reach, strict=True)
-        if asked
+        Expected(pairs[k], float(before[k]), float(after[k]), _known(before_if[k]), _known(each[k]), detectable[k])
+        for k in map(int, np.flatnonzero(within_reach))
     )
     return Experiment(tuple(piece for piece, _ in chosen), expected, len(pool))
+
+
+def _known(chances: np.ndarray) -> tuple[float | None, float | None]:
+    first, second = (float(chance) if np.isfinite(chance) else None for chance in chances)
+    return first, second
 
 
 def _joints(found: Diagnosis, pairs: Sequence[OpenPair]) -> list[int]:

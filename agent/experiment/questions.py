@@ -9,13 +9,16 @@ from itertools import combinations
 import numpy as np
 from scipy.special import ndtr
 
-from agent.diagnosis import Candidate, Diagnosis, Fit, HeldOutScore, best_by_place, joint_energy, plausible
+from agent.diagnosis import Candidate, Diagnosis, Fit, HeldOutScore, best_by_place, complexity, joint_energy, plausible
 from agent.model import CATALOGUE
 
 Place = tuple[str, tuple[int, ...]]
 
-#: Of a hypothesis so many forms (nonlinear parameters) are kept: a rival is whichever of its forms comes nearest.
-_FORMS = 3
+#: Of a hypothesis so many forms (nonlinear parameters) are kept, each with another number of parameters: a rival is
+#: whichever of its forms comes nearest, and one that is far richer is none.
+_FORMS = 5
+#: Of those that do as well as the best so many may be true, the simplest first.
+_TRUE = 2
 #: Of a gap that nothing explains so many leading places are taken.
 _LEADING = 3
 #: Beside what a verdict takes for equal, so many other places are asked about that explain at least this part of what
@@ -40,11 +43,20 @@ class Form:
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """An effect at a place; `forms` it may have, the likeliest first. No forms: nothing beyond the model."""
+    """An effect at a place; `forms` it may have, the likeliest first. No forms: nothing beyond the model.
+
+    `as_good` of them, the simplest that do as well as the best, are what may be true.
+    """
 
     effect: str
     joints: tuple[str, ...]
     forms: tuple[Form, ...]
+    as_good: tuple[Form, ...] = ()
+
+    @property
+    def truths(self) -> tuple[Form, ...]:
+        """What is taken for true where it is this one."""
+        return self.as_good or self.forms[:1]
 
     def text(self) -> str:
         """For people."""
@@ -190,13 +202,19 @@ def _hypothesis(found: Diagnosis, fit: Fit, place: Place) -> Hypothesis:
     candidates = ([cause] if cause is not None else []) + fit.candidates(wanted)
     scores = sorted((s for s in fit.score(candidates) if plausible(s)), key=lambda s: -s.gain)
     best = best_by_place(scores).get(place)
-    forms: list[Form] = []
+    forms: dict[int, Form] = {}
+    true: list[Form] = []
+    least = found.dataset.limits.equal_gain_floor * float(fit.count.sum())
     for score in scores:
-        if best is not None and score.gain > 0.5 * best.gain and len(forms) < _FORMS:
+        richness = complexity(score.candidate)
+        if best is not None and score.gain > 0.5 * best.gain and richness not in forms and len(forms) < _FORMS:
             ridge = fit.ridge(score.candidate, np.maximum(_energy(fit, score.candidate).diagonal(), 1e-9))
-            forms.append(Form(score.candidate, score.values, _fitted(fit, score.candidate, ridge)[1]))
+            form = forms[richness] = Form(score.candidate, score.values, _fitted(fit, score.candidate, ridge)[1])
+            if score.gain >= best.gain - least:
+                true.append(form)
+    true = sorted(true, key=lambda form: complexity(form.candidate))[:_TRUE]
     names = found.dataset.robot.joint_names
-    return Hypothesis(effect.name, tuple(names[k] for k in place[1]), tuple(forms))
+    return Hypothesis(effect.name, tuple(names[k] for k in place[1]), tuple(forms.values()), tuple(true))
 
 
 def _energy(fit: Fit, candidate: Candidate) -> np.ndarray:

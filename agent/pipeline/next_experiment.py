@@ -18,14 +18,13 @@ from agent.runs import make_folder, write_json
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
     from agent.excitation import LoopProblem
-    from agent.experiment import Experiment, OpenPair, Pick, Piece
+    from agent.experiment import Expected, Experiment, OpenPair, Pick, Piece
     from agent.motion import Trajectory
     from agent.robot import RobotDescription, Tool, TorqueLimits
 
 #: Longest motion that is planned [s].
 LONGEST = 60.0
-#: A motion that makes the right answer of no pair this likely settles nothing; where one of two rivals can do all that
-#: the other does, half is the most there is.
+#: A motion that makes the right answer no likelier than this, whichever of a pair is true, settles nothing.
 _HELPS = 0.3
 #: A mass is tried whose weight, far out, is this part of the strongest joint's nominal torque.
 _TRIAL_LOAD = 0.1
@@ -69,6 +68,7 @@ class NextMotion:
                     "pair": [e.pair.first.text(), e.pair.second.text()],
                     "before": e.before,
                     "after": e.after,
+                    "after_if": list(e.after_if),
                     "smallest_over_practical": e.minimum_detectable_size,
                 }
                 for e in expected
@@ -76,8 +76,13 @@ class NextMotion:
         }
 
     def helps(self) -> bool:
-        """Whether it makes the right answer of any pair likely that was not."""
-        return any(e.after > max(_HELPS, e.before + 0.05) for e in self.experiment.expected)
+        """Whether it makes the right answer likely that was not, should one of any pair be true."""
+        return any(_helped(expected) for expected in self.experiment.expected)
+
+
+def _helped(expected: Expected) -> bool:
+    sides = zip(expected.before_if, expected.after_if, strict=True)
+    return any(b is not None and a is not None and a > max(_HELPS, b + 0.05) for b, a in sides)
 
 
 def plan_next(
@@ -203,7 +208,7 @@ def _with_a_mass(found: Diagnosis, pairs: Sequence[OpenPair], problem: LoopProbl
     strongest = float(np.max(found.dataset.fit.reference.scale))
     load = Tool(np.eye(4), float(f"{_TRIAL_LOAD * strongest / (9.81 * max(reach, 0.1)):.1g}"), np.zeros(3))
     tried = plan_experiment(found, pairs, replace(problem, load=load), seconds, seed)
-    helped = [e for e in tried.expected if e.after > max(_HELPS, e.before + 0.05)]
+    helped = [e for e in tried.expected if _helped(e)]
     if not helped:
         return ""
     best = max(helped, key=lambda e: e.after)

@@ -25,8 +25,10 @@ def run(number, first, ways, kind="one"):
     effects = [TRUE] if kind == "one" else []
     entry = {"number": number, "kind": kind, "effects": effects, "strength": 1.0, "first": first, "ways": {}}
     for way, results in ways.items():
-        pair = {"pair": ["presliding on joint_2", "stribeck on joint_2"], "before": 0.5, "after": 0.9}
+        pair = {"pair": ["presliding on joint_2", "stribeck on joint_2"], "before": 0.5, "after": 0.7}
+        pair["after_if"] = [0.5, 0.9]
         other = {"pair": ["presliding on joint_2", "torque_ripple on joint_2"], "before": 0.5, "after": 0.6}
+        other["after_if"] = [None, 0.6]
         asked = [pair, other] if way == "planned" else []
         entry["ways"][way] = [
             {"seconds": 20.0, "planning_s": 3.0, "expected": asked, "result": result} for result in results

@@ -31,7 +31,7 @@ def arm() -> RobotDescription:
 
 def one_sided(arm: RobotDescription) -> Diagnosis:
     """Friction of joint 2 differs by direction: while the joint moves, an offset would be the same."""
-    effect = {"effect": "asymmetric_friction", "joints": ["joint_2"], "parameters": {"coulomb": 0.4}}
+    effect = {"effect": "asymmetric_friction", "joints": ["joint_2"], "parameters": {"coulomb": 0.2}}
     plant = Plant(arm, seed=3, effects=[effect])
     return diagnose(arm, [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))], learn(arm))
 

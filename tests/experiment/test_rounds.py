@@ -149,7 +149,9 @@ def test_motions_that_are_not_released_end_the_rounds_with_what_was_found(ask):
 
 @pytest.mark.parametrize(("before", "after", "helps"), [(0.0, 0.5, True), (0.0, 0.2, False), (0.9, 0.92, False)])
 def test_a_motion_helps_that_tells_one_of_two_of_which_the_other_can_always_be_it(before, after, helps):
-    experiment = SimpleNamespace(expected=[SimpleNamespace(before=before, after=after)])
+    expected = [SimpleNamespace(before_if=(before, None), after_if=(after, None))]
+    expected += [SimpleNamespace(before_if=(1.0, 0.0), after_if=(1.0, 0.1))]
+    experiment = SimpleNamespace(expected=expected)
     assert NextMotion(experiment, "", (), None).helps() is helps  # type: ignore[arg-type]
 
 

@@ -1,0 +1,78 @@
+"""Which forms do as well as another: how far forms can be trusted, and which of them could imitate anything."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from agent.diagnosis.candidate import Candidate, HeldOutScore, Where
+from agent.diagnosis.fit import Fit
+from agent.diagnosis.isolability import complexity, plausible, structurally_equivalent
+from agent.diagnosis.limits import DecisionLimits
+from agent.model import CATALOGUE
+
+Places = Mapping[Where, HeldOutScore]
+
+
+def exact_in_both(first: Where, second: Where) -> Where | None:
+    """The place of an exact special case that two places have in common, or that one of them is: a constant, on one
+    joint, is part of an offset, of a spring and of a hose alike."""
+    if first[1] != second[1]:
+        return None
+    a, b = ({name, *CATALOGUE[name].special_cases} for name, _ in (first, second))
+    return next(((name, first[1]) for name in sorted(a & b) if CATALOGUE[name].exact), None)
+
+
+def gain_by_form(gain: float, best: Places, first: Where, second: Where) -> float:
+    """Of the gain of one of two places, what it does not owe to an exact part of both: only there a form can err."""
+    both = exact_in_both(first, second)
+    return gain if both is None or both not in best else gain - min(max(best[both].gain, 0.0), gain)
+
+
+def gain_at_best(limits: DecisionLimits, score: HeldOutScore, best: Places, other: Where) -> float:
+    """A score's gain, and no less than that of the exact part that it has in common with another place, as far as forms
+    are trusted: friction by direction is an offset while the joint slides, whatever its form around a reversal."""
+    both = exact_in_both(score.candidate.place, other)
+    if both is None or both not in best:
+        return score.gain
+    exact = best[both].gain
+    return max(score.gain, exact) if exact - score.gain <= limits.indistinguishable_gain * exact else score.gain
+
+
+def as_good(limits: DecisionLimits, score: HeldOutScore, best: HeldOutScore, least: float, places: Places) -> bool:
+    """Whether a score falls behind the best by no more than `least`, or than forms are trusted."""
+    far = complexity(score.candidate) <= complexity(best.candidate) / limits.simpler_ratio
+    share = limits.equal_gain if far else limits.indistinguishable_gain
+    by_form = gain_by_form(best.gain, places, best.candidate.place, score.candidate.place)
+    return best.gain - gain_at_best(limits, score, places, best.candidate.place) <= max(least, share * by_form)
+
+
+def equals_by_definition(
+    limits: DecisionLimits,
+    fit: Fit,
+    forms: Sequence[Candidate],
+    cause: Candidate,
+    lost: float,
+    margins: Mapping[Where, float],
+    places: Places,
+) -> list[Where]:
+    """Places that equal a cause by definition and do as well, with one parameter more than its simplest form at most.
+
+    A curve through anything imitates whatever is there: that it can is no evidence for it (Occam's razor).
+
+    Args:
+        fit: without the cause, which loses `lost`; forms: all that were tried; margins: by so much does each place have
+            to be worse.
+    """
+
+    def simplest(place: Where, gain: float) -> float:
+        there = [score for score in fit.score([form for form in forms if form.place == place]) if plausible(score)]
+        return min((complexity(score.candidate) for score in there if score.gain >= gain), default=float("inf"))
+
+    found = []
+    for place, score in places.items():
+        enough = lost - margins[place]
+        if structurally_equivalent(cause, score) and gain_at_best(limits, score, places, cause.place) >= enough:
+            mine = min(simplest(cause.place, enough), complexity(cause))
+            if simplest(place, min(enough, score.gain)) <= mine + 1:
+                found.append(place)
+    return found

@@ -1,0 +1,73 @@
+"""Which forms count as equal: what two of them share exactly is no matter of form, and a rich one imitates anything."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from agent.diagnosis.candidate import Candidate, HeldOutScore
+from agent.diagnosis.limits import LIMITS
+from agent.diagnosis.rivals import as_good, equals_by_definition, exact_in_both, gain_at_best, gain_by_form
+from agent.model import CATALOGUE
+
+ARM = SimpleNamespace(scale=np.full(3, 100.0))
+OFFSET, SPRING, HOSE = ("torque_offset", (1,)), ("gravity_spring", (1,)), ("dress_pack", (1,))
+ONE_SIDED = ("asymmetric_friction", (1,))
+LINE, CURVE = {}, {"low": -1.0, "high": 1.0}
+
+
+def score(place, gain: float, **settings) -> HeldOutScore:
+    effect, joints = CATALOGUE[place[0]], place[1]
+    names = effect.names(settings)
+    return HeldOutScore(Candidate(effect, joints, settings, names, {}, None, ARM), 0.0, gain, np.full(len(names), 0.1))
+
+
+def places(*scores: HeldOutScore) -> dict:
+    return {one.candidate.place: one for one in scores}
+
+
+def test_a_constant_is_part_of_an_offset_a_spring_and_a_hose_on_one_joint():
+    assert exact_in_both(SPRING, HOSE) == exact_in_both(OFFSET, SPRING) == exact_in_both(ONE_SIDED, HOSE) == OFFSET
+    assert exact_in_both(SPRING, ("dress_pack", (2,))) is None
+    assert exact_in_both(("stribeck", (1,)), ("thermal_friction", (1,))) is None, "no form of friction is exact"
+    assert all(not effect.exact or len(effect.names({})) == 1 for effect in CATALOGUE.values())
+
+
+def test_only_beyond_what_is_exact_can_a_form_err():
+    known = places(score(OFFSET, 980.0), score(SPRING, 1000.0, harmonics=1.0))
+    assert gain_by_form(1000.0, known, SPRING, HOSE) == 20.0
+    assert gain_by_form(1000.0, known, SPRING, ("payload", ())) == 1000.0
+    assert gain_by_form(500.0, known, SPRING, HOSE) == 0.0
+
+
+def test_a_large_constant_does_not_hide_what_a_spring_has_beside_it():
+    """Four parts in a hundred of the whole: a constant leaves many times the background there."""
+    offset, spring = score(OFFSET, 970.0), score(SPRING, 1000.0, harmonics=2.0)
+    assert not as_good(LIMITS, offset, spring, 5.0, places(offset, spring))
+    assert as_good(LIMITS, score(OFFSET, 996.0), spring, 5.0, places(score(OFFSET, 996.0), spring))
+    payload = score(("payload", ()), 997.5)
+    assert as_good(LIMITS, payload, spring, 1.0, places(offset, spring, payload)), "of another kind as before"
+
+
+def test_friction_by_direction_is_as_good_as_the_offset_that_it_is_while_the_joint_slides():
+    offset, one_sided = score(OFFSET, 1000.0), score(ONE_SIDED, 998.0, coulomb=1.0)
+    assert gain_at_best(LIMITS, one_sided, places(offset, one_sided), OFFSET) == 1000.0
+    refuted = score(ONE_SIDED, 900.0, coulomb=1.0)
+    assert gain_at_best(LIMITS, refuted, places(offset, refuted), OFFSET) == 900.0
+
+
+@pytest.mark.parametrize(("line", "equal"), [(999.0, True), (800.0, False)])
+def test_a_curve_through_anything_is_no_evidence_for_a_hose(line, equal):
+    """It equals a spring where its straight form does, not where it takes four parameters more."""
+    spring = score(SPRING, 1000.0, harmonics=1.0)
+    forms = {SPRING: [spring], HOSE: [score(HOSE, 1000.0, **CURVE), score(HOSE, line, **LINE)]}
+    fit = SimpleNamespace(
+        score=lambda some: [one for found in forms.values() for one in found if one.candidate in some]
+    )
+    tried = [one.candidate for found in forms.values() for one in found]
+    known = places(spring, forms[HOSE][0])
+    margins = dict.fromkeys(known, 10.0)
+    found = equals_by_definition(LIMITS, fit, tried, spring.candidate, 1000.0, margins, known)
+    assert (HOSE in found) is equal
