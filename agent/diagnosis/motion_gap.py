@@ -88,13 +88,16 @@ class _Pair:
 
 
 def _described(logs: Sequence[Log], pairs: Sequence[_Pair], before: np.ndarray, limits: DecisionLimits) -> MotionGap:
-    """The gap that is left by rate and blend of the other logs, and a shift of each."""
+    """The gap that is left by rate and blend of the other logs, and a shift of each.
+
+    Where the plan starts anew at every stop the shift is that of the others too: the clock of the log is not in it.
+    """
     fitted = [_fit(pair) for pair in pairs]
     errors = []
     for number, pair in enumerate(pairs):
         others = [one for k, one in enumerate(fitted) if k != number] or fitted
-        rate, blend = (float(np.median([other[k] for other in others])) for k in (0, 2))
-        errors.append(pair.executed - _executed(pair, rate, fitted[number][1], blend))
+        rate, shift, blend = (float(np.median([other[k] for other in others])) for k in range(3))
+        errors.append(pair.executed - _executed(pair, rate, shift if len(pair.starts) else fitted[number][1], blend))
     rate, shift, blend = (float(np.median([one[k] for one in fitted])) for k in range(3))
     return MotionGap(before, _rms(errors), _floor(logs, errors), rate, shift, blend, limits)
 
