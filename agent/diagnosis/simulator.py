@@ -33,6 +33,7 @@ from agent.robot import RobotDescription
 _OF_THE_MIDDLE = 1.5  # times the relative error of the joint in the middle is expected of every joint
 _SHARPER = 0.7  # times the error expected before, from where on the data are looked at again
 _BELOW_ZERO = 0.1  # of a friction level without an effect, that chance may take it below zero beside one
+_OF_ITS_JOINT = 0.003  # of the squared error of a joint as given, that an effect on it must close
 _ROUNDS = 2  # of choosing numbers beside effects and effects beside numbers
 #: Effects that are the file's numbers under another name.
 _NUMBERS = tuple(name for name, effect in CATALOGUE.items() if effect.numbers in ("friction", "links"))
@@ -54,6 +55,20 @@ class Explanation:
         links = {name for name, effect in CATALOGUE.items() if effect.numbers == "links"}
         effects = [candidate.effect for candidate in self.finding.causes]
         return any(e.numbers != "load" and (e.family == "load" or links & {*e.confused_with}) for e in effects)
+
+    @property
+    def like_load(self) -> bool:
+        """Whether a mass at the flange was found, which may stand in for links that all weigh otherwise."""
+        return any(candidate.effect.numbers == "load" for candidate in self.finding.causes)
+
+    def stands(self, best: float, enough: float) -> bool:
+        """Whether its causes stand beside an answer that moves more numbers and leaves `best`.
+
+        They may leave `enough` more; a load only what chance leaves more, and what else may be links nothing more.
+        """
+        if self.like_links:
+            return self.left <= best
+        return self.left <= _AS_GOOD * best if self.like_load else self.left - best <= enough
 
     @property
     def left(self) -> float:
@@ -118,7 +133,11 @@ def search_simulator(
     def answer(calibrated: ReleasedSimulator, search: Search) -> Explanation:
         moved = calibrated.moved
         finding, gap = judge(moved, search.run(), moved.fit, unit)
-        kept = [k for k in range(len(finding.causes)) if _possible(model, finding.fit, k)]
+        kept = [
+            k
+            for k in range(len(finding.causes))
+            if _possible(model, finding.fit, k) and _needed(calibrated.given, finding.fit, k)
+        ]
         if len(kept) < len(finding.causes):
             if kept:
                 finding = finding.only(kept, moved.fit)
@@ -168,7 +187,7 @@ def search_simulator(
     drives, everything = calibration(dataset, links=False), calibration(dataset)
     if drives.groups and len(everything.groups) > len(drives.groups):
         found.append(answer(drives, searching(drives)))
-        if found[-1].finding.causes and found[-1].left <= enough and not found[-1].like_links:
+        if found[-1].finding.causes and found[-1].stands(0.0, enough):
             return settled(found[-1])
     if everything.groups:
         found.append(answer(everything, searching(everything)))
@@ -178,7 +197,7 @@ def search_simulator(
         if not found or (len(plain.finding.causes) == 1 and plain.left - best <= enough):
             return plain
     for entry in found[:-1]:
-        if entry.finding.causes and entry.left - best <= (0.0 if entry.like_links else enough):
+        if entry.finding.causes and entry.stands(best, enough):
             return settled(entry)
     return settled(found[-1])
 
@@ -198,7 +217,17 @@ def _possible(given: IdentifiedModel, fit: Fit, number: int) -> bool:
     before, level = fit.reference.model.values[base:], (given.values + change)[base:]
     own = [k for k, term in enumerate(given.terms) if term.axle in candidate.joints]
     drives = all(level[k] >= -_BELOW_ZERO * abs(before[k]) for k in own)
-    return drives and candidate.effect.plausible(candidate.settings, values)
+    sized = all(values[name] > 0 for name in candidate.effect.sizes)
+    return drives and sized and candidate.effect.plausible(candidate.settings, values)
+
+
+def _needed(given: Dataset, fit: Fit, number: int) -> bool:
+    """Whether, all else fitted anew without an effect, one of its joints keeps a part of its own gap that counts."""
+    others = tuple(candidate for k, candidate in enumerate(fit.chosen) if k != number)
+    without, left = (each.out_of_fold(fit.once) for each in (fit.with_chosen(others), fit))
+    gained = np.nanmean(without**2, axis=0) - np.nanmean(left**2, axis=0)
+    gap = np.nanmean(given.residual**2, axis=0)
+    return any(gained[joint] > _OF_ITS_JOINT * gap[joint] for joint in fit.chosen[number].blocks)
 
 
 def _expected(dataset: Dataset, residual: np.ndarray) -> float:

@@ -13,8 +13,8 @@ from agent.diagnosis.calibration import calibration
 from agent.diagnosis.dataset import assemble
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rollout import MujocoEngine
-from agent.diagnosis.simulator import with_expected_error
-from agent.model import load_simulator
+from agent.diagnosis.simulator import Explanation, _needed, _possible, with_expected_error
+from agent.model import CATALOGUE, load_simulator
 from agent.pipeline.corrected_simulator import beyond_range
 from agent.pipeline.identify import check_plausible
 from agent.recording import read_log
@@ -61,3 +61,49 @@ def test_a_simulator_may_be_called_otherwise_than_the_robot_of_the_logs(tmp_path
     assert "cell 7" not in capsys.readouterr().err
     check_plausible(robot, [log], False, Console(-1))
     assert "of robot cell 7, not of bench" in capsys.readouterr().err
+
+
+def explaining(left: float, *effects: str) -> Explanation:
+    causes = [SimpleNamespace(effect=CATALOGUE[name]) for name in effects]
+    gap = SimpleNamespace(after=np.sqrt([left]))
+    return Explanation(SimpleNamespace(), SimpleNamespace(), SimpleNamespace(causes=causes), gap)
+
+
+@pytest.mark.parametrize(
+    ("effect", "left", "stands"),
+    [
+        ("stribeck", 0.12, True),
+        ("stribeck", 0.16, False),
+        ("payload", 0.105, True),
+        ("payload", 0.12, False),  # links that all weigh otherwise leave less
+        ("gravity_spring", 0.1, True),
+        ("gravity_spring", 0.105, False),
+    ],
+)
+def test_what_may_be_links_that_weigh_otherwise_stands_only_where_links_leave_as_much(effect, left, stands):
+    assert explaining(left, effect).stands(best=0.1, enough=0.05) == stands
+    assert explaining(left, "stribeck", effect).stands(best=0.1, enough=0.05) == stands
+
+
+@pytest.mark.parametrize(("closes", "needed"), [(0.01, True), (0.001, False)])
+def test_an_effect_that_closes_next_to_nothing_of_its_own_joints_gap_is_none(closes, needed):
+    """Without it 1 N·m² and what it closes are left of 100 N·m² on its joint; a light joint counts as a heavy one."""
+    left = np.full((50, 2), 1.0)
+    without = SimpleNamespace(out_of_fold=lambda single: left + (np.sqrt(1 + 100 * closes) - 1) * np.array([0, 1]))
+    chosen = (SimpleNamespace(blocks={0: None}), SimpleNamespace(blocks={1: None}))
+    fit = SimpleNamespace(
+        chosen=chosen,
+        once=False,
+        out_of_fold=lambda single: left,
+        with_chosen=lambda others: without if others == chosen[:1] else None,
+    )
+    assert _needed(SimpleNamespace(residual=np.full((50, 2), [1000.0, 10.0])), fit, 1) == needed
+
+
+@pytest.mark.parametrize(("rise", "possible"), [(0.2, True), (-0.2, False)])
+def test_friction_that_falls_as_a_joint_slows_down_is_how_a_simulator_lets_it_change_sign(tmp_path, rise, possible):
+    model = load_simulator(written(tmp_path, URDF, "arm.urdf"), None, ("pan", "lift")).model
+    stribeck = SimpleNamespace(effect=CATALOGUE["stribeck"], joints=(0,), names=("rise",), settings={"speed": 0.05})
+    fitted = (np.zeros(len(model.values)), [[rise]])
+    fit = SimpleNamespace(chosen=[stribeck], fitted=lambda: fitted, reference=SimpleNamespace(model=model))
+    assert _possible(model, fit, 0) == possible

@@ -77,6 +77,8 @@ class Effect(ABC):
     goes with the prediction that has it: fast torque may be noise of the positions.
 
     `units` are those of parameters whose name alone does not say them, `not_reported` settings that no page shows.
+    `sizes` are parameters that are above zero, or the opposite of the effect was found: of a simulator's file, whose
+    friction changes sign as its engine lets it, that is no effect.
     `numbers` are those of a simulator's file that move under its name: `friction` of its joint, `links`, or the `load`
     that the last link gained. The torque that a drive reports is that of its
     motor times one plus the parameter `scales_report`, plus the parameter `adds_to_report`; most effects have neither.
@@ -111,6 +113,7 @@ class Effect(ABC):
     fast_torque: ClassVar[bool] = False
     units: ClassVar[Mapping[str, str]] = MappingProxyType({})
     not_reported: ClassVar[tuple[str, ...]] = ()
+    sizes: ClassVar[tuple[str, ...]] = ()
     numbers: ClassVar[str] = ""
     adds_to_report: ClassVar[str | None] = None
     scales_report: ClassVar[str | None] = None

@@ -28,6 +28,7 @@ class Stribeck(Effect):
     needs_speed = 0.05
     needs_reversals = 1
     shapes = ("speed",)
+    sizes = ("rise",)
     experiment = SLOW_REVERSALS
     refined = ("speed",)
     special_cases = ("friction_change",)
