@@ -1,9 +1,11 @@
 """Selection of friction terms: which terms each axle gets, decided by held-out error.
 
-Every axle starts with the paper's three terms. How its sliding reverses is learned: from a grid of transition speeds
-and of presliding travels, then from two finer ones around the best. Further terms come one at a time per axle, where
-leaving folds out shows that they predict better: by at least 2 % of the joint's squared error, and by more than the
-scatter of that gain between folds.
+Every axle starts with the paper's three terms and a torque offset. How its sliding reverses is learned: from a grid of
+transition speeds and of presliding travels, then from two finer ones around the best. Then offsets go, one at a time,
+where leaving folds out shows that it is better without: by at least 2 % of the joint's squared error, and by more than
+the scatter of that gain between folds. Further terms come one at a time per axle where the same shows that they predict
+better. Offsets are not asked to, as in a small motion they look like gravity: held-out parts of it cannot show that
+there is one, and gravity in its place would predict other postures wrong.
 
 Trying a column is cheap: with A the normal matrix of the terms taken, the candidate c changes the estimate along
 d = [-A⁻¹ a_c, 1] only, and the held-out error is a parabola in that step.
@@ -29,22 +31,23 @@ _TRAVELS = (1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the rang
 _FADINGS = (3e-3, 1e-2, 3e-2, 0.1, 0.3)  # of the highest speed
 _FINER = ((0.55, 0.75, 1.0, 1.35, 1.8), (0.92, 1.0, 1.09))  # of the scale found before
 _LEAST_GAIN = 0.02
+_EVERYWHERE = ("quadratic", "offset")  # besides Coulomb and viscous friction
 
 
-def paper_terms(reversals: Sequence[Reversal], third: str = "quadratic") -> tuple[FrictionTerm, ...]:
-    """The paper's three terms for every axle, with a reversal each; "offset" as `third` is what most tools fit."""
-    return _terms_of([[reversal] for reversal in reversals], third)
+def paper_terms(reversals: Sequence[Reversal], further: Sequence[str] = ("quadratic",)) -> tuple[FrictionTerm, ...]:
+    """The paper's three terms for every axle, with a reversal each; with "offset" as `further`, those of most tools."""
+    return _terms_of([[reversal] for reversal in reversals], further)
 
 
-def _terms_of(reversals: Sequence[Sequence[Reversal]], third: str) -> tuple[FrictionTerm, ...]:
-    """For every axle Coulomb friction with each of its reversals, viscous friction and a third term."""
+def _terms_of(reversals: Sequence[Sequence[Reversal]], further: Sequence[str]) -> tuple[FrictionTerm, ...]:
+    """For every axle Coulomb friction with each of its reversals, viscous friction and `further` terms."""
     return tuple(
         term
         for axle, grid in enumerate(reversals)
         for term in (
             *(FrictionTerm(axle, "coulomb", reversal) for reversal in grid),
             FrictionTerm(axle, "viscous"),
-            FrictionTerm(axle, third),
+            *(FrictionTerm(axle, form) for form in further),
         )
     )
 
@@ -66,28 +69,46 @@ def select_friction_terms(observation: Observation, partition: Partition) -> Pro
         ]
         for axle in range(n)
     ]
-    wide = Problem.pose(observation, partition, _terms_of(grids, "quadratic"))
+    wide = Problem.pose(observation, partition, _terms_of(grids, _EVERYWHERE))
     sharp = np.array([k for k, term in enumerate(wide.terms) if term.reversal in (None, Reversal())])
     links = choose_links(wide.select(sharp)).links
     problem, reversals = _best_reversals(wide.with_links(links))
     problem = problem.with_own_prior_weight()
     for factors in _FINER:
         grids = [[replace(r, scale=r.scale * factor) for factor in factors] if r.scale else [r] for r in reversals]
-        terms = _terms_of(grids, "quadratic")
+        terms = _terms_of(grids, _EVERYWHERE)
         finer = Problem.pose(observation, partition, terms, prior_weight=problem.prior_weight, links=links)
         problem, reversals = _best_reversals(finer)
 
     weights = problem.weights()
+    problem = _without_offsets(problem, weights)
     load = problem.solve(weights)[: observation.rigid.count]
-    candidates = (term for axle in range(n) for term in _candidates(axle, reversals[axle], float(fastest[axle])))
-    terms = (*paper_terms(reversals), *candidates)
-    wide = Problem.pose(observation, partition, terms, load, problem.prior_weight, keep=True, links=links)
+    kept = {term.name for term in problem.terms}
+    terms = [term for term in paper_terms(reversals, _EVERYWHERE) if term.name in kept]
+    terms += [term for axle in range(n) for term in _candidates(axle, reversals[axle], float(fastest[axle]))]
+    wide = Problem.pose(observation, partition, tuple(terms), load, problem.prior_weight, keep=True, links=links)
     return wide.select(_forward_selection(wide, weights, len(problem.terms)))
+
+
+def _without_offsets(problem: Problem, weights: np.ndarray) -> Problem:
+    """The problem without those offsets without which what is held out is clearly predicted better."""
+    while True:
+        error = np.sum(weights * problem.held_out(weights), axis=(1, 2))
+        least = _LEAST_GAIN * error.sum() / problem.observation.robot.dof
+        better = []
+        for k, term in enumerate(problem.terms):
+            if term.form == "offset":
+                without = problem.select(np.delete(np.arange(len(problem.terms)), k))
+                gain = error - np.sum(weights * without.held_out(weights), axis=(1, 2))
+                if gain.sum() > least and clear_gain(gain):
+                    better.append((float(gain.sum()), k, without))
+        if not better:
+            return problem
+        problem = max(better)[2]
 
 
 def _candidates(axle: int, reversal: Reversal, fastest: float) -> list[FrictionTerm]:
     return [
-        FrictionTerm(axle, "offset"),
         FrictionTerm(axle, "viscous_asymmetry"),
         FrictionTerm(axle, "load", reversal),
         *(FrictionTerm(axle, "stribeck", reversal, fastest * fading) for fading in _FADINGS),

@@ -21,6 +21,7 @@ _FREE_DOUBT = (
     2.5  # the same of a link of which only its possible size is known, relative to what the torques could hold
 )
 _FREE_RADIUS = 0.5  # of the reach: the size of such a link
+_OFFSET = 0.1  # standard deviation of a torque offset, of the largest torque: gravity is the likelier constant
 
 
 #: What a prior of the links may rest on: the description's inertials, or only what the torques could hold.
@@ -52,6 +53,7 @@ def physical_prior(observation: Observation, terms: tuple[FrictionTerm, ...], li
     torque = _largest_torque(observation)
     for k, term in enumerate(terms):
         size = 1.0 if term.form == "load" else torque[term.axle] / robot.max_velocity[term.axle] ** FORMS[term.form][1]
+        size *= _OFFSET if term.form == "offset" else 1.0
         precision[count + k, count + k] = 1 / max(size, 1e-9) ** 2
     return Prior(np.append(projection @ mean, np.zeros(len(terms))), precision)
 

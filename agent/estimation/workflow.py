@@ -164,7 +164,7 @@ def _lower(
 
 def _first_problem(observation: Observation, cells: Partition | None = None, third: str = "quadratic") -> Problem:
     """Three terms of friction an axle, none of them with a reversal that was learned."""
-    terms = paper_terms([Reversal()] * observation.robot.dof, third)
+    terms = paper_terms([Reversal()] * observation.robot.dof, (third,))
     return Problem.pose(observation, cells or partition(observation.segments), terms)
 
 

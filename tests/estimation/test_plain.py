@@ -16,13 +16,14 @@ FRICTION = np.array([40.0, 80.0, 50.0, 20.0, 12.0, 6.0, 3.0])  # N·m
 
 
 def _recorded(robot, multisine, make_log, seed: int, seconds: float, noise: float):
-    """A seven-joint arm at 50 Hz, with friction that the plain terms describe."""
+    """An arm at 50 Hz, with friction that the plain terms describe."""
+    n = robot.dof
     t = np.arange(int(50 * seconds)) / 50
-    q, qd, qdd = multisine(7, t, seed=seed)
+    q, qd, qdd = multisine(n, t, seed=seed)
     rigid, _, _ = rigid_bodies(robot)
-    links = rigid.torque(q, qd, qdd, rigid.projection @ np.append(rigid.dynamics.standard_parameters(), [1e-4] * 7))
-    friction = FRICTION * (0.15 * np.tanh(qd / 0.01) + 0.1 * qd + 0.05)
-    torque = links + friction + noise * FRICTION * np.random.default_rng(seed).normal(size=q.shape)
+    links = rigid.torque(q, qd, qdd, rigid.projection @ np.append(rigid.dynamics.standard_parameters(), [1e-4] * n))
+    friction = FRICTION[:n] * (0.15 * np.tanh(qd / 0.01) + 0.1 * qd + 0.05)
+    torque = links + friction + noise * FRICTION[:n] * np.random.default_rng(seed).normal(size=q.shape)
     return make_log(robot, t, q, torque, name=f"{seed}.mcap")
 
 
@@ -39,6 +40,19 @@ def test_a_seven_joint_arm_logged_slowly_and_briefly_is_predicted_as_well_as_by_
     errors = [validate(m, [held_out], 10).overall.relative_error_all_joints for m in (ours, plain)]
     assert errors[0] <= errors[1]
     assert any("plain " in note for note in ours.notes if note.startswith("Method"))  # it was compared
+
+
+def test_offsets_are_not_taken_for_gravity_where_a_small_motion_cannot_tell_them_apart(arm, multisine, make_log):
+    robot = arm(6, seed=911)
+    fitted = _recorded(robot, multisine, make_log, 911, 20, 0.02)
+    elsewhere = _recorded(robot, multisine, make_log, 50911, 12, 0.0)
+    ours, plain = (
+        estimate(robot, [fitted], EstimationSettings.create(cutoff=10, method=method))
+        for method in ("weighted", "plain")
+    )
+    errors = [validate(m, [elsewhere], 10).overall.relative_error_all_joints for m in (ours, plain)]
+    assert errors[0] < 0.8 * errors[1]
+    assert {term.axle for term in ours.terms if term.form == "offset"} == set(range(6))
 
 
 def test_plain_has_its_terms_and_no_prior(arm, multisine, make_log):
