@@ -84,9 +84,11 @@ def select_friction_terms(observation: Observation, partition: Partition) -> Pro
     problem = _without_offsets(problem, weights)
     load = problem.solve(weights)[: observation.rigid.count]
     kept = {term.name for term in problem.terms}
-    terms = [term for term in paper_terms(reversals, _EVERYWHERE) if term.name in kept]
-    terms += [term for axle in range(n) for term in _candidates(axle, reversals[axle], float(fastest[axle]))]
-    wide = Problem.pose(observation, partition, tuple(terms), load, problem.prior_weight, keep=True, links=links)
+    everywhere = (term for term in paper_terms(reversals, _EVERYWHERE) if term.name in kept)
+    candidates = (term for axle in range(n) for term in _candidates(axle, reversals[axle], float(fastest[axle])))
+    wide = Problem.pose(
+        observation, partition, (*everywhere, *candidates), load, problem.prior_weight, keep=True, links=links
+    )
     return wide.select(_forward_selection(wide, weights, len(problem.terms)))
 
 
