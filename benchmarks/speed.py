@@ -118,6 +118,7 @@ def work() -> None:
     """In a process of its own, with the agent of the tree it runs in: mean CPU [ms] of the parts, as JSON."""
     from agent.excitation import Candidates, Criterion, LoopProblem
     from agent.excitation.criterion import one_blas_thread
+    from agent.excitation.loop_search import Scorer
     from agent.motion import ViaRegions
     from agent.pipeline.planning import loop_problem
     from agent.recipe import load_recipe
@@ -125,21 +126,23 @@ def work() -> None:
     recipe = load_recipe(RECIPE)
     problem = loop_problem(recipe, recipe.motion.speed)
     candidates, criterion = Candidates(problem), Criterion(recipe.robot, recipe.tool)
-    genomes = list(np.random.default_rng(0).random((20, problem.genes)))
+    genomes = np.random.default_rng(0).random((21, problem.genes))
+    together = 7  # as many as a search hands to a process at once
     with one_blas_thread():
         loops = [candidates.loop(genome).trajectory for genome in genomes]
         tenths = [(loop.q[::10], loop.qd[::10], loop.qdd[::10]) for loop in loops]
         rows = {
-            "COMAU NS16, closed-form inverse": cpu(candidates.score, genomes),
-            "  interpolation, all samples": cpu(candidates.loop, genomes),
+            "COMAU NS16, closed-form inverse": cpu(Scorer(problem), np.split(genomes, len(genomes) // together))
+            / together,
+            "  interpolation, all samples": cpu(candidates.loop, list(genomes)),
             "  cell, all samples": cpu(lambda loop: candidates._cell.check(loop, 0.02), loops),
             "  regressor and determinant": cpu(lambda tenth: criterion(*tenth), tenths),
         }
         for what, count in (("six joints, offset wrist", 6), ("seven joints", 7)):
             region = ViaRegions.from_box(6, [0.45, 0.1, 0.4], [0.2] * 3, [0.0, np.pi, 0.0], np.radians(30))
-            other = Candidates(LoopProblem(arm(count), region, problem.settings.changed(linear_speed=0.4)))
-            kept = [genome for genome in genomes if other.score(genome).feasible]
-            rows[f"{what}, numerical inverse"] = cpu(other.score, kept[:4])
+            scorer = Scorer(LoopProblem(arm(count), region, problem.settings.changed(linear_speed=0.4)))
+            kept = np.array([genome for genome in genomes if scorer(genome[None])[0].feasible])
+            rows[f"{what}, numerical inverse"] = cpu(scorer, [kept[:together], kept[-together:]]) / together
     print(json.dumps(rows))
 
 

@@ -10,15 +10,11 @@ import numpy as np
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.path import rotation
 from agent.motion.path.blend import Corner, blended_length, blended_near, blended_orientation, blended_position, bump
+from agent.motion.path.knots import cells, spacing
 from agent.motion.path.rules import corner_rules, segment_rules
-from agent.motion.path.segments import Arc, CartesianSegment, JointSegment, Segment, WristSegment
+from agent.motion.path.segments import CartesianSegment, JointSegment, Segment
 from agent.motion.path.solve import solve_cartesian, solve_wrist
 from agent.motion.path.straight import StraightMoves
-
-#: Largest turn of the orientation, of an arc or of a joint between two knots [rad].
-_TURN = 0.04
-#: No move is cut into more cells, and none into fewer.
-_MOST_CELLS, _FEWEST_CELLS = 4000, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +47,7 @@ class Path:
 class _PathPart:
     """Knots in a row: `steps` (k,) of s, each from the knot before, and what is known of the knots so far."""
 
-    block: int
+    block: np.ndarray
     steps: np.ndarray
     move: np.ndarray
     rules: np.ndarray
@@ -123,7 +119,7 @@ def _body(
             None if corner is None else 2.0 * part * segment.metric / corner.cells
             for corner, part in ((before, begin), (after, 1.0 - end))
         ]
-        travel = _cells((end - begin) * segment.metric, edges[0], edges[1], _spacing(segment, parameters) / fineness)
+        travel = cells((end - begin) * segment.metric, edges[0], edges[1], spacing(segment, parameters) / fineness)
         skip = 0 if k == 0 else 1
         sigmas.append((begin + travel / segment.metric)[skip:])
         steps.append(travel[1:] - travel[:-1])
@@ -150,19 +146,30 @@ def _straight(
 ) -> list[_PathPart]:
     """As `_body`, of moves that are worked out together: `sigmas` and `steps` move by move."""
     rules = [segment_rules(segment, parameters) for segment in unit]
-    lengths, (positions, orientations) = together.lengths(), together.poses(sigmas)
-    body: list[_PathPart] = []
-    for k, segment in enumerate(unit):
-        pieces = [(2 * (first + k), k, steps[k], np.full(len(steps[k]), segment.move), rules[k])]
-        if k < len(lengths):
-            move = np.where(together.corners[k].tau()[1:] < 0.5, segment.move, unit[k + 1].move)
-            strictest = corner_rules(segment, rules[k], rules[k + 1], parameters)
-            pieces.append((2 * (first + k) + 1, len(unit) + k, lengths[k], move, strictest))
-        for block, place, step, move, rule in pieces:
-            count = len(step)
-            rows = np.broadcast_to(rule, (count, 7))
-            body.append(_PathPart(block, step, move, rows, np.ones(count), positions[place], orientations[place]))
-    return body
+    table = np.empty((2 * len(unit) - 1, 7))
+    table[::2] = rules
+    for k, segment in enumerate(unit[:-1]):
+        table[2 * k + 1] = corner_rules(segment, rules[k], rules[k + 1], parameters)
+    # Moves first, then corners, until all is put in the order of the way.
+    moves = np.repeat(np.arange(len(unit)), [len(step) for step in steps])
+    corners = np.repeat(np.arange(len(unit) - 1), [corner.cells for corner in together.corners])
+    block = np.concatenate((2 * moves, 2 * corners + 1))
+    order = np.argsort(block, kind="stable")
+    block = block[order]
+    # The first half of a corner belongs to the move before it.
+    nearest = np.concatenate((moves, corners + (together.tau() >= 0.5)))
+    position, orientation = together.poses(sigmas)
+    return [
+        _PathPart(
+            2 * first + block,
+            np.concatenate((*steps, together.lengths()))[order],
+            np.array([segment.move for segment in unit])[nearest[order]],
+            table[block],
+            np.ones(len(order)),
+            position[order],
+            orientation[order],
+        )
+    ]
 
 
 def _on_segment(
@@ -170,7 +177,7 @@ def _on_segment(
 ) -> _PathPart:
     count = len(sigma)
     stretch = _PathPart(
-        block,
+        np.full(count, block),
         steps,
         np.full(count, segment.move),
         np.broadcast_to(segment_rules(segment, parameters), (count, 7)),
@@ -194,7 +201,7 @@ def _on_corner(block: int, corner: Corner, before: Segment, after: Segment, para
     tau = corner.tau()
     lengths, along = blended_length(corner, before, after, tau)
     return _PathPart(
-        block,
+        np.full(corner.cells, block),
         lengths,
         np.where(tau[1:] < 0.5, before.move, after.move),
         np.broadcast_to(_corner_rules(before, after, parameters), (corner.cells, 7)),
@@ -261,7 +268,7 @@ def _joint_corner(
     along = np.minimum(moves[0] / np.maximum(moves[1] + moves[2], 1e-300), 1.0)
     count = corner.cells - 1
     return _PathPart(
-        block,
+        np.full(count, block),
         before.metric * np.diff(one) + after.metric * np.diff(two),
         np.where(tau[1:-1] < 0.5, before.move, after.move),
         np.broadcast_to(_corner_rules(before, after, parameters), (count, 7)),
@@ -304,46 +311,6 @@ def _assemble(stretches: list[_PathPart], segment: Segment, deviations: tuple[fl
         np.concatenate([stretch.move for stretch in stretches]),
         np.concatenate([stretch.rules for stretch in stretches]),
         np.concatenate([stretch.overlap for stretch in stretches]),
-        np.concatenate([np.full(len(stretch.move), stretch.block) for stretch in stretches]),
+        np.concatenate([stretch.block for stretch in stretches]),
         deviations,
     )
-
-
-def _spacing(segment: Segment, parameters: FlyParameters) -> float:
-    """Largest step of s between knots of one move."""
-    if isinstance(segment, JointSegment):
-        turns = float(np.max(np.abs(segment.end - segment.start))) / _TURN
-    else:
-        turns = segment.extent / parameters.spacing
-        if isinstance(segment.curve, Arc):
-            turns = max(turns, segment.curve.angle / _TURN)
-        if isinstance(segment, CartesianSegment):
-            turns = max(turns, segment.angle / _TURN)
-        elif isinstance(segment, WristSegment):
-            turns = max(turns, float(np.max(np.abs(segment.end - segment.start))) / _TURN)
-    return segment.metric / min(max(turns, _FEWEST_CELLS), _MOST_CELLS)
-
-
-def _cells(length: float, first: float | None, last: float | None, largest: float) -> np.ndarray:
-    """Points from 0 to `length`, at most `largest` apart, growing from the cells that blends end with.
-
-    Neighbouring cells of very different size would make the spline through the knots ring.
-    """
-    if length < 1e-12:
-        return np.zeros(1)
-    left, right = [], []
-    a, b = first or largest, last or largest
-    rest = length
-    while rest > 0 and min(a, b) < largest:
-        if a <= b:
-            left.append(a)
-            rest -= a
-            a = min(1.5 * a, largest)
-        else:
-            right.append(b)
-            rest -= b
-            b = min(1.5 * b, largest)
-    middle = max(int(np.ceil(rest / largest)), 0)
-    sizes = np.array([*left, *([rest / max(middle, 1)] * middle), *right[::-1]])
-    points = np.concatenate(([0.0], np.cumsum(sizes)))
-    return points * (length / points[-1])

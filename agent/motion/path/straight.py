@@ -62,12 +62,16 @@ class StraightMoves:
             tuple(corners),
         )
 
-    def poses(self, sigmas: Sequence[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    def tau(self) -> np.ndarray:
+        """(S,) parameters of the samples of all corners, but for their beginnings."""
+        return np.concatenate([corner.tau()[1:] for corner in self.corners])
+
+    def poses(self, sigmas: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Positions (S, 3) [m] and orientations (S, 4), move by move at its parameters `sigmas`, then corner by corner
-        at `tau` but for its beginning."""
+        at `tau`."""
         counts = [len(sigma) for sigma in sigmas]
         moving = sum(counts)
-        tau = np.concatenate([corner.tau()[1:] for corner in self.corners])
+        tau = self.tau()
         joined, before = self._joined(1)
         one, two = joined.sigma(tau)
         which = np.concatenate((np.repeat(np.arange(len(sigmas)), counts), before, before + 1))
@@ -78,14 +82,10 @@ class StraightMoves:
         since_corner = rotation.multiply(rotation.conjugate(self.turn[before + 1]), turned[arriving])
         blended = rotation.multiply(turned[leaving], since_corner)
         places = position[leaving] + position[arriving] - self.start[before + 1]
-        cuts = np.cumsum([*counts, *(corner.cells for corner in self.corners)])[:-1]
-        return (
-            np.split(np.concatenate((position[:moving], places)), cuts),
-            np.split(np.concatenate((turned[:moving], blended)), cuts),
-        )
+        return np.concatenate((position[:moving], places)), np.concatenate((turned[:moving], blended))
 
-    def lengths(self) -> list[np.ndarray]:
-        """Corner by corner, the lengths of its cells [m]."""
+    def lengths(self) -> np.ndarray:
+        """(S,) corner by corner, the lengths of its cells [m]."""
         known = [_nodes(corner.cells) for corner in self.corners]
         joined, before = self._joined(len(NODES))
         rate_one, rate_two = joined.rate(np.concatenate([nodes for nodes, _ in known]))
@@ -97,8 +97,7 @@ class StraightMoves:
         size = rate_one * (rate_one * squares[0] + rate_two * (2.0 * squares[1])) + rate_two**2 * squares[2]
         turned = self.turning[before] * rate_one + self.turning[before + 1] * rate_two
         along = np.sqrt(np.maximum(size, 0.0) + turned**2)
-        lengths = (along.reshape(-1, len(NODES)) @ WEIGHTS) * 0.5 * np.concatenate([cells for _, cells in known])
-        return np.split(lengths, np.cumsum([corner.cells for corner in self.corners])[:-1])
+        return (along.reshape(-1, len(NODES)) @ WEIGHTS) * 0.5 * np.concatenate([cells for _, cells in known])
 
     def _joined(self, repeats: int) -> tuple[Corner, np.ndarray]:
         """One corner with parts (S,) for `repeats` samples of every cell of all corners, and the move before (S,)."""

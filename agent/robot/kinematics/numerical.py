@@ -196,14 +196,9 @@ class NumericalKinematics(Kinematics):
 
     def solve(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
         """As in `Kinematics`; a redundant arm's nearest solution is looked for from `near` itself first."""
-        return (
-            self.solve_each(np.asarray(pose)[None], np.asarray(near)[None])[0]
-            if self.dof > 6
-            else super().solve(pose, near)
-        )
+        return self.solve_on_branch(pose, near) if self.dof > 6 else super().solve(pose, near)
 
     def find(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        poses, near = np.asarray(poses, dtype=float), np.asarray(near, dtype=float)
         if self.dof > 6:
             q, found = self.nearest(poses, near)
         else:
