@@ -33,7 +33,6 @@ from agent.robot import RobotDescription
 _OF_THE_MIDDLE = 1.5  # times the relative error of the joint in the middle is expected of every joint
 _SHARPER = 0.7  # times the error expected before, from where on the data are looked at again
 _BELOW_ZERO = 0.1  # of a friction level without an effect, that chance may take it below zero beside one
-_OF_ITS_JOINT = 0.003  # of the squared error of a joint as given, that an effect on it must close
 _ROUNDS = 2  # of choosing numbers beside effects and effects beside numbers
 #: Effects that are the file's numbers under another name.
 _NUMBERS = tuple(name for name, effect in CATALOGUE.items() if effect.numbers in ("friction", "links"))
@@ -133,11 +132,7 @@ def search_simulator(
     def answer(calibrated: ReleasedSimulator, search: Search) -> Explanation:
         moved = calibrated.moved
         finding, gap = judge(moved, search.run(), moved.fit, unit)
-        kept = [
-            k
-            for k in range(len(finding.causes))
-            if _possible(model, finding.fit, k) and _needed(calibrated.given, finding.fit, k)
-        ]
+        kept = [k for k in range(len(finding.causes)) if _possible(model, finding.fit, k)]
         if len(kept) < len(finding.causes):
             if kept:
                 finding = finding.only(kept, moved.fit)
@@ -219,15 +214,6 @@ def _possible(given: IdentifiedModel, fit: Fit, number: int) -> bool:
     drives = all(level[k] >= -_BELOW_ZERO * abs(before[k]) for k in own)
     sized = all(values[name] > 0 for name in candidate.effect.sizes)
     return drives and sized and candidate.effect.plausible(candidate.settings, values)
-
-
-def _needed(given: Dataset, fit: Fit, number: int) -> bool:
-    """Whether, all else fitted anew without an effect, one of its joints keeps a part of its own gap that counts."""
-    others = tuple(candidate for k, candidate in enumerate(fit.chosen) if k != number)
-    without, left = (each.out_of_fold(fit.once) for each in (fit.with_chosen(others), fit))
-    gained = np.nanmean(without**2, axis=0) - np.nanmean(left**2, axis=0)
-    gap = np.nanmean(given.residual**2, axis=0)
-    return any(gained[joint] > _OF_ITS_JOINT * gap[joint] for joint in fit.chosen[number].blocks)
 
 
 def _expected(dataset: Dataset, residual: np.ndarray) -> float:

@@ -13,7 +13,7 @@ from agent.diagnosis.calibration import calibration
 from agent.diagnosis.dataset import assemble
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rollout import MujocoEngine
-from agent.diagnosis.simulator import Explanation, _needed, _possible, with_expected_error
+from agent.diagnosis.simulator import Explanation, _possible, with_expected_error
 from agent.model import CATALOGUE, load_simulator
 from agent.pipeline.corrected_simulator import beyond_range
 from agent.pipeline.identify import check_plausible
@@ -83,21 +83,6 @@ def explaining(left: float, *effects: str) -> Explanation:
 def test_what_may_be_links_that_weigh_otherwise_stands_only_where_links_leave_as_much(effect, left, stands):
     assert explaining(left, effect).stands(best=0.1, enough=0.05) == stands
     assert explaining(left, "stribeck", effect).stands(best=0.1, enough=0.05) == stands
-
-
-@pytest.mark.parametrize(("closes", "needed"), [(0.01, True), (0.001, False)])
-def test_an_effect_that_closes_next_to_nothing_of_its_own_joints_gap_is_none(closes, needed):
-    """Without it 1 N·m² and what it closes are left of 100 N·m² on its joint; a light joint counts as a heavy one."""
-    left = np.full((50, 2), 1.0)
-    without = SimpleNamespace(out_of_fold=lambda single: left + (np.sqrt(1 + 100 * closes) - 1) * np.array([0, 1]))
-    chosen = (SimpleNamespace(blocks={0: None}), SimpleNamespace(blocks={1: None}))
-    fit = SimpleNamespace(
-        chosen=chosen,
-        once=False,
-        out_of_fold=lambda single: left,
-        with_chosen=lambda others: without if others == chosen[:1] else None,
-    )
-    assert _needed(SimpleNamespace(residual=np.full((50, 2), [1000.0, 10.0])), fit, 1) == needed
 
 
 @pytest.mark.parametrize(("rise", "possible"), [(0.2, True), (-0.2, False)])
