@@ -18,7 +18,7 @@ import numpy as np
 from agent.core import InputError
 from agent.estimation.filtering import FilterSettings, motions, resolve_cutoff
 from agent.estimation.gravity_check import described_gravity_doubts, gravity_directions, gravity_text
-from agent.estimation.rigid_fit import FOLDS, Bodies, FitSamples, HeldOutFit, solved
+from agent.estimation.rigid_fit import FOLDS, Bodies, FitSamples, HeldOutFit, overfitted, solved
 from agent.estimation.velocity_check import velocity_doubts
 from agent.recording import Log
 from agent.robot import RobotDescription
@@ -215,7 +215,7 @@ def _samples(logs: Sequence[Log]) -> FitSamples | None:
 def _mechanics(robot: RobotDescription, samples: FitSamples) -> Iterator[str]:
     plain = _fit(robot, samples)
     names = robot.joint_names
-    if not plain.enough:
+    if not plain.enough or overfitted(robot, samples, plain.joints):
         return
     pushed = _driven_on(plain)
     still = np.flatnonzero(np.ptp(samples.q, axis=0) < 1e-6)

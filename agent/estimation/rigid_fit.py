@@ -19,6 +19,7 @@ _ROUNDS = 3  # of weights from residuals
 _PRIOR_WEIGHT = 10.0  # independent samples that the sizes of parameters count for
 _DOUBT = 2.5  # standard deviation of a parameter, relative to the largest that the torques could hold
 _LINK_RADIUS = 0.5  # of the reach: the size of such a link
+_OVERFITTED = 2.5  # times the error of a fit; of two real arms, as they are or mistaken, at most 1.5
 _LEAST = 1e-10  # squared error of a joint, relative to its torque, below which round-off begins
 
 
@@ -168,3 +169,14 @@ def solved(bodies: Bodies, s: FitSamples) -> Solved:
     error = s.torque - columns @ solution
     joints = np.linalg.norm(error, axis=0) / (scale * np.sqrt(count))
     return Solved(columns, scale, length, sizes, directions, known, solution, error, joints)
+
+
+def overfitted(robot: RobotDescription, s: FitSamples, joints: np.ndarray) -> bool:
+    """Whether what is held out is predicted so much worse than it is fitted that few seconds say nothing of mistakes.
+
+    joints (n,): part of each torque that a fit to all samples leaves. The joints' median decides.
+    """
+    bodies = Bodies(robot)
+    held_out = HeldOutFit(bodies, s, bodies.precision(s)).errors(np.arange(robot.dof), np.ones(robot.dof))
+    left = np.sqrt(held_out.sum(axis=0) / np.maximum(np.sum(s.torque**2, axis=0), 1e-300))
+    return bool(np.median(left / np.maximum(joints, 0.01)) > _OVERFITTED)
