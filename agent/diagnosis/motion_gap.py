@@ -71,8 +71,8 @@ def motion_gap(logs: Sequence[Log], limits: DecisionLimits = LIMITS) -> MotionGa
     if not as_it_is.notable:
         return as_it_is
     stopped = [replace(pair, starts=_after_stops(pair)) for pair in pairs]
-    tried = [_described(logs, some, before, limits) for some in (pairs, stopped)]
-    found = min(tried, key=lambda gap: float(np.sum(gap.after**2)))
+    tried = [gap for some in (pairs, stopped) if (gap := _described(logs, some, before, limits)) is not None]
+    found = min(tried, key=lambda gap: float(np.sum(gap.after**2)), default=as_it_is)
     # other corners and ramps are no change of rate: what one motion teaches then makes another one worse
     return found if found.practical and np.sum(found.after**2) < np.sum(before**2) else as_it_is
 
@@ -87,8 +87,11 @@ class _Pair:
     starts: np.ndarray = field(default_factory=lambda: np.empty(0))
 
 
-def _described(logs: Sequence[Log], pairs: Sequence[_Pair], before: np.ndarray, limits: DecisionLimits) -> MotionGap:
-    """The gap that is left by rate and blend of the other logs, and a shift of each.
+def _described(
+    logs: Sequence[Log], pairs: Sequence[_Pair], before: np.ndarray, limits: DecisionLimits
+) -> MotionGap | None:
+    """The gap that is left by rate and blend of the other logs, and a shift of each; None where a motion goes further
+    from its plan so: corners of a large motion may look like a pace, which a small one then denies.
 
     Where the plan starts anew at every stop the shift is that of the others too: the clock of the log is not in it.
     """
@@ -98,6 +101,8 @@ def _described(logs: Sequence[Log], pairs: Sequence[_Pair], before: np.ndarray, 
         others = [one for k, one in enumerate(fitted) if k != number] or fitted
         rate, shift, blend = (float(np.median([other[k] for other in others])) for k in range(3))
         errors.append(pair.executed - _executed(pair, rate, shift if len(pair.starts) else fitted[number][1], blend))
+        if _rms(errors[-1:]).max() > max(_rms([pair.executed - pair.planned]).max(), limits.path_gap):
+            return None
     rate, shift, blend = (float(np.median([one[k] for one in fitted])) for k in range(3))
     return MotionGap(before, _rms(errors), _floor(logs, errors), rate, shift, blend, limits)
 

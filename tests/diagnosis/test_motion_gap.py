@@ -56,3 +56,14 @@ def test_other_ramps_alone_are_no_pace():
     gap = motion_gap([recorded("one.mcap", WAYS, 1.0, 1.15), recorded("two.mcap", WAYS[::-1], 1.0, 0.85)])
     assert gap.notable
     assert not gap.described
+
+
+def test_a_pace_that_one_motion_denies_is_none():
+    """Corners of a large motion look like a pace, by chance that between two others; one of these ran as planned."""
+    sizes = {"large.mcap": (6.0, 1.006), "small.mcap": (0.5, 1.012), "least.mcap": (0.1, 1.0)}
+    logs = [
+        recorded(name, [(k * reach, lasting) for reach, lasting in WAYS], rate) for name, (k, rate) in sizes.items()
+    ]
+    gap = motion_gap(logs)
+    assert gap.notable
+    assert not gap.described
