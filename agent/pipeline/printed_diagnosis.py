@@ -9,11 +9,11 @@ from typing import Any
 def diagnosis_text(result: dict[str, Any]) -> str:
     """A diagnosis for people."""
     from agent.diagnosis import closes, reported_parameters, size_text, torque_gap
-    from agent.report import VERDICTS
+    from agent.report import verdict_text
     from agent.robot import SHARE, figure_text
 
     verdict = result["verdict"]
-    lines = [": ".join(part for part in (verdict.replace("_", " "), VERDICTS[verdict]) if part)]
+    lines = [": ".join(part for part in (verdict.replace("_", " "), verdict_text(result)) if part)]
     for cause in result["causes"]:
         joints = ", ".join(cause["joints"]) or "the whole arm"
         closed = f", {closes(cause, result['closure'])}" if closes(cause) else ""

@@ -5,7 +5,7 @@ from .comparison_sections import comparison_section as comparison_section
 from .diagnosis_page import diagnosis_report as diagnosis_report
 from .first_screen import headline as headline
 from .friction_curves import friction_section as friction_section
-from .gap_section import VERDICTS as VERDICTS, diagnosis_summary as diagnosis_summary
+from .gap_section import diagnosis_summary as diagnosis_summary, verdict_text as verdict_text
 from .index import IndexData as IndexData, index_page as index_page
 from .log_sections import log_section as log_section
 from .motion_sections import MotionData as MotionData, SearchData as SearchData, plan_report as plan_report

@@ -21,6 +21,7 @@ from agent.diagnosis import (
 )
 from agent.model import CATALOGUE
 from agent.recording import Log, machines_of
+from agent.report.gap_section import verdict_text
 from agent.report.page import About, NextStep
 from agent.robot import SHARE, figure_text
 
@@ -39,6 +40,8 @@ _HEADLINES = {
 def headline(result: Mapping[str, Any], size: str = "") -> str:
     """The verdict in one sentence: where, what, how large (`size`, where that is known), how sure."""
     if not result["causes"]:
+        if result["verdict"] == "unknown" and result.get("waterfall"):
+            return f"{verdict_text(result).capitalize()}."
         text = _HEADLINES.get(result["verdict"], _HEADLINES["unknown"])
         return text + (f" It is on {worst_joints(result)}." if result["verdict"] == "unknown" else "")
     cause = result["causes"][0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from agent.diagnosis import in_torque, reported_parameters, size_text, torque_gap
@@ -9,7 +10,7 @@ from agent.report.page import Section, Table
 from agent.robot import SHARE, figure_text
 
 #: What a verdict means, where its name does not say it all.
-VERDICTS = {
+_VERDICTS = {
     "no_gap": "nothing of practical size beyond what the model's own prediction error allows",
     "explained": "",
     "ambiguous": "the data cannot tell the first cause from its equivalents",
@@ -17,11 +18,25 @@ VERDICTS = {
 }
 
 
+def verdict_text(result: Mapping[str, Any]) -> str:
+    """What the verdict of a result means; empty where its name says it all.
+
+    Numbers of a simulator that were moved may close nearly all of a gap though nothing of the catalogue was found.
+    """
+    closed = sum(step["closes"] for step in result.get("waterfall", ())[:-1])
+    if result["verdict"] == "unknown" and closed > 0:
+        return (
+            f"numbers of the simulator, moved, close {100 * closed:.1f} % of the gap; "
+            "what they leave, no effect of the catalogue closes"
+        )
+    return _VERDICTS[result["verdict"]]
+
+
 def diagnosis_summary(result: dict[str, Any]) -> str:
     """One sentence from a result of schema diagnosis/1."""
     # the controller's path is a matter of its own: it is in the table, not in the sentence about torque
     named = [cause for cause in result["causes"] if in_torque(cause)] or result["causes"]
-    verdict = VERDICTS[result["verdict"]] or result["verdict"]
+    verdict = verdict_text(result) or result["verdict"]
     causes = " and ".join(_cause(cause) for cause in named)
     return f"{verdict[0].upper()}{verdict[1:]}{': ' if causes else ''}{causes}."
 

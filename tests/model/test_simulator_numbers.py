@@ -18,6 +18,7 @@ from agent.model import CATALOGUE, load_simulator
 from agent.pipeline.corrected_simulator import beyond_range
 from agent.pipeline.identify import check_plausible
 from agent.recording import read_log
+from agent.report import headline, verdict_text
 from tests.model.bench import CHAIN, URDF, recorded, scene, written
 
 
@@ -92,3 +93,11 @@ def test_friction_that_falls_as_a_joint_slows_down_is_how_a_simulator_lets_it_ch
     fitted = (np.zeros(len(model.values)), [[rise]])
     fit = SimpleNamespace(chosen=[stribeck], fitted=lambda: fitted, reference=SimpleNamespace(model=model))
     assert _possible(model, fit, 0) == possible
+
+
+def test_numbers_that_close_nearly_all_of_a_gap_are_said_to_though_nothing_of_the_catalogue_was_found():
+    steps = [{"step": "friction of lift", "closes": 0.98}, {"step": "remainder", "closes": 0.02}]
+    result = {"verdict": "unknown", "causes": [], "closure": 0.98, "where": [], "waterfall": steps}
+    assert "moved, close 98.0 % of the gap; what they leave, no effect" in verdict_text(result)
+    assert headline(result).startswith("Numbers of the simulator, moved, close 98.0 %")
+    assert verdict_text({**result, "waterfall": []}) == "there is a gap, and no effect of the catalogue closes it"
