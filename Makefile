@@ -33,7 +33,7 @@ lint: env
 	$(BIN)/mypy
 
 test: env lint
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not verify"
+	$(BIN)/python -m pytest -n 3 --dist worksteal -m "not verify"
 
 verify: env
 	$(BIN)/python tests/verify.py
