@@ -23,9 +23,10 @@ def exact_in_both(first: Where, second: Where) -> Where | None:
 
 
 def gain_by_form(gain: float, best: Places, first: Where, second: Where) -> float:
-    """Of the gain of one of two places, what it does not owe to an exact part of both: only there a form can err."""
+    """Of the gain of one of two places, without that of the other where it is exact: only there a form errs."""
     both = exact_in_both(first, second)
-    return gain if both is None or both not in best else gain - min(max(best[both].gain, 0.0), gain)
+    exact = both in (first, second) and both in best
+    return gain - min(max(best[both].gain, 0.0), gain) if both is not None and exact else gain
 
 
 def gain_at_best(limits: DecisionLimits, score: HeldOutScore, best: Places, other: Where) -> float:

@@ -37,9 +37,10 @@ def test_a_constant_is_part_of_an_offset_a_spring_and_a_hose_on_one_joint():
 
 def test_only_beyond_what_is_exact_can_a_form_err():
     known = places(score(OFFSET, 980.0), score(SPRING, 1000.0, harmonics=1.0))
-    assert gain_by_form(1000.0, known, SPRING, HOSE) == 20.0
+    assert gain_by_form(1000.0, known, SPRING, OFFSET) == 20.0
     assert gain_by_form(1000.0, known, SPRING, ("payload", ())) == 1000.0
-    assert gain_by_form(500.0, known, SPRING, HOSE) == 0.0
+    assert gain_by_form(1000.0, known, SPRING, HOSE) == 1000.0, "neither is exact"
+    assert gain_by_form(500.0, known, SPRING, OFFSET) == 0.0
 
 
 def test_a_large_constant_does_not_hide_what_a_spring_has_beside_it():
