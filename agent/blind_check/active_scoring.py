@@ -69,7 +69,7 @@ def _share(hits: Iterable[bool]) -> dict[str, Any]:
 def _asked(done: Sequence[Entry]) -> Iterator[tuple[float, bool]]:
     """Predicted probability of the right answer and whether it came, of pairs of which one side is the truth.
 
-    What was predicted for that side: how often either side is the truth is up to the draw.
+    What was predicted for that side, if anything was: how often either side is the truth is up to the draw.
     """
     for entry in done:
         truths = [_text(effect) for effect in entry["effects"]]
@@ -79,7 +79,8 @@ def _asked(done: Sequence[Entry]) -> Iterator[tuple[float, bool]]:
                 if len(sides) == 1:
                     (rival,) = (side for side in pair["pair"] if side != sides[0])
                     said = pair["after_if"][pair["pair"].index(sides[0])]
-                    yield said, _answers(one["result"], sides[0], rival)
+                    if said is not None:
+                        yield said, _answers(one["result"], sides[0], rival)
 
 
 def _answers(result: Mapping[str, Any], truth: str, rival: str) -> bool:

@@ -50,7 +50,7 @@ class Simulated:
 def simulate(diagnosis: Diagnosis) -> list[Simulated]:
     """Simulate every log that has set-points, its longest segment without a gap, at most `LONGEST` seconds of it.
 
-    None where no effect was found: there are no two arms to compare.
+    No log where no effect was found: there are no two arms to compare.
     """
     dataset = diagnosis.dataset
     found: list[Simulated] = []

@@ -19,13 +19,7 @@ from agent.diagnosis.excess import (
 )
 from agent.diagnosis.finding import Finding, Step
 from agent.diagnosis.fit import Fit
-from agent.diagnosis.isolability import (
-    best_by_place,
-    complexity,
-    imitates,
-    plausible,
-    structurally_equivalent,
-)
+from agent.diagnosis.isolability import best_by_place, complexity, imitates, plausible, structurally_equivalent
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.needs import Excursions
 from agent.diagnosis.rivals import as_good, equals_by_definition, gain_at_best, gain_by_form

@@ -74,6 +74,14 @@ def test_a_rival_that_still_equals_the_truth_is_no_answer():
     assert active_scores([run(0, OPEN, {"planned": [still]})])["calibration"]["overall"]["came"] == 0.0
 
 
+def test_a_pair_of_which_nothing_was_predicted_for_the_truth_is_not_compared():
+    unsaid = run(0, OPEN, {"planned": [RIGHT]})
+    unsaid["ways"]["planned"][0]["expected"][0]["after_if"] = [0.6, None]
+    calibration = active_scores([unsaid, run(1, OPEN, {"planned": [RIGHT]})])["calibration"]
+    assert calibration["pairs"] == 1
+    assert calibration["overall"]["said"] == pytest.approx(0.9)
+
+
 def test_nothing_recorded_is_said(scores):
     nothing = active_scores([{"number": 0, "kind": "one", "effects": [TRUE], "strength": 1.0, "error": "no link"}])
     assert nothing["calibration"]["overall"] is None
