@@ -10,7 +10,7 @@ COPY agent agent
 COPY drivers drivers
 COPY fake_controller fake_controller
 COPY second_world second_world
-RUN pip install --no-cache-dir --no-deps .
+RUN pip install --no-cache-dir --no-deps . && cd / && python -c 'from agent.compiled import *'
 WORKDIR /work
 ENV OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
 ENTRYPOINT ["agent"]

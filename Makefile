@@ -20,6 +20,7 @@ $(STAMP): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	$(BIN)/python -m compileall -q agent drivers fake_controller second_world
+	$(BIN)/python -c 'from agent.compiled import *'
 	@touch $(STAMP)
 	@echo "$(VENV) is ready"
 

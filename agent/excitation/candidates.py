@@ -213,7 +213,7 @@ class Candidates:
             return checked
         trajectory = checked.trajectory
         tenth = _tenth(trajectory)
-        regressor = self._dynamics.regressor(*tenth)
+        regressor = self._dynamics.regressor_by_joint(*tenth)
         overload = self._overload(tenth, regressor)
         if overload is not None:
             return overload
@@ -247,9 +247,9 @@ class Candidates:
     ) -> LoopScore | None:
         """The joint that the description's inertias ask most beyond its max_torque, at every tenth sample.
 
-        `regressor` is that of the rigid bodies there, where it is known already.
+        `regressor` is that of the rigid bodies there, joint by joint, where it is known already.
         """
-        overload = self._limits.overload(*tenth, None if regressor is None else regressor @ self._standard)
+        overload = self._limits.overload(*tenth, None if regressor is None else (self._standard @ regressor).T)
         return None if overload is None else infeasible(*overload)
 
 

@@ -26,6 +26,7 @@ from agent.robot import (
     ParameterLayout,
     RobotDescription,
     Tool,
+    axle_motion,
     base_parameters,
     friction_regressor,
     rotor_regressor,
@@ -53,6 +54,7 @@ class Criterion:
         self._rotors = [k - inertial for k in names if k >= inertial]
         self.weights = torque_weights(robot)
         self._used = self._may_be_used()
+        self._sources = [self._source(joint) for joint in range(robot.dof)]
         self._upper = [
             weight * np.triu(np.ones((len(used), len(used))))
             for weight, used in zip(self.weights, self._used, strict=True)
@@ -66,33 +68,49 @@ class Criterion:
     def _may_be_used(self) -> list[np.ndarray]:
         """Of each joint the columns of H that are not zero whatever the motion."""
         q, qd, qdd = np.random.default_rng(0).uniform(0.5, 1.5, (3, 4, self._robot.dof))
-        used = np.any(self._columns(q, qd, qdd, None) != 0.0, axis=2)
-        return [np.flatnonzero(of_joint) for of_joint in used.T]
+        blocks = (
+            self._dynamics.regressor(q, qd, qdd)[:, :, self._inertial],
+            rotor_regressor(self._robot, qdd)[:, :, self._rotors],
+            friction_regressor(self._robot, qd),
+        )
+        return [np.flatnonzero(of_joint) for of_joint in np.any(np.concatenate(blocks, axis=2) != 0.0, axis=0)]
 
     def observation_matrix(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """(M n, p) H of M points, positions, velocities and accelerations each (M, n)."""
-        columns = self._columns(q, qd, qdd, None) * self.weights[:, None]
-        return columns.transpose(2, 1, 0).reshape(-1, len(columns))
+        matrix = np.zeros((len(q), self._robot.dof, len(self.columns)))
+        blocks = self._blocks(q, qd, qdd, self._dynamics.regressor_by_joint(q, qd, qdd))
+        for joint, (weight, used, block) in enumerate(zip(self.weights, self._used, blocks, strict=True)):
+            matrix[:, joint, used] = weight * block.T
+        return matrix.reshape(-1, len(self.columns))
 
     def __call__(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, regressor: np.ndarray | None = None) -> float:
         """f of M points, each argument (M, n); -inf where they do not excite every column.
 
-        `regressor` (M, n, 10 n) is that of the rigid bodies, where it is known already.
+        `regressor` (n, 10 n, M) is that of the rigid bodies, where it is known already.
         """
+        rigid = self._dynamics.regressor_by_joint(q, qd, qdd) if regressor is None else regressor
         with one_blas_thread():
-            return log_determinant(self._triangles(self._columns(q, qd, qdd, regressor)), len(q))
+            return log_determinant(self._triangles(self._blocks(q, qd, qdd, rigid)), len(q))
 
-    def _columns(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, regressor: np.ndarray | None) -> np.ndarray:
-        """(p, n, M) the columns of H, by joint, without weights."""
-        rigid = self._dynamics.regressor(q, qd, qdd) if regressor is None else regressor
-        blocks = (
-            rigid[:, :, self._inertial],
-            rotor_regressor(self._robot, qdd)[:, :, self._rotors],
-            friction_regressor(self._robot, qd),
-        )
-        return np.concatenate([block.transpose(2, 1, 0) for block in blocks])
+    def _blocks(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, rigid: np.ndarray) -> list[np.ndarray]:
+        """Of each joint its used columns of H (used, M), without weights."""
+        speed = axle_motion(self._robot, qd)
+        sign = np.sign(speed)
+        rotors = (self._robot.gear_ratios**2 * axle_motion(self._robot, qdd))[:, self._rotors]
+        axles = np.concatenate((rotors, sign, speed, sign * speed**2), axis=1).T
+        return [
+            np.concatenate((of_joint[inertial], share[:, None] * axles[others]))
+            for of_joint, (inertial, others, share) in zip(rigid, self._sources, strict=True)
+        ]
 
-    def _triangles(self, columns: np.ndarray) -> np.ndarray:
+    def _source(self, joint: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of a joint's used columns the inertial ones, those of axles (rotors, friction), and the share of these."""
+        inertial = len(self._inertial)
+        used, axles = self._used[joint], np.array([*self._rotors, *(list(range(self._robot.dof)) * len(PAPER_TERMS))])
+        others = used[used >= inertial] - inertial
+        return np.array(self._inertial)[used[used < inertial]], others, self._robot.coupling[axles[others], joint]
+
+    def _triangles(self, blocks: list[np.ndarray]) -> np.ndarray:
         """(rows, p) of the same HᵀH: the rows of each joint turned into a triangle (QR), without its zero columns.
 
         What lies nearer to the base than a joint does not load it, and its friction is its own: most columns are zero.
@@ -100,10 +118,9 @@ class Criterion:
         from scipy.linalg.lapack import dgeqrf
 
         rows = []
-        for upper, used, of_joint in zip(self._upper, self._used, columns.transpose(1, 0, 2), strict=True):
-            block = of_joint[used]
+        for upper, used, block in zip(self._upper, self._used, blocks, strict=True):
             factored, _, _, _ = dgeqrf(block.T, lwork=_LAPACK_BLOCK * len(block), overwrite_a=True)
-            triangle = np.zeros((min(block.shape), len(columns)))
+            triangle = np.zeros((min(block.shape), len(self.columns)))
             triangle[:, used] = upper[: len(triangle)] * factored[: len(triangle)]
             rows.append(triangle)
         return np.concatenate(rows)

@@ -33,7 +33,7 @@ class TorqueLimits:
             return None
         torque = self._dynamics.inverse_dynamics(q, qd, qdd) if rigid is None else rigid
         if self._load is not None:
-            torque = torque + self._dynamics.regressor(q, qd, qdd) @ self._load
+            torque = torque + (self._load @ self._dynamics.regressor_by_joint(q, qd, qdd)).T
         torque = np.abs(torque + rotor_regressor(self._robot, qdd) @ self._rotors)
         excess = (torque / self._largest).max(axis=0) - 1.0
         joint = int(np.argmax(excess))

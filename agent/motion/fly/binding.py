@@ -6,8 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from agent.compiled import tcp_rates
 from agent.motion.fly.profile import ArmLimits
-from agent.motion.fly.setpoints import Run, cartesian_rates
+from agent.motion.fly.setpoints import Run
 from agent.motion.path import rules
 from agent.motion.trajectory import BindingLimit
 
@@ -40,7 +41,7 @@ def binding_limits(
     qd, qdd = samples.qd[:, pick], samples.qdd[:, pick]
     jerk = np.zeros_like(qdd)
     jerk[:, 1:] = (qdd[:, 1:] - samples.qdd[:, _EVERY - 1 :: _EVERY][:, : jerk.shape[1] - 1]) / period
-    rates = cartesian_rates(samples, pick)
+    rates = tcp_rates(samples.rows, samples.joints)[:, pick]
     cartesian = limits.cartesian
     ceilings = (
         cartesian.linear_speed,

@@ -3,7 +3,7 @@
 With z = ṡ², every acceleration along the path is q̈ = q' z'/2 + q'' z, and d(q'² z)/ds = 2 q' q̈. So a joint's limit
 |q̈| ≤ a says that y = q'² z, the square of its speed, changes by at most 2 a |Δq| from knot to knot. Given y at the
 knots, the largest y that nowhere rises faster is a running minimum, min over i ≤ k of y_i + (C_k − C_i) with C the sum
-of the allowed changes: one `minimum.accumulate` forwards and one backwards, for all knots at once. Every pass only
+of the allowed changes: one running minimum forwards and one backwards. Every pass only
 lowers z, the constraints are monotone, and so passes over all joints converge to the largest feasible z from above.
 """
 
@@ -14,6 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from agent.compiled import fastest, held
 from agent.core import spline_slopes
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.path import rotation, rules
@@ -183,15 +184,7 @@ def speed_ceiling(path: Path, shape: PathShape, limits: ArmLimits, parameters: F
 
 def widened(path: Path, ceiling: np.ndarray, window: float) -> np.ndarray:
     """(K,) the ceiling with every dip held for `window` [s], so that an average over the window reaches its bottom."""
-    wide = ceiling.copy()
-    bottom = 1 + np.flatnonzero((ceiling[1:-1] <= ceiling[:-2]) & (ceiling[1:-1] < ceiling[2:]))
-    half = 0.5 * window * np.sqrt(ceiling[bottom])
-    first = np.searchsorted(path.s, path.s[bottom] - half)
-    last = np.searchsorted(path.s, path.s[bottom] + half)
-    for lowest, a, b in zip(ceiling[bottom], first.tolist(), last.tolist(), strict=True):
-        held = wide[a:b]
-        np.minimum(held, lowest, out=held)
-    return wide
+    return held(path.s, ceiling, window)
 
 
 def _override(rule: np.ndarray) -> np.ndarray:
@@ -207,7 +200,7 @@ class Ramps:
         self._fall = np.minimum(rule[:-1, rules.DECELERATION], rule[1:, rules.DECELERATION])
         self._alike = np.array_equal(self._rise, self._fall)
         stress = np.minimum(rule[:-1, rules.STRESS], rule[1:, rules.STRESS])
-        # Weights w (m, K) in y = w z, and the y of standstill (m, 1): of the joints, and of the TCP's travel and turn.
+        # Weights w (m, K) in y = w z, and the y of standstill (m,): of the joints, and of the TCP's travel and turn.
         weights, least = [shape.q1**2], [(_STILL * limits.speed) ** 2]
         joints = 2.0 * limits.acceleration[:, None] * stress * np.abs(np.diff(path.q, axis=0)).T
         self._joints = [_cumulated(joints, part) for part in (self._rise, self._fall)]
@@ -223,36 +216,12 @@ class Ramps:
                 self._tool.append((across, limit * part, limit * np.minimum(part, 1e3), step))
                 weights.append(size[None] ** 2)
                 least.append(np.array([_STILL**2]))
-        self._weight, self._least = np.concatenate(weights), np.concatenate(least)[:, None]
+        self._weight, self._least = np.concatenate(weights), np.concatenate(least)
 
     def fastest(self, ceiling: np.ndarray) -> np.ndarray:
         """(K,) the largest z = ṡ² under `ceiling` (K,) that keeps all acceleration limits, standstill to standstill."""
-        weight = self._weight
         rising, falling = self._sums(ceiling)
-        used = weight * ceiling > self._least
-        inverse = 1.0 / np.where(used, weight, 1.0)
-        unused = np.where(used, 0.0, np.inf)
-        z = ceiling.copy()
-        z[[0, -1]] = 0.0
-        y, lowest = np.empty((2, *weight.shape))
-        # Of doubles as bits the negative ones come last, the lowest at the very end; integers accumulate much faster.
-        bits, lowest_bits = y.view(np.uint64), lowest.view(np.uint64)
-        for _ in range(_PASSES):
-            before = z
-            np.multiply(weight, z, out=y)
-            y -= rising
-            y[:, 0] = -0.0  # the first of the negative ones, whatever is above it does not count
-            np.maximum.accumulate(bits, axis=1, out=lowest_bits)
-            lowest += rising
-            z = np.minimum(z, _lifted(lowest, inverse, unused))
-            np.multiply(weight, z, out=y)
-            y += falling
-            np.minimum.accumulate(bits[:, ::-1], axis=1, out=lowest_bits[:, ::-1])  # of none that is negative
-            lowest -= falling
-            z = np.minimum(z, _lifted(lowest, inverse, unused))
-            before -= z
-            if before.max() <= 1e-4 * z.max():
-                break
+        z = fastest(ceiling, self._weight, rising, falling, self._least, _PASSES)
         # Standstill belongs to the ends alone: a knot between them may not hold the arm for ever.
         z[1:-1] = np.maximum(z[1:-1], 1e-9 * np.max(ceiling[1:-1]))
         return z
@@ -274,10 +243,3 @@ def _cumulated(growth: np.ndarray, part: np.ndarray) -> np.ndarray:
     total = np.zeros((len(growth), growth.shape[1] + 1))
     np.cumsum(growth * part, axis=1, out=total[:, 1:])
     return total
-
-
-def _lifted(y: np.ndarray, inverse: np.ndarray, unused: np.ndarray) -> np.ndarray:
-    np.maximum(y, 0.0, out=y)
-    y *= inverse
-    y += unused
-    return np.minimum.reduce(y, axis=0)

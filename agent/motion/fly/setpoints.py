@@ -13,8 +13,9 @@ from typing import Protocol
 
 import numpy as np
 
+from agent.compiled import sampled_on, stretched
 from agent.motion.fly.profile import ArmLimits, PathShape, Ramps, speed_ceiling, widened
-from agent.motion.fly.time_law import samples_in, time_law
+from agent.motion.fly.time_law import time_law
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.interpolator import MotionError
 from agent.motion.path import rules
@@ -47,41 +48,41 @@ class PathTiming(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SetPoints:
-    """Samples of one run, the first at rest at its start: q, qd, qdd (n, S); the path parameter s and its speed (S,).
+    """Samples of one run, the first at rest at its start: the path parameter s and its speed (S,), of n `joints`.
 
-    pose (7, S): position [m] and orientation (unit quaternion) of the TCP; pose_rate, pose_acceleration: its
-    derivatives by time. Samples are the last axis here, so that every operation runs along them.
+    rows (3, n + 7, S): values, derivatives and second derivatives by time of the joints and of the TCP's pose, which is
+    position [m] and orientation (unit quaternion). Samples are the last axis: every operation runs along them.
     """
 
-    q: np.ndarray
-    qd: np.ndarray
-    qdd: np.ndarray
+    joints: int
     s: np.ndarray
     speed: np.ndarray
-    pose: np.ndarray
-    pose_rate: np.ndarray
-    pose_acceleration: np.ndarray
+    rows: np.ndarray
 
+    @property
+    def q(self) -> np.ndarray:
+        """(n, S)"""
+        return self.rows[0, : self.joints]
 
-def cartesian_rates(samples: SetPoints, pick: slice = slice(None)) -> np.ndarray:
-    """(4, S) linear [m/s] and rotational speed [rad/s], linear and rotational acceleration of the TCP."""
-    pose, rate, change = samples.pose[:, pick], samples.pose_rate[:, pick], samples.pose_acceleration[:, pick]
-    squares = np.empty((4, pose.shape[1]))
-    _dot(rate[:3], rate[:3], squares[0])
-    _dot(rate[3:], rate[3:], squares[1])
-    _dot(change[:3], change[:3], squares[2])
-    along = _dot(pose[3:], change[3:], np.empty(len(squares[3])))
-    along *= along
-    turning = _dot(change[3:], change[3:], squares[3])
-    turning -= along
-    np.maximum(turning, 0.0, out=turning)
-    squares[1::2] *= 4.0
-    return np.sqrt(squares, out=squares)
+    @property
+    def qd(self) -> np.ndarray:
+        """(n, S)"""
+        return self.rows[1, : self.joints]
 
+    @property
+    def qdd(self) -> np.ndarray:
+        """(n, S)"""
+        return self.rows[2, : self.joints]
 
-def _dot(one: np.ndarray, other: np.ndarray, out: np.ndarray) -> np.ndarray:
-    """(S,) inner products of the columns of two (m, S)."""
-    return np.add.reduce(one * other, axis=0, out=out)
+    @property
+    def pose(self) -> np.ndarray:
+        """(7, S)"""
+        return self.rows[0, self.joints :]
+
+    @property
+    def pose_rate(self) -> np.ndarray:
+        """(7, S)"""
+        return self.rows[1, self.joints :]
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,31 +180,7 @@ def sampled(path: Path, shape: PathShape, law: PathTiming, period: float) -> Set
     n = path.q.shape[1]
     t = np.arange(int(np.ceil(law.duration / period - 1e-9)) + 1) * period
     s, speed, acceleration = law.sample(t)
-    at = s + path.s[0]
-    counts = samples_in(path.s[1:-1], at, "left")
-    cubic, square, linear, constant = np.repeat(shape.coefficients, counts, axis=2)
-    x = at - np.repeat(path.s[:-1], counts)
-    value, rate, change = np.empty((3, n + 7, len(t)))
-    # In place: fresh arrays would cost more than what is done with them.
-    cubic *= x
-    square += cubic  # the chord
-    np.multiply(square, 2.0, out=rate)
-    rate += cubic
-    rate *= x
-    rate += linear  # by s
-    np.multiply(square, x, out=value)
-    value += linear
-    value *= x
-    value += constant
-    cubic *= 2.0
-    square += cubic
-    square *= 2.0 * speed * speed
-    np.multiply(rate, acceleration, out=change)
-    change += square
-    rate *= speed
-    turn = value[n + 3 :]
-    turn /= np.sqrt(_dot(turn, turn, np.empty(len(t))))
-    return SetPoints(value[:n], rate[:n], change[:n], s, speed, value[n:], rate[n:], change[n:])
+    return SetPoints(n, s, speed, sampled_on(path.s, shape.coefficients, s, speed, acceleration, n))
 
 
 def stretch_needed(path: Path, samples: SetPoints, limits: ArmLimits, period: float) -> np.ndarray:
@@ -212,7 +189,6 @@ def stretch_needed(path: Path, samples: SetPoints, limits: ArmLimits, period: fl
     Where all hold it is 1 or less. Programmed speeds of the TCP count as limits: a change of speed from move to move
     may not come late.
     """
-    counts = samples_in(path.s[:-1], samples.s + path.s[0], "right")
     rule, cartesian = path.rules, limits.cartesian
     limited = rule[:, rules.CARTESIAN]
     ceilings = np.array(
@@ -223,28 +199,11 @@ def stretch_needed(path: Path, samples: SetPoints, limits: ArmLimits, period: fl
             cartesian.rotational_acceleration * limited,
         )
     )
-    rates = cartesian_rates(samples)
-    rates /= np.repeat(ceilings, counts, axis=1)
-    speed, acceleration = np.maximum(rates[::2], rates[1::2])
-    full = np.abs(samples.qd)
-    full /= limits.speed[:, None]
-    np.maximum(speed, full.max(axis=0), out=speed)
-    np.abs(samples.qdd, out=full)
-    full /= limits.acceleration[:, None]
-    np.maximum(acceleration, full.max(axis=0), out=acceleration)
-    full[:, 0] = samples.qdd[:, 0]
-    np.subtract(samples.qdd[:, 1:], samples.qdd[:, :-1], out=full[:, 1:])
-    np.abs(full, out=full)
-    full /= limits.jerk[:, None] * period
-    jerk = full.max(axis=0)
-    # The mean over three periods is another mean than that over one: servos may see either.
-    over_three = samples.q
-    for _ in range(3):
-        over_three = over_three[:, 1:] - over_three[:, :-1]
-    np.abs(over_three, out=over_three)
-    over_three /= limits.jerk[:, None] * period**3
-    np.maximum(jerk[2:-1], over_three.max(axis=0), out=jerk[2:-1])
-    stretch = np.maximum(speed, np.sqrt(acceleration))
+    # The mean over three periods is another mean of the jerk than that over one: servos may see either.
+    jerks, over_three = limits.jerk * period, limits.jerk * period**3
+    stretch, jerk = stretched(
+        path.s, ceilings, samples.s, samples.rows, limits.speed, limits.acceleration, jerks, over_three
+    )
     over = jerk > 1.0
     stretch[over] = np.maximum(stretch[over], np.cbrt(jerk[over]))
     return stretch

@@ -13,11 +13,11 @@ time of the run is stretched by what is left.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
+from agent.compiled import averaged
 from agent.motion.path.geometry import Path
 
 
@@ -38,29 +38,12 @@ class TimeLaw:
         """[s]"""
         return float((self.t[-1] + self.window) * self.stretch)
 
-    @cached_property
-    def _cells(self) -> np.ndarray:
-        """(5, K - 1) t, s, speed and integral where a cell begins, and its acceleration before the integral."""
-        return np.array((self.t[:-1], self.s[:-1], self.speed[:-1], self.acceleration, self.integral[:-1]))
-
     def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """s, ṡ, s̈ (S,) at times t (S,) [s] since the start of the run; at rest outside of it."""
-        t = t / self.stretch
-        raw = self._raw((t, t - self.window))
-        s, speed, acceleration = ((late - early) / self.window for late, early in raw)
-        return s, speed / self.stretch, acceleration / self.stretch**2
-
-    def _raw(self, times: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(2, S) each: integral of s, s and ṡ before the averaging, at two rows of times (S,)."""
-        cells = np.concatenate([samples_in(self.t[1:-1], t, "left") for t in times])
-        begin, s0, v, a, integral = np.repeat(np.tile(self._cells, 2), cells, axis=1)
-        t = np.concatenate(times)
-        dt = np.minimum(np.maximum(t, 0.0), self.t[-1]) - begin
-        speed = v + a * dt
-        s = s0 + dt * (v + 0.5 * a * dt)
-        integral += dt * (s0 + dt * (0.5 * v + a * dt / 6.0))
-        integral += np.maximum(t - self.t[-1], 0.0) * self.s[-1]
-        return integral.reshape(2, -1), s.reshape(2, -1), speed.reshape(2, -1)
+        """s, ṡ, s̈ (S,) at times t (S,) [s] since the start of the run, in growing order; at rest outside of it."""
+        s, speed, acceleration = averaged(
+            t, self.t, self.s, self.speed, self.acceleration, self.integral, self.window, self.stretch
+        )
+        return s, speed, acceleration
 
 
 def time_law(path: Path, z: np.ndarray, window: float) -> TimeLaw:

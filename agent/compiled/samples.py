@@ -1,0 +1,158 @@
+"""Samples of a path run through by a time law, and how far over their limits they are: the loops of `agent.motion.fly`.
+
+Every number is worked out by the same operations in the same order as arrays would be, whatever the compiler.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.compiled.compiling import compiled
+
+
+@compiled("f8[:,::1](f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8, f8)")
+def averaged(
+    t: np.ndarray,
+    times: np.ndarray,
+    s: np.ndarray,
+    speed: np.ndarray,
+    acceleration: np.ndarray,
+    integral: np.ndarray,
+    window: float,
+    stretch: float,
+) -> np.ndarray:
+    """(3, S) s, ṡ and s̈ at growing times t (S,): those of a law of constant accelerations, averaged over a window.
+
+    The law: at times (K,) s, ṡ and the integral of s (K,), s̈ of the cells between (K - 1,); at rest outside of them.
+    """
+    found = np.empty((3, len(t)))
+    last, end = len(times) - 1, times[-1]
+    for part in range(2):
+        cell = 0
+        for k in range(len(t)):
+            at = t[k] / stretch - part * window
+            while cell < last - 1 and times[cell + 1] <= at:
+                cell += 1
+            dt = min(max(at, 0.0), end) - times[cell]
+            v, a = speed[cell], acceleration[cell]
+            area = integral[cell] + dt * (s[cell] + dt * (0.5 * v + a * dt / 6.0)) + max(at - end, 0.0) * s[-1]
+            way, rate = s[cell] + dt * (v + 0.5 * a * dt), v + a * dt
+            if part == 0:
+                found[0, k], found[1, k], found[2, k] = area, way, rate
+            else:
+                found[0, k] = (found[0, k] - area) / window
+                found[1, k] = (found[1, k] - way) / window / stretch
+                found[2, k] = (found[2, k] - rate) / window / (stretch * stretch)
+    return found
+
+
+@compiled("f8[:,:,::1](f8[::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1], i8)")
+def sampled_on(
+    knots: np.ndarray,
+    coefficients: np.ndarray,
+    s: np.ndarray,
+    speed: np.ndarray,
+    acceleration: np.ndarray,
+    joints: int,
+) -> np.ndarray:
+    """(3, n + 7, S) joints and TCP with first and second derivative by time, at s (S,) since the first knot.
+
+    coefficients (4, n + 7, K - 1) of the cells from each knot (K,) on, highest power first; the last four rows are a
+    quaternion, whose value is made a unit.
+    """
+    rows, count = coefficients.shape[1], len(s)
+    found = np.empty((3, rows, count))
+    cells, x = np.empty(count, dtype=np.int64), np.empty(count)
+    cell = 0
+    for k in range(count):
+        at = s[k] + knots[0]
+        while cell < len(knots) - 2 and knots[cell + 1] <= at:
+            cell += 1
+        cells[k], x[k] = cell, at - knots[cell]
+    for row in range(rows):
+        cubic, square, linear, constant = (
+            coefficients[0, row],
+            coefficients[1, row],
+            coefficients[2, row],
+            coefficients[3, row],
+        )
+        for k in range(count):
+            cell, along = cells[k], x[k]
+            bent = cubic[cell] * along
+            chord = square[cell] + bent
+            rate = (chord * 2.0 + bent) * along + linear[cell]
+            found[0, row, k] = (chord * along + linear[cell]) * along + constant[cell]
+            curved = (bent * 2.0 + chord) * (2.0 * speed[k] * speed[k])
+            found[2, row, k] = rate * acceleration[k] + curved
+            found[1, row, k] = rate * speed[k]
+    turn = found[0, joints + 3 :]
+    for k in range(count):
+        size = np.sqrt(turn[0, k] * turn[0, k] + turn[1, k] * turn[1, k] + turn[2, k] * turn[2, k] + turn[3, k] ** 2)
+        for row in range(4):
+            turn[row, k] /= size
+    return found
+
+
+@compiled("f8[:,::1](f8[:,:,::1], i8)")
+def tcp_rates(found: np.ndarray, joints: int) -> np.ndarray:
+    """(4, S) linear [m/s] and rotational speed [rad/s], linear and rotational acceleration of the TCP.
+
+    found (3, n + 7, S) as of `sampled_on`.
+    """
+    rates = np.empty((4, found.shape[2]))
+    turn, rate, change = found[0, joints + 3 :], found[1, joints:], found[2, joints:]
+    for k in range(found.shape[2]):
+        rates[0, k] = np.sqrt(rate[0, k] * rate[0, k] + rate[1, k] * rate[1, k] + rate[2, k] * rate[2, k])
+        rates[2, k] = np.sqrt(change[0, k] * change[0, k] + change[1, k] * change[1, k] + change[2, k] * change[2, k])
+        turning = along = twisting = 0.0
+        for row in range(4):
+            turning += rate[row + 3, k] * rate[row + 3, k]
+            along += turn[row, k] * change[row + 3, k]
+            twisting += change[row + 3, k] * change[row + 3, k]
+        rates[1, k] = np.sqrt(4.0 * turning)
+        rates[3, k] = np.sqrt(4.0 * np.maximum(twisting - along * along, 0.0))
+    return rates
+
+
+@compiled("f8[:,::1](f8[::1], f8[:,::1], f8[::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1], f8[::1])")
+def stretched(
+    knots: np.ndarray,
+    ceilings: np.ndarray,
+    s: np.ndarray,
+    found: np.ndarray,
+    speeds: np.ndarray,
+    accelerations: np.ndarray,
+    jerks: np.ndarray,
+    over_three: np.ndarray,
+) -> np.ndarray:
+    """(2, S) the factor by which time has to be stretched for speed and acceleration, and how full the jerk is.
+
+    found (3, n + 7, S) as of `sampled_on`; ceilings (4, K) of the TCP's linear and rotational speed, then acceleration,
+    each on the cell before its knot; of the joints (n,) speeds, accelerations, changes of acceleration a sample, and
+    third differences of position.
+    """
+    joints, count = len(speeds), len(s)
+    full, rates = np.empty((2, count)), tcp_rates(found, joints)
+    rule = 0
+    for k in range(count):
+        at = s[k] + knots[0]
+        while rule < len(knots) - 1 and knots[rule] < at:
+            rule += 1
+        full[0, k] = np.maximum(rates[0, k] / ceilings[0, rule], rates[1, k] / ceilings[1, rule])
+        full[1, k] = np.maximum(rates[2, k] / ceilings[2, rule], rates[3, k] / ceilings[3, rule])
+    for joint in range(joints):
+        for k in range(count):
+            full[0, k] = np.maximum(full[0, k], np.abs(found[1, joint, k]) / speeds[joint])
+            full[1, k] = np.maximum(full[1, k], np.abs(found[2, joint, k]) / accelerations[joint])
+    full[0] = np.maximum(full[0], np.sqrt(full[1]))
+    jerk = full[1]
+    jerk[:] = 0.0
+    for joint in range(joints):
+        q, qdd = found[0, joint], found[2, joint]
+        jerk[0] = np.maximum(jerk[0], np.abs(qdd[0]) / jerks[joint])
+        for k in range(1, count):
+            jerk[k] = np.maximum(jerk[k], np.abs(qdd[k] - qdd[k - 1]) / jerks[joint])
+        for k in range(2, count - 1):
+            third = ((q[k + 1] - q[k]) - (q[k] - q[k - 1])) - ((q[k] - q[k - 1]) - (q[k - 1] - q[k - 2]))
+            jerk[k] = np.maximum(jerk[k], np.abs(third) / over_three[joint])
+    return full
