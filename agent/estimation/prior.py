@@ -26,7 +26,7 @@ _OFFSET = 0.1  # standard deviation of a torque offset, of the largest torque: g
 
 #: What a prior of the links may rest on: the description's inertials, or only what the torques could hold.
 DESCRIPTION, SIZE = "description", "size"
-#: As SIZE, where held-out error cannot tell the two apart: links near the description are not refuted.
+#: As SIZE, where neither held-out error nor the evidence speaks for the description, and held-out error not against it.
 EITHER = "either"
 
 

@@ -11,7 +11,7 @@ from agent.estimation.blocks import Partition
 from agent.estimation.moments import Moments, collect
 from agent.estimation.observation import Observation
 from agent.estimation.prior import DESCRIPTION, Prior, physical_prior
-from agent.estimation.solving import autocorrelation_time, iterate_weights, solve_sum
+from agent.estimation.solving import autocorrelation_time, iterate_weights, log_evidence, solve_sum
 from agent.model import FrictionTerm
 
 #: Weighted sum of moments (p + 1, p + 1) to parameters (p,).
@@ -99,6 +99,10 @@ class Problem:
     def solve(self, weights: np.ndarray) -> np.ndarray:
         """(p,) the same with weights (2, n)."""
         return self.solver(self.moments.weighted(weights))
+
+    def log_evidence(self, weights: np.ndarray) -> float:
+        """How probable the prior makes the torques; to be compared with another prior's of the same weight."""
+        return log_evidence(self.moments.weighted(weights), self.prior, self.prior_weight)
 
     def held_out(self, weights: np.ndarray, solver: Solver | None = None, moments: Moments | None = None) -> np.ndarray:
         """(folds, 2, n) squared error of every fold's rows under a fit to the `moments` of the others."""

@@ -10,6 +10,7 @@ from agent.estimation.moments import Moments
 from agent.estimation.prior import Prior
 
 _RANK = 1e-12  # eigenvalue of a scaled normal matrix, relative: a singular value of 1e-6
+_CERTAIN = 2.0  # standard errors, of a gain that decides
 
 
 def solve_sum(total: np.ndarray, prior: Prior, prior_weight: float) -> np.ndarray:
@@ -17,6 +18,20 @@ def solve_sum(total: np.ndarray, prior: Prior, prior_weight: float) -> np.ndarra
     matrix = total[:-1, :-1] + prior_weight * prior.precision
     right = total[:-1, -1] + prior_weight * prior.precision @ prior.mean
     return solve_scaled(matrix, right)
+
+
+def log_evidence(total: np.ndarray, prior: Prior, prior_weight: float) -> float:
+    """Logarithm of the probability of the torques under a prior, but for what all priors have in common.
+
+    Of N(y; X θ, 1/w), rows counting 1/k each, and θ from N(θ₀, Λ⁻¹): -½ (r² / k + |θ̂ - θ₀|²_Λ + ln |A/k + Λ| - ln |Λ|).
+    """
+    estimate = solve_sum(total, prior, prior_weight)
+    extended, away = np.append(estimate, -1.0), estimate - prior.mean
+    scale = 1 / np.sqrt(np.diag(prior.precision))
+    before = prior.precision * np.outer(scale, scale)
+    after = before + total[:-1, :-1] * np.outer(scale, scale) / prior_weight
+    misfit = extended @ total @ extended / prior_weight + away @ prior.precision @ away
+    return float(-0.5 * (misfit + np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]))
 
 
 def solve_scaled(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -97,3 +112,15 @@ def autocorrelation_time(residuals: Sequence[np.ndarray]) -> np.ndarray:
 def clear_gain(gains: np.ndarray) -> np.ndarray | bool:
     """Whether gains (folds, …) add up to more than they scatter between folds."""
     return gains.sum(axis=0) > gains.std(axis=0, ddof=1) * np.sqrt(len(gains))
+
+
+def clearly_better(before: np.ndarray, after: np.ndarray, least: float) -> bool:
+    """Whether squared errors (folds,) fall by a share of `least`, geometric mean, and by two of its standard errors.
+
+    In pairs and by their ratio, so that one fold in which all is bad does not decide, nor hide what the others say.
+    """
+    seen = (before > 0) & (after > 0)
+    if np.count_nonzero(seen) < 2:
+        return False
+    gain = np.log(before[seen] / after[seen])
+    return bool(gain.mean() > max(-np.log1p(-least), _CERTAIN * gain.std(ddof=1) / np.sqrt(len(gain))))

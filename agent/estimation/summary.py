@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from agent.estimation.friction_selection import paper_terms
 from agent.estimation.moments import Moments, observed_standstill_speed
 from agent.estimation.observation import Observation
 from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.uncertainty import covariance, parameter_prior, silent_directions
-from agent.model import IdentifiedModel, condition_text
+from agent.model import IdentifiedModel, Reversal, condition_text
 from agent.recording import Log, machines_of
 
 _BAD_CONDITION = 1000.0
@@ -86,6 +87,11 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.
         yield found.note
     if found.prior_weight > 0:
         yield from _described_links(model, problem)
+        if problem.terms == paper_terms([Reversal()] * model.robot.dof, ("offset",)):
+            yield (
+                "Friction: Coulomb, viscous and an offset per axle; further terms, and sliding that reverses more "
+                "smoothly, do not predict held-out segments clearly better."
+            )
     yield from _doubts(problem.observation)
     if problem.observation.noisy is not None:
         yield (
@@ -138,8 +144,8 @@ def _described_links(model: IdentifiedModel, problem: Problem) -> Iterator[str]:
         f"{name} {a:.3g} and {b:.3g}" for name, a, b in zip(model.robot.joint_names, ours, theirs, strict=True) if a > 0
     ]
     yield (
-        "The link inertials of the description are left out of the prior: segments held out are predicted no better "
-        "with them. Gravity torque, root mean square over these postures, by this fit and "
+        "The link inertials of the description are left out of the prior: they predict segments held out no better and "
+        "do not make these torques likelier. Gravity torque, root mean square over these postures, by this fit and "
         f"by the description [N·m]: {', '.join(rows)}."
     )
 

@@ -23,6 +23,7 @@ from agent.estimation.paper import paper, plain
 from agent.estimation.prior_choice import choose_links
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.robust import huber
+from agent.estimation.solving import clearly_better
 from agent.estimation.summary import build_model
 from agent.model import IdentifiedModel, Reversal
 from agent.recording import Log
@@ -50,7 +51,8 @@ ESTIMATORS = {
     "plain": Estimator(plain, friction="plain"),
 }
 AUTO = "auto"
-_COMPARED = ("weighted", "huber", "essential", "consistent", "plain")
+_COMPARED = ("weighted", "huber", "consistent", "plain")
+_MORE_FRICTION = 0.1  # of the squared error held out: what must be gained by more than the plain terms of friction
 _KEPT = 0.8  # of the filtered time, by a lower cut-off
 
 
@@ -120,11 +122,15 @@ def estimate(
 
 def _problem(observation: Observation, cells: Partition, friction: str) -> Problem:
     """The problem of fitting one set of friction terms, the prior with the weight that its residuals ask for."""
-    if friction == "selected":
-        problem = select_friction_terms(observation, cells)
-    else:
-        problem = _first_problem(observation, cells, "offset" if friction == "plain" else "quadratic")
-    return problem.with_own_prior_weight()
+    if friction == "paper":
+        return _first_problem(observation, cells).with_own_prior_weight()
+    plain = choose_links(_first_problem(observation, cells, "offset"))
+    if friction == "plain":
+        return plain
+    selected = select_friction_terms(observation, cells).with_own_prior_weight()
+    weights = selected.weights()
+    before, after = (np.sum(weights * each.held_out(weights), axis=(1, 2)) for each in (plain, selected))
+    return selected if clearly_better(before, after, _MORE_FRICTION) else plain
 
 
 def observe_predictable(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -> Observation:

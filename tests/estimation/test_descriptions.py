@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -36,6 +39,21 @@ def test_a_link_prior_that_is_wrong_is_not_believed_and_is_said(arm, multisine, 
     assert model.provenance["link_prior"] != "description"
     assert any("left out of the prior" in note and "Gravity torque" in note for note in model.notes)
     assert model.held_out_rmse.max() < 0.02 * np.abs(weights).max()
+
+
+@pytest.mark.parametrize(("factor", "believed"), [(1.0, True), (0.05, False)])
+def test_a_description_that_is_right_where_the_motion_tells_is_believed_where_it_does_not(
+    arm, multisine, make_log, factor, believed
+):
+    robot = arm(6, seed=3002)
+    t = np.arange(1000) / 50
+    q, qd, qdd = multisine(6, t, seed=3002)
+    sizes = np.array([40.0, 80, 50, 20, 12, 6])
+    torque = rigid_bodies(robot)[0].dynamics.inverse_dynamics(q, qd, qdd) + sizes * (0.1 * qd + 0.15 * np.sign(qd))
+    torque += 0.02 * sizes * np.random.default_rng(1).normal(size=q.shape)
+    said = re.sub(r'(mass value|i[xyz]{2})="([^"]*)"', lambda m: f'{m[1]}="{factor * float(m[2])}"', robot.urdf)
+    model = estimate(replace(robot, urdf=said), [make_log(robot, t, q, torque)], EstimationSettings.create(cutoff=10))
+    assert (model.provenance["link_prior"] == "description") == believed
 
 
 def test_links_of_one_mass_are_placeholders():

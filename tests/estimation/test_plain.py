@@ -15,14 +15,14 @@ from agent.validation import validate
 FRICTION = np.array([40.0, 80.0, 50.0, 20.0, 12.0, 6.0, 3.0])  # N·m
 
 
-def _recorded(robot, multisine, make_log, seed: int, seconds: float, noise: float):
-    """An arm at 50 Hz, with friction that the plain terms describe."""
+def _recorded(robot, multisine, make_log, seed: int, seconds: float, noise: float, width: float = 0.01):
+    """An arm at 50 Hz, with friction that the plain terms describe, if it reverses within a small `width` [rad/s]."""
     n = robot.dof
     t = np.arange(int(50 * seconds)) / 50
     q, qd, qdd = multisine(n, t, seed=seed)
     rigid, _, _ = rigid_bodies(robot)
     links = rigid.torque(q, qd, qdd, rigid.projection @ np.append(rigid.dynamics.standard_parameters(), [1e-4] * n))
-    friction = FRICTION[:n] * (0.15 * np.tanh(qd / 0.01) + 0.1 * qd + 0.05)
+    friction = FRICTION[:n] * (0.15 * np.tanh(qd / width) + 0.1 * qd + 0.05)
     torque = links + friction + noise * FRICTION[:n] * np.random.default_rng(seed).normal(size=q.shape)
     return make_log(robot, t, q, torque, name=f"{seed}.mcap")
 
@@ -40,6 +40,36 @@ def test_a_seven_joint_arm_logged_slowly_and_briefly_is_predicted_as_well_as_by_
     errors = [validate(m, [held_out], 10).overall.relative_error_all_joints for m in (ours, plain)]
     assert errors[0] <= errors[1]
     assert any("plain " in note for note in ours.notes if note.startswith("Method"))  # it was compared
+
+
+def test_motions_at_other_postures_are_predicted_no_worse_than_by_plain_least_squares(arm, multisine, make_log):
+    """Small arms, short motions: what these leave open is a matter of luck, in which two of ten may be worse."""
+    ratios = []
+    for seed in range(600, 610):
+        robot = arm(3, seed=seed)
+        fitted = _recorded(robot, multisine, make_log, seed, 8, 0.02, 1e-4 if seed % 2 else 0.01)
+        elsewhere = _recorded(robot, multisine, make_log, 50_000 + seed, 8, 0.0, 1e-4 if seed % 2 else 0.01)
+        errors = [
+            validate(
+                estimate(robot, [fitted], EstimationSettings.create(cutoff=10, method=method)), [elsewhere], 10
+            ).overall.relative_error_all_joints
+            for method in (None, "plain")
+        ]
+        ratios.append(errors[0] / errors[1])
+    assert sorted(ratios)[-3] < 1.03
+    assert np.median(ratios) < 0.7
+
+
+def test_friction_as_most_tools_have_it_stays_where_nothing_more_is_seen(arm, multisine, make_log):
+    robot = arm(3, seed=5)
+    settings = EstimationSettings.create(cutoff=10, method="weighted")
+    sharp, smooth = (
+        estimate(robot, [_recorded(robot, multisine, make_log, 5, 10, 0.02, width)], settings) for width in (1e-4, 0.03)
+    )
+    assert [term.form for term in sharp.terms] == ["coulomb", "viscous", "offset"] * 3
+    assert {term.reversal.scale for term in sharp.terms if term.reversal} == {0.0}
+    assert any("Friction: Coulomb, viscous and an offset" in note for note in sharp.notes)
+    assert all(term.reversal.scale > 0 for term in smooth.terms if term.form == "coulomb")
 
 
 def test_offsets_are_not_taken_for_gravity_where_a_small_motion_cannot_tell_them_apart(arm, multisine, make_log):
@@ -71,6 +101,10 @@ def test_plain_has_its_terms_and_no_prior(arm, multisine, make_log):
 
 def _estimate(error: float) -> Estimate:
     held_out = np.full((4, 2, 1), error) * np.linspace(0.99, 1.01, 4)[:, None, None]
+    return _held_out(held_out)
+
+
+def _held_out(held_out: np.ndarray) -> Estimate:
     return Estimate(np.zeros(1), np.ones((2, 1)), None, held_out, None, 0.0, "")
 
 
@@ -78,3 +112,13 @@ def test_the_plain_one_is_taken_where_it_predicts_better():
     found = {"weighted": _estimate(1.0), "consistent": _estimate(1.0), "plain": _estimate(0.8)}
     assert choose(found)[0] == "plain"
     assert choose({**found, "plain": _estimate(0.995)})[0] == "weighted"
+
+
+def test_another_estimator_is_taken_only_for_a_gain_beyond_the_scatter_between_folds():
+    def folds(*errors: float) -> Estimate:
+        return _held_out(np.array(errors)[:, None, None])
+
+    usual = {"weighted": folds(1, 1, 1, 1, 1), "consistent": folds(1, 1, 1, 1, 1)}
+    assert choose({**usual, "huber": folds(0.9, 0.92, 0.91, 0.93, 0.9)})[0] == "huber"
+    assert choose({**usual, "huber": folds(0.5, 0.9, 1.1, 1.1, 1.0)})[0] == "weighted"  # one fold decides
+    assert choose({**usual, "huber": folds(0.99, 0.985, 0.99, 0.985, 0.99)})[0] == "weighted"  # too little
