@@ -20,7 +20,7 @@ class EffectPlace:
 @dataclass(frozen=True)
 class Cause:
     """A named effect: what it closes by itself (None: nothing to close), of its class the probability, parameters (SI),
-    and what these data cannot tell from it."""
+    what these data cannot tell from it, and what it closes of the gap of its own joints (None: not judged by that)."""
 
     effect: str
     joints: tuple[str, ...]
@@ -28,6 +28,7 @@ class Cause:
     probability: float
     parameters: Mapping[str, float]
     equivalent_to: tuple[EffectPlace, ...] = ()
+    closure_of_joints: float | None = None
 
 
 @dataclass(frozen=True)
@@ -125,6 +126,9 @@ class DiagnosisResult:
     def to_dict(self) -> dict[str, Any]:
         """Plain data, ready for JSON."""
         data = {"schema": SCHEMA, **_plain(self)}
+        for cause in data["causes"]:
+            if cause["closure_of_joints"] is None:
+                del cause["closure_of_joints"]
         return data if self.waterfall else {key: value for key, value in data.items() if key != "waterfall"}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -39,7 +40,7 @@ class HeldOutGap:
     @property
     def closure(self) -> float | None:
         """(B² − A²) / (B² − F²); None where there is nothing to close."""
-        return self._part(self.before, self.after)
+        return closure(self.before, self.before, self.after, self.floor, self.limits)
 
     @property
     def unclosed(self) -> HeldOutGap:
@@ -52,9 +53,11 @@ class HeldOutGap:
         whole = float(np.mean(self.before**2))
         return 1 - float(np.mean(self.after**2)) / whole if whole > 0 else 0.0
 
-    def closure_without(self, left: np.ndarray) -> float | None:
-        """What is lost of the closure where (S', n) [N·m] is left instead."""
-        return self._part(rms(self.beyond(left)) / self.unit, self.after)
+    def closure_without(self, left: np.ndarray, joints: Sequence[int] | None = None) -> float | None:
+        """What is lost of the closure, of all joints or some, where (S', n) [N·m] is left instead."""
+        at = slice(None) if joints is None else list(joints)
+        worse, floor = rms(self.beyond(left)) / self.unit, None if self.floor is None else self.floor[at]
+        return closure(self.before[at], worse[at], self.after[at], floor, self.limits)
 
     def beyond(self, rows: np.ndarray) -> np.ndarray:
         """(S', n) [N·m] what of an error is beyond stiction."""
@@ -69,9 +72,6 @@ class HeldOutGap:
     def small(self) -> bool:
         """Whether the gap of the causes' joints is so small that it may be the model's own."""
         return self.largest < self.limits.small_gap
-
-    def _part(self, worse: np.ndarray, better: np.ndarray) -> float | None:
-        return closure(self.before, worse, better, self.floor, self.limits)
 
 
 def closure(

@@ -57,5 +57,7 @@ def closes(cause: Mapping[str, Any], whole: float | None = None) -> str:
     if 0 <= closure < 0.005:  # on a joint that turns with little torque, beside others
         part = "less than 1 %"
     if in_torque(cause):
-        return f"closes {part} of the gap"
+        own = cause.get("closure_of_joints")
+        beside = "" if own is None or closure >= 0.03 else f" and {100 * own:.0f} % of that of {place(cause)}"
+        return f"closes {part} of the gap{beside}"
     return f"closes {part} of the gap between planned and executed path"

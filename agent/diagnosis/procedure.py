@@ -34,7 +34,8 @@ class Search:
     """A catalogue tried on a fit; `given`: to a model from elsewhere, whose error without an effect is known.
 
     `moved`: the model's numbers were chosen and fitted to these very logs before. They may hide an effect on its own
-    joint and show it on others, and the choice would have been another one beside a rival.
+    joint and show it on others, and the choice would have been another one beside a rival. `worth`: whether what the
+    first effects tried leave is so little that the search goes on.
     """
 
     def __init__(
@@ -45,8 +46,10 @@ class Search:
         progress: Callable[[str], None] = lambda text: None,
         limits: DecisionLimits = LIMITS,
         moved: bool = False,
+        worth: Callable[[Fit], bool] = lambda fit: True,
     ):
         self.fit, self.given, self._progress, self.limits = fit, given and not moved, progress, limits
+        self._worth, self._moved = worth, moved
         self._alike = limits.equal_gain if moved else limits.indistinguishable_gain
         self.allowed = {name for name in CATALOGUE if name not in without}
         self.rows = float(fit.count.sum())
@@ -73,12 +76,14 @@ class Search:
             chosen = self._forward((start,), steps)
             error = base.with_chosen(chosen)
             result = self._total(error)
-            if best is None or best[0] - result > max(
-                self.limits.equal_gain_floor * self.rows, self.limits.equal_gain * (base.error() - best[0])
-            ):
+            if best is None and not self._worth(error):
+                break
+            if best is None or best[0] - result > self._clearly_less(best[0]):
                 best = result, chosen
             if closed_excess(self.limits, before, error) > self.limits.single_effect_closure and len(chosen) == 1:
                 break
+            if best[0] <= self._clearly_less(best[0]):
+                break  # even nothing is not clearly less
         nothing = abstained(matters)
         if best is None:
             return self._nothing(nothing, steps)
@@ -87,9 +92,13 @@ class Search:
         if closed < self.limits.explained:
             return self._nothing(nothing, steps, closed)
         finding = self._verdict(fit, closed, steps)
-        return (
-            finding if finding.probability[0] > self.limits.least_probability else self._nothing(nothing, steps, closed)
-        )
+        likely = finding.probability[0] > self.limits.least_probability
+        return finding if likely else self._nothing(nothing, steps, closed)
+
+    def _clearly_less(self, error: float) -> float:
+        """By so much less has another start to leave than an `error`, to be the better one."""
+        least, share = self.limits.equal_gain_floor * self.rows, self.limits.equal_gain
+        return max(least, share * (self.fit.error() - error))
 
     def _nothing(self, verdict: str, steps: list[Step], closed: float = 0.0) -> Finding:
         return Finding(verdict, self.fit, (), (), (), (), closed, tuple(steps), *self._bounds, limits=self.limits)
@@ -233,18 +242,17 @@ class Search:
 
     def _forward(self, chosen: tuple[Candidate, ...], steps: list[Step]) -> tuple[Candidate, ...]:
         """Add effects while they explain a good part of what is left."""
-        while True:
+        while len(chosen) < self.limits.most_effects:
             fit = self.fit.with_chosen(chosen)
             step = self.scan(fit)
             steps.append(step)
-            if len(chosen) == self.limits.most_effects or not step.eligible:
-                return chosen
             worth = [s for s in step.eligible if s.gain > self._further(fit, s) and not imitates(chosen, s)]
             worth = [s for s in worth if possible_together(self.fit.with_chosen((*chosen, s.candidate)))]
             if not worth:
                 return chosen
             step = Step(step.chosen, step.error, step.scores, tuple(worth))
             chosen = (*chosen, self._simplest(step).candidate)
+        return chosen
 
     def _further(self, fit: Fit, score: HeldOutScore) -> float:
         """Gain from which on an effect counts beside those chosen: a misfit on another joint does not hide it."""
@@ -263,12 +271,13 @@ class Search:
         return fit.error(fit.once) + self.fit.error() - self.fit.error(fit.once)
 
     def _pruned(self, chosen: tuple[Candidate, ...]) -> tuple[Candidate, ...]:
-        """Without what the others explain as well."""
+        """Without what the others explain as well; beside numbers that were moved, of what its own joints had."""
+        total = self._total(self.fit.with_chosen(chosen))
         for candidate in chosen:
             others = tuple(c for c in chosen if c is not candidate)
-            if others and self._total(self.fit.with_chosen(others)) - self._total(self.fit.with_chosen(chosen)) < max(
-                self.least, self.limits.redundant_gain * self.fit.error()
-            ):
+            had = self._excess(self.fit, list(candidate.blocks)) if self._moved else self.fit.error()
+            least = max(self.least, self.limits.redundant_gain * had)
+            if others and self._total(self.fit.with_chosen(others)) - total < least:
                 return self._pruned(others)
         return chosen
 

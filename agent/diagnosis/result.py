@@ -91,13 +91,19 @@ def build(
         dataset = replace(dataset, residual=calibrated.given.residual)
         gap = held_out_gap(dataset, finding.fit)
         closure = gap.closure if closure is None or gap.closure is not None else closure
-        closes = {(cause.effect, cause.joints): cause.closure for cause in causes_of(dataset, finding, gap)}
-        causes = tuple(replace(c, closure=closes.get((c.effect, c.joints), c.closure)) for c in causes)
+        of_all = {(cause.effect, cause.joints): cause for cause in causes_of(dataset, finding, gap)}
+        same = (of_all.get((cause.effect, cause.joints), cause) for cause in causes)
+        causes = tuple(
+            replace(cause, closure=other.closure, closure_of_joints=other.closure_of_joints)
+            for cause, other in zip(causes, same, strict=True)
+        )
         steps = waterfall(calibrated, finding, gap)
-        if verdict == "no_gap" and calibrated.groups and gap.closure is not None:
-            named = causes_of_steps(calibrated, steps, gap.closure)
-            kept = settle("explained", named, gap.closure, dataset.limits)
-            verdict, causes = kept if kept[1] else (verdict, causes)
+        by_numbers = 0.0 if causes or not calibrated.groups or gap.closure is None else gap.closure
+        if by_numbers > 0 and (verdict == "no_gap" or by_numbers > 1 - dataset.limits.least_share):
+            kept = settle("explained", causes_of_steps(calibrated, steps, by_numbers), by_numbers, dataset.limits)
+            if kept[1]:
+                warnings = (*warnings, _left_by_numbers(dataset, gap)) if verdict == "unknown" else warnings
+                verdict, causes = kept
     elif causes and finding.causes:
         steps = waterfall(ReleasedSimulator(dataset, dataset, ()), finding, gap)
     answer = DiagnosisResult(
@@ -126,6 +132,14 @@ def _within_uncertainty(share: float) -> str:
     return (
         f"the model's own parameters, moved no further than their stored uncertainty allows, would take away "
         f"{100 * share:.0f} % of the squared error: estimate it again with motions like these"
+    )
+
+
+def _left_by_numbers(dataset: Dataset, gap: HeldOutGap) -> str:
+    worst = int(np.argmax(gap.after * gap.unit / dataset.model.held_out_rmse))
+    return (
+        f"the simulator's numbers, moved, leave {100 * (1 - gap.absorbed):.1f} % of the gap, which no effect of the "
+        f"catalogue closes; over what is expected of a simulator it is most on {dataset.robot.joint_names[worst]}"
     )
 
 

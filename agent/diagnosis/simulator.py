@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agent.diagnosis.calibration import ReleasedSimulator, calibration
+from agent.diagnosis.candidate import Candidate
 from agent.diagnosis.dataset import Dataset, assemble
 from agent.diagnosis.finding import Finding
 from agent.diagnosis.fit import Fit
@@ -36,6 +37,7 @@ _BELOW_ZERO = 0.1  # of a friction level without an effect, that chance may take
 _ROUNDS = 2  # of choosing numbers beside effects and effects beside numbers
 #: Effects that are the file's numbers under another name.
 _NUMBERS = tuple(name for name, effect in CATALOGUE.items() if effect.numbers in ("friction", "links"))
+_FAR = 2.0  # times what an answer has to leave at most, beyond which its first effects settle that it does not
 _AS_GOOD = 1.1  # times the squared error left, to where another choice of numbers is as good
 
 
@@ -51,9 +53,7 @@ class Explanation:
     @property
     def like_links(self) -> bool:
         """Whether an effect that was found may stand in for links that weigh otherwise: a torque over position."""
-        links = {name for name, effect in CATALOGUE.items() if effect.numbers == "links"}
-        effects = [candidate.effect for candidate in self.finding.causes]
-        return any(e.numbers != "load" and (e.family == "load" or links & {*e.confused_with}) for e in effects)
+        return _like_links(self.finding.causes)
 
     @property
     def like_load(self) -> bool:
@@ -73,6 +73,12 @@ class Explanation:
     def left(self) -> float:
         """Mean square over joints of what is left."""
         return float(np.mean(self.gap.after**2))
+
+
+def _like_links(causes: Sequence[Candidate]) -> bool:
+    links = {name for name, effect in CATALOGUE.items() if effect.numbers == "links"}
+    effects = [candidate.effect for candidate in causes]
+    return any(e.numbers != "load" and (e.family == "load" or links & {*e.confused_with}) for e in effects)
 
 
 def with_expected_error(
@@ -122,12 +128,22 @@ def search_simulator(
         share = _expected(dataset, first.moved.residual)
         dataset = expecting(share)
     unit = dataset.fit.reference.scale
-    total = float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
+    before = held_out_gap(dataset, dataset.fit, unit).before ** 2
+    total = float(np.mean(before))
+    enough = limits.least_share * total
 
-    def searching(of: ReleasedSimulator) -> Search:
-        """Where numbers moved, no effect is one that is numbers again: it would take the place of another."""
+    def searching(of: ReleasedSimulator, best: float = np.inf) -> Search:
+        """Where numbers moved, no effect is one that is numbers again: it would take the place of another.
+
+        It is not gone on with where its first effects leave far more than they may beside an answer that leaves `best`.
+        """
         again = _NUMBERS if of.groups else ()
-        return Search(of.moved.fit, (*without, *again), True, progress, limits, moved=bool(of.groups))
+
+        def worth(fit: Fit) -> bool:
+            most = best if _like_links(fit.chosen) else best + enough
+            return most == np.inf or _left(of.moved, fit, unit) <= _FAR * most
+
+        return Search(of.moved.fit, (*without, *again), True, progress, limits, moved=bool(of.groups), worth=worth)
 
     def answer(calibrated: ReleasedSimulator, search: Search) -> Explanation:
         moved = calibrated.moved
@@ -141,6 +157,12 @@ def search_simulator(
                 finding = finding.without_causes(abstained(closed < limits.explained), moved.fit)
             finding, gap = judge(moved, finding, moved.fit, unit)
         return Explanation(calibrated, search, finding, gap)
+
+    def better(chosen: ReleasedSimulator, entry: Explanation) -> bool:
+        """Whether numbers chosen otherwise leave less beside the same effects, by a part that counts."""
+        moved = chosen.moved
+        causes = [(cause.effect, cause.joints, cause.settings) for cause in entry.finding.causes]
+        return _AS_GOOD * _left(moved, moved.fit.with_chosen(moved.fit.candidates(causes)), unit) < entry.left
 
     def settled(entry: Explanation) -> Explanation:
         """Numbers chosen beside its effects, and effects at these numbers, as long as that leaves no more.
@@ -162,7 +184,7 @@ def search_simulator(
                     )
                 )
             chosen = calibration(data, found.with_links, causes)
-            if not sharper and chosen.released == found.released:
+            if not sharper and (chosen.released == found.released or not better(chosen, entry)):
                 break
             progress("choosing again what of the simulator's numbers moves, beside the effects found")
             other = answer(chosen, searching(chosen))
@@ -172,36 +194,50 @@ def search_simulator(
         return entry
 
     given = ReleasedSimulator(dataset, dataset, ())
-    search = searching(given)
-    enough, alone = limits.least_share * total, _left_by_one(dataset, search, unit)
-    if alone <= enough:
-        plain = answer(given, search)
-        if len(plain.finding.causes) == 1 and plain.left <= enough:
-            return plain
-    found: list[Explanation] = []
+    as_given = searching(given)
+
+    def plain(goal: float) -> Explanation | None:
+        """That the numbers are right and one effect leaves no more than a goal; None where that is not so."""
+        leading = as_given.scan(dataset.fit).eligible[: limits.starts]
+        if not any(_left(dataset, dataset.fit.with_chosen((s.candidate,)), unit) <= goal for s in leading):
+            return None
+        found = answer(given, as_given)
+        return found if len(found.finding.causes) == 1 and found.left <= goal else None
+
+    if float(np.max(before)) >= (1 - limits.least_share) * float(np.sum(before)) and (simplest := plain(enough)):
+        return simplest
     drives, everything = calibration(dataset, links=False), calibration(dataset)
+    if not everything.groups:
+        return answer(given, as_given)
+    found = [answer(everything, searching(everything))]
     if drives.groups and len(everything.groups) > len(drives.groups):
-        found.append(answer(drives, searching(drives)))
-        if found[-1].finding.causes and found[-1].stands(0.0, enough):
-            return settled(found[-1])
-    if everything.groups:
-        found.append(answer(everything, searching(everything)))
-    best = min((entry.left for entry in found), default=np.inf)
-    if alone <= best + enough or not found:
-        plain = answer(given, search)
-        if not found or (len(plain.finding.causes) == 1 and plain.left - best <= enough):
-            return plain
+        by_drives = answer(drives, searching(drives, found[0].left))
+        if by_drives.finding.causes and by_drives.stands(0.0, enough):
+            return settled(by_drives)
+        found.insert(0, by_drives)
+    best = min(entry.left for entry in found)
+    if _one_may_do(dataset, found[-1].search.tried, unit, best + enough) and (simplest := plain(best + enough)):
+        return simplest
     for entry in found[:-1]:
         if entry.finding.causes and entry.stands(best, enough):
             return settled(entry)
     return settled(found[-1])
 
 
-def _left_by_one(dataset: Dataset, search: Search, unit: np.ndarray) -> float:
-    """Mean square over joints that the best effect alone leaves of a simulator as given: no search is needed beyond."""
-    leading = search.scan(dataset.fit).eligible[: dataset.limits.starts]
-    fits = (dataset.fit.with_chosen((score.candidate,)) for score in leading)
-    return min((float(np.mean(held_out_gap(dataset, fit, unit).after ** 2)) for fit in fits), default=np.inf)
+def _left(dataset: Dataset, fit: Fit, unit: np.ndarray) -> float:
+    """Mean square over joints that a fit leaves."""
+    return float(np.mean(held_out_gap(dataset, fit, unit).after ** 2))
+
+
+def _one_may_do(dataset: Dataset, forms: Sequence[Candidate], unit: np.ndarray, goal: float) -> bool:
+    """Whether one effect may leave no more than a goal of a simulator as given; far more says that none does.
+
+    `forms` are of every effect everywhere, at other numbers. Joints that one does not act on keep what they have.
+    """
+    fit = dataset.fit
+    before = held_out_gap(dataset, fit, unit).before ** 2
+    able = [form for form in forms if np.sum(np.delete(before, list(form.blocks))) / len(before) <= _FAR * goal]
+    return any(_left(dataset, fit.with_chosen((form,)), unit) <= _FAR * goal for form in fit.promising(able, 1))
 
 
 def _possible(given: IdentifiedModel, fit: Fit, number: int) -> bool:

@@ -18,6 +18,7 @@ from agent.diagnosis.finding import Finding
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.gap import HeldOutGap, held_out_gap
 from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.model import SIMULATOR
 
 
 def abstained(matters: bool) -> str:
@@ -54,12 +55,14 @@ def judge(dataset: Dataset, finding: Finding, plain: Fit, unit: np.ndarray | Non
 def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Cause, ...]:
     """The causes of a finding with their figures."""
     fit, joints = finding.fit, dataset.robot.joint_names
-    parts = zip(finding.causes, fit.values, finding.rivals, finding.probability, strict=True)
+    taken_out = [fit.out_of_fold(fit.once, number) for number in range(len(finding.causes))]
+    parts = zip(finding.causes, taken_out, fit.values, finding.rivals, finding.probability, strict=True)
+    by_joint = dataset.model.method == SIMULATOR
     return tuple(
         Cause(
             candidate.effect.name,
             tuple(joints[j] for j in candidate.joints),
-            gap.closure_without(fit.out_of_fold(fit.once, number)),
+            gap.closure_without(left),
             probability,
             candidate.effect.reported(
                 fit.reference,
@@ -67,8 +70,9 @@ def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Caus
                 _floats(zip(candidate.names, values, strict=True)),
             ),
             tuple(EffectPlace(name, tuple(joints[j] for j in there)) for name, there in rivals),
+            gap.closure_without(left, candidate.joints) if by_joint and candidate.joints else None,
         )
-        for number, (candidate, values, rivals, probability) in enumerate(parts)
+        for candidate, left, values, rivals, probability in parts
     )
 
 
@@ -89,9 +93,14 @@ def with_path(
 
 
 def has_size(cause: Cause, limits: DecisionLimits = LIMITS) -> bool:
-    """Whether a cause has parameters, finite and not all zero, and closes a part of its gap by itself."""
+    """Whether a cause has parameters, finite and not all zero, and closes a part of its gap by itself.
+
+    Of a simulator, whose file is wrong in many ways, it may be small beside others, and not on its own joints.
+    """
     values = cause.parameters.values()
     closes = cause.closure is not None and cause.closure >= limits.least_share
+    if cause.closure_of_joints is not None and not closes:
+        closes = cause.closure_of_joints >= limits.least_closure
     return closes and all(map(isfinite, values)) and any(values)
 
 

@@ -154,6 +154,30 @@ def test_a_small_effect_is_named_beside_a_large_one_and_numbers_moved_in_their_s
 
 
 @pytest.mark.verify
+def test_beside_one_that_is_nearly_all_of_the_gap_an_effect_counts_by_its_own_joint(tmp_path):
+    def beside(qd):
+        return np.array([0, 0, 1]) * FORMS["stribeck"](qd)
+
+    found = uneven(tmp_path, lambda qd: 20 * FORMS["asymmetric_friction"](qd), 1, beside=beside)
+    causes = {(cause["effect"], *cause["joints"]): cause for cause in found.result["causes"]}
+    assert ("stribeck", "tip") in causes
+    assert causes["stribeck", "tip"]["closure"] < 0.03
+    assert re.search(r"and \d+ % of that of tip", diagnosis_text(found.result))
+
+
+@pytest.mark.verify
+def test_numbers_that_close_nearly_all_are_the_cause_though_nothing_closes_what_they_leave(tmp_path):
+    def beside(qd):
+        return np.array([0.1, 0, 0]) * np.sin(40 * qd)
+
+    found = uneven(tmp_path, beside=beside)
+    result = found.result
+    assert result["verdict"] == "explained"
+    assert {cause["effect"] for cause in result["causes"]} <= {"friction_change", "inertial_mismatch", "payload"}
+    assert any("no effect of the catalogue closes" in warning for warning in result["warnings"])
+
+
+@pytest.mark.verify
 def test_where_links_may_weigh_anything_a_scale_of_torque_may_be_that_of_the_joint_next_to_it(tmp_path):
     result = uneven(tmp_path, joint=1, scale=1.1).result
     cause = result["causes"][0]
