@@ -262,22 +262,13 @@ def position_text(pose: np.ndarray) -> str:
 
 def pose_error(target: np.ndarray, actual: np.ndarray) -> np.ndarray:
     """(S, 6) from actual to target poses (S, 4, 4): displacement [m], then rotation vector [rad], in the base frame."""
-    error = np.empty((len(target), 6))
-    error[:, :3] = target[:, :3, 3] - actual[:, :3, 3]
-    rotation = target[:, :3, :3] @ actual[:, :3, :3].transpose(0, 2, 1)
-    sine = np.stack(
-        [
-            rotation[:, 2, 1] - rotation[:, 1, 2],
-            rotation[:, 0, 2] - rotation[:, 2, 0],
-            rotation[:, 1, 0] - rotation[:, 0, 1],
-        ],
-        axis=1,
-    )
-    length = np.linalg.norm(sine, axis=1)
-    angle = np.arctan2(length, np.trace(rotation, axis1=1, axis2=2) - 1)
-    # Tiny angles equal their sines to round-off; half a turn has no axis in `sine`, and any will do to move on.
+    from agent.compiled import apart
+
+    error, (length, cosine) = apart(target, actual)
+    angle = np.arctan2(length, cosine)
+    # Tiny angles equal their sines to round-off; half a turn has no axis in it, and any will do to move on.
     scale = np.divide(angle, length, out=np.full(len(length), 0.5), where=length > 1e-12)
-    error[:, 3:] = sine * scale[:, None]
+    error[:, 3:] *= scale[:, None]
     error[(length <= 1e-12) & (angle > 1), 3] = np.pi
     return error
 

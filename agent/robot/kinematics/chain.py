@@ -51,25 +51,10 @@ class KinematicChain:
 
     def forward_and_jacobian(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(S, 4, 4) and (S, 6, n): both at the cost of the second."""
-        q = np.asarray(q, dtype=float)
-        poses, jacobian = np.zeros((len(q), 4, 4)), np.zeros((len(q), 6, self.dof))
-        poses[:, 3, 3] = 1.0
-        for block in _blocks(len(q)):
-            *frames, tip = self._sweep(q[block])
-            poses[block, :3, :] = tip.transpose(2, 1, 0)
-            columns = np.zeros((self.dof, 6, tip.shape[2]))
-            for column, frame, prismatic in zip(columns, frames, self.prismatic, strict=True):
-                axis = frame[2]
-                if prismatic:
-                    column[:3] = axis
-                else:
-                    lever = tip[3] - frame[3]
-                    column[0] = axis[1] * lever[2] - axis[2] * lever[1]
-                    column[1] = axis[2] * lever[0] - axis[0] * lever[2]
-                    column[2] = axis[0] * lever[1] - axis[1] * lever[0]
-                    column[3:] = axis
-            jacobian[block] = columns.transpose(2, 1, 0)
-        return poses, jacobian
+        from agent.compiled import forward_and_jacobian
+
+        q = np.ascontiguousarray(q, dtype=float)
+        return forward_and_jacobian(self.transforms, self.prismatic, q, np.cos(q), np.sin(q))
 
     def axes_at_zero(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Directions (n, 3) and points (n, 3) of the joint axes, and the TCP's pose (4, 4), at q = 0, base frame."""
