@@ -7,6 +7,31 @@ import numpy as np
 from agent.compiled.compiling import compiled
 
 
+@compiled("f8[:,::1](f8[::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[::1])")
+def growth(
+    ceiling: np.ndarray, joints: np.ndarray, tool: np.ndarray, steps: np.ndarray, part: np.ndarray
+) -> np.ndarray:
+    """(n + t, K) sums of what the squares of speeds may change by from knot to knot under a ceiling (K,) of ṡ².
+
+    joints (n, K - 1): changes that the joints' accelerations allow. tool (3, t, K): of each limit of the TCP what the
+    path bends, the limit, and what of it ramps may take where it is straight; steps (t, K - 1) along the path. The
+    curve takes its part of a limit, the sum of squares is the limit's. `part` (K - 1,) is left by overrides.
+    """
+    (count, cells), limits = joints.shape, len(steps)
+    total, left = np.zeros((count + limits, cells + 1)), np.empty(cells + 1)
+    for row in range(count):
+        for k in range(cells):
+            total[row, k + 1] = total[row, k] + joints[row, k] * part[k]
+    for row in range(limits):
+        for k in range(cells + 1):
+            bent = tool[0, row, k] * ceiling[k] / tool[1, row, k]
+            left[k] = np.sqrt(max(1.0 - bent * bent, 0.0)) * tool[2, row, k]
+        for k in range(cells):
+            change = 2.0 * min(left[k + 1], left[k]) * steps[row, k]
+            total[count + row, k + 1] = total[count + row, k] + change * part[k]
+    return total
+
+
 @compiled("f8[::1](f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], i8)")
 def fastest(
     ceiling: np.ndarray,
@@ -18,8 +43,8 @@ def fastest(
 ) -> np.ndarray:
     """(K,) the largest z under `ceiling` (K,), zero at its ends, for which y = weight z (m, K) rises and falls no more.
 
-    rising, falling (m, K): sums of what y may change by from knot to knot. A y up to `least` (m,) is not limited.
-    Passes are made until none changes z by more than 1e-4 of its largest, `passes` at most.
+    rising, falling (m, K) as of `growth`. A y up to `least` (m,) is not limited. Passes are made until none changes z
+    by more than 1e-4 of its largest, `passes` at most.
     """
     rows, knots = weight.shape
     inverse, unused = np.empty((rows, knots)), np.empty((rows, knots))
@@ -77,3 +102,48 @@ def held(s: np.ndarray, ceiling: np.ndarray, window: float) -> np.ndarray:
             for other in range(first, last):
                 wide[other] = min(wide[other], ceiling[k])
     return wide
+
+
+@compiled("f8[:,::1](f8[::1], f8[::1])")
+def law_at(s: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """(4, K) time, speed, acceleration up to the next knot and integral of s - s₀, with z = ṡ² linear between knots."""
+    found = np.zeros((4, len(s)))
+    time, speed, acceleration, integral = found[0], found[1], found[2], found[3]
+    for k in range(len(s)):
+        speed[k] = np.sqrt(z[k])
+    for k in range(len(s) - 1):
+        way, v = s[k] - s[0], speed[k]
+        dt = 2.0 * (s[k + 1] - s[k]) / (speed[k + 1] + v)
+        a = (speed[k + 1] - v) / dt
+        time[k + 1], acceleration[k] = time[k] + dt, a
+        integral[k + 1] = integral[k] + dt * (way + dt * (0.5 * v + a * dt / 6.0))
+    return found
+
+
+@compiled("f8[::1](f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8, i8)")
+def lowered(
+    ceiling: np.ndarray,
+    knots: np.ndarray,
+    s: np.ndarray,
+    speed: np.ndarray,
+    stretch: np.ndarray,
+    allowed: float,
+    half: int,
+) -> np.ndarray:
+    """(K,) the ceiling at knots (K,) lowered where the stretch of samples (S,) is more than `allowed`.
+
+    It is lowered to what they need, from `half` samples before to `half` after each.
+    """
+    lowest = np.full(len(s), np.inf)
+    for k in range(len(s)):
+        if stretch[k] > allowed:
+            needed = speed[k] / (1.002 * max(stretch[k], 1.0))
+            for other in range(max(k - half, 0), min(k + half + 1, len(s))):
+                lowest[other] = min(lowest[other], needed * needed)
+    # A sample that breaks a limit as the arm sets off says nothing about the speed; the floor keeps the arm moving.
+    floor = 1e-6 * np.max(ceiling)
+    found = ceiling.copy()
+    for k in range(len(knots)):
+        after = min(max(np.searchsorted(s, knots[k] - knots[0]), 1), len(s) - 1)
+        found[k] = min(ceiling[k], max(min(lowest[after], lowest[after - 1]), floor))
+    return found

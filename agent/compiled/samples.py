@@ -93,6 +93,19 @@ def sampled_on(
     return found
 
 
+@compiled("f8(f8, f8)")
+def _larger(one: float, other: float) -> float:
+    """The larger one; where either is no number, that."""
+    return one if one >= other or one != one else other
+
+
+@compiled("void(f8[::1], f8[::1], f8)")
+def _raise_to(largest: np.ndarray, values: np.ndarray, limit: float) -> None:
+    """`largest` (S,) raised to how full values (S,) are of a limit."""
+    for k in range(len(values)):
+        largest[k] = _larger(largest[k], np.abs(values[k]) / limit)
+
+
 @compiled("f8[:,::1](f8[:,:,::1], i8)")
 def tcp_rates(found: np.ndarray, joints: int) -> np.ndarray:
     """(4, S) linear [m/s] and rotational speed [rad/s], linear and rotational acceleration of the TCP.
@@ -138,21 +151,24 @@ def stretched(
         at = s[k] + knots[0]
         while rule < len(knots) - 1 and knots[rule] < at:
             rule += 1
-        full[0, k] = np.maximum(rates[0, k] / ceilings[0, rule], rates[1, k] / ceilings[1, rule])
-        full[1, k] = np.maximum(rates[2, k] / ceilings[2, rule], rates[3, k] / ceilings[3, rule])
+        full[0, k] = _larger(rates[0, k] / ceilings[0, rule], rates[1, k] / ceilings[1, rule])
+        full[1, k] = _larger(rates[2, k] / ceilings[2, rule], rates[3, k] / ceilings[3, rule])
+    speed, change = full[0], full[1]
     for joint in range(joints):
-        for k in range(count):
-            full[0, k] = np.maximum(full[0, k], np.abs(found[1, joint, k]) / speeds[joint])
-            full[1, k] = np.maximum(full[1, k], np.abs(found[2, joint, k]) / accelerations[joint])
-    full[0] = np.maximum(full[0], np.sqrt(full[1]))
-    jerk = full[1]
+        _raise_to(speed, found[1, joint], speeds[joint])
+        _raise_to(change, found[2, joint], accelerations[joint])
+    for k in range(count):
+        speed[k] = _larger(speed[k], np.sqrt(change[k]))
+    jerk, steps = full[1], np.empty(count)
     jerk[:] = 0.0
     for joint in range(joints):
         q, qdd = found[0, joint], found[2, joint]
-        jerk[0] = np.maximum(jerk[0], np.abs(qdd[0]) / jerks[joint])
-        for k in range(1, count):
-            jerk[k] = np.maximum(jerk[k], np.abs(qdd[k] - qdd[k - 1]) / jerks[joint])
-        for k in range(2, count - 1):
-            third = ((q[k + 1] - q[k]) - (q[k] - q[k - 1])) - ((q[k] - q[k - 1]) - (q[k - 1] - q[k - 2]))
-            jerk[k] = np.maximum(jerk[k], np.abs(third) / over_three[joint])
+        steps[0] = qdd[0]
+        steps[1:] = qdd[1:] - qdd[:-1]
+        _raise_to(jerk, steps, jerks[joint])
+        if count > 3:
+            first, second, third = q[1:] - q[:-1], steps[: count - 2], steps[: count - 3]
+            second[:] = first[1:] - first[:-1]
+            third[:] = second[1:] - second[:-1]
+            _raise_to(jerk[2:-1], third, over_three[joint])
     return full

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.compiled import fastest, held
+from agent.compiled import fastest, growth, held
 from agent.core import spline_slopes
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.path import rotation, rules
@@ -202,44 +202,29 @@ class Ramps:
         stress = np.minimum(rule[:-1, rules.STRESS], rule[1:, rules.STRESS])
         # Weights w (m, K) in y = w z, and the y of standstill (m,): of the joints, and of the TCP's travel and turn.
         weights, least = [shape.q1**2], [(_STILL * limits.speed) ** 2]
-        joints = 2.0 * limits.acceleration[:, None] * stress * np.abs(np.diff(path.q, axis=0)).T
-        self._joints = [_cumulated(joints, part) for part in (self._rise, self._fall)]
-        #: Of a limit of the TCP: what bends, the limit at each knot, the same for ramps, and the step between knots.
-        self._tool: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+        self._joints = 2.0 * limits.acceleration[:, None] * stress * np.abs(path.q[1:] - path.q[:-1]).T
+        tool, steps = [], []
+        part = rule[:, rules.CARTESIAN]
         for size, across, limit in (
             (shape.travel, shape.bend, limits.cartesian.linear_acceleration),
             (shape.turn, shape.turn_bend, limits.cartesian.rotational_acceleration),
         ):
-            if np.isfinite(limit) and np.isfinite(rule[:, rules.CARTESIAN]).any():
-                part = rule[:, rules.CARTESIAN]
-                step = 0.5 * (size[1:] + size[:-1]) * np.diff(path.s)
-                self._tool.append((across, limit * part, limit * np.minimum(part, 1e3), step))
+            if np.isfinite(limit) and np.isfinite(part).any():
+                tool.append((across, limit * part, limit * np.minimum(part, 1e3)))
+                steps.append(0.5 * (size[1:] + size[:-1]) * (path.s[1:] - path.s[:-1]))
                 weights.append(size[None] ** 2)
                 least.append(np.array([_STILL**2]))
+        knots = len(path.s)
+        #: Of each limit of the TCP what bends, the limit, and the same for ramps (3, t, K); and the way (t, K - 1).
+        self._tool = np.ascontiguousarray(np.reshape(tool, (-1, 3, knots)).swapaxes(0, 1))
+        self._steps = np.reshape(steps, (-1, knots - 1))
         self._weight, self._least = np.concatenate(weights), np.concatenate(least)
 
     def fastest(self, ceiling: np.ndarray) -> np.ndarray:
         """(K,) the largest z = ṡ² under `ceiling` (K,) that keeps all acceleration limits, standstill to standstill."""
-        rising, falling = self._sums(ceiling)
+        rising = growth(ceiling, self._joints, self._tool, self._steps, self._rise)
+        falling = rising if self._alike else growth(ceiling, self._joints, self._tool, self._steps, self._fall)
         z = fastest(ceiling, self._weight, rising, falling, self._least, _PASSES)
         # Standstill belongs to the ends alone: a knot between them may not hold the arm for ever.
         z[1:-1] = np.maximum(z[1:-1], 1e-9 * np.max(ceiling[1:-1]))
         return z
-
-    def _sums(self, ceiling: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(m, K) sums of the largest changes of y from knot to knot, of speeding up and of slowing down."""
-        tool = np.empty((len(self._tool), len(ceiling) - 1))
-        for row, (across, limit, ramp, step) in zip(tool, self._tool, strict=True):
-            # What the curve takes at the ceiling is not there to change the speed: the sum of squares is the limit's.
-            left = np.sqrt(np.maximum(1.0 - (across * ceiling / limit) ** 2, 0.0)) * ramp
-            row[:] = 2.0 * np.minimum(left[1:], left[:-1]) * step
-        rising = np.concatenate((self._joints[0], _cumulated(tool, self._rise)))
-        if self._alike:
-            return rising, rising
-        return rising, np.concatenate((self._joints[1], _cumulated(tool, self._fall)))
-
-
-def _cumulated(growth: np.ndarray, part: np.ndarray) -> np.ndarray:
-    total = np.zeros((len(growth), growth.shape[1] + 1))
-    np.cumsum(growth * part, axis=1, out=total[:, 1:])
-    return total

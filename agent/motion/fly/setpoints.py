@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from agent.compiled import sampled_on, stretched
+from agent.compiled import lowered, sampled_on, stretched
 from agent.motion.fly.profile import ArmLimits, PathShape, Ramps, speed_ceiling, widened
 from agent.motion.fly.time_law import time_law
 from agent.motion.fly_parameters import FlyParameters
@@ -125,7 +125,8 @@ def plan_run(
             stretch = stretch_needed(path, samples, limits, step)
         if stretch.max() <= 1.0 + _TOLERANCE:
             return Run(path, shape, law, samples)
-        ceiling = _lowered(ceiling, path, samples, stretch, round(window / step))
+        half = round(window / step) // 2
+        ceiling = lowered(ceiling, path.s, samples.s, samples.speed, stretch, 1.0 + _TOLERANCE, half)
     for _ in range(_STRETCHES):
         samples = sampled(path, shape, law, period)
         stretch = stretch_needed(path, samples, limits, period)
@@ -207,24 +208,3 @@ def stretch_needed(path: Path, samples: SetPoints, limits: ArmLimits, period: fl
     over = jerk > 1.0
     stretch[over] = np.maximum(stretch[over], np.cbrt(jerk[over]))
     return stretch
-
-
-def _lowered(ceiling: np.ndarray, path: Path, samples: SetPoints, stretch: np.ndarray, window: int) -> np.ndarray:
-    """The ceiling (K,) lowered to what the broken samples need, for a whole window (in samples) around each of them."""
-    needed = np.where(stretch > 1.0 + _TOLERANCE, (samples.speed / (1.002 * np.maximum(stretch, 1.0))) ** 2, np.inf)
-    lowest = _lowest_around(needed, window // 2)
-    k = np.clip(np.searchsorted(samples.s, path.s - path.s[0]), 1, len(lowest) - 1)
-    # A sample that breaks a limit as the arm sets off says nothing about the speed; the floor keeps the arm moving.
-    return np.minimum(ceiling, np.maximum(np.minimum(lowest[k], lowest[k - 1]), 1e-6 * np.max(ceiling)))
-
-
-def _lowest_around(values: np.ndarray, half: int) -> np.ndarray:
-    """(S,) the smallest of the values (S,) from `half` before to `half` after each; twice as wide with every step."""
-    edge = np.full(half, np.inf)
-    lowest = np.concatenate((edge, values, edge))
-    width, wanted = 1, 2 * half + 1
-    while width < wanted:
-        step = min(width, wanted - width)
-        lowest = np.minimum(lowest[:-step], lowest[step:])
-        width += step
-    return lowest

@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from agent.compiled import averaged
+from agent.compiled import averaged, law_at
 from agent.motion.path.geometry import Path
 
 
@@ -48,14 +48,8 @@ class TimeLaw:
 
 def time_law(path: Path, z: np.ndarray, window: float) -> TimeLaw:
     """The run through `path` with z = ṡ² (K,) at the knots, linear in between, averaged over `window` [s]."""
-    speed = np.sqrt(z)
-    ds = path.s[1:] - path.s[:-1]
-    dt = 2.0 * ds / (speed[1:] + speed[:-1])
-    t = np.concatenate(([0.0], np.cumsum(dt)))
-    acceleration = (speed[1:] - speed[:-1]) / dt
-    s = path.s - path.s[0]
-    integral = np.concatenate(([0.0], np.cumsum(dt * (s[:-1] + dt * (0.5 * speed[:-1] + acceleration * dt / 6.0)))))
-    return TimeLaw(t, s, speed, acceleration, integral, window)
+    time, speed, acceleration, integral = law_at(path.s, z)
+    return TimeLaw(time, path.s - path.s[0], speed, acceleration[:-1], integral, window)
 
 
 def samples_in(edges: np.ndarray, samples: np.ndarray, side: Literal["left", "right"]) -> np.ndarray:
