@@ -32,7 +32,7 @@ def random_search(
 #: Methods by the names that a recipe uses.
 METHODS = {"genetic": genetic, "random": random_search}
 #: A process more costs as much to start as so many candidates to score.
-_CANDIDATES_A_WORKER = 60
+_CANDIDATES_A_WORKER = 250
 #: At most so many candidates travel and are worked out together: what they share costs little, and a generation feeds
 #: many workers.
 _TOGETHER = 7

@@ -13,9 +13,21 @@ from typing import Any
 import numba
 import numpy as np
 from hypothesis import given, settings, strategies as st
-from scipy.interpolate import PPoly
+from scipy.interpolate import CubicSpline, PPoly
+from scipy.spatial.transform import Rotation
 
-from agent.compiled import averaged, fastest, held, sampled_on, stretched, tcp_rates
+from agent.compiled import (
+    averaged,
+    cubics,
+    derivatives,
+    fastest,
+    held,
+    law_at,
+    lowered,
+    sampled_on,
+    stretched,
+    tcp_rates,
+)
 
 SEEDS = st.integers(0, 2**31)
 
@@ -142,6 +154,58 @@ def test_what_time_is_stretched_by_is_the_fullest_limit(seed: int, joints: int, 
     if samples > 3:
         steps[:, 2:-1] = np.maximum(steps[:, 2:-1], np.abs(np.diff(q, n=3, axis=1)) / thirds[:, None])
     np.testing.assert_allclose(jerk, steps.max(axis=0), rtol=1e-9, atol=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(SEEDS, st.integers(2, 30))
+def test_a_law_has_constant_accelerations_between_knots(seed: int, knots: int) -> None:
+    rng = np.random.default_rng(seed)
+    s, z = 2.0 + np.cumsum(rng.uniform(0.01, 0.1, knots)), rng.uniform(0.1, 2.0, knots)
+    time, speed, acceleration, integral = law_at(s, z)
+    dt = np.diff(time)
+    np.testing.assert_allclose(speed**2, z)
+    np.testing.assert_allclose(np.diff(z), 2.0 * acceleration[:-1] * np.diff(s), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(np.diff(speed), acceleration[:-1] * dt, rtol=1e-9, atol=1e-12)
+    way = PPoly(np.array([0.5 * acceleration[:-1], speed[:-1], s[:-1] - s[0]]), time)
+    np.testing.assert_allclose(integral, way.antiderivative()(time), rtol=1e-9, atol=1e-12)
+
+
+@settings(max_examples=30, deadline=None)
+@given(SEEDS, st.integers(0, 5))
+def test_the_ceiling_is_lowered_around_what_breaks_a_limit(seed: int, half: int) -> None:
+    rng = np.random.default_rng(seed)
+    knots, s = np.linspace(1.0, 2.0, 12), np.linspace(0.0, 1.0, 40)
+    ceiling, speed, stretch = rng.uniform(0.5, 2.0, 12), rng.uniform(0.5, 2.0, 40), rng.uniform(0.8, 1.05, 40)
+    needed = np.where(stretch > 1.01, (speed / (1.002 * stretch)) ** 2, np.inf)
+    around = [needed[max(k - half, 0) : k + half + 1].min() for k in range(40)]
+    after = np.clip(np.searchsorted(s, knots - 1.0), 1, 39)
+    expected = np.minimum(ceiling, np.minimum(np.take(around, after), np.take(around, after - 1)))
+    np.testing.assert_allclose(lowered(ceiling, knots, s, speed, stretch, 1.01, half), expected)
+
+
+@settings(max_examples=30, deadline=None)
+@given(SEEDS, st.integers(4, 20))
+def test_cubics_and_their_derivatives_are_those_of_the_spline(seed: int, knots: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, rows = np.cumsum(rng.uniform(0.1, 0.3, knots)), rng.normal(size=(9, knots))
+    rows[-4:] /= np.linalg.norm(rows[-4:], axis=0)
+    spline = CubicSpline(x, rows.T)
+    coefficients = cubics(x, rows, spline(x, 1).T)
+    np.testing.assert_allclose(coefficients, spline.c.transpose(0, 2, 1), rtol=0, atol=1e-7 * np.abs(spline.c).max())
+    found, (travel, turn) = derivatives(coefficients, x[-1] - x[-2], np.ascontiguousarray(rows[-4:].T))
+    np.testing.assert_allclose(found[:2], [spline(x, 1).T, spline(x, 2).T], rtol=0, atol=1e-8 * np.abs(found[1]).max())
+    third = 6.0 * np.abs(coefficients[0])
+    larger = np.maximum(np.append(third, third[:, -1:], axis=1), np.append(third[:, :1], third, axis=1))
+    np.testing.assert_allclose(np.abs(found[2]), larger)
+    np.testing.assert_array_equal(travel, found[:2, 2:5].transpose(0, 2, 1))
+    for rate, rows_of in zip(turn, found[:2, 5:], strict=True):
+        product = (
+            Rotation.from_quat(rows_of.T, scalar_first=True) * Rotation.from_quat(rows[-4:].T, scalar_first=True).inv()
+        )
+        size = np.linalg.norm(rows_of, axis=0)
+        expected = 2.0 * size[:, None] * product.as_quat(scalar_first=True)[:, 1:]
+        sign = np.sign(np.einsum("ki,ki->k", expected, rate))[:, None]
+        np.testing.assert_allclose(rate, sign * expected, rtol=0, atol=1e-9 * size.max())
 
 
 def test_a_number_that_is_none_is_beyond_every_limit() -> None:

@@ -111,8 +111,10 @@ class _Plan:
 
     def trajectory(self) -> Trajectory:
         """All samples so far."""
+        columns = zip(*self._parts, strict=True)
         q, qd, qdd, pose, speed, move = (
-            np.ascontiguousarray(np.concatenate(column)) for column in zip(*self._parts, strict=True)
+            np.concatenate(column, out=np.empty((self._samples, *column[0].shape[1:]), column[0].dtype))
+            for column in columns
         )
         return _Planned(self._of, q, qd, qdd, pose, speed, move, tuple(self._runs))
 

@@ -14,10 +14,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.compiled import fastest, growth, held
+from agent.compiled import cubics, derivatives, fastest, growth, held
 from agent.core import spline_slopes
 from agent.motion.fly_parameters import FlyParameters
-from agent.motion.path import rotation, rules
+from agent.motion.path import rules
 from agent.motion.path.geometry import Path
 from agent.robot import CartesianLimits, RobotDescription
 
@@ -109,21 +109,10 @@ def shape_of(path: Path, smooth: bool = True) -> PathShape:
     else:
         pieces = [_piece(path.s[a : b + 1], rows[:, a : b + 1]) for a, b in pairwise(path.borders)]
         coefficients = np.concatenate(pieces, axis=2)
-    cubic, square, linear, _ = coefficients
-    step = path.s[-1] - path.s[-2]
-    first, second, third = np.empty((3, *rows.shape))
-    third[:, :-1], third[:, -1] = 6.0 * cubic, 6.0 * cubic[:, -1]
-    second[:, :-1], second[:, -1] = 2.0 * square, 2.0 * square[:, -1] + 6.0 * step * cubic[:, -1]
-    first[:, :-1] = linear
-    first[:, -1] = linear[:, -1] + step * (2.0 * square[:, -1] + 3.0 * step * cubic[:, -1])
-    third[:, 1:-1] = np.where(np.abs(third[:, 1:-1]) > np.abs(third[:, :-2]), third[:, 1:-1], third[:, :-2])
-    way, change = (np.ascontiguousarray(part[n:].T) for part in (first, second))
-    travel, bend = _along_and_across(way[:, :3], change[:, :3])
-    # The angular velocity over s is 2 Q' Q*, its derivative 2 Q'' Q* but for a scalar part; Q' is across Q.
-    inverse = rotation.conjugate(path.orientation)
-    turning = 2.0 * rotation.multiply(way[:, 3:], inverse)[:, 1:]
-    turn, turn_bend = _along_and_across(turning, 2.0 * rotation.multiply(change[:, 3:], inverse)[:, 1:])
-    return PathShape(coefficients, first[:n], second[:n], third[:n], travel, bend, turn, turn_bend, smooth)
+    (first, second, third), (travel, turn) = derivatives(coefficients, path.s[-1] - path.s[-2], path.orientation)
+    return PathShape(
+        coefficients, first[:n], second[:n], third[:n], *_along_and_across(*travel), *_along_and_across(*turn), smooth
+    )
 
 
 def _piece(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -140,14 +129,7 @@ def not_a_knot(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
     Their third derivatives do not jump at the second knot nor at the last but one.
     """
-    h, slope = np.diff(x), spline_slopes(x, rows)
-    chord = np.diff(rows, axis=1) / h
-    coefficients = np.empty((4, len(rows), len(h)))
-    bent = (slope[:, :-1] + slope[:, 1:] - 2.0 * chord) / h
-    np.divide(bent, h, out=coefficients[0])
-    np.subtract((chord - slope[:, :-1]) / h, bent, out=coefficients[1])
-    coefficients[2], coefficients[3] = slope[:, :-1], rows[:, :-1]
-    return coefficients
+    return cubics(x, rows, spline_slopes(x, rows))
 
 
 def _along_and_across(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

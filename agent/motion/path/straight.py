@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from agent.motion.path import rotation
+from agent.compiled import blended
 from agent.motion.path.blend import NODES, WEIGHTS, Corner
 from agent.motion.path.segments import CartesianSegment, Line, Segment, SingleAxis
 
@@ -70,19 +70,14 @@ class StraightMoves:
         """Positions (S, 3) [m] and orientations (S, 4), move by move at its parameters `sigmas`, then corner by corner
         at `tau`."""
         counts = [len(sigma) for sigma in sigmas]
-        moving = sum(counts)
         tau = self.tau()
         joined, before = self._joined(1)
         one, two = joined.sigma(tau)
         which = np.concatenate((np.repeat(np.arange(len(sigmas)), counts), before, before + 1))
         sigma = np.concatenate((*sigmas, one, two))
-        position = self.start[which] + sigma[:, None] * self.way[which]
-        turned = rotation.multiply(rotation.about(self.axis[which], sigma * self.angle[which]), self.turn[which])
-        leaving, arriving = slice(moving, moving + len(tau)), slice(moving + len(tau), None)
-        since_corner = rotation.multiply(rotation.conjugate(self.turn[before + 1]), turned[arriving])
-        blended = rotation.multiply(turned[leaving], since_corner)
-        places = position[leaving] + position[arriving] - self.start[before + 1]
-        return np.concatenate((position[:moving], places)), np.concatenate((turned[:moving], blended))
+        half = 0.5 * (sigma * self.angle[which])
+        found = blended(self.start, self.way, self.turn, self.axis, which, before, sigma, np.cos(half), np.sin(half))
+        return found[:, :3], found[:, 3:]
 
     def lengths(self) -> np.ndarray:
         """(S,) corner by corner, the lengths of its cells [m]."""

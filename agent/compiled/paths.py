@@ -1,0 +1,115 @@
+"""Knots of a path and the splines through them: the loops of `agent.motion.path` and `agent.motion.fly.profile`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.compiled.compiling import compiled
+
+
+@compiled("void(f8[::1], f8[::1], f8[::1])")
+def _multiply(left: np.ndarray, right: np.ndarray, product: np.ndarray) -> None:
+    """Hamilton product of quaternions (4,), scalar first."""
+    w1, x1, y1, z1 = left
+    w2, x2, y2, z2 = right
+    product[0] = w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2
+    product[1] = w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2
+    product[2] = w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2
+    product[3] = w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2
+
+
+@compiled("void(f8[::1], f8[::1])")
+def _conjugate(quaternion: np.ndarray, found: np.ndarray) -> None:
+    found[0], found[1], found[2], found[3] = quaternion[0], -quaternion[1], -quaternion[2], -quaternion[3]
+
+
+@compiled("f8[:,::1](f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], i8[::1], i8[::1], f8[::1], f8[::1], f8[::1])")
+def blended(
+    start: np.ndarray,
+    way: np.ndarray,
+    turn: np.ndarray,
+    axis: np.ndarray,
+    which: np.ndarray,
+    before: np.ndarray,
+    sigma: np.ndarray,
+    cosine: np.ndarray,
+    sine: np.ndarray,
+) -> np.ndarray:
+    """(S, 7) positions and orientations on straight moves, then in the blends between them.
+
+    Of the M moves start and way (M, 3), orientation at the start (M, 4) and axis of the turn (M, 3). `which` move,
+    `sigma` on it, and cosine and sine of half the angle turned by there: those of samples on moves, then for the B
+    samples of blends that of the move which runs out, then that of the one that runs in; `before` (B,) is the former.
+    """
+    count, blends = len(which), len(before)
+    poses, found = np.empty((count, 7)), np.empty((count - blends, 7))
+    turned, inverse, since = np.empty(4), np.empty(4), np.empty(4)
+    for k in range(count):
+        move = which[k]
+        turned[0] = cosine[k]
+        for row in range(3):
+            poses[k, row] = start[move, row] + sigma[k] * way[move, row]
+            turned[row + 1] = sine[k] * axis[move, row]
+        _multiply(turned, turn[move], poses[k, 3:])
+    on_moves = count - 2 * blends
+    found[:on_moves] = poses[:on_moves]
+    for k in range(blends):
+        leaving, arriving, after = poses[on_moves + k], poses[on_moves + blends + k], before[k] + 1
+        for row in range(3):
+            found[on_moves + k, row] = leaving[row] + arriving[row] - start[after, row]
+        _conjugate(turn[after], inverse)
+        _multiply(inverse, arriving[3:], since)
+        _multiply(leaving[3:], since, found[on_moves + k, 3:])
+    return found
+
+
+@compiled("f8[:,:,::1](f8[::1], f8[:,:], f8[:,:])")
+def cubics(x: np.ndarray, rows: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """(4, m, K - 1) coefficients, highest power first, of the cubics with values and slopes (m, K) at knots x (K,)."""
+    count, cells = len(rows), len(x) - 1
+    found = np.empty((4, count, cells))
+    for row in range(count):
+        for k in range(cells):
+            h = x[k + 1] - x[k]
+            chord = (rows[row, k + 1] - rows[row, k]) / h
+            bent = (slope[row, k] + slope[row, k + 1] - 2.0 * chord) / h
+            found[0, row, k] = bent / h
+            found[1, row, k] = (chord - slope[row, k]) / h - bent
+            found[2, row, k], found[3, row, k] = slope[row, k], rows[row, k]
+    return found
+
+
+@compiled("Tuple((f8[:,:,::1], f8[:,:,:,::1]))(f8[:,:,::1], f8, f8[:,:])")
+def derivatives(coefficients: np.ndarray, last: float, orientation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3, m, K) first to third derivatives at the knots of cubics (4, m, K - 1), whose last cell is `last` long; and
+    (2, 2, K, 3) of the position, then of the turn, velocity and acceleration by the path parameter.
+
+    The last seven of the m rows are position and quaternion, whose values at the knots are `orientation` (K, 4). The
+    third derivative is that of the neighbouring cell where it is larger. The angular velocity over s is 2 Q' Q*, its
+    derivative 2 Q'' Q* but for a scalar part; Q' is across Q.
+    """
+    _, rows, cells = coefficients.shape
+    found, tool = np.empty((3, rows, cells + 1)), np.empty((2, 2, cells + 1, 3))
+    for row in range(rows):
+        cubic, square, linear = coefficients[0, row], coefficients[1, row], coefficients[2, row]
+        first, second, third = found[0, row], found[1, row], found[2, row]
+        for k in range(cells):
+            first[k], second[k], third[k] = linear[k], 2.0 * square[k], 6.0 * cubic[k]
+        first[cells] = linear[cells - 1] + last * (2.0 * square[cells - 1] + 3.0 * last * cubic[cells - 1])
+        second[cells] = 2.0 * square[cells - 1] + 6.0 * last * cubic[cells - 1]
+        third[cells] = 6.0 * cubic[cells - 1]
+        for k in range(cells - 1, 0, -1):
+            other = 6.0 * cubic[k - 1]
+            third[k] = third[k] if np.abs(third[k]) > np.abs(other) else other
+    inverse, rate, product = np.empty(4), np.empty(4), np.empty(4)
+    for k in range(cells + 1):
+        _conjugate(np.ascontiguousarray(orientation[k]), inverse)
+        for order in range(2):
+            for row in range(3):
+                tool[0, order, k, row] = found[order, rows - 7 + row, k]
+            for row in range(4):
+                rate[row] = found[order, rows - 4 + row, k]
+            _multiply(rate, inverse, product)
+            for row in range(3):
+                tool[1, order, k, row] = 2.0 * product[row + 1]
+    return found, tool
