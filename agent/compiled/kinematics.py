@@ -14,14 +14,16 @@ from agent.compiled.compiling import compiled
 _FUSED = get_host_cpu_features().get("fma", True)
 
 
-@intrinsic
-def _fused(_: Any, one: Any, other: Any, added: Any) -> Any:
+def _product_added(_: Any, one: Any, other: Any, added: Any) -> Any:
     """one · other + added, rounded once where the processor can, which is what BLAS does."""
 
     def generate(_: Any, builder: Any, __: Any, values: Any) -> Any:
         return builder.fma(*values) if _FUSED else builder.fadd(builder.fmul(*values[:2]), values[2])
 
     return types.float64(types.float64, types.float64, types.float64), generate
+
+
+_fused: Any = intrinsic(_product_added)
 
 
 @compiled("Tuple((f8[:,:,::1], f8[:,:,::1]))(f8[:,:,::1], b1[::1], f8[:,::1], f8[:,::1], f8[:,::1])")
