@@ -18,6 +18,7 @@ import numpy as np
 from agent.core import InputError
 from agent.estimation.filtering import FilterSettings, motions, resolve_cutoff
 from agent.estimation.gravity_check import described_gravity_doubts, gravity_directions, gravity_text
+from agent.estimation.range_check import degrees_doubt, slide_doubts, swap_in_range
 from agent.estimation.rigid_fit import FOLDS, Bodies, FitSamples, HeldOutFit, overfitted, solved
 from agent.estimation.velocity_check import velocity_doubts
 from agent.recording import Log
@@ -27,13 +28,12 @@ _CUTOFF = 10.0  # Hz
 _SAMPLES = 600  # of all logs together
 _UNEXPLAINED = 0.5  # of the torque of all joints, root mean square
 _GAIN = 1.0  # of a mistake that is named, see rigid_fit
+_SLIDE_GAIN = 4.0  # the same of a slide in the place of a turning joint: other columns, which may fit a bad log better
 _CERTAIN = 2.5  # standard errors of that gain over the folds, and
 _AS_GOOD = 0.5  # less gain than the best: as good, so the likelier one is named
 _EXACT = 0.01  # of the torque: a fit that leaves less is right, and what is left may be anything
 _STEEL = 7850.0  # kg/m³
 _TOO_STRONG = 100.0  # times what the description says of the drive
-_TOO_FAR = 5.0  # times the joint's range
-_TOO_FAST = 10.0  # times its highest speed
 _DRIVING = 0.15  # of a joint's torque, by which friction and inertia together must push the wrong way
 _SIGNIFICANT = 5.0  # standard deviations of that push, and
 _SAMPLES_PER_PARAMETER = 4.0  # independent samples for each parameter: a short log tells no mistake from chance
@@ -66,6 +66,7 @@ def plausibility_warnings(robot: RobotDescription, logs: Sequence[Log]) -> list[
     """Why these logs cannot be of this robot, the likeliest reason first; empty where nothing speaks against them."""
     logs = [log for log in logs if log.effort is not None]
     found = list(_signals(robot, logs)) or list(velocity_doubts(logs)) or list(_stuck(robot, logs))
+    found = found or list(slide_doubts(robot, logs))
     if found:
         return found
     samples = _samples(logs)
@@ -83,7 +84,7 @@ def _signals(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
     dead = moving & (strongest.max(axis=0) - weakest.min(axis=0) <= _NOTHING)
     if dead.any():
         yield f"the torque of {', '.join(names[dead])} never changes while it moves: its channel is dead"
-    if degrees := _degrees(robot, logs, turning & moving):
+    if degrees := degrees_doubt(robot, logs, turning & moving):
         yield degrees
     if too_strong := _too_strong(robot, turning, moving, strong):
         yield too_strong
@@ -136,32 +137,6 @@ def _comes_to_nothing(
     both = min(way[way > 0].sum(), -way[way < 0].sum()) > 0.2 * np.abs(way).sum()
     values = np.concatenate([effort[:, joint] for effort in efforts])
     return bool(both and np.quantile(values, least) < near * np.quantile(values, 0.99))
-
-
-def _degrees(robot: RobotDescription, logs: Sequence[Log], moving: np.ndarray) -> str | None:
-    if not moving.any():
-        return None
-    furthest = np.max([np.abs(log.position).max(axis=0) for log in logs], axis=0)
-    ranges = np.array(
-        [np.nan if j.lower is None or j.upper is None else max(abs(j.lower), abs(j.upper)) for j in robot.joints]
-    )
-    ranges = np.where(ranges > 0, ranges, np.nan)
-    speeds = []
-    for log in logs:
-        every = max(1, int(0.05 * log.sample_rate))
-        step, time = np.abs(np.diff(log.position[::every], axis=0)), np.diff(log.t[::every])
-        if len(time):
-            speeds.append(np.quantile(step / time[:, None], 0.98, axis=0))
-    far = (furthest / ranges)[moving]
-    fast = (np.max(speeds, axis=0) / robot.max_velocity)[moving] if speeds else np.zeros(1)
-    known = far[np.isfinite(far)]
-    if (len(known) and np.median(known) > _TOO_FAR) or np.median(fast) > _TOO_FAST:
-        k = int(np.flatnonzero(moving)[np.argmax(fast)])
-        return (
-            f"positions look like degrees: {robot.joint_names[k]} comes to {furthest[k]:.4g} rad and moves at "
-            f"{np.max(fast):.3g} times its highest speed"
-        )
-    return None
 
 
 def _too_strong(robot: RobotDescription, turning: np.ndarray, moving: np.ndarray, strong: np.ndarray) -> str | None:
@@ -262,7 +237,9 @@ def _likeliest(robot: RobotDescription, samples: FitSamples, pushed: np.ndarray,
                 continue
             after = fit.errors(order, sign)
             gains = np.log(before / after).sum(axis=1)
-            if gains.mean() > max(_GAIN, _CERTAIN * gains.std(ddof=1) / np.sqrt(FOLDS)):
+            whole = fit is not plain and np.any(order != np.arange(robot.dof))
+            least = _SLIDE_GAIN if whole and len({robot.joints[k].prismatic for k in about}) > 1 else _GAIN
+            if gains.mean() > max(least, _CERTAIN * gains.std(ddof=1) / np.sqrt(FOLDS)):
                 tried.append((float(gains.mean()), what, fit.bodies.robot, fit.undone(order, sign)))
     tried = [each for each in tried if not len(_driven_on(_fit(*each[2:])))]  # else it is no better an arm
     best = max((gain for gain, *_ in tried), default=0.0)
@@ -281,9 +258,11 @@ def _mistakes(
     turning = ~np.array([joint.prismatic for joint in robot.joints])
 
     def fit(of: Bodies = bodies, scale: np.ndarray = signs, order: np.ndarray = given) -> HeldOutFit:
+        return HeldOutFit(of, moved(scale, order), precision)
+
+    def moved(scale: np.ndarray, order: np.ndarray) -> FitSamples:
         q, qd, qdd = (values[:, order] * scale for values in (s.q, s.qd, s.qdd))
-        moved = replace(s, q=q, qd=qd, qdd=qdd, direction=s.direction[:, order] * np.sign(scale))
-        return HeldOutFit(of, moved, precision)
+        return replace(s, q=q, qd=qd, qdd=qdd, direction=s.direction[:, order] * np.sign(scale))
 
     for other in gravity_directions(robot):
         text = f"gravity in the base frame looks like {gravity_text(other)}"
@@ -303,10 +282,13 @@ def _mistakes(
         who = f"{names[a]} and {names[b]}"
         yield plain, [(f"the torques of {who} look swapped", order, signs, (a, b))]
         both: list[_Mistake] = [(f"the positions of {who} look swapped", given, signs, (a, b))]
-        # a slide in the place of a turning joint changes what the columns are, and may fit better whatever the truth
         if turning[a] == turning[b]:
             both.append((f"{who} look swapped", order, signs, (a, b)))
         yield fit(order=order), both
+        if turning[a] != turning[b] and swap_in_range(robot, s.q.min(axis=0), s.q.max(axis=0), a, b):
+            undone = moved(signs, order)  # its parameters have other sizes: force and torque are of other units
+            sizes = bodies.precision(replace(undone, torque=s.torque[:, order]))
+            yield HeldOutFit(bodies, undone, sizes), [(f"{who} look swapped", order, signs, (a, b))]
 
 
 def _fit(robot: RobotDescription, s: FitSamples) -> _Fit:

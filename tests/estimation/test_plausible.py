@@ -15,6 +15,8 @@ from agent.estimation.plausible import plausibility_warnings
 from agent.pipeline.identify import estimate_files, validate_files
 from agent.recording import read_log, write_log
 from agent.robot import load_robot
+from fake_controller.plant import Plant
+from tests.small_arms import make_arm, record
 
 JOINT = 1
 
@@ -173,6 +175,32 @@ def test_a_flipped_torque_of_a_real_arm_is_not_taken_for_that_of_its_neighbour(s
     log = read_log(shared_data / "real-dev/tiago/fit.mcap", robot)
     (found,) = plausibility_warnings(robot, [replace(log, effort=turned(log.effort, 4))])
     assert re.match("the torque of arm_4_joint looks flipped|torque and motion of arm_4_joint", found), found
+
+
+@pytest.mark.parametrize("joint", [1, 3, 5])
+def test_a_slide_of_a_real_arm_swapped_with_a_turning_joint_is_named(shared_data, joint):
+    """Its torques alone say the contrary of one of these pairs; the ranges of the description do not."""
+    robot = load_robot(str(shared_data / "real-dev/tiago/robot.yaml"))
+    log = read_log(shared_data / "real-dev/tiago/held.mcap", robot)
+    (found,) = plausibility_warnings(robot, [exchanged(log, 0, joint)])
+    assert found.startswith(f"torso_lift_joint and arm_{joint}_joint look swapped: torso_lift_joint goes from"), found
+
+
+def test_a_slide_swapped_with_a_turning_joint_is_named_by_its_torques_where_ranges_do_not_tell():
+    robot = make_arm("PRR")
+    log = record(Plant(robot, seed=9), "first", 29)
+    assert not plausibility_warnings(robot, [log])
+    (found,) = plausibility_warnings(robot, [exchanged(log, 0, 2)])
+    assert found == "joint_1 and joint_3 look swapped: much more of the torque would be explained"
+
+
+def exchanged(log, a: int, b: int):
+    """The log with all channels of two joints in each other's place."""
+    order = np.arange(log.position.shape[1])
+    order[[a, b]] = b, a
+    return replace(
+        log, position=log.position[:, order], effort=log.effort[:, order], velocity=None, reference_position=None
+    )
 
 
 def test_an_unsigned_current_of_a_real_arm_is_refused(shared_data):
