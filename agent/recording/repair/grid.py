@@ -86,41 +86,49 @@ def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.n
     noise = np.maximum(noise, 1e-3 * np.std(np.diff(position, axis=0), axis=0))
     moving = noise > 0
     scaled = position[:, moving] / noise[moving]
+    seen: set[tuple[int, bytes]] = set()
     for _ in range(_ROUNDS):
         for hole in np.flatnonzero(np.diff(number) > 1).tolist():
             first, stop = max(hole - _AROUND, 0), min(hole + _AROUND + 2, len(number))
-            rows, stamps, here = scaled[first:stop], place[first:stop], hole - first
-
-            def cost(trial: np.ndarray, rows: np.ndarray = rows, stamps: np.ndarray = stamps) -> float:
-                basis = np.linalg.qr(np.vander((trial - trial[len(trial) // 2]) / _AROUND, 4))[0]
-                rough = float(np.sum(rows**2) - np.sum((basis.T @ rows) ** 2))
-                return rough + float(np.var(trial - stamps)) * len(trial) / spread**2
-
-            trials = _moved(number[first:stop], here)
-            if not trials:
+            rows, stamps, here, before = scaled[first:stop], place[first:stop], hole - first, number[first:stop]
+            if (hole, before.tobytes()) in seen:
+                continue  # as it was in the round before, which left it so
+            trials = _moved(before, here)
+            if not len(trials):
                 continue
-            costs = [cost(trial) for trial in trials]
-            if min(costs) > _ROUGH * rows.size:
-                trials += _moved(number[first:stop], here, _FAR)
-                for other in np.flatnonzero(np.diff(number[first:stop]) > 1).tolist():
+            costs = _costs(trials, rows, stamps, spread)
+            if costs.min() > _ROUGH * rows.size:
+                further = [_moved(before, here, _FAR)]
+                for other in np.flatnonzero(np.diff(before) > 1).tolist():
                     if other != here:
-                        trials += _moved(number[first:stop], other, _FAR)
-                        trials += [both for one in _moved(number[first:stop], other) for both in _moved(one, here)]
-                costs += [cost(trial) for trial in trials[len(costs) :]]
-            number[first:stop] = trials[int(np.argmin(costs))]
+                        further.append(_moved(before, other, _FAR))
+                        further += [_moved(one, here) for one in _moved(before, other)]
+                trials = np.concatenate([trials, *further])
+                costs = np.append(costs, _costs(trials[len(costs) :], rows, stamps, spread))
+            best = trials[int(np.argmin(costs))]
+            if np.array_equal(best, before):
+                seen.add((hole, before.tobytes()))
+            number[first:stop] = best
     return number
 
 
-def _moved(number: np.ndarray, hole: int, most: int = _DOUBT) -> list[np.ndarray]:
-    """The numbers (S,) with a sample that is missing after row `hole` missing some rows earlier or later."""
-    trials = []
-    if number[hole + 1] - number[hole] > 1:
-        for shift in range(-min(most, hole), min(most, len(number) - hole - 2) + 1):
-            trial = number.copy()
-            trial[hole + 1 : hole + 1 + max(shift, 0)] -= 1
-            trial[hole + 1 + min(shift, 0) : hole + 1] += 1
-            trials.append(trial)
-    return trials
+def _costs(trials: np.ndarray, rows: np.ndarray, stamps: np.ndarray, spread: float) -> np.ndarray:
+    """(T,) of numbers (T, S): squared distance of the rows (S, n) from a cubic, and of the stamps (S,) from even ones."""
+    away = (trials - trials[:, [trials.shape[1] // 2]]) / _AROUND
+    squared = away * away
+    basis = np.linalg.qr(np.stack([squared * away, squared, away, np.ones_like(away)], axis=2))[0]
+    rough = np.sum(rows**2) - np.sum((np.swapaxes(basis, 1, 2) @ rows) ** 2, axis=(1, 2))
+    return rough + np.var(trials - stamps, axis=1) * len(rows) / spread**2
+
+
+def _moved(number: np.ndarray, hole: int, most: int = _DOUBT) -> np.ndarray:
+    """(T, S) the numbers (S,) with a sample that is missing after row `hole` missing some rows earlier or later."""
+    if number[hole + 1] - number[hole] <= 1:
+        return np.empty((0, len(number)))
+    row = np.arange(len(number))
+    shift = np.arange(-min(most, hole), min(most, len(number) - hole - 2) + 1)[:, None]
+    earlier, later = (row <= hole) & (row > hole + shift), (row > hole) & (row <= hole + shift)
+    return number + earlier - later
 
 
 def line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
