@@ -13,7 +13,7 @@ from agent.model.signals import MotionSignals
 
 _MASSLESS = 1e-9  # kg·m² or kg: a description of kinematics alone, whose links cannot ring
 _RATE = 1500.0  # Hz of the integration, at least
-_BLOCK = 100  # samples whose factors are worked out together
+_BLOCK = 20  # samples whose factors are worked out together
 _TRIED = 2  # of a joint's grid, in full
 _SUSPECT = 1.3  # Σ e² / σ² to a row from which on a joint gets the whole grid, and half of the worst joint's
 _PROMISING = 0.15  # of a joint's Σ e² / σ², taken away by the best of the grid: its neighbours are worth a look
@@ -49,7 +49,7 @@ def leads(
     twist = first / k + np.sign(first) * half
     momentum, velocity, beyond = np.zeros((3, len(k)))
     torque, second = np.empty((2, longest, len(k)), dtype=np.float32)
-    has_gap, touching = bool(np.any(half > 0)), np.ones(len(k), dtype=bool)
+    has_gap, other_end, apart, factor = bool(np.any(half > 0)), -half, np.zeros(len(k), dtype=bool), np.empty(len(k))
     impulse, spring, mobility = step * load, step * k, 1 / inertia
     followed = 1 / np.maximum(step**2 * k, step * c)
     for start in range(0, longest, _BLOCK):
@@ -59,16 +59,20 @@ def leads(
         momenta[0] = momentum
         steps = zip(impulse[here][:, column], 1 - step * c * inverse, step * inverse, momenta[1:], strict=True)
         for pushed, kept, moved, after in steps:
-            for _ in range(substeps):  # in place: small arrays cost by their number
-                np.copyto(beyond, twist)
+            for _ in range(substeps):  # in place: small arrays cost by their number, and masked ones more
                 if has_gap:
-                    np.maximum(beyond, -half, out=beyond)
+                    np.maximum(twist, other_end, out=beyond)
                     np.minimum(beyond, half, out=beyond)
                     np.subtract(twist, beyond, out=beyond)
-                    np.not_equal(beyond, 0, out=touching)
-                np.multiply(momentum, kept, out=momentum, where=touching)
+                    np.equal(beyond, 0, out=apart)
+                    np.copyto(factor, kept)
+                    np.putmask(factor, apart, 1.0)
+                    momentum *= factor
+                    beyond *= spring
+                else:
+                    momentum *= kept
+                    np.multiply(twist, spring, out=beyond)
                 momentum += pushed
-                beyond *= spring
                 momentum -= beyond
                 np.multiply(moved, momentum, out=beyond)
                 twist += beyond
