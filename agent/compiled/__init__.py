@@ -1,6 +1,7 @@
-"""Inner loops of motions, compiled by Numba (docs/decisions/compiled.md): numbers in, numbers out.
+"""Inner loops, compiled by Numba (docs/decisions/compiled.md): numbers in, numbers out.
 
-To import a function loads Numba, which takes a third of a second: only what works out motions imports from here.
+To import a function loads Numba, which takes a third of a second: only what works out motions, of an arm or of a gear
+with play, imports from here.
 """
 
 import lazy_loader

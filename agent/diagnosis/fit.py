@@ -22,6 +22,7 @@ import numpy as np
 from agent.diagnosis.candidate import Candidate, Fold, HeldOutScore, Wanted, Where, make_candidates
 from agent.diagnosis.isolability import plausible
 from agent.diagnosis.moments import FitMoments
+from agent.diagnosis.stacked import forms, products, side_by_side, solved
 from agent.model import Effect, MotionSignals, NominalModel
 
 _INDEPENDENT = 0.1  # s between independent rows
@@ -80,13 +81,16 @@ class Fit:
             self.gram[:, span, keep] = np.swapaxes(cross, 1, 2)
             self.gram[:, span, span] = own
             for other, other_span in zip(self.chosen[:number], spans[:number], strict=True):
-                both = self._moments.between(other, candidate)
+                (both,) = self._moments.between(other, [candidate])
                 self.gram[:, other_span, span] = both
                 self.gram[:, span, other_span] = np.swapaxes(both, 1, 2)
             self.prior[span, span] = self.ridge(candidate, own.sum(axis=0).diagonal())
         self.pull = np.zeros(size)
         self.pull[:base] = self.shift
         self._solved: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self._left: dict[tuple[bool, int | None], np.ndarray] = {}
+        self._errors: dict[bool, float] = {}
+        self._fitted: np.ndarray | None = None
 
     def ridge(self, candidate: Candidate, energy: np.ndarray) -> np.ndarray:
         """(k, k) prior precision of a candidate's parameters, from the energy (k,) of its columns."""
@@ -140,8 +144,10 @@ class Fit:
     @property
     def residuals(self) -> list[np.ndarray]:
         """Per motion (S', n) [N·m]: what is left of the torque after a fit to all rows of model and chosen effects."""
-        parameters = self.solve(np.ones(self.cells, dtype=bool))[1]
-        return self._split(self.remaining(parameters))
+        if self._fitted is None:
+            self._fitted = self.remaining(self.solve(np.ones(self.cells, dtype=bool))[1])
+            self._fitted.flags.writeable = False
+        return self._split(self._fitted)
 
     def remaining(self, parameters: np.ndarray) -> np.ndarray:
         """(S'total, n) [N·m] residual with parameters (size,) of model change and chosen effects."""
@@ -175,23 +181,28 @@ class Fit:
 
         `taken_out`: that one of the chosen effects is set to zero after the fit.
         """
-        ends = len(self.precision) + np.cumsum([0, *(len(c.names) for c in self.chosen)])
-        result = np.full((len(self.cell), len(self.rows)), np.nan)
-        for fold in self.single if single else self.folds:
-            parameters = self.solve(fold.train)[1].copy()
-            if taken_out is not None:
-                parameters[ends[taken_out] : ends[taken_out + 1]] = 0
-            test = np.isin(self.cell, np.flatnonzero(fold.test))
-            result[test] = self.remaining(parameters)[test]
-        return result
+        if (single, taken_out) not in self._left:
+            ends = len(self.precision) + np.cumsum([0, *(len(c.names) for c in self.chosen)])
+            result = np.full((len(self.cell), len(self.rows)), np.nan)
+            for fold in self.single if single else self.folds:
+                parameters = self.solve(fold.train)[1].copy()
+                if taken_out is not None:
+                    parameters[ends[taken_out] : ends[taken_out + 1]] = 0
+                test = np.isin(self.cell, np.flatnonzero(fold.test))
+                result[test] = self.remaining(parameters)[test]
+            result.flags.writeable = False
+            self._left[single, taken_out] = result
+        return self._left[single, taken_out]
 
     def error(self, single: bool = False) -> float:
         """Held-out Σ e² / σ² of model and chosen effects."""
-        total = 0.0
-        for fold in self.single if single else self.folds:
-            extended = np.append(self.solve(fold.train)[1], -1.0)
-            total += float(extended @ self.gram[fold.test].sum(axis=0) @ extended)
-        return total
+        if single not in self._errors:
+            total = 0.0
+            for fold in self.single if single else self.folds:
+                extended = np.append(self.solve(fold.train)[1], -1.0)
+                total += float(extended @ self.gram[fold.test].sum(axis=0) @ extended)
+            self._errors[single] = total
+        return self._errors[single]
 
     @property
     def values(self) -> list[np.ndarray]:
@@ -249,7 +260,10 @@ class Fit:
 
     def score(self, candidates: Sequence[Candidate]) -> list[HeldOutScore]:
         """Held-out score of each candidate added to the model and the chosen effects."""
-        return [self._score(candidate, *moments) for candidate, moments in self.moments(candidates)]
+        found: dict[int, HeldOutScore] = {}
+        for numbers, cross, own in side_by_side(list(self.moments(candidates))):
+            found.update(zip(numbers, self._score([candidates[k] for k in numbers], cross, own), strict=True))
+        return [found[number] for number in range(len(candidates))]
 
     def promising(self, candidates: Sequence[Candidate], each: int) -> list[Candidate]:
         """Of every place the `each` candidates that gain most where nothing is held out, possible ones first.
@@ -258,56 +272,67 @@ class Fit:
         """
         alike: dict[tuple[Where, int], list[tuple[bool, float, int]]] = {}
         inverse, alone = self.solve(np.ones(self.cells, dtype=bool))
-        for number, (candidate, (cross, own)) in enumerate(self.moments(candidates)):
-            b, energy = cross.sum(axis=0) / self.repeat, own.sum(axis=0)
-            side = b[-1] - b[:-1].T @ alone
-            schur = energy / self.repeat - b[:-1].T @ inverse @ b[:-1]
-            schur += self.ridge(candidate, np.maximum(energy.diagonal(), 1e-9))
-            scale = 1 / np.sqrt(np.maximum(schur.diagonal(), 1e-300))
-            matrix = schur * np.outer(scale, scale) + 1e-9 * np.eye(len(side))
-            values = scale * np.linalg.solve(matrix, scale * side)
-            possible = plausible(HeldOutScore(candidate, 0.0, 0.0, values))
-            alike.setdefault((candidate.place, len(values)), []).append((possible, float(side @ values), number))
+        for numbers, cross, own in side_by_side(list(self.moments(candidates))):
+            b, energy = cross.sum(axis=1) / self.repeat, own.sum(axis=1)
+            transposed = np.swapaxes(b[:, :-1], 1, 2)
+            side = b[:, -1] - transposed @ alone
+            schur = energy / self.repeat - transposed @ inverse @ b[:, :-1]
+            schur += self._ridges([candidates[k] for k in numbers], np.diagonal(energy, axis1=1, axis2=2))
+            values = solved(schur, side, np.diagonal(schur, axis1=1, axis2=2))
+            for number, gain, fitted in zip(numbers, products(side, values).tolist(), values, strict=True):
+                possible = plausible(HeldOutScore(candidates[number], 0.0, 0.0, fitted))
+                alike.setdefault((candidates[number].place, len(fitted)), []).append((possible, gain, number))
         kept = {number for found in alike.values() for *_, number in sorted(found, reverse=True)[:each]}
         return [candidate for number, candidate in enumerate(candidates) if number in kept]
 
     def moments(self, candidates: Sequence[Candidate]) -> Iterator[tuple[Candidate, tuple[np.ndarray, np.ndarray]]]:
         """Per candidate: moments (cells, size + 1, k) with model, chosen effects and residual, and its own."""
-        base = len(self.precision)
+        together = zip(*(self._moments.between(other, candidates) for other in self.chosen), strict=True)
         for candidate, (cross, own) in zip(candidates, self._moments.of(candidates), strict=True):
             if self.chosen:
-                with_chosen = [self._moments.between(other, candidate) for other in self.chosen]
-                cross = np.concatenate([cross[:, :base], *with_chosen, cross[:, base:]], axis=1)
+                cross = np.concatenate([cross[:, :-1], *next(together), cross[:, -1:]], axis=1)
             yield candidate, (cross, own)
 
-    def _score(self, candidate: Candidate, cross: np.ndarray, own: np.ndarray) -> HeldOutScore:
-        single = candidate.effect.once or self.once
-        energy = own.sum(axis=0).diagonal()
-        if not np.all(np.isfinite(energy)) or np.all(energy <= 1e-9):
-            return HeldOutScore(candidate, self.error(single), 0.0, np.zeros(len(candidate.names)))
-        ridge = self.ridge(candidate, np.maximum(energy, 1e-9))
-        total = 0.0
+    def _score(self, candidates: Sequence[Candidate], cross: np.ndarray, own: np.ndarray) -> list[HeldOutScore]:
+        """Of candidates with as many parameters k: cross (N, cells, size + 1, k), own (N, cells, k, k)."""
+        single = candidates[0].effect.once or self.once
+        error = self.error(single)
+        energy = np.diagonal(own.sum(axis=1), axis1=1, axis2=2)
+        empty = ~np.all(np.isfinite(energy), axis=1) | np.all(energy <= 1e-9, axis=1)
+        scores = [HeldOutScore(candidate, error, 0.0, np.zeros(cross.shape[-1])) for candidate in candidates]
+        some = np.flatnonzero(~empty)
+        if not len(some):
+            return scores
+        if len(some) < len(scores):
+            cross, own, energy = cross[some], own[some], energy[some]
+        ridge = self._ridges([candidates[k] for k in some], energy)
+        total = np.zeros(len(some))
         for fold in self.single if single else self.folds:
             change, values = self._both(fold.train, cross, own, ridge)
-            extended = np.append(change, -1.0)
-            b, a = cross[fold.test].sum(axis=0), own[fold.test].sum(axis=0)
-            total += float(extended @ self.gram[fold.test].sum(axis=0) @ extended)
-            total += float(2 * extended @ b @ values + values @ a @ values)
+            extended = np.append(change, np.full((len(some), 1), -1.0), axis=1)
+            b, a = cross[:, fold.test].sum(axis=1), own[:, fold.test].sum(axis=1)
+            total += forms(extended, self.gram[fold.test].sum(axis=0), extended)
+            total += forms(2 * extended, b, values) + forms(values, a, values)
         _, values = self._both(np.ones(self.cells, dtype=bool), cross, own, ridge)
-        return HeldOutScore(candidate, total, self.error(single) - total, values)
+        for number, held_out, fitted in zip(some.tolist(), total.tolist(), values, strict=True):
+            scores[number] = HeldOutScore(candidates[number], held_out, error - held_out, fitted)
+        return scores
 
     def _both(
         self, train: np.ndarray, cross: np.ndarray, own: np.ndarray, ridge: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters (N, size) and those of each candidate (N, k), fitted together to training cells."""
         inverse, alone = self.solve(train)
-        b = cross[train].sum(axis=0) / self.repeat
-        a = own[train].sum(axis=0) / self.repeat + ridge
-        reach = inverse @ b[:-1]
-        schur = a - b[:-1].T @ reach
-        scale = 1 / np.sqrt(np.maximum(np.diag(a), 1e-300))
-        side = scale * (b[-1] - b[:-1].T @ alone)
-        values = scale * np.linalg.solve(schur * np.outer(scale, scale) + 1e-9 * np.eye(len(a)), side)
-        return alone - reach @ values, values
+        b = cross[:, train].sum(axis=1) / self.repeat
+        a = own[:, train].sum(axis=1) / self.repeat + ridge
+        transposed = np.swapaxes(b[:, :-1], 1, 2)
+        reach = inverse @ b[:, :-1]
+        side = b[:, -1] - transposed @ alone
+        values = solved(a - transposed @ reach, side, np.diagonal(a, axis1=1, axis2=2))
+        return alone - (reach @ values[:, :, None])[:, :, 0], values
+
+    def _ridges(self, candidates: Sequence[Candidate], energy: np.ndarray) -> np.ndarray:
+        return np.stack(list(map(self.ridge, candidates, np.maximum(energy, 1e-9))))
 
     def practical(self, candidate: Candidate) -> np.ndarray:
         """(k,) parameters at which the effect has its practical size and the model can follow it least."""

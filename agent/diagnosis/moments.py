@@ -44,17 +44,18 @@ class FitMoments:
             self._work_out(new[first : first + _AT_ONCE])
         return [self._known[c] for c in candidates]
 
-    def between(self, first: Candidate, second: Candidate) -> np.ndarray:
-        """(cells, k, l) moments of two candidates with each other; kept."""
-        if (first, second) in self._both:
-            return self._both[first, second]
-        total = np.zeros((self.cells, len(first.names), len(second.names)))
-        for joint in first.blocks.keys() & second.blocks.keys():
-            a, b = first.blocks[joint][self._order], second.blocks[joint][self._order]
-            for cell, part in enumerate(self._slices):
-                total[cell] += a[part].T @ b[part]
-        self._both[first, second] = total
-        return total
+    def between(self, first: Candidate, others: Sequence[Candidate]) -> list[np.ndarray]:
+        """Per candidate (cells, k, l): moments of the first with it; kept."""
+        new = [c for c in others if (first, c) not in self._both]
+        mine = {joint: block[self._order] for joint, block in first.blocks.items()} if new else {}
+        for second in new:
+            total = np.zeros((self.cells, len(first.names), len(second.names)))
+            for joint in first.blocks.keys() & second.blocks.keys():
+                block = second.blocks[joint][self._order]
+                for cell, part in enumerate(self._slices):
+                    total[cell] += mine[joint][part].T @ block[part]
+            self._both[first, second] = total
+        return [self._both[first, c] for c in others]
 
     def _work_out(self, some: Sequence[Candidate]) -> None:
         cross = [np.zeros((self.cells, self._base + 1, len(c.names))) for c in some]

@@ -32,6 +32,20 @@ def test_a_push_takes_away_on_every_joint_and_a_joint_alone_is_none(diagnosed, j
     assert (put_elsewhere(seen, score) > 0.02 * float(seen.count.sum())) == (joint is not None)
 
 
+def test_a_score_does_not_depend_on_what_is_scored_beside_it(diagnosed):
+    fit = diagnosed(0).dataset.fit
+    names = ("stribeck", "gravity_spring", "torque_offset")
+    wanted = [(CATALOGUE[name], (k,), CATALOGUE[name].settings(fit, (k,))[0]) for name in names for k in (1, 4)]
+    forms = [*fit.candidates(wanted), fit.candidate(CATALOGUE["contact"], (), PUSH)]
+    beside = fit.with_chosen([forms[0]])
+    for together, form in zip(beside.score(forms[1:]), forms[1:], strict=True):
+        (alone,) = beside.score([form])
+        assert together.candidate is form
+        np.testing.assert_allclose(together.values, alone.values, rtol=1e-9)
+        assert together.error == pytest.approx(alone.error, rel=1e-12)
+        assert alone.gain == pytest.approx(beside.error(form.effect.once) - alone.error)
+
+
 def redrawn_from(fit):
     """The fit with its moments made anew of its rows."""
     return type(fit)(

@@ -13,7 +13,6 @@ from agent.model.signals import MotionSignals
 
 _MASSLESS = 1e-9  # kg·m² or kg: a description of kinematics alone, whose links cannot ring
 _RATE = 1500.0  # Hz of the integration, at least
-_BLOCK = 20  # samples whose factors are worked out together
 _TRIED = 2  # of a joint's grid, in full
 _SUSPECT = 1.3  # Σ e² / σ² to a row from which on a joint gets the whole grid, and half of the worst joint's
 _PROMISING = 0.15  # of a joint's Σ e² / σ², taken away by the best of the grid: its neighbours are worth a look
@@ -30,10 +29,13 @@ def leads(
     c = 2 ζ √(k m̄), which acts while the teeth touch. Semi-implicit steps, all motions and all K at once; a link that
     is lighter in some posture than the steps can follow (k h² / m > 1) counts as one that they can.
     """
+    from agent.compiled import driven_through_play
+
     longest = max(len(motion.time) for motion in motions)
 
     def side_by_side(parts: list[np.ndarray]) -> np.ndarray:
-        return np.hstack([np.pad(part, ((0, longest - len(part)), (0, 0)), mode="edge") for part in parts])
+        padded = [np.pad(part, ((0, longest - len(part)), (0, 0)), mode="edge") for part in parts]
+        return np.ascontiguousarray(np.hstack(padded))
 
     load = side_by_side([motion.link_load for motion in motions])
     diagonal = [np.diagonal(motion.mass, axis1=1, axis2=2) for motion in motions]
@@ -47,42 +49,15 @@ def leads(
     step = period / substeps
     first = load[0, column]
     twist = first / k + np.sign(first) * half
-    momentum, velocity, beyond = np.zeros((3, len(k)))
-    torque, second = np.empty((2, longest, len(k)), dtype=np.float32)
-    has_gap, other_end, apart, factor = bool(np.any(half > 0)), -half, np.zeros(len(k), dtype=bool), np.empty(len(k))
-    impulse, spring, mobility = step * load, step * k, 1 / inertia
     followed = 1 / np.maximum(step**2 * k, step * c)
-    for start in range(0, longest, _BLOCK):
-        here = slice(start, start + _BLOCK)
-        inverse = np.minimum(mobility[here][:, column], followed)
-        momenta = np.empty((len(inverse) + 1, len(k)))
-        momenta[0] = momentum
-        steps = zip(impulse[here][:, column], 1 - step * c * inverse, step * inverse, momenta[1:], strict=True)
-        for pushed, kept, moved, after in steps:
-            for _ in range(substeps):  # in place: small arrays cost by their number, and masked ones more
-                if has_gap:
-                    np.maximum(twist, other_end, out=beyond)
-                    np.minimum(beyond, half, out=beyond)
-                    np.subtract(twist, beyond, out=beyond)
-                    np.equal(beyond, 0, out=apart)
-                    np.copyto(factor, kept)
-                    np.putmask(factor, apart, 1.0)
-                    momentum *= factor
-                    beyond *= spring
-                else:
-                    momentum *= kept
-                    np.multiply(twist, spring, out=beyond)
-                momentum += pushed
-                momentum -= beyond
-                np.multiply(moved, momentum, out=beyond)
-                twist += beyond
-            after[:] = momentum
-        torque[here] = np.diff(momenta, axis=0) / period
-        speeds = np.concatenate([velocity[None], momenta[1:] * inverse])
-        second[here] = np.diff(speeds, axis=0) / period
-        velocity = speeds[-1]
-    parts = zip(*(np.split(part, len(motions), axis=1) for part in (torque, second)), motions, strict=True)
-    return [(one[: len(motion.time)], two[: len(motion.time)]) for one, two, motion in parts]
+    parts = driven_through_play(
+        step * load, 1 / inertia, column, followed, step * k, step * c, half, twist, step, substeps, period
+    )
+    torque, second = (np.split(part, len(motions)) for part in parts)
+    return [
+        (one.T[: len(motion.time)], two.T[: len(motion.time)])
+        for one, two, motion in zip(torque, second, motions, strict=True)
+    ]
 
 
 class TwoMass(Effect):

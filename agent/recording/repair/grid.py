@@ -113,7 +113,7 @@ def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.n
 
 
 def _costs(trials: np.ndarray, rows: np.ndarray, stamps: np.ndarray, spread: float) -> np.ndarray:
-    """(T,) of numbers (T, S): squared distance of the rows (S, n) from a cubic, and of the stamps (S,) from even ones."""
+    """(T,) of numbers (T, S): squared distance of rows (S, n) from a cubic, and of stamps (S,) from even ones."""
     away = (trials - trials[:, [trials.shape[1] // 2]]) / _AROUND
     squared = away * away
     basis = np.linalg.qr(np.stack([squared * away, squared, away, np.ones_like(away)], axis=2))[0]
