@@ -305,7 +305,7 @@ class Fit:
             return scores
         if len(some) < len(scores):
             cross, own, energy = cross[some], own[some], energy[some]
-        ridge = self._ridges([candidates[k] for k in some], energy)
+        ridge = self._ridges([candidates[k] for k in some.tolist()], energy)
         total = np.zeros(len(some))
         for fold in self.single if single else self.folds:
             change, values = self._both(fold.train, cross, own, ridge)
