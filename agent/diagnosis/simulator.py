@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agent.core import InputError
 from agent.diagnosis.calibration import ReleasedSimulator, calibration
 from agent.diagnosis.candidate import Candidate
 from agent.diagnosis.dataset import Dataset, assemble
@@ -84,7 +85,17 @@ def _like_links(causes: Sequence[Candidate]) -> bool:
 def with_expected_error(
     model: IdentifiedModel, logs: Sequence[Log], limits: DecisionLimits = LIMITS, share: float | None = None
 ) -> IdentifiedModel:
-    """The model with a held-out error (n,) [N·m], a `share` of the logs' torque, and a cut-off that suits them."""
+    """The model with a held-out error (n,) [N·m], a `share` of the logs' torque, and a cut-off that suits them.
+
+    Raises:
+        InputError: a log without torque.
+    """
+    for log in logs:
+        if log.effort is None:
+            raise InputError(
+                f"{log.path}: no torque (effort) was recorded, and a simulator is judged by it; of servos that report "
+                "none, record the current times the torque constant of the joint"
+            )
     torque = np.concatenate([log.effort for log in logs if log.effort is not None])
     usual = (limits.unknown_error if share is None else share) * np.std(torque, axis=0)
     nominal = model.robot.nominal_torque

@@ -65,12 +65,12 @@ class _Fit:
 def plausibility_warnings(robot: RobotDescription, logs: Sequence[Log]) -> list[str]:
     """Why these logs cannot be of this robot, the likeliest reason first; empty where nothing speaks against them."""
     logs = [log for log in logs if log.effort is not None]
+    if not logs:
+        return []  # that there is no torque is said where it is needed
     found = list(_signals(robot, logs)) or list(velocity_doubts(logs)) or list(_stuck(robot, logs))
     found = found or list(slide_doubts(robot, logs))
-    if found:
-        return found
-    samples = _samples(logs)
-    return [] if samples is None else list(_mechanics(robot, samples))
+    samples = None if found else _samples(logs)
+    return found if samples is None else list(_mechanics(robot, samples))
 
 
 def _signals(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:

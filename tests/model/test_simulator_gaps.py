@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
+from agent.core import InputError
 from agent.core.console import Console
 from agent.diagnosis import diagnose, extended_model, forward_windows
 from agent.diagnosis.dataset import assemble
@@ -26,6 +27,7 @@ from agent.pipeline.corrected_simulator import write_simulator
 from agent.pipeline.diagnose import GapQuestion, diagnose_again, diagnose_files
 from agent.pipeline.printed_diagnosis import diagnosis_text
 from agent.recording import read_log
+from agent.recording.mcap.log_file import write_log
 from agent.report.diagnosis_page import diagnosis_report
 from tests.model.bench import (
     CHAIN,
@@ -49,6 +51,14 @@ def test_a_right_simulator_has_no_gap_and_needs_no_description(tmp_path, robot, 
     assert json.loads((tmp_path / "same.changes.json").read_text())["changes"] == []
     assert result["gap"]["joints"] == ["pan", "lift"]
     json.dumps(result, allow_nan=False)
+
+
+def test_servos_that_report_no_torque_are_told_what_to_record(tmp_path, robot):
+    right = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model
+    log = read_log(recorded(tmp_path / "1.mcap", right, 1))
+    write_log(tmp_path / "bare.mcap", replace(log, effort=None))
+    with pytest.raises(InputError, match=r"bare\.mcap: no torque .* record the current times the torque constant"):
+        diagnose_files(None, [tmp_path / "bare.mcap"], GapQuestion(tmp_path / "arm.urdf"), Console(-1))
 
 
 def wrong(model: IdentifiedModel) -> IdentifiedModel:
