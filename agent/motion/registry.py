@@ -7,17 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from agent.core import InputError
-from agent.motion.fly.interpolator import FlyInterpolator
 from agent.motion.interpolator import Interpolator
 from agent.motion.learned import is_file_name, load_law
-from agent.motion.orl import OrlInterpolator
 from agent.robot import RobotDescription
 
 #: Third parties add interpolators under this entry-point group.
 ENTRY_POINTS = "calibration_agent.interpolators"
 
 # Registered in code as well: a checkout that was never installed has no entry points.
-_BUILT_IN = {"fly": FlyInterpolator, "orl": OrlInterpolator}
+_BUILT_IN = ("fly", "orl")
 
 
 def interpolator_names() -> tuple[str, ...]:
@@ -32,11 +30,22 @@ def create_interpolator(name: str, robot: RobotDescription, tool: Any = None, **
         InputError: no interpolator has that name, or the file is none for this robot.
     """
     if is_file_name(name):
-        return FlyInterpolator(robot, tool, parameters=load_law(Path(name), robot).parameters, **options)
-    factory = _BUILT_IN.get(name)
-    if factory is None:
-        found = next((entry for entry in entry_points(group=ENTRY_POINTS) if entry.name == name), None)
-        if found is None:
-            raise InputError(f"interpolator {name!r} is not known; there are: {', '.join(interpolator_names())}")
-        factory = found.load()
-    return factory(robot, tool, **options)
+        options["parameters"] = load_law(Path(name), robot).parameters
+        name = "fly"
+    return _factory(name)(robot, tool, **options)
+
+
+def _factory(name: str) -> Any:
+    # Names are asked for wherever a recipe is read, and the compiled loops of one take half a second to load.
+    if name == "fly":
+        from agent.motion.fly.interpolator import FlyInterpolator
+
+        return FlyInterpolator
+    if name == "orl":
+        from agent.motion.orl import OrlInterpolator
+
+        return OrlInterpolator
+    found = next((entry for entry in entry_points(group=ENTRY_POINTS) if entry.name == name), None)
+    if found is None:
+        raise InputError(f"interpolator {name!r} is not known; there are: {', '.join(interpolator_names())}")
+    return found.load()

@@ -94,9 +94,9 @@ def run_calibration(recipe: Recipe, console: Console, logs: Path, resume: Path |
         with step(run, "estimate", console):
             model = _estimate(recipe, run, console)
         with step(run, "validate", console):
-            validation = _validate(recipe, run, model, console)
+            validation, health = _validate(recipe, run, model, console)
         with step(run, "report", console):
-            outcome = _report(recipe, plan, run, recordings, model, validation, console)
+            outcome = _report(recipe, plan, run, recordings, model, validation, health, console)
         register_run(run, console)
         refresh_index(run.path.parent, console)
         return replace(outcome, ending=ending_text(run, recipe))
@@ -134,14 +134,15 @@ def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
     return model
 
 
-def _validate(recipe: Recipe, run: RunFolder, model: Any, console: Console) -> list[Any]:
+def _validate(recipe: Recipe, run: RunFolder, model: Any, console: Console) -> tuple[list[Any], list[Any]]:
     from agent.pipeline.identify import check_one_machine, read_logs
+    from agent.report import LogHealth
     from agent.validation import predict_log
 
     console.step("validating on unseen motions")
     logs = read_logs(validation_logs(run), recipe.robot, console)
     check_one_machine(logs, model, allow_mixed=False)
-    return [predict_log(model, log) for log in logs]
+    return [predict_log(model, log) for log in logs], [LogHealth.of(log) for log in logs]
 
 
 def _report(
@@ -151,6 +152,7 @@ def _report(
     recordings: list[Recording],
     model: Any,
     predictions: list[Any],
+    health: list[Any],
     console: Console,
 ) -> CalibrationOutcome:
     from agent.pipeline.analysis_log import write_analysis
@@ -178,7 +180,7 @@ def _report(
     run.write_json("result.json", result.to_dict())
     typical = typical_motion(predictions)
     write_analysis(run.file("analysis.mcap"), read_log(run.file(typical.log), recipe.robot), typical)
-    further = further_sections(RunContent(run.path, recipe, model, predictions))
+    further = further_sections(RunContent(run.path, recipe, model, predictions, health))
     shown = run_data(recipe, plan, result.to_dict(), model, predictions, further, run.path)
     run.write_text("report.html", run_report(shown))
     run.complete(not result.rejected)

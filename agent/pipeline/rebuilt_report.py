@@ -45,16 +45,20 @@ def _calibration(run: Path, recipe: Recipe, console: Console) -> str:
     from agent.pipeline.planning import replan
     from agent.pipeline.result import run_data
     from agent.recording import read_log
-    from agent.report import RunContent, further_sections, run_report
+    from agent.report import LogHealth, RunContent, further_sections, run_report
     from agent.validation import predict_log
 
     model = _model(run)
     logs = sorted(run.glob("validation_[0-9][0-9].mcap"))
     if not logs:
         raise InputError(f"{run}: its validation logs are gone, so its page cannot be made again")
-    predictions = [predict_log(model, read_log(path, recipe.robot)) for path in logs]
+    predictions, health = [], []
+    for path in logs:
+        log = read_log(path, recipe.robot)
+        predictions.append(predict_log(model, log))
+        health.append(LogHealth.of(log))
     plan = replan(recipe, run / "plan.json")
-    further = further_sections(RunContent(run, recipe, model, predictions))
+    further = further_sections(RunContent(run, recipe, model, predictions, health))
     return run_report(run_data(recipe, plan, _result(run), model, predictions, further, run))
 
 

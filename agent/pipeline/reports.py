@@ -46,6 +46,7 @@ def recalibration_page(
     from agent.pipeline.first_screen import about_run
     from agent.pipeline.plan import left_over, motion_data
     from agent.report import (
+        LogHealth,
         RunData,
         comparison_section,
         friction_section,
@@ -73,7 +74,7 @@ def recalibration_page(
                 residual_section([prediction]),
                 friction_section([prediction]),
                 observation_section(model, log),
-                log_section([log]),
+                log_section([LogHealth.of(log)]),
             ),
         )
     )

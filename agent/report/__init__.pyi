@@ -7,7 +7,7 @@ from .first_screen import headline as headline
 from .friction_curves import friction_section as friction_section
 from .gap_section import diagnosis_summary as diagnosis_summary, verdict_text as verdict_text
 from .index import IndexData as IndexData, index_page as index_page
-from .log_sections import log_section as log_section
+from .log_sections import LogHealth as LogHealth, log_section as log_section
 from .motion_sections import MotionData as MotionData, SearchData as SearchData, plan_report as plan_report
 from .observation import observation_section as observation_section
 from .page import About as About, NextStep as NextStep, Page as Page, Section as Section, render as render

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,27 +11,43 @@ from agent.recording import Log
 from agent.report.page import Section, Table
 
 
-def log_section(logs: Iterable[Log]) -> Section:
+@dataclass(frozen=True)
+class LogHealth:
+    """Of one log what its row says: `repairs` of the reader in words; jitter and longest interval [s]."""
+
+    name: str
+    samples: int
+    lost: int
+    seconds: float
+    rate: float
+    jitter: float
+    longest: float
+    repairs: tuple[str, ...]
+
+    @classmethod
+    def of(cls, log: Log) -> LogHealth:
+        """What is kept of a log that need not be read again."""
+        lost, seconds = int(log.metadata.get("lost_samples", "0") or 0), float(log.t[-1] - log.t[0])
+        repairs = tuple(str(repair) for repair in log.repairs)
+        return cls(log.name, len(log.t), lost, seconds, log.sample_rate, *jitter(log), repairs)
+
+
+def log_section(logs: Sequence[LogHealth]) -> Section:
     """Samples, losses, repairs and jitter of every log."""
-    rows = []
-    lost_in_all = repairs = 0
-    for log in logs:
-        lost = int(log.metadata.get("lost_samples", "0") or 0)
-        lost_in_all += lost
-        repairs += len(log.repairs)
-        spread, largest = jitter(log)
-        rows.append(
-            (
-                log.name,
-                str(len(log.t)),
-                str(lost),
-                f"{log.t[-1] - log.t[0]:.1f}",
-                f"{log.sample_rate:g}",
-                f"{1e6 * spread:.1f}",
-                f"{1e3 * largest:.2f}",
-                "; ".join(str(repair) for repair in log.repairs) or "none",
-            )
+    rows = [
+        (
+            log.name,
+            str(log.samples),
+            str(log.lost),
+            f"{log.seconds:.1f}",
+            f"{log.rate:g}",
+            f"{1e6 * log.jitter:.1f}",
+            f"{1e3 * log.longest:.2f}",
+            "; ".join(log.repairs) or "none",
         )
+        for log in logs
+    ]
+    lost_in_all, repairs = sum(log.lost for log in logs), sum(len(log.repairs) for log in logs)
     header = ("log", "samples", "lost", "seconds", "rate [Hz]", "jitter [µs RMS]", "longest interval [ms]", "repairs")
     first = (
         "No sample was lost." if lost_in_all == 0 else f"{lost_in_all} samples were lost and are marked in the logs."

@@ -5,7 +5,7 @@ A new section is a module with such a function, and its line in `RUN_SECTIONS`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from agent.report.comparison_sections import comparison_section
 from agent.report.correlation import correlation_section
 from agent.report.friction_curves import friction_section
-from agent.report.log_sections import log_section
+from agent.report.log_sections import LogHealth, log_section
 from agent.report.observation import observation_section
 from agent.report.page import Section
 from agent.report.paper_section import paper_section
@@ -30,12 +30,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class RunContent:
-    """What a section may be made from: run folder, recipe, identified model, and predictions of unseen motions."""
+    """What a section may be made from: run folder, recipe, identified model; of unseen motions predictions and health
+    of the logs."""
 
     run: Path
     recipe: Recipe
     model: IdentifiedModel
     predictions: Sequence[Prediction]
+    health: Sequence[LogHealth]
 
     @cached_property
     def excitation(self) -> Log:
@@ -43,13 +45,6 @@ class RunContent:
         from agent.recording import read_log
 
         return read_log(self.run / "excitation.mcap", self.recipe.robot)
-
-    def logs(self) -> Iterator[Log]:
-        """The run's logs, one at a time: thirty of them at once would be a lot of memory."""
-        from agent.recording import read_log
-
-        for path in [self.run / "excitation.mcap", *sorted(self.run.glob("validation_[0-9][0-9].mcap"))]:
-            yield read_log(path, self.recipe.robot)
 
 
 def _comparison(content: RunContent) -> Section | None:
@@ -72,7 +67,7 @@ RUN_SECTIONS: list[Callable[[RunContent], Section | None]] = [
     lambda content: observation_section(content.model, content.excitation),
     lambda content: correlation_section(content.model),
     lambda content: paper_section(content.model, content.excitation, content.predictions, content.recipe.tool),
-    lambda content: log_section(content.logs()),
+    lambda content: log_section([LogHealth.of(content.excitation), *content.health]),
 ]
 
 

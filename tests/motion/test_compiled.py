@@ -265,5 +265,9 @@ def test_a_folder_that_others_can_write_to_is_not_read(tmp_path: Path, monkeypat
 
 def test_what_plans_no_motion_does_not_load_the_compiler() -> None:
     modules = "agent.estimation.workflow, agent.validation.torque, agent.diagnosis.workflow"
-    script = f"import sys, {modules}; sys.exit('numba' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+    script = (
+        f"import sys, {modules}, agent.recipe; agent.recipe.load_recipe(sys.argv[1]); assert 'numba' not in sys.modules"
+    )
+    recipe = Path(__file__).parents[2] / "recipes/ns16_quickstart.yaml"
+    script += "; assert 'numba' not in sys.modules"
+    assert subprocess.run([sys.executable, "-c", script, recipe], check=False).returncode == 0
