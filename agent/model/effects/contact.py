@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -100,6 +101,10 @@ class _Push:
     start: float
     duration: float
 
+    def meets(self, other: _Push) -> bool:
+        """Whether another push shares time with it."""
+        return bool(self.overlaps(other.log, np.array(other.start), other.duration))
+
     def overlaps(self, log: int, starts: np.ndarray, duration: float) -> np.ndarray:
         """(K,) bool: which windows of a log it shares time with."""
         return (log == self.log) & (starts < self.start + self.duration) & (starts + duration > self.start)
@@ -153,6 +158,11 @@ class _Windows:
                 return
             gain = sums.gains(starts, starts + duration)
             yield cls(link, signals.log_index, duration, starts, gain, signals.cycle_starts, sums)
+
+    @cached_property
+    def strongest(self) -> _Push | None:
+        """The strongest window."""
+        return self.best([])
 
     def best(self, taken: Sequence[_Push]) -> _Push | None:
         """The strongest window beside those taken."""
@@ -216,14 +226,18 @@ class _Windows:
 def _strongest(windows: Sequence[_Windows]) -> list[_Push]:
     """The strongest windows that do not overlap, as far as they stand out; strongest first."""
     taken: list[_Push] = []
+    best = [w.strongest for w in windows]
     while len(taken) < _MAX_PUSHES:
-        candidates = [(push, w) for w in windows if (push := w.best(taken)) is not None]
+        candidates = [(push, w) for push, w in zip(best, windows, strict=True) if push is not None]
         if not candidates:
             break
         push, of_length = max(candidates, key=lambda pair: pair[0].gain)
         if taken and push.gain < _LEAST_GAIN_RATIO * taken[0].gain:
             break
-        taken.append(of_length.fitted(push, taken))
+        last = of_length.fitted(push, taken)
+        taken.append(last)
+        # where the strongest of a length shares no time with it, it stays the strongest
+        best = [w.best(taken) if one and last.meets(one) else one for one, w in zip(best, windows, strict=True)]
     while taken:
         if all(_stands_out(push, taken, windows) for push in taken):
             return taken
