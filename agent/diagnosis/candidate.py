@@ -15,6 +15,7 @@ Where = tuple[str, tuple[int, ...]]
 Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
 
 _AT_ONCE = 16  # columns filtered together, so that they stay in the cache
+_TOGETHER = 64  # candidates made together: what they are made of takes as much memory as they do
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +70,14 @@ class Fold:
 
 def make_candidates(context: FitContext, wanted: Sequence[Wanted]) -> list[Candidate]:
     """Candidates with their columns, filtered as the torque is and over the background of `context`."""
-    parts: list[dict[int, list[np.ndarray]]] = [{} for _ in wanted]
     for kind in {effect for effect, *_ in wanted}:
         kind.prepare(context.signals, [(joints, settings) for effect, joints, settings in wanted if effect is kind])
+    starts = range(0, len(wanted), _TOGETHER)
+    return [made for first in starts for made in _made(context, wanted[first : first + _TOGETHER])]
+
+
+def _made(context: FitContext, wanted: Sequence[Wanted]) -> Iterator[Candidate]:
+    parts: list[dict[int, list[np.ndarray]]] = [{} for _ in wanted]
     for signals, sigma in zip(context.signals, context.sigmas, strict=True):
         over = [column[:, None] for column in np.ascontiguousarray(sigma.T)]
         ready = [effect.filtered(signals, joints, settings) for effect, joints, settings in wanted]
@@ -83,13 +89,11 @@ def make_candidates(context: FitContext, wanted: Sequence[Wanted]) -> list[Candi
         for number, blocks in enumerate(ready):
             for joint, block in (blocks or {}).items():
                 parts[number].setdefault(joint, []).append(block / over[joint])
-    result = []
     for (effect, joints, settings), found in zip(wanted, parts, strict=True):
         joined = {joint: np.concatenate(block) for joint, block in found.items()}
         prior = effect.prior_precision(context, joints, settings)
         names = effect.names(settings)
-        result.append(Candidate(effect, joints, dict(settings), names, joined, prior, context.reference))
-    return result
+        yield Candidate(effect, joints, dict(settings), names, joined, prior, context.reference)
 
 
 def _batches(

@@ -9,12 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.recording import Log
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 _REST = 0.006  # s: the shortest standstill of set-points that is a stop
 _SHORTEST = 10  # samples of a way that can be run at another rate
@@ -86,6 +91,17 @@ class _Pair:
     executed: np.ndarray
     starts: np.ndarray = field(default_factory=lambda: np.empty(0))
 
+    @cached_property
+    def stretches(self) -> list[tuple[np.ndarray, np.ndarray, CubicSpline | None]]:
+        """Times, planned set-points and a curve through them between starts; no curve through a few points."""
+        from scipy.interpolate import CubicSpline
+
+        cuts = np.searchsorted(self.time, self.starts)
+        return [
+            (time, planned, CubicSpline(time, planned) if len(time) >= _SHORTEST else None)
+            for time, planned in zip(np.split(self.time, cuts), np.split(self.planned, cuts), strict=True)
+        ]
+
 
 def _described(
     logs: Sequence[Log], pairs: Sequence[_Pair], before: np.ndarray, limits: DecisionLimits
@@ -124,16 +140,14 @@ def _rms(parts: Sequence[np.ndarray]) -> np.ndarray:
 
 def _executed(pair: _Pair, rate: float, shift: float, blend: float) -> np.ndarray:
     """(S, n) set-points of a plan run at another rate, later by `shift` and averaged over `blend`."""
-    from scipy.interpolate import CubicSpline
     from scipy.ndimage import uniform_filter1d
 
     width = 1 + 2 * int(0.5 * blend / np.median(np.diff(pair.time)))
     parts = []
-    cuts = np.searchsorted(pair.time, pair.starts)
-    for time, planned in zip(np.split(pair.time, cuts), np.split(pair.planned, cuts), strict=True):
-        if len(time) >= _SHORTEST:
+    for time, planned, curve in pair.stretches:
+        if curve is not None:
             at = np.clip(time[0] + rate * (time - time[0]) - shift, time[0], time[-1])
-            planned = CubicSpline(time, planned)(at)
+            planned = curve(at)
             planned = uniform_filter1d(planned, width, axis=0, mode="nearest") if width > 1 else planned
         parts.append(planned)
     return np.concatenate(parts)

@@ -109,9 +109,13 @@ class TwoMass(Effect):
         known = context.signals[0].__dict__.setdefault("_alone", {})
         if self.name not in known:
             heavy = (k for k in range(context.reference.robot.dof) if _inertia(context, k) > _MASSLESS)
-            tried = {k: self._tried(context, k) for k in heavy}
-            self.prepare(context.signals, [((k,), entry) for k, entries in tried.items() for entry in entries])
-            known[self.name] = {k: (entries, self._on_joint(context, k, entries)) for k, entries in tried.items()}
+            known[self.name] = {}
+            for k in heavy:
+                entries = self._tried(context, k)
+                self.prepare(context.signals, [((k,), entry) for entry in entries])
+                known[self.name][k] = entries, self._on_joint(context, k, entries)
+                for motion in context.signals:
+                    del motion.__dict__["_leads"]  # large, and few of the grid are asked for again
         return known[self.name]
 
     def _tried(self, context: FitContext, k: int) -> list[dict[str, float]]:
