@@ -1,9 +1,10 @@
 from .candidate import Candidate as Candidate, HeldOutScore as HeldOutScore
 from .correction import corrected as corrected
-from .dataset import Dataset as Dataset, background_of as background_of
+from .dataset import Dataset as Dataset, background_of as background_of, folds_of as folds_of
+from .evidence import drawn_change as drawn_change
 from .excess import joint_energy as joint_energy
 from .extension import extended_model as extended_model
-from .finding import Step as Step
+from .finding import Finding as Finding, Step as Step
 from .fit import Fit as Fit
 from .forward import Simulated as Simulated, simulate as simulate, simulation_part as simulation_part
 from .forward_windows import (
@@ -22,6 +23,8 @@ from .labels import (
     torque_gap as torque_gap,
 )
 from .limits import DecisionLimits as DecisionLimits
+from .needs import Excursions as Excursions
+from .procedure import Search as Search
 from .randomisation import Range as Range, ranges as ranges, ranges_text as ranges_text
 from .regimes import BANDS as BANDS, band_shares as band_shares, masks as masks, motor_phase_share as motor_phase_share
 from .result import Diagnosis as Diagnosis
@@ -35,4 +38,5 @@ from .sizes import (
 )
 from .structure import with_structure as with_structure
 from .trial import Trial as Trial
+from .verdict import judge as judge
 from .workflow import check_effects as check_effects, diagnose as diagnose

@@ -25,10 +25,11 @@ from agent.estimation import (
     physical_prior,
 )
 from agent.model import IdentifiedModel, MotionSignals, NominalModel, effect_torque, known_payload
-from agent.recording import Log
+from agent.recording import PARTS, Log
 from agent.robot import RobotDescription
 
 _BLOCKS = 5  # of one log without cycles
+_MOVES = 0.01  # of a joint's highest speed in a log, from where on it moves
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +127,7 @@ def assemble(
     time = np.concatenate([s.time[s.kept] for s in signals])
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
     residual = np.stack([block[:, -1] for block in joined], axis=1) * sigma
-    cell, folds, single = _folds(time, log, logs, limits)
+    cell, folds, single = folds_of(time, log, logs, limits)
     if given:
         precision, shift = precision_of(model.covariance), np.zeros(len(model.values))
     else:
@@ -243,16 +244,12 @@ def plain_model(robot: RobotDescription, logs: Sequence[Log], cutoff: float | No
     )
 
 
-def _folds(
+def folds_of(
     time: np.ndarray, log: np.ndarray, logs: Sequence[Log], limits: DecisionLimits
 ) -> tuple[np.ndarray, list[Fold], list[Fold]]:
     """Cells of rows, folds that leave out a motion, and folds that leave out every other segment of a motion too."""
     parity = (time / limits.parity).astype(int) % 2
-    if len(logs) > 1:
-        group = log.copy()
-        names = [entry.name for entry in logs]
-    else:
-        group, names = _blocks(time, logs[0], limits)
+    group, names = _motions(time, log, logs, limits) if len(logs) > 1 else _blocks(time, logs[0], limits)
     cell = np.where(group >= 0, 2 * group + parity, -1)
     count = 2 * (int(group.max()) + 1)
     of_cell = np.arange(count) // 2
@@ -278,6 +275,35 @@ def _segments(time: np.ndarray, log: np.ndarray, logs: Sequence[Log], lasting: f
         segment = np.maximum(since // lasting, -1).astype(int) + 1
         found[here] = segment + (found.max() + 1 if number else 0)
     return np.unique(found, return_inverse=True)[1]
+
+
+def _motions(
+    time: np.ndarray, log: np.ndarray, logs: Sequence[Log], limits: DecisionLimits
+) -> tuple[np.ndarray, list[str]]:
+    """Every log for itself. One that was put together from pieces that differ is held out in its parts: what a short
+    look shows of an effect says little of a wide motion, and would be all there is to predict it from."""
+    group, names = np.full(len(time), -1), []
+    for number, entry in enumerate(logs):
+        here = log == number
+        borders = part_borders(entry)
+        since = time[here]
+        near = np.any(np.abs(since[:, None] - borders) < limits.guard, axis=1)
+        group[here] = np.where(near, -1, len(names) + np.searchsorted(borders, since, side="right"))
+        edges = [0.0, *borders, float(entry.t[-1])]
+        names += [f"{entry.name} {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)] if len(borders) else [entry.name]
+    return group, names
+
+
+def part_borders(log: Log) -> np.ndarray:
+    """(parts - 1,) [s] between the parts of a log that says it has some: all have the same time in motion."""
+    said = log.metadata.get(PARTS, "1")
+    parts = min(int(said), _BLOCKS) if said.isdigit() else 1
+    if parts < 2:
+        return np.empty(0)
+    speed = np.abs(np.diff(log.position, axis=0))
+    moves = np.any(speed > _MOVES * speed.max(axis=0), axis=1)
+    way = np.concatenate([[0.0], np.cumsum(moves * np.diff(log.t))])
+    return np.interp(way[-1] * np.arange(1, parts) / parts, way, log.t)
 
 
 def _blocks(time: np.ndarray, log: Log, limits: DecisionLimits) -> tuple[np.ndarray, list[str]]:

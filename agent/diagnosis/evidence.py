@@ -102,6 +102,25 @@ def null_gains(fit: Fit, candidates: Sequence[Candidate], limits: DecisionLimits
     return Null(np.max(np.stack(list(own.values())), axis=0), own, cross, square, limits)
 
 
+def drawn_change(fit: Fit, train: np.ndarray, error: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(size,) what parameters fitted to the cells `train` may be wrong by: an error (S', n) over σ, zero on other rows,
+    gets new signs for every segment of the motion, and the prior is drawn."""
+    count, base = int(fit.block.max()) + 1, len(fit.precision)
+    signs = rng.choice((-1.0, 1.0), count)[fit.block]
+    side = np.zeros(fit.size)
+    ends = base + np.cumsum([0, *(len(c.names) for c in fit.chosen)])
+    for joint, (rows, index) in enumerate(zip(fit.rows, fit.index, strict=True)):
+        drawn = signs * error[:, joint]
+        side[index] += drawn @ rows[:, :-1]
+        for candidate, (a, b) in zip(fit.chosen, pairwise(ends), strict=True):
+            if joint in candidate.blocks:
+                side[a:b] += drawn @ candidate.blocks[joint]
+    deviation = np.sqrt(np.maximum(fit.prior.diagonal(), 1e-300))
+    values, vectors = np.linalg.eigh(fit.prior / np.outer(deviation, deviation))
+    prior = deviation * (vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(fit.size)))
+    return fit.solve(train)[0] @ (side / fit.repeat + prior)
+
+
 def _units(fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(S',) unit of every row, and of each unit its fold and its block; rows in no fold get unit -1."""
     fold = np.full(len(fit.cell), -1)

@@ -110,6 +110,14 @@ class Fit:
         other._extend(())
         return other
 
+    def with_residual(self, left: np.ndarray) -> Fit:
+        """The same motions without effects, and with (S', n) over `sigma` left of the torque; candidates are kept."""
+        other = copy(self)
+        other.rows = [np.column_stack([rows[:, :-1], one]) for rows, one in zip(self.rows, left.T, strict=True)]
+        other._moments = self._moments.with_residual(other.rows)
+        other._extend(())
+        return other
+
     def seen_from(self, reference: NominalModel) -> Fit:
         """The same data without effects, whose columns are then made at other numbers of the model."""
         other = copy(self)

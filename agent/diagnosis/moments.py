@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from itertools import pairwise
 
 import numpy as np
@@ -35,11 +36,31 @@ class FitMoments:
                 self.gram[number][np.ix_(place, place)] += block[part].T @ block[part]
         self.count = np.array([part.stop - part.start for part in self._slices]) * len(rows)
         self._known: dict[Candidate, tuple[np.ndarray, np.ndarray]] = {}
+        self._beside: FitMoments | None = None
         self._both: dict[tuple[Candidate, Candidate], np.ndarray] = {}
+
+    def with_residual(self, rows: Sequence[np.ndarray]) -> FitMoments:
+        """Of the same columns with another residual: what is known of the columns is not worked out again."""
+        other = copy(self)
+        other._rows = [block[self._order] for block in rows]
+        other._known, other._beside, other.gram = {}, self, self.gram.copy()
+        last = self._base
+        other.gram[:, last, :] = other.gram[:, :, last] = 0.0
+        for block, columns in zip(other._rows, self._index, strict=True):
+            for number, part in enumerate(self._slices):
+                side = block[part].T @ block[part, -1]
+                other.gram[number, last, columns] += side[:-1]
+                other.gram[number, columns, last] += side[:-1]
+                other.gram[number, last, last] += side[-1]
+        return other
 
     def of(self, candidates: Sequence[Candidate]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Per candidate its moments (cells, p + 1, k) with columns and residual, and its own (cells, k, k); kept."""
         new = [c for c in candidates if c not in self._known]
+        if self._beside is not None:
+            pairs = zip(new, self._beside.of(new), strict=True)
+            self._known.update({c: (self._seen(c, cross), own) for c, (cross, own) in pairs})
+            new = []
         for first in range(0, len(new), _AT_ONCE):
             self._work_out(new[first : first + _AT_ONCE])
         return [self._known[c] for c in candidates]
@@ -56,6 +77,16 @@ class FitMoments:
                     total[cell] += mine[joint][part].T @ block[part]
             self._both[first, second] = total
         return [self._both[first, c] for c in others]
+
+    def _seen(self, candidate: Candidate, cross: np.ndarray) -> np.ndarray:
+        """Moments (cells, p + 1, k) with this residual, from those with another."""
+        cross = cross.copy()
+        cross[:, self._base] = 0.0
+        for joint, block in candidate.blocks.items():
+            columns = block[self._order]
+            for cell, part in enumerate(self._slices):
+                cross[cell, self._base] += self._rows[joint][part, -1] @ columns[part]
+        return cross
 
     def _work_out(self, some: Sequence[Candidate]) -> None:
         cross = [np.zeros((self.cells, self._base + 1, len(c.names))) for c in some]

@@ -16,12 +16,13 @@ _METRES = 0.1  # of a slide that count as a radian
 
 @dataclass(frozen=True, eq=False)
 class Excursions:
-    """What every joint went through: (n,) whether it moved, its `travel` and highest `speed` [rad or 0.1 m, /s], and
-    how often it turned back by more than what counts as motion."""
+    """What every joint went through: (n,) whether it moved, between which positions [rad or 0.1 m], its highest `speed`
+    [/s], and how often it turned back by more than what counts as motion."""
 
     names: tuple[str, ...]
     moved: np.ndarray
-    travel: np.ndarray
+    lowest: np.ndarray
+    highest: np.ndarray
     speed: np.ndarray
     reversals: np.ndarray
 
@@ -34,7 +35,23 @@ class Excursions:
         speed = np.max([np.abs(s.qd).max(axis=0) for s in signals], axis=0)
         turns = [sum(_turns(s.q[:, j], limits.least_travel) for s in signals) for j in range(robot.dof)]
         moved = moves(signals, limits)
-        return cls(robot.joint_names, moved, (highest - lowest) / unit, speed / unit, np.array(turns))
+        return cls(robot.joint_names, moved, lowest / unit, highest / unit, speed / unit, np.array(turns))
+
+    @property
+    def travel(self) -> np.ndarray:
+        """(n,) [rad or 0.1 m]."""
+        return self.highest - self.lowest
+
+    def __add__(self, other: Excursions) -> Excursions:
+        """Of the motions of both."""
+        return Excursions(
+            self.names,
+            self.moved | other.moved,
+            np.minimum(self.lowest, other.lowest),
+            np.maximum(self.highest, other.highest),
+            np.maximum(self.speed, other.speed),
+            self.reversals + other.reversals,
+        )
 
     def lacking(self, effect: Effect, joints: Sequence[int]) -> str:
         """Why an effect cannot show on these joints; empty where it can."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
@@ -35,7 +35,7 @@ class Search:
 
     `moved`: the model's numbers were chosen and fitted to these very logs before. They may hide an effect on its own
     joint and show it on others, and the choice would have been another one beside a rival. `worth`: whether what the
-    first effects tried leave is so little that the search goes on.
+    first effects tried leave is so little that the search goes on. `only` these places are tried.
     """
 
     def __init__(
@@ -47,9 +47,10 @@ class Search:
         limits: DecisionLimits = LIMITS,
         moved: bool = False,
         worth: Callable[[Fit], bool] = lambda fit: True,
+        only: Collection[Where] | None = None,
     ):
         self.fit, self.given, self._progress, self.limits = fit, given and not moved, progress, limits
-        self._worth, self._moved = worth, moved
+        self._worth, self._moved, self._only = worth, moved, only
         self._alike = limits.equal_gain if moved else limits.indistinguishable_gain
         self.allowed = {name for name in CATALOGUE if name not in without}
         self.rows = float(fit.count.sum())
@@ -121,7 +122,10 @@ class Search:
         wanted = []
         for effect in CATALOGUE.values():
             for joints in effect.places(fit.reference.robot):
-                if (effect.name, joints) in taken or self.excursions.lacking(effect, joints):
+                place = effect.name, joints
+                if place in taken or (self._only is not None and place not in self._only):
+                    continue
+                if self.excursions.lacking(effect, joints):
                     continue
                 if fixed or effect.residual_driven:
                     wanted += [(effect, joints, settings) for settings in effect.settings(fit, joints)]

@@ -41,16 +41,23 @@ def pieces_otherwise(
     left = (1 - _WAYS) * seconds
     pieces = Pieces(problem, range(problem.robot.dof), left, np.random.default_rng(seed))
     pool = [piece for piece in (pieces.draw() for _ in range(_POOL)) if piece is not None]
+    chosen = together(pick, pool, left)
+    while chosen and not runnable(chosen):
+        chosen.pop()
+    return tuple(chosen)
+
+
+def together(pick: Pick, pool: Sequence[Piece], seconds: float) -> list[Piece]:
+    """Pieces picked one after the other while one fits into the time."""
     chosen: list[Piece] = []
+    left = seconds
     while len(chosen) < _MOST_PIECES:
         options = [piece for piece in pool if piece.duration <= left and all(piece is not one for one in chosen)]
         if not options:
             break
         chosen.append(pick(chosen, options))
         left -= chosen[-1].duration
-    while chosen and not runnable(chosen):
-        chosen.pop()
-    return tuple(chosen)
+    return chosen
 
 
 def as_drawn(chosen: Sequence[Piece], options: Sequence[Piece]) -> Piece:
@@ -58,9 +65,10 @@ def as_drawn(chosen: Sequence[Piece], options: Sequence[Piece]) -> Piece:
     return options[0]
 
 
-def d_optimal(dataset: Dataset) -> Pick:
-    """The piece that raises the determinant most, beside the logs of a diagnosis."""
+def d_optimal(dataset: Dataset, known_of: Callable[[Piece], np.ndarray] | None = None) -> Pick:
+    """The piece that raises the determinant most, beside the logs of a diagnosis; `known_of`: what one adds."""
     outlook, fit = Outlook(dataset, ()), dataset.fit
+    of_piece = known_of or (lambda piece: outlook.information(piece.motion))
     model = len(fit.precision)
     known = fit.gram.sum(axis=0)[:model, :model] / fit.repeat + fit.precision
     scale = 1 / np.sqrt(np.diag(known))
@@ -68,7 +76,7 @@ def d_optimal(dataset: Dataset) -> Pick:
 
     def information(piece: Piece) -> np.ndarray:
         if piece not in added:
-            added[piece] = outlook.information(piece.motion)
+            added[piece] = of_piece(piece)
         return added[piece]
 
     def pick(chosen: Sequence[Piece], options: Sequence[Piece]) -> Piece:

@@ -13,8 +13,9 @@ independent rows of the background. So it passes the margin m of the verdict wit
 averaged over the posterior of β, over the forms of a that do as well, and over which of the two is true. m grows with
 the rows, as what a leaves over the background does, and is at least a share of what a explains by its form, beyond a
 constant that both can be: forms of effects are not trusted further. A form of b that is richer than a's by more than a
-parameter is no equal. Where a closes less than the verdict calls a good fit, b stays its equal all the same if it
-explains half of what a does; a will close what the present cause closes, give or take.
+parameter is no equal. An effect whose joint has not the travel, speed or reversals that it takes is not tried by a
+diagnosis: it is not known where it is true, and no rival where it is not. All this finds motions quickly; what one of
+them is expected to tell is rehearsed (`agent.experiment.rehearsal`).
 
 Rows at a standstill of their joint count nothing: there the torque is what stiction makes of it, and no form of an
 effect is to be trusted. A motion that is repeated counts once: the model's own error comes back with it. It begins
@@ -23,65 +24,77 @@ where the last log ended, as warm as the arm was then.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import ndtr
 
-from agent.diagnosis import Candidate, Dataset, Fit, background_of, complexity, exact_in_both
+from agent.diagnosis import Candidate, Dataset, Excursions, Fit, background_of, complexity, exact_in_both
+from agent.experiment.motion import GridMotion
 from agent.experiment.questions import Form, Hypothesis, OpenPair
 from agent.model import CATALOGUE, MotionSignals, NominalModel
 from agent.robot import Tool
 
 #: s, as in the fit: rows this far apart count as independent.
 _INDEPENDENT = 0.1
+#: s between rows of a motion that is weighed, where nothing fast is asked about.
+_FINE = 0.03
 #: Parameters of a hypothesis are drawn so often from what the logs say of them.
 _DRAWS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class GridMotion:
-    """A motion on an even grid: time (S,) [s], q, qd, qdd (S, n)."""
-
-    time: np.ndarray
-    q: np.ndarray
-    qd: np.ndarray
-    qdd: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class Told:
-    """What motions add: per comparison moments (m, m), and how many independent rows they have."""
+    """What motions add: moments (m, m) of the columns of the model and of all forms, how many independent rows they
+    have, and what all joints went through."""
 
-    moments: tuple[np.ndarray, ...]
+    moments: np.ndarray
     rows: float
+    excursions: Excursions
 
     def __add__(self, other: Told) -> Told:
         """Of both."""
-        return Told(tuple(a + b for a, b in zip(self.moments, other.moments, strict=True)), self.rows + other.rows)
+        return Told(self.moments + other.moments, self.rows + other.rows, self.excursions + other.excursions)
 
 
 @dataclass(frozen=True, eq=False)
 class HypothesisPair:
-    """One hypothesis taken for true against one form of its rival, and the moments of what is seen of both so far.
+    """One hypothesis taken for true, with drawn parameters `values` (draws, k), against one form of its rival.
 
-    `gram` (m, m) over [model and shared effects, rival, what is exact in both, truth], `prior` over all but the last.
-    Of these, `own` are the places of the model and the shared effects, `with_rival` with the rival, and `exact` with
-    what both owe to no form of theirs: a constant.
+    `beside` are the shared effects, `exact` what both owe to no form of theirs: a constant.
     """
 
     pair: int
     truth: Form
     rival: Candidate | None
-    gram: np.ndarray
-    prior: np.ndarray
     values: np.ndarray
-    own: np.ndarray
-    with_rival: np.ndarray
-    exact: np.ndarray
     beside: tuple[Candidate, ...]
+    exact: tuple[Candidate, ...]
     lasting: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Projected:
+    """Moments of all forms beyond what the model can follow; `place` are the columns of a candidate."""
+
+    moments: np.ndarray
+    ridge: np.ndarray
+    place: Mapping[Candidate, np.ndarray]
+
+    def distances(self, comparison: HypothesisPair, free: Sequence[Candidate]) -> list[float]:
+        """D² for every drawn truth, where the parameters of the model and of `free` can follow."""
+        truth = self.place[comparison.truth.candidate]
+        schur = self.moments[np.ix_(truth, truth)]
+        if free:
+            at = np.concatenate([self.place[one] for one in free])
+            matrix = self.moments[np.ix_(at, at)] + self.ridge[np.ix_(at, at)]
+            scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+            scaled = matrix * np.outer(scale, scale) + 1e-9 * np.eye(len(at))
+            cross = scale[:, None] * self.moments[np.ix_(at, truth)]
+            schur = schur - cross.T @ np.linalg.solve(scaled, cross)
+        return np.maximum(np.einsum("ij,jk,ik->i", comparison.values, schur, comparison.values), 0.0).tolist()
 
 
 class Outlook:
@@ -98,6 +111,19 @@ class Outlook:
             for form in truth.truths
             for comparison in _comparisons(number, pair, form, rival)
         ]
+        sides = [(*c.beside, *c.exact, c.rival, c.truth.candidate) for c in self.comparisons]
+        self._candidates = [one for one in dict.fromkeys(one for side in sides for one in side) if one is not None]
+        fit = dataset.fit
+        ends = len(fit.precision) + np.cumsum([0, *(len(one.names) for one in self._candidates)])
+        spans = [np.arange(a, b) for a, b in pairwise(ends)]
+        self._place = dict(zip(self._candidates, spans, strict=True))
+        self._known = _moments(fit, self._candidates)
+        self._prior = np.zeros_like(self._known)
+        self._prior[: len(fit.precision), : len(fit.precision)] = fit.precision
+        for one, span in self._place.items():
+            energy = fit.repeat * self._known[span, span]
+            self._prior[np.ix_(span, span)] = fit.ridge(one, energy)
+        self._reached = Excursions.of(dataset.fit.signals, dataset.limits)
 
     def information(self, motion: GridMotion) -> np.ndarray:
         """(p, p) that a motion adds to what is known of the model's own parameters."""
@@ -120,34 +146,39 @@ class Outlook:
     @property
     def nothing(self) -> Told:
         """No further motion."""
-        return Told(tuple(np.zeros_like(comparison.gram) for comparison in self.comparisons), 0.0)
+        return Told(
+            np.zeros_like(self._known), 0.0, replace(self._reached, reversals=np.zeros_like(self._reached.reversals))
+        )
 
     def told(self, motion: GridMotion) -> Told:
         """What a motion adds."""
+        motion = motion if any(one.effect.fast_torque for one in self._candidates) else _thinned(motion)
         signals, unit, model = self._model_columns(motion)
         low_pass = _low_pass(1 / float(np.median(np.diff(motion.time))), self.dataset)
-        made: dict[Candidate, np.ndarray] = {}
 
         def columns(candidate: Candidate) -> np.ndarray:
-            if candidate not in made:
-                effect, joints, settings = candidate.effect, candidate.joints, candidate.settings
-                block = np.zeros((*motion.q.shape, len(candidate.names)))
-                if not effect.fast_torque:  # that remembers no earlier motion
-                    effect.prepare([*self.dataset.fit.signals, signals], [(joints, settings)])
-                for joint, values in effect.columns(signals, joints, settings).items():
-                    seen = low_pass(values) if effect.fast_torque else values
-                    block[:, joint] = seen / unit[:, joint, None]
-                made[candidate] = np.nan_to_num(block)
-            return made[candidate]
+            effect, joints, settings = candidate.effect, candidate.joints, candidate.settings
+            block = np.zeros((*motion.q.shape, len(candidate.names)))
+            if not effect.fast_torque:  # that remembers no earlier motion
+                effect.prepare([*self.dataset.fit.signals, signals], [(joints, settings)])
+            for joint, values in effect.columns(signals, joints, settings).items():
+                seen = low_pass(values) if effect.fast_torque else values
+                block[:, joint] = seen / unit[:, joint, None]
+            return np.nan_to_num(block)
 
-        result = []
-        for comparison in self.comparisons:
-            blocks = [model, *(columns(c) for c in comparison.beside)]
-            together = np.concatenate([*blocks, columns(comparison.truth.candidate)], axis=2)
-            flat = together.reshape(-1, together.shape[2])
-            result.append(flat.T @ flat)
+        together = np.concatenate([model, *map(columns, self._candidates)], axis=2)
+        flat = together.reshape(-1, together.shape[2])
         seconds = float(motion.time[-1] - motion.time[0])
-        return Told(tuple(result), seconds / _INDEPENDENT * motion.q.shape[1])
+        return Told(
+            flat.T @ flat,
+            seconds / _INDEPENDENT * motion.q.shape[1],
+            Excursions.of([signals], self.dataset.limits),
+        )
+
+    def _tried(self, added: Told, candidate: Candidate | None) -> bool:
+        """Whether a diagnosis of all motions tries an effect there: it takes travel, speed, reversals."""
+        reached = self._reached + added.excursions
+        return candidate is None or not reached.lacking(candidate.effect, candidate.joints)
 
     def _rows(self, added: Told) -> float:
         """Independent rows of all motions."""
@@ -155,8 +186,19 @@ class Outlook:
 
     def distances(self, added: Told) -> np.ndarray:
         """(comparisons,) D² on average over the draws, after all earlier logs and the motions added."""
-        pairs = zip(self.comparisons, added.moments, strict=True)
-        return np.array([np.mean(_distances(c, c.gram + more, c.with_rival)) for c, more in pairs])
+        left = self._projected(added)
+        return np.array([np.mean(left.distances(c, _free(c))) for c in self.comparisons])
+
+    def _projected(self, added: Told) -> _Projected:
+        """All forms beyond what the model can follow, after all earlier logs and the motions added."""
+        model = len(self.dataset.fit.precision)
+        gram = self._known + added.moments
+        matrix = gram[:model, :model] + self._prior[:model, :model]
+        scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        cross = scale[:, None] * gram[:model, model:]
+        solved = np.linalg.solve(matrix * np.outer(scale, scale) + 1e-9 * np.eye(model), cross)
+        place = {one: span - model for one, span in self._place.items()}
+        return _Projected(gram[model:, model:] - cross.T @ solved, self._prior[model:, model:], place)
 
     def probabilities(self, added: Told) -> np.ndarray:
         """(pairs,) probability of the right answer after all earlier logs and the motions added: whichever is true."""
@@ -167,33 +209,39 @@ class Outlook:
     def chances(self, added: Told) -> np.ndarray:
         """(pairs, 2) the same where the first or the second of a pair is true; not a number for none."""
         of_pair: list[tuple[dict[int, float], ...]] = [({}, {}) for _ in self.pairs]
-        for number, comparison in enumerate(self.comparisons):
-            gram = comparison.gram + added.moments[number]
+        left = self._projected(added)
+        for comparison in self.comparisons:
             pair, limits = self.pairs[comparison.pair], self.dataset.limits
-            free = (comparison.with_rival, comparison.own, comparison.exact)
+            tried = self._tried(added, comparison.rival)
+            free = _free(comparison) if tried else comparison.beside, (*comparison.beside, *comparison.exact)
             chances = []
-            for distance, whole, by_form in zip(*(_distances(comparison, gram, one) for one in free), strict=True):
+            for distance, by_form in zip(*(left.distances(comparison, one) for one in free), strict=True):
                 margin = max(pair.margin * self._rows(added), limits.indistinguishable_gain * by_form)
-                half = comparison.rival is not None and distance < (1 - limits.runner_up_gain) * whole
-                chance = _passes(distance, margin, comparison.lasting)
-                chances.append(chance * (pair.fits_well if half else 1.0))
+                chances.append(_passes(distance, margin, comparison.lasting))
             found = of_pair[comparison.pair][int(all(comparison.truth is not form for form in pair.first.truths))]
             key = id(comparison.truth)
-            found[key] = min(found.get(key, 1.0), float(np.mean(chances)))
+            known = float(np.mean(chances)) if self._tried(added, comparison.truth.candidate) else 0.0
+            found[key] = min(found.get(key, 1.0), known)
         return np.array([[np.mean(list(one.values())) if one else np.nan for one in found] for found in of_pair])
 
     def minimum_detectable_sizes(self, added: Told) -> list[float | None]:
         """Per pair with nothing as its rival: the size that four of five draws show, over the one asked about."""
         found: list[float | None] = [None] * len(self.pairs)
-        for comparison, more in zip(self.comparisons, added.moments, strict=True):
-            if comparison.rival is not None:
+        left = self._projected(added)
+        for comparison in self.comparisons:
+            if comparison.rival is not None or not self._tried(added, comparison.truth.candidate):
                 continue
-            distance = float(np.mean(_distances(comparison, comparison.gram + more, comparison.own)))
+            distance = float(np.mean(left.distances(comparison, comparison.beside)))
             margin = self.pairs[comparison.pair].margin * self._rows(added)
             if distance > 0:
                 size = (1.6832 + np.sqrt(1.6832**2 + 4 * margin)) / 2 / np.sqrt(distance)
                 found[comparison.pair] = max(size, found[comparison.pair] or 0.0)
         return found
+
+
+def _thinned(motion: GridMotion) -> GridMotion:
+    step = max(1, round(_FINE * (len(motion.time) - 1) / float(motion.time[-1] - motion.time[0])))
+    return GridMotion(motion.time[::step], motion.q[::step], motion.qd[::step], motion.qdd[::step])
 
 
 def _low_pass(rate: float, dataset: Dataset) -> Callable[[np.ndarray], np.ndarray]:
@@ -221,15 +269,23 @@ def lasting(fit: Fit, joints: Sequence[int]) -> float:
     return float(np.sum(sums**2) / (error.size * fit.repeat))
 
 
-def _distances(comparison: HypothesisPair, gram: np.ndarray, free: np.ndarray) -> list[float]:
-    """D² for every drawn truth, where the parameters at the places `free` can follow."""
-    truth = len(comparison.prior)
-    matrix = (gram[:truth, :truth] + comparison.prior)[np.ix_(free, free)]
-    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    scaled = matrix * np.outer(scale, scale) + 1e-9 * np.eye(len(free))
-    cross = scale[:, None] * gram[free, truth:]
-    schur = gram[truth:, truth:] - cross.T @ np.linalg.solve(scaled, cross)
-    return [max(float(values @ schur @ values), 0.0) for values in comparison.values]
+def _free(comparison: HypothesisPair) -> tuple[Candidate, ...]:
+    """What can follow the truth beside the model: the shared effects and the rival."""
+    return comparison.beside if comparison.rival is None else (*comparison.beside, comparison.rival)
+
+
+def _moments(fit: Fit, candidates: Sequence[Candidate]) -> np.ndarray:
+    """(m, m) of the columns of the model and of candidates on the logs of a fit, on independent rows."""
+    base = len(fit.precision)
+    ends = base + np.cumsum([0, *(len(one.names) for one in candidates)])
+    total = np.zeros((int(ends[-1]),) * 2)
+    kept = fit.cell >= 0
+    for joint, (rows, index) in enumerate(zip(fit.rows, fit.index, strict=True)):
+        here = [k for k, one in enumerate(candidates) if joint in one.blocks]
+        columns = np.hstack([rows[:, :-1], *(candidates[k].blocks[joint] for k in here)])[kept]
+        place = np.concatenate([index, *(np.arange(ends[k], ends[k + 1]) for k in here)])
+        total[np.ix_(place, place)] += columns.T @ columns
+    return total / fit.repeat
 
 
 def _comparisons(number: int, pair: OpenPair, form: Form, rival: Hypothesis) -> list[HypothesisPair]:
@@ -242,34 +298,12 @@ def _comparisons(number: int, pair: OpenPair, form: Form, rival: Hypothesis) -> 
     simple: list[Candidate | None] = [*equal] or [None]
     explained = pair.fit.with_chosen((*pair.fit.chosen, pair.first.truths[0].candidate)) if rival.forms else pair.fit
     lasts = lasting(explained, list(form.candidate.blocks))
-    return [_comparison(number, pair.fit, form, other, draws, lasts) for other in simple]
+    return [
+        HypothesisPair(number, form, other, draws, pair.fit.chosen, _exact(pair.fit, form, other), lasts)
+        for other in simple
+    ]
 
 
-def _comparison(
-    number: int, fit: Fit, form: Form, rival: Candidate | None, draws: np.ndarray, error_lasts: float
-) -> HypothesisPair:
-    exact: list[Candidate] = []
-    if rival is not None and (both := exact_in_both(form.candidate.place, rival.place)) is not None:
-        exact = fit.candidates([(CATALOGUE[both[0]], both[1], {})])
-    beside = fit.with_chosen((*fit.chosen, *([] if rival is None else [rival]), *exact))
-    (_, (cross, own)), *_ = beside.moments([form.candidate])
-    size = beside.size
-    gram = np.zeros((size + len(form.values),) * 2)
-    gram[:size, :size] = beside.gram.sum(axis=0)[:-1, :-1]
-    gram[:size, size:] = cross.sum(axis=0)[:-1]
-    gram[size:, :size] = gram[:size, size:].T
-    gram[size:, size:] = own.sum(axis=0)
-    last = size - sum(len(candidate.names) for candidate in exact)
-    return HypothesisPair(
-        number,
-        form,
-        rival,
-        gram / fit.repeat,
-        beside.prior,
-        draws,
-        np.arange(fit.size),
-        np.arange(last),
-        np.array([*range(fit.size), *range(last, size)]),
-        beside.chosen,
-        error_lasts,
-    )
+def _exact(fit: Fit, form: Form, rival: Candidate | None) -> tuple[Candidate, ...]:
+    both = None if rival is None else exact_in_both(form.candidate.place, rival.place)
+    return () if both is None else tuple(fit.candidates([(CATALOGUE[both[0]], both[1], {})]))

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from agent.diagnosis import Diagnosis
 from agent.excitation import LoopProblem
+from agent.experiment.otherwise import d_optimal, together
 from agent.experiment.outlook import Outlook, Told
 from agent.experiment.pieces import Piece, Pieces
 from agent.experiment.questions import OpenPair
+from agent.experiment.rehearsal import Rehearsal, said_by
 
 #: Pieces that are drawn, of which the best are put together; then so many neighbours of each are tried.
 _POOL, _NEIGHBOURS = 240, 12
@@ -24,6 +27,9 @@ _WAYS = 0.15
 _WITHIN_REACH = 0.3
 #: One of which the right answer is this likely without another motion is not asked about beside others.
 _KNOWN = 0.9
+#: Rehearsals of each rival to choose a motion by, and to say what it is expected to tell; of a pair that is told apart
+#: beside others that are not, so much counts.
+_TRIAL_DRAWS, _DRAWS, _APART = 2, 6, 0.3
 #: A further piece raises what is expected by at least so much.
 _LEAST_IMPROVEMENT = 0.01
 
@@ -74,7 +80,6 @@ def plan_experiment(
         InputError: as `agent.excitation.Candidates`.
     """
     outlook = Outlook(found.dataset, pairs, problem.load)
-    before = outlook.probabilities(outlook.nothing)
     pieces = Pieces(problem, _joints(found, pairs), (1 - _WAYS) * seconds, np.random.default_rng(seed))
     pool: list[tuple[Piece, Told]] = []
     for number in range(_POOL):
@@ -83,30 +88,105 @@ def plan_experiment(
             pool.append((piece, outlook.told(piece.motion)))
     before_if, at_best = outlook.chances(outlook.nothing), outlook.chances(_sum(outlook, pool))
     least_known = _KNOWN if np.any(before_if <= _KNOWN) else 1.0
-    within_reach = np.any((before_if <= least_known) & (at_best > np.maximum(before_if, _WITHIN_REACH)), axis=1)
+    sides = (before_if <= least_known) & (at_best > np.maximum(before_if, _WITHIN_REACH))
+    within_reach = sides.any(axis=1)
     if not within_reach.any():
         return Experiment((), (), len(pool))
-    chosen = _greedy(outlook, pool, (1 - _WAYS) * seconds, within_reach)
-    for number in range(len(chosen)):
-        for _ in range(_NEIGHBOURS):
-            progress(f"piece {number + 1} of {len(chosen)} is varied")
-            other = pieces.vary(chosen[number][0])
-            if other is None:
-                continue
-            varied = [*chosen[:number], (other, outlook.told(other.motion)), *chosen[number + 1 :]]
-            fits = sum(piece.duration for piece, _ in varied) <= (1 - _WAYS) * seconds
-            if fits and _utility(outlook, varied, within_reach) > _utility(outlook, chosen, within_reach):
-                chosen = varied
-    while chosen and not runnable([piece for piece, _ in chosen]):
-        chosen = chosen[:-1]
-    added = _sum(outlook, chosen)
-    after, each = outlook.probabilities(added), outlook.chances(added)
-    detectable = outlook.minimum_detectable_sizes(added)
+    longest = (1 - _WAYS) * seconds
+
+    def designed(wanted: np.ndarray) -> list[Piece]:
+        chosen = _greedy(outlook, pool, longest, wanted)
+        for number in range(len(chosen)):
+            for _ in range(_NEIGHBOURS):
+                progress(f"piece {number + 1} of {len(chosen)} is varied")
+                other = pieces.vary(chosen[number][0])
+                if other is None:
+                    continue
+                varied = [*chosen[:number], (other, outlook.told(other.motion)), *chosen[number + 1 :]]
+                fits = sum(piece.duration for piece, _ in varied) <= longest
+                if fits and _utility(outlook, varied, wanted) > _utility(outlook, chosen, wanted):
+                    chosen = varied
+        return [piece for piece, _ in chosen]
+
+    designs = [designed(sides)]
+    rivals = np.array([bool(pair.second.forms) for pair in pairs])
+    if rivals.any():
+        of_cause = sides & np.array([[pair.first is pairs[0].first] for pair in pairs])
+        if 0 < of_cause.sum() < sides.sum():
+            designs.append(designed(of_cause))
+        designs.append(_widest(found, pool, longest))
+    designs = [design for design in map(partial(_runnable, runnable), designs) if design]
+    best = designs[0] if designs else []
+    if len(designs) > 1:
+        worth = []
+        for number, design in enumerate(designs):
+            progress(f"motion {number + 1} of {len(designs)} is rehearsed")
+            worth.append(_settled(found, pairs, design, problem, _TRIAL_DRAWS, seed))
+        best = designs[int(np.argmax(worth))]
+    if best:
+        runnable(best)  # what runs last is what is taken
+    added = sum((outlook.told(piece.motion) for piece in best), outlook.nothing)
+    after_if, detectable = outlook.chances(added), outlook.minimum_detectable_sizes(added)
+    if best and rivals.any():
+        progress("the motion is rehearsed")
+        before_if, after_if = _rehearsed(found, pairs, best, problem, seed + 1)
     expected = tuple(
-        Expected(pairs[k], float(before[k]), float(after[k]), _known(before_if[k]), _known(each[k]), detectable[k])
+        Expected(
+            pairs[k], _mean(before_if[k]), _mean(after_if[k]), _known(before_if[k]), _known(after_if[k]), detectable[k]
+        )
         for k in map(int, np.flatnonzero(within_reach))
     )
-    return Experiment(tuple(piece for piece, _ in chosen), expected, len(pool))
+    return Experiment(tuple(best), expected, len(pool))
+
+
+def _runnable(runs: Callable[[Sequence[Piece]], bool], design: Sequence[Piece]) -> list[Piece]:
+    """Without the last pieces, while they cannot be run."""
+    left = list(design)
+    while left and not runs(left):
+        left.pop()
+    return left
+
+
+def _widest(found: Diagnosis, pool: Sequence[tuple[Piece, Told]], longest: float) -> list[Piece]:
+    """The D-optimal pieces: where a rehearsal finds the others wanting, what says most of everything may do."""
+    model = len(found.dataset.fit.precision)
+    told = {piece: more.moments[:model, :model] for piece, more in pool}
+    return list(together(d_optimal(found.dataset, told.__getitem__), list(told), longest))
+
+
+def _settled(
+    found: Diagnosis, pairs: Sequence[OpenPair], design: Sequence[Piece], problem: LoopProblem, draws: int, seed: int
+) -> float:
+    """Share of rehearsals that name what is true alone, and with less weight of pairs that are told apart."""
+    names = found.dataset.robot.joint_names
+    said = Rehearsal(found, pairs, [piece.motion for piece in design], problem.load).said(draws, seed)
+    alone = [one.settles(place) for place, answers in said.items() for one in answers]
+    open_pairs = [
+        (a.place(names), b.place(names)) for p in pairs for a, b in ((p.first, p.second), (p.second, p.first))
+    ]
+    apart = [one.names(true, rival) for true, rival in open_pairs for one in said.get(true, ())]
+    return float(np.mean(alone) + _APART * np.mean(apart)) if alone else 0.0
+
+
+def _rehearsed(
+    found: Diagnosis, pairs: Sequence[OpenPair], design: Sequence[Piece], problem: LoopProblem, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """(pairs, 2) right answers of now and after the motion, where the first or the second of a pair is true."""
+    names, now = found.dataset.robot.joint_names, said_by(found.finding)
+    said = Rehearsal(found, pairs, [piece.motion for piece in design], problem.load).said(_DRAWS, seed)
+    before, after = np.full((2, len(pairs), 2), np.nan)
+    for number, pair in enumerate(pairs):
+        first, second = pair.first.place(names), pair.second.place(names)
+        for side, (true, rival) in enumerate(((first, second), (second, first))):
+            if said.get(true):
+                before[number, side] = now.names(true, rival)
+                after[number, side] = np.mean([one.names(true, rival) for one in said[true]])
+    return before, after
+
+
+def _mean(chances: np.ndarray) -> float:
+    known = chances[np.isfinite(chances)]
+    return float(known.mean()) if len(known) else 0.0
 
 
 def _known(chances: np.ndarray) -> tuple[float | None, float | None]:
@@ -124,21 +204,21 @@ def _joints(found: Diagnosis, pairs: Sequence[OpenPair]) -> list[int]:
 
 
 def _greedy(
-    outlook: Outlook, pool: Sequence[tuple[Piece, Told]], seconds: float, within_reach: np.ndarray
+    outlook: Outlook, pool: Sequence[tuple[Piece, Told]], seconds: float, sides: np.ndarray
 ) -> list[tuple[Piece, Told]]:
     chosen: list[tuple[Piece, Told]] = []
-    now = _utility(outlook, chosen, within_reach)
+    now = _utility(outlook, chosen, sides)
     while len(chosen) < _MOST_PIECES:
         left = seconds - sum(piece.duration for piece, _ in chosen)
         options = [entry for entry in pool if entry[0].duration <= left and all(entry[0] is not c[0] for c in chosen)]
         if not options:
             break
-        worth = [_utility(outlook, [*chosen, entry], within_reach) for entry in options]
+        worth = [_utility(outlook, [*chosen, entry], sides) for entry in options]
         best = int(np.argmax(worth))
         if worth[best] - now < _LEAST_IMPROVEMENT:
             break
         chosen, now = [*chosen, options[best]], worth[best]
-        if outlook.probabilities(_sum(outlook, chosen))[within_reach].min() > _SURE:
+        if outlook.chances(_sum(outlook, chosen))[sides].min() > _SURE:
             break
     return chosen
 
@@ -147,8 +227,8 @@ def _sum(outlook: Outlook, chosen: Sequence[tuple[Piece, Told]]) -> Told:
     return sum((told for _, told in chosen), outlook.nothing)
 
 
-def _utility(outlook: Outlook, chosen: Sequence[tuple[Piece, Told]], within_reach: np.ndarray) -> float:
-    """Log odds of the pairs within reach, the worst first, then the others."""
-    chance = np.clip(outlook.probabilities(_sum(outlook, chosen))[within_reach], 1e-9, 1 - 1e-9)
-    odds = np.clip(np.log(chance / (1 - chance)), -20, 4)
+def _utility(outlook: Outlook, chosen: Sequence[tuple[Piece, Told]], sides: np.ndarray) -> float:
+    """Log odds of what is within reach, the worst first, then the others."""
+    chance = np.clip(outlook.chances(_sum(outlook, chosen))[sides], 1e-300, 1 - 1e-9)
+    odds = np.minimum(np.log(chance / (1 - chance)), 4)
     return float(odds.min() + 0.3 * odds.mean())

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.special import ndtr
 
 from agent.diagnosis import Candidate, Diagnosis, Fit, HeldOutScore, best_by_place, complexity, joint_energy, plausible
 from agent.model import CATALOGUE
@@ -26,8 +25,6 @@ _LEADING = 3
 _NEAREST, _NEAR = 4, 0.9
 #: A form that these logs hardly show is as large as the cause, give or take so many times it.
 _RESTRAINT = 3.0
-#: What an effect closes differs so much from motion to motion (standard deviation, of the excess).
-_CLOSES_OTHERWISE = 0.015
 #: Of effects that could not be tested so many are asked about.
 _MOST_UNTESTED = 8
 
@@ -58,6 +55,10 @@ class Hypothesis:
         """What is taken for true where it is this one."""
         return self.as_good or self.forms[:1]
 
+    def place(self, joint_names: Sequence[str]) -> Place:
+        """Effect and joints from 0."""
+        return self.effect, tuple(joint_names.index(name) for name in self.joints)
+
     def text(self) -> str:
         """For people."""
         if not self.forms:
@@ -69,15 +70,13 @@ class Hypothesis:
 class OpenPair:
     """Two hypotheses that the logs do not separate, beside what both of them share (the chosen effects of `fit`).
 
-    `margin` [Σ e²/σ²]: so much better, for each row of all motions, has the true one to be. `fits_well`: the
-    probability that it will close as much as a verdict asks for without a rival.
+    `margin` [Σ e²/σ²]: so much better, for each row of all motions, has the true one to be.
     """
 
     first: Hypothesis
     second: Hypothesis
     fit: Fit
     margin: float
-    fits_well: float = 1.0
 
     @property
     def names(self) -> tuple[str, str]:
@@ -107,15 +106,9 @@ def _rivals(found: Diagnosis) -> Iterator[OpenPair]:
         others = [_hypothesis(found, fit, place) for place in dict.fromkeys([*rivals, *near])]
         known = {cause.place, *rivals, *near}
         others += [_restrained(found, fit, place, cause) for place in _of_its_kind(found, cause) if place not in known]
-        for other in others:
-            if mine.forms and other.forms:
-                yield OpenPair(mine, other, fit, _margin(found, cause), _fits_well(found))
-
-
-def _fits_well(found: Diagnosis) -> float:
-    """That the true cause closes enough after another motion, from what is closed now."""
-    least = found.dataset.limits.good_fit[len(found.finding.causes) - 1]
-    return float(ndtr((found.finding.closed - least) / _CLOSES_OTHERWISE))
+        open_sides = [side for side in (mine, *others) if side.forms]
+        for first, second in combinations(open_sides, 2):  # the truth may be none of those that are named
+            yield OpenPair(first, second, fit, _margin(found, fit, (first, second)))
 
 
 def _near(found: Diagnosis, cause: Place) -> list[Place]:
@@ -238,7 +231,11 @@ def _fitted(fit: Fit, candidate: Candidate, ridge: np.ndarray) -> tuple[np.ndarr
     return values, covariance, float(side @ values)
 
 
-def _margin(found: Diagnosis, cause: Candidate) -> float:
-    """What the verdict asks of a cause over its rival (point 9 of docs/diagnosis.md): no less than the cause leaves."""
-    left = np.maximum(joint_energy(found.finding.fit) - 1, 0)[list(cause.blocks)]
-    return max(found.dataset.limits.equal_gain_floor, float(np.sum(left)) / len(found.dataset.fit.rows))
+def _margin(found: Diagnosis, fit: Fit, sides: Sequence[Hypothesis]) -> float:
+    """What the verdict asks of a cause over its rival (point 9 of docs/diagnosis.md): no less than the cause leaves;
+    the true one of two leaves less."""
+    left = []
+    for form in (side.truths[0] for side in sides):
+        energy = joint_energy(fit.with_chosen((*fit.chosen, form.candidate)))
+        left.append(float(np.sum(np.maximum(energy - 1, 0)[list(form.candidate.blocks)])) / len(fit.rows))
+    return max(found.dataset.limits.equal_gain_floor, min(left))

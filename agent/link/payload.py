@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from agent.core import InputError
 
 
-def mounted(program: Path, payload: str | None, ask: Callable[[str], bool]) -> dict[str, str]:
-    """What the log says of a payload: that which a person names, or confirms because the program was planned with it.
+def known_of(program: Path, payload: str | None, ask: Callable[[str], bool]) -> dict[str, str]:
+    """What the log says of a program: in how many parts a planned motion is held out, and of a payload that which a
+    person names, or confirms because the program was planned with it.
 
     Args:
         program: beside it, `experiment.json` says what it was planned with.
@@ -20,9 +22,11 @@ def mounted(program: Path, payload: str | None, ask: Callable[[str], bool]) -> d
         InputError: no payload, another one than the motion was planned with, or one that nobody has confirmed.
     """
     from agent.model import PAYLOAD, payload_of, payload_text
+    from agent.recording import PARTS
 
     said = None if payload is None else payload_text(payload_of(payload))
-    planned = _planned_with(program)
+    plan = _plan_of(program)
+    planned = plan.get(PAYLOAD)
     if planned and said is None and ask(f"This motion was planned with {planned} at the flange. Is it mounted?"):
         said = planned
     if planned and said != planned:
@@ -30,18 +34,17 @@ def mounted(program: Path, payload: str | None, ask: Callable[[str], bool]) -> d
             f"{program}: this motion was planned with a known mass at the flange, {planned}"
             f"{'' if said is None else f', not {said}'}: mount it, and say so with --payload '{planned}'"
         )
-    return {PAYLOAD: said} if said else {}
+    facts = {PAYLOAD: said, PARTS: plan.get(PARTS)}
+    return {key: str(value) for key, value in facts.items() if value}
 
 
-def _planned_with(program: Path) -> str | None:
-    from agent.model import PAYLOAD
-
+def _plan_of(program: Path) -> dict[str, Any]:
     path = program.with_name("experiment.json")
     if not path.exists():
-        return None
+        return {}
     try:
         planned = json.loads(path.read_text(encoding="utf-8"))
         beside = Path(planned["program"]).name == program.name
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: cannot be read ({error}); plan the motion again, or move it away") from None
-    return planned.get(PAYLOAD) if beside else None
+    return planned if beside else {}

@@ -28,6 +28,7 @@ from drivers.errors import DriverError
 if TYPE_CHECKING:
     from agent.blind_check import Case
     from agent.diagnosis import Diagnosis
+    from agent.recording import Log
 
 _QUIET = Console(verbosity=-1)
 #: Further motions of a run.
@@ -243,9 +244,17 @@ class ActiveRun:
         if key not in self._found:
             robot = self._recipe.robot
             # this controller's path is not quite what we planned, with an effect or without
-            read = [replace(read_log(log, robot), planned_position=None) for log in logs]
+            read = [replace(_as_recorded(read_log(log, robot)), planned_position=None) for log in logs]
             self._found[key] = diagnose(robot, read, IdentifiedModel.load(self._model))
         return self._found[key]
+
+
+def _as_recorded(log: Log) -> Log:
+    """What `agent record` says in the log of a motion that was put together from pieces."""
+    from agent.recording import PARTS, PLANNED_PARTS
+
+    of_pieces = log.path.stem.startswith("further") and not log.path.parent.name.startswith("loop_again")
+    return replace(log, metadata={**log.metadata, PARTS: PLANNED_PARTS}) if of_pieces else log
 
 
 def _short(recipe: Recipe, seed: int, motions: int) -> Recipe:

@@ -54,11 +54,13 @@ class NextMotion:
     def to_dict(self, program: str) -> dict[str, Any]:
         """`next_experiment` of a diagnosis: what is separated, how, and the probability of the right answer."""
         from agent.model import PAYLOAD, payload_text
+        from agent.recording import PARTS, PLANNED_PARTS
 
         expected = self.experiment.expected
         load = {} if self.load is None else {PAYLOAD: payload_text(self.load)}
         return {
             **load,
+            PARTS: PLANNED_PARTS,
             "separates": sorted({name for e in expected for name in e.pair.names if name != "none"}),
             "motion": "; then ".join(piece.text(self.robot) for piece in self.experiment.pieces),
             "program": program,

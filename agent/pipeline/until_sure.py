@@ -82,6 +82,8 @@ def until_sure(
     Raises:
         AgentError: logs that cannot be diagnosed, or a recipe that leaves no room.
     """
+    from agent.recording import PARTS, PLANNED_PARTS
+
     rounds, moved, slow = Rounds([], [], find(logs)), 0.0, recipe
     if allowed is not None:
         fastest = 0.98 * min(recipe.motion.speed, FIRST_SPEED, allowed.document.limits.speed)
@@ -106,7 +108,7 @@ def until_sure(
         rounds.asked.append({"after": result["verdict"], **motion.to_dict(program)})
         try:
             word = allowed and allowed.for_new_motion(run_key(recipe)["loop"], sha256_text(motion.text), moved)
-            with open_link(recipe, console, yes, runs, word) as link:
+            with open_link(recipe, console, yes, runs, word, facts={PARTS: PLANNED_PARTS}) as link:
                 log = f"{name}.mcap"
                 recording = record_program(link, run, recipe, console, motion.text, program, "experiment", log, name)
         except BaseException as error:

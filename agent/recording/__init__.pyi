@@ -1,5 +1,5 @@
 from .importer import import_log as import_log
-from .log import Log as Log, machines_of as machines_of
+from .log import PARTS as PARTS, PLANNED_PARTS as PLANNED_PARTS, Log as Log, machines_of as machines_of
 from .mcap.foxglove import (
     FILTERED as FILTERED,
     FOXGLOVE_LAYOUT as FOXGLOVE_LAYOUT,

@@ -15,6 +15,10 @@ from agent.recording.scratch import Scratch
 
 #: Keys of `Log.metadata` that say whose motion it is, where that is known.
 MACHINE = ("serial", "tool", "controller")
+#: Key of `Log.metadata`: the motion was put together from pieces that differ, and is held out in so many parts.
+PARTS = "parts"
+#: Parts of a motion planned for a diagnosis: after one short look, it would else be predicted from that alone.
+PLANNED_PARTS = "2"
 #: Attributes of `Log` that are arrays (S, n).
 ARRAYS = ("position", "velocity", "effort", "reference_position", "planned_position")
 #: An earlier stamp [s] is a controller's time since it was switched on.

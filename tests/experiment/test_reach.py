@@ -9,7 +9,8 @@ import pytest
 
 from agent.core import InputError
 from agent.diagnosis import diagnose
-from agent.experiment.outlook import GridMotion, Outlook
+from agent.experiment.motion import GridMotion
+from agent.experiment.outlook import Outlook
 from agent.experiment.questions import Form, Hypothesis, OpenPair
 from agent.model import CATALOGUE, PAYLOAD, NominalModel, carrying, payload_of, payload_text
 from agent.robot import Dynamics

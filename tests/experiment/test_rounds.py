@@ -15,6 +15,7 @@ from agent.pipeline import until_sure as module
 from agent.pipeline.next_experiment import NextMotion, _other_test
 from agent.pipeline.until_sure import until_sure
 from agent.recipe import load_recipe, template
+from agent.recording import PARTS, PLANNED_PARTS
 from agent.report.page import Page, render
 from agent.report.rounds_section import rounds_sections
 from agent.runs.folder import RunFolder
@@ -71,7 +72,8 @@ def ask(tmp_path: Path, monkeypatch):
             made.append((recipe.motion.speed, seconds))
             return next(plans)
 
-        def link(recipe, console, yes, runs, word=None):
+        def link(recipe, console, yes, runs, word=None, facts=None):
+            assert facts == {PARTS: PLANNED_PARTS}
             made.append((recipe.motion.speed, word))
             return nullcontext()
 
