@@ -47,10 +47,10 @@ def pieces_otherwise(
     return tuple(chosen)
 
 
-def together(pick: Pick, pool: Sequence[Piece], seconds: float) -> list[Piece]:
-    """Pieces picked one after the other while one fits into the time."""
-    chosen: list[Piece] = []
-    left = seconds
+def together(pick: Pick, pool: Sequence[Piece], seconds: float, begun: Sequence[Piece] = ()) -> list[Piece]:
+    """Pieces picked one after the other while one fits into the time, after those that it begins with."""
+    chosen = list(begun)
+    left = seconds - sum(piece.duration for piece in chosen)
     while len(chosen) < _MOST_PIECES:
         options = [piece for piece in pool if piece.duration <= left and all(piece is not one for one in chosen)]
         if not options:

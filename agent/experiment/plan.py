@@ -10,7 +10,7 @@ import numpy as np
 
 from agent.diagnosis import Diagnosis
 from agent.excitation import LoopProblem
-from agent.experiment.otherwise import d_optimal, together
+from agent.experiment.otherwise import Pick, d_optimal, together
 from agent.experiment.outlook import Outlook, Told
 from agent.experiment.pieces import Piece, Pieces
 from agent.experiment.questions import OpenPair
@@ -29,7 +29,7 @@ _WITHIN_REACH = 0.3
 _KNOWN = 0.9
 #: Rehearsals of each rival to choose a motion by, and to say what it is expected to tell; of a pair that is told apart
 #: beside others that are not, so much counts.
-_TRIAL_DRAWS, _DRAWS, _APART = 2, 6, 0.3
+_TRIAL_DRAWS, _DRAWS, _APART = 3, 6, 0.3
 #: A further piece raises what is expected by at least so much.
 _LEAST_IMPROVEMENT = 0.01
 
@@ -114,7 +114,8 @@ def plan_experiment(
         of_cause = sides & np.array([[pair.first is pairs[0].first] for pair in pairs])
         if 0 < of_cause.sum() < sides.sum():
             designs.append(designed(of_cause))
-        designs.append(_widest(found, pool, longest))
+        pick = _d_optimal(found, pool)
+        designs += [together(pick, [piece for piece, _ in pool], longest, begun) for begun in (designs[0], [])]
     designs = [design for design in map(partial(_runnable, runnable), designs) if design]
     best = designs[0] if designs else []
     if len(designs) > 1:
@@ -147,11 +148,14 @@ def _runnable(runs: Callable[[Sequence[Piece]], bool], design: Sequence[Piece]) 
     return left
 
 
-def _widest(found: Diagnosis, pool: Sequence[tuple[Piece, Told]], longest: float) -> list[Piece]:
-    """The D-optimal pieces: where a rehearsal finds the others wanting, what says most of everything may do."""
+def _d_optimal(found: Diagnosis, pool: Sequence[tuple[Piece, Told]]) -> Pick:
+    """What says most of everything: it fills the time that a design leaves, and is one itself."""
     model = len(found.dataset.fit.precision)
     told = {piece: more.moments[:model, :model] for piece, more in pool}
-    return list(together(d_optimal(found.dataset, told.__getitem__), list(told), longest))
+    return d_optimal(
+        found.dataset,
+        lambda piece: told[piece] if piece in told else Outlook(found.dataset, ()).information(piece.motion),
+    )
 
 
 def _settled(
