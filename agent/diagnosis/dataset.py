@@ -282,7 +282,8 @@ def _motions(
 ) -> tuple[np.ndarray, list[str]]:
     """Every log for itself. One that was put together from pieces that differ is held out in its parts: what a short
     look shows of an effect says little of a wide motion, and would be all there is to predict it from."""
-    group, names = np.full(len(time), -1), []
+    group = np.full(len(time), -1)
+    names: list[str] = []
     for number, entry in enumerate(logs):
         here = log == number
         borders = part_borders(entry)

@@ -122,10 +122,8 @@ class Search:
         wanted = []
         for effect in CATALOGUE.values():
             for joints in effect.places(fit.reference.robot):
-                place = effect.name, joints
-                if place in taken or (self._only is not None and place not in self._only):
-                    continue
-                if self.excursions.lacking(effect, joints):
+                asked = self._only is None or (effect.name, joints) in self._only
+                if not asked or (effect.name, joints) in taken or self.excursions.lacking(effect, joints):
                     continue
                 if fixed or effect.residual_driven:
                     wanted += [(effect, joints, settings) for settings in effect.settings(fit, joints)]
@@ -334,8 +332,6 @@ class Search:
             at = next(k for k, c in enumerate(causes) if imitates((c,), odd))
             rivals[at] = tuple(dict.fromkeys((odd.candidate.place, *rivals[at])))[:2]
         assert self.null is not None
-        p_value = tuple(self.null.p_value(entry[0]) for entry in ranked)
-        margin_ratio = tuple(float(entry[3]) for entry in ranked)
         uncertain_form = closed < self.limits.good_fit[len(causes) - 1]
         if uncertain_form and not rivals[0]:
             rivals[0] = ranked[0][5]
@@ -344,8 +340,8 @@ class Search:
             self.fit.with_chosen(causes),
             causes,
             tuple(rivals),
-            p_value,
-            margin_ratio,
+            tuple(self.null.p_value(entry[0]) for entry in ranked),
+            tuple(float(entry[3]) for entry in ranked),
             closed,
             tuple(steps),
             *self._bounds,

@@ -175,8 +175,8 @@ class Rehearsal:
         """(S', n) over the background: segments of the model's error on the logs in any order."""
         count, n = int(self._new.sum()), error.shape[1]
         length = max(1, min(round(self._dataset.limits.block * self._dataset.rate), len(error) - 1))
-        parts = []
-        while sum(map(len, parts)) < count:
+        parts: list[np.ndarray] = []
+        while sum(len(part) for part in parts) < count:
             at = int(rng.integers(len(error) - length))
             parts.append(error[at : at + length] * rng.choice([-1.0, 1.0]))
         larger = np.exp(_SCATTER * rng.standard_normal(n))
