@@ -63,19 +63,65 @@ def blended(
     return found
 
 
-@compiled("f8[:,:,::1](f8[::1], f8[:,:], f8[:,:])")
-def cubics(x: np.ndarray, rows: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """(4, m, K - 1) coefficients, highest power first, of the cubics with values and slopes (m, K) at knots x (K,)."""
+@compiled("f8[:,::1](f8[::1], f8[:,:])")
+def _slopes(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """(K, m) slopes of the not-a-knot splines through rows (m, K), as `agent.core.spline_slopes`: by the tridiagonal
+    elimination of LAPACK's dgtsv, which takes the larger of two pivots."""
+    count, last = len(rows), len(x) - 1
+    h = x[1:] - x[:-1]
+    diagonal, above, below, b = np.empty(last + 1), np.empty(last), np.empty(last), np.empty((last + 1, count))
+    diagonal[0], diagonal[last] = h[1], h[last - 2]
+    above[0], below[last - 1] = x[2] - x[0], x[last] - x[last - 2]
+    for k in range(last - 1):
+        diagonal[k + 1], above[k + 1], below[k] = 2.0 * (h[k] + h[k + 1]), h[k], h[k + 1]
+    first, final = above[0], below[last - 1]
+    for row in range(count):
+        chord = (rows[row, 1:] - rows[row, :-1]) / h
+        for k in range(1, last):
+            b[k, row] = 3.0 * (h[k] * chord[k - 1] + h[k - 1] * chord[k])
+        b[0, row] = ((h[0] + 2.0 * first) * h[1] * chord[0] + h[0] * h[0] * chord[1]) / first
+        outer = (h[last - 1] + 2.0 * final) * h[last - 2] * chord[last - 1]
+        b[last, row] = (outer + h[last - 1] * h[last - 1] * chord[last - 2]) / final
+    for k in range(last):
+        if np.abs(diagonal[k]) >= np.abs(below[k]):
+            factor = below[k] / diagonal[k]
+            diagonal[k + 1] -= factor * above[k]
+            for row in range(count):
+                b[k + 1, row] -= factor * b[k, row]
+            below[k] = 0.0
+            continue
+        factor, diagonal[k] = diagonal[k] / below[k], below[k]
+        above[k], diagonal[k + 1] = diagonal[k + 1], above[k] - factor * diagonal[k + 1]
+        if k < last - 1:  # what the exchange of rows puts two above the diagonal
+            below[k] = above[k + 1]
+            above[k + 1] *= -factor
+        for row in range(count):
+            b[k, row], b[k + 1, row] = b[k + 1, row], b[k, row] - factor * b[k + 1, row]
+    for row in range(count):
+        b[last, row] /= diagonal[last]
+        b[last - 1, row] = (b[last - 1, row] - above[last - 1] * b[last, row]) / diagonal[last - 1]
+    for k in range(last - 2, -1, -1):
+        for row in range(count):
+            b[k, row] = (b[k, row] - above[k] * b[k + 1, row] - below[k] * b[k + 2, row]) / diagonal[k]
+    return b
+
+
+@compiled("f8[:,:,::1](f8[::1], f8[:,:])")
+def not_a_knot(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """(4, m, K - 1) coefficients, highest power first, of the cubic splines through rows (m, K) at K > 3 knots x (K,).
+
+    Their third derivatives do not jump at the second knot nor at the last but one.
+    """
     count, cells = len(rows), len(x) - 1
-    found = np.empty((4, count, cells))
+    found, slope = np.empty((4, count, cells)), _slopes(x, rows)
     for row in range(count):
         for k in range(cells):
             h = x[k + 1] - x[k]
             chord = (rows[row, k + 1] - rows[row, k]) / h
-            bent = (slope[row, k] + slope[row, k + 1] - 2.0 * chord) / h
+            bent = (slope[k, row] + slope[k + 1, row] - 2.0 * chord) / h
             found[0, row, k] = bent / h
-            found[1, row, k] = (chord - slope[row, k]) / h - bent
-            found[2, row, k], found[3, row, k] = slope[row, k], rows[row, k]
+            found[1, row, k] = (chord - slope[k, row]) / h - bent
+            found[2, row, k], found[3, row, k] = slope[k, row], rows[row, k]
     return found
 
 

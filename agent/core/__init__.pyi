@@ -53,6 +53,6 @@ from .signals import (
     stop_to_come as stop_to_come,
     undisturbed as undisturbed,
 )
-from .splines import CubicSplines as CubicSplines, cubic_spline as cubic_spline, spline_slopes as spline_slopes
+from .splines import CubicSplines as CubicSplines, cubic_spline as cubic_spline
 from .units import Bare as Bare, Dimension as Dimension, Quantity as Quantity, parse_quantity as parse_quantity
 from .versions import package_version as package_version

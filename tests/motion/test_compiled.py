@@ -18,12 +18,12 @@ from scipy.spatial.transform import Rotation
 
 from agent.compiled import (
     averaged,
-    cubics,
     derivatives,
     fastest,
     held,
     law_at,
     lowered,
+    not_a_knot,
     sampled_on,
     stretched,
     tcp_rates,
@@ -190,7 +190,7 @@ def test_cubics_and_their_derivatives_are_those_of_the_spline(seed: int, knots: 
     x, rows = np.cumsum(rng.uniform(0.1, 0.3, knots)), rng.normal(size=(9, knots))
     rows[-4:] /= np.linalg.norm(rows[-4:], axis=0)
     spline = CubicSpline(x, rows.T)
-    coefficients = cubics(x, rows, spline(x, 1).T)
+    coefficients = not_a_knot(x, rows)
     np.testing.assert_allclose(coefficients, spline.c.transpose(0, 2, 1), rtol=0, atol=1e-7 * np.abs(spline.c).max())
     found, (travel, turn) = derivatives(coefficients, x[-1] - x[-2], np.ascontiguousarray(rows[-4:].T))
     np.testing.assert_allclose(found[:2], [spline(x, 1).T, spline(x, 2).T], rtol=0, atol=1e-8 * np.abs(found[1]).max())

@@ -14,8 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.compiled import cubics, derivatives, fastest, growth, held
-from agent.core import spline_slopes
+from agent.compiled import derivatives, fastest, growth, held, not_a_knot
 from agent.motion.fly_parameters import FlyParameters
 from agent.motion.path import rules
 from agent.motion.path.geometry import Path
@@ -122,14 +121,6 @@ def _piece(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
     from scipy.interpolate import CubicSpline
 
     return CubicSpline(x, rows.T).c.transpose(0, 2, 1)
-
-
-def not_a_knot(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """(4, m, K - 1) coefficients, highest power first, of the cubic splines through rows (m, K) at K > 3 knots x (K,).
-
-    Their third derivatives do not jump at the second knot nor at the last but one.
-    """
-    return cubics(x, rows, spline_slopes(x, rows))
 
 
 def _along_and_across(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
