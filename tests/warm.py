@@ -27,6 +27,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 _LIBRARIES = (
+    "numba",
     "numpy.ma",
     "scipy.linalg.lapack",
     "scipy.interpolate",
