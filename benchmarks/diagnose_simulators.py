@@ -184,7 +184,8 @@ def draw(path, seed):
         logs, put_in, oracle = recorded(path, seed, folder, count=LOGS + UNSEEN)
         fixed, effects = folder / f"fixed{path.suffix}", folder / "fixed_effects.py"
         started = time.process_time()
-        result = diagnose_files(None, logs[:LOGS], GapQuestion(path, out=fixed), Console(-1))
+        question = GapQuestion(path, out=fixed, report=folder / "page.html")
+        result = diagnose_files(None, logs[:LOGS], question, Console(-1))
         seconds = time.process_time() - started
         unseen = [read_log(log) for log in logs[LOGS:]]
         names = unseen[0].joint_names

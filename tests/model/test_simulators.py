@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from agent.core.errors import InputError, RejectedError
 from agent.diagnosis.rollout import MujocoEngine
 from agent.model.identified import IdentifiedModel
 from agent.model.simulators import load_joint_map, load_simulator
+from agent.model.simulators.joints import matched
 from agent.pipeline.diagnose import GapQuestion, diagnose_files
 from agent.recording import read_log
 from agent.recording.mcap.log_file import STATES, LogFile
@@ -69,6 +71,11 @@ def test_a_urdf_gives_its_bodies_damping_and_friction_with_the_drives_of_the_rob
     plain = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model
     assert list(plain.robot.gear_ratios) == [1, 1]
     assert np.all(np.isnan(plain.robot.nominal_torque))
+
+
+def test_a_file_with_fewer_joints_may_be_of_another_arm():
+    with pytest.raises(InputError, match=r"1 joints in the file, 2 in the logs: is it of this arm\? Say which"):
+        matched(Path("arm.xml"), ["a"], ["pan", "lift"], "the logs", None)
 
 
 def test_joints_are_matched_by_a_map(tmp_path, robot):

@@ -61,10 +61,12 @@ def matched(
     if not found or (missing and names is None):
         left = [name for name in in_file if name not in found]
         example = ", ".join(f"{a}: {b}" for a, b in _proposed(left or ["joint_of_file"], missing))
+        counts = f"{len(in_file)} joints in the file, {len(wanted)} in {owner}"
+        fewer = f" {counts}: is it of this arm?" if len(in_file) < len(wanted) else ""
         raise InputError(
             f"{path}: its joints don't match those of {owner}: matched {', '.join(found.values()) or 'none'}; only in "
-            f"{owner}: {', '.join(missing)}; only in the file: {', '.join(left) or 'none'}. Say which is which with "
-            f"--map FILE, in YAML: joints: {{{example}}}"
+            f"{owner}: {', '.join(missing)}; only in the file: {', '.join(left) or 'none'}.{fewer} Say which is "
+            f"which with --map FILE, in YAML: joints: {{{example}}}"
         )
     return found
 
