@@ -86,7 +86,9 @@ def plan_experiment(
         progress(f"motions that would tell more: {number + 1} of {_POOL} weighed")
         if (piece := pieces.draw()) is not None:
             pool.append((piece, outlook.told(piece.motion)))
-    before_if, at_best = outlook.chances(outlook.nothing), outlook.chances(_sum(outlook, pool))
+    before_if = outlook.chances(outlook.nothing)
+    tried = [outlook.chances(told) for told in (_sum(outlook, pool), *(outlook.nothing + told for _, told in pool))]
+    at_best = np.max(tried, axis=0)  # more motion of the wrong kind only adds to the margin
     least_known = _KNOWN if np.any(before_if <= _KNOWN) else 1.0
     sides = (before_if <= least_known) & (at_best > np.maximum(before_if, _WITHIN_REACH))
     within_reach = sides.any(axis=1)

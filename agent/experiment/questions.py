@@ -126,7 +126,8 @@ def _of_its_kind(found: Diagnosis, cause: Candidate) -> list[Place]:
 
 
 def _restrained(found: Diagnosis, fit: Fit, place: Place, cause: Candidate) -> Hypothesis:
-    """The forms of an effect, kept to about the size of a cause: what these logs hardly show could fit at any size."""
+    """The forms of an effect that explain about what a cause does, kept to about its size: what these logs hardly show
+    could fit at any."""
     effect = CATALOGUE[place[0]]
     size = found.finding.fit.values[found.finding.causes.index(cause)]
     energy = float(size @ _energy(fit, cause) @ size)
@@ -137,8 +138,10 @@ def _restrained(found: Diagnosis, fit: Fit, place: Place, cause: Candidate) -> H
         fitted, covariance, gain = _fitted(fit, candidate, ridge)
         if plausible(HeldOutScore(candidate, 0.0, gain, fitted)):
             made.append((gain, Form(candidate, fitted, covariance)))
+    known = fit.ridge(cause, np.maximum(_energy(fit, cause).diagonal(), 1e-9))
+    least = _NEAR * _fitted(fit, cause, known)[2]
     best = sorted(made, key=lambda entry: -entry[0])[:_FORMS]
-    forms = [form for gain, form in best if gain > 0.5 * best[0][0]]
+    forms = [form for gain, form in best if gain > least]
     names = found.dataset.robot.joint_names
     return Hypothesis(effect.name, tuple(names[k] for k in place[1]), tuple(forms))
 
