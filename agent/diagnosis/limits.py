@@ -72,6 +72,9 @@ class DecisionLimits:
     indistinguishable_gain: float = _limit(
         0.003, "gain of the best", "forms this close are indistinguishable, however well the better one fits", TUNED
     )
+    equal_shape_gain: float = _limit(
+        0.01, "gain of the best", "a law of position and a curve through anything this close are as good", TUNED
+    )
     further_effect: float = _limit(0.35, "energy still unexplained", "that every further effect must explain", TUNED)
     in_band_gain: float = _limit(
         0.5, "gain", "of an effect in fast torque, where measured torque goes with the prediction that has it", "chosen"

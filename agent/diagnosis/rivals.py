@@ -40,9 +40,14 @@ def gain_at_best(limits: DecisionLimits, score: HeldOutScore, best: Places, othe
 
 
 def as_good(limits: DecisionLimits, score: HeldOutScore, best: HeldOutScore, least: float, places: Places) -> bool:
-    """Whether a score falls behind the best by no more than `least`, or than forms are trusted."""
+    """Whether a score falls behind the best by no more than `least`, or than forms are trusted.
+
+    A law that equals a freer one by definition, a spring and a curve through any torque over position, is trusted to a
+    tenth of its torque: the freer one follows whatever a real spring has beside its law.
+    """
     far = complexity(score.candidate) <= complexity(best.candidate) / limits.simpler_ratio
-    share = limits.equal_gain if far else limits.indistinguishable_gain
+    freer = complexity(score.candidate) < complexity(best.candidate) and structurally_equivalent(best.candidate, score)
+    share = limits.equal_gain if far else limits.equal_shape_gain if freer else limits.indistinguishable_gain
     by_form = gain_by_form(best.gain, places, best.candidate.place, score.candidate.place)
     return best.gain - gain_at_best(limits, score, places, best.candidate.place) <= max(least, share * by_form)
 

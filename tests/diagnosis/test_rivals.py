@@ -52,6 +52,15 @@ def test_a_large_constant_does_not_hide_what_a_spring_has_beside_it():
     assert as_good(LIMITS, payload, spring, 1.0, places(offset, spring, payload)), "of another kind as before"
 
 
+@pytest.mark.parametrize(("gain", "equal"), [(993.0, True), (985.0, False)])
+def test_a_curve_through_anything_needs_more_than_what_a_real_spring_has_beside_its_law(gain, equal):
+    hose, spring = score(HOSE, 1000.0, **CURVE), score(SPRING, gain, harmonics=2.0)
+    assert as_good(LIMITS, spring, hose, 1.0, places(hose, spring)) is equal
+    ripple = score(("torque_ripple", (1,)), gain, harmonics=2.0)
+    assert not as_good(LIMITS, ripple, hose, 1.0, places(hose, ripple)), "of another kind as before"
+    assert not as_good(LIMITS, score(HOSE, gain, **CURVE), score(SPRING, 1000.0, harmonics=2.0), 1.0, {})
+
+
 def test_friction_by_direction_is_as_good_as_the_offset_that_it_is_while_the_joint_slides():
     offset, one_sided = score(OFFSET, 1000.0), score(ONE_SIDED, 998.0, coulomb=1.0)
     assert gain_at_best(LIMITS, one_sided, places(offset, one_sided), OFFSET) == 1000.0
