@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from agent.diagnosis import Diagnosis, Excursions, diagnose
+from agent.diagnosis import Diagnosis, Excursions, Fit, diagnose
 from agent.diagnosis.dataset import folds_of, part_borders
 from agent.diagnosis.limits import LIMITS
 from agent.excitation import LoopProblem
@@ -202,6 +202,23 @@ def test_a_rehearsal_asks_the_diagnosis_itself_with_each_rival_taken_for_true(sa
 def test_a_rehearsal_repeats_itself(said):
     rehearsal, answers = said
     assert rehearsal.said(1) == answers
+
+
+def test_another_residual_of_the_same_motions_is_fitted_as_if_it_had_been_measured(ambiguous):
+    fit = ambiguous.dataset.fit
+    left = np.random.default_rng(4).standard_normal(fit.sigma.shape)
+    (offset,) = fit.candidates([(CATALOGUE["torque_offset"], (1,), {})])
+    known = fit.score([offset])[0].gain
+    rows = [np.column_stack([block[:, :-1], one]) for block, one in zip(fit.rows, left.T, strict=True)]
+    anew = Fit(
+        fit.reference, fit.signals, rows, fit.index, fit.sigma, fit.precision, fit.shift,
+        fit.cell, fit.block, fit.folds, fit.single,
+    )  # fmt: skip
+    other = fit.with_residual(left)
+    assert other.gram == pytest.approx(anew.gram, rel=1e-9, abs=1e-9)
+    for mine, theirs in zip(other.score([offset]), anew.score([offset]), strict=True):
+        assert (mine.gain, mine.values) == (pytest.approx(theirs.gain), pytest.approx(theirs.values))
+    assert fit.score([offset])[0].gain == known
 
 
 def test_a_planned_motion_is_held_out_in_parts_of_equal_motion(ambiguous):
