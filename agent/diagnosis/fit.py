@@ -16,6 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -97,37 +98,28 @@ class Fit:
         weak = np.diag(1e-7 * energy / self.repeat + 1e-12)
         return weak if candidate.prior is None else weak + candidate.prior
 
-    def with_chosen(self, chosen: Sequence[Candidate]) -> Fit:
-        """The same data with these effects as part of the model."""
+    def with_chosen(self, chosen: Sequence[Candidate] = (), **changed: Any) -> Fit:
+        """The same data with these effects as part of the model; `changed`: attributes that differ, by name."""
         other = copy(self)
+        vars(other).update(changed)
         other._extend(chosen)
         return other
 
     def with_prior(self, precision: np.ndarray) -> Fit:
         """The same data without effects, and with another prior precision (p, p) of the model's parameters."""
-        other = copy(self)
-        other.precision = precision
-        other._extend(())
-        return other
+        return self.with_chosen(precision=precision)
 
     def with_residual(self, left: np.ndarray) -> Fit:
         """The same motions without effects, and with (S', n) over `sigma` left of the torque; candidates are kept."""
-        other = copy(self)
-        other.rows = [np.column_stack([rows[:, :-1], one]) for rows, one in zip(self.rows, left.T, strict=True)]
-        other._moments = self._moments.with_residual(other.rows)
-        other._extend(())
-        return other
+        rows = [np.column_stack([rows[:, :-1], one]) for rows, one in zip(self.rows, left.T, strict=True)]
+        return self.with_chosen(rows=rows, _moments=self._moments.with_residual(rows))
 
     def seen_from(self, reference: NominalModel) -> Fit:
         """The same data without effects, whose columns are then made at other numbers of the model."""
-        other = copy(self)
-        other.reference = reference
         loads = [signals.reference.payload for signals in self.signals]
         seen = [reference if load is None else NominalModel(reference.model, load) for load in loads]
-        other.signals = [replace(one, reference=new) for one, new in zip(self.signals, seen, strict=True)]
-        other._made = {}
-        other._extend(())
-        return other
+        signals = [replace(one, reference=new) for one, new in zip(self.signals, seen, strict=True)]
+        return self.with_chosen(reference=reference, signals=signals, _made={})
 
     @property
     def sigmas(self) -> list[np.ndarray]:
