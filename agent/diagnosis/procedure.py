@@ -90,9 +90,11 @@ class Search:
             return self._nothing(nothing, steps)
         fit = base.with_chosen(self._pruned(best[1]))
         closed = closed_excess(self.limits, before, fit)
-        if closed < self.limits.explained:
+        if closed < self.limits.partly_closed:
             return self._nothing(nothing, steps, closed)
         finding = self._verdict(fit, closed, steps)
+        if closed < self.limits.explained:
+            finding = finding.with_uncertain_form()
         likely = finding.probability[0] > self.limits.least_probability
         return finding if likely else self._nothing(nothing, steps, closed)
 

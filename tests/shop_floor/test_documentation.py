@@ -63,7 +63,7 @@ def _tell(folder: Path) -> subprocess.CompletedProcess[str]:
             start_new_session=True,
         )
         try:
-            code = shell.wait(timeout=540)
+            code = shell.wait(timeout=1200)  # three minutes where nothing else runs
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(shell.pid, signal.SIGKILL)
