@@ -66,8 +66,7 @@ class Search:
         """Search until nothing worth naming is left."""
         base = self.fit
         before = joint_energy(base)
-        first = self.scan(base)
-        steps = [first]
+        steps = [first := self.scan(base)]
         reported = noticed(self.limits, self._at_rest, base, self.limits.unexplained_torque)
         matters = bool(np.any(reported & noticed(self.limits, self._at_rest, base, allow_stiction=True)))
         if not first.eligible and not matters:
@@ -145,8 +144,8 @@ class Search:
             self.least = max(self.least, self.null.threshold)
         self._progress(f"scan {len(self._scanned) + 1}, beside {beside}: the leading forms are refined")
         best = self._refined(fit, best)
-        eligible = self._eligible(fit, best)
-        return Step(fit.chosen, fit.error(), tuple(sorted(best.values(), key=lambda s: -s.gain)), eligible)
+        scores = tuple(sorted(best.values(), key=lambda s: -s.gain))
+        return Step(fit.chosen, fit.error(), scores, self._eligible(fit, best))
 
     def _refined(self, fit: Fit, best: dict[Where, HeldOutScore]) -> dict[Where, HeldOutScore]:
         """Search the nonlinear parameters of the leading places more finely."""
@@ -288,8 +287,7 @@ class Search:
     def _unfit(self, fit: Fit) -> HeldOutScore | None:
         """A shape of the same kind on the same joint that explains half of what a cause leaves."""
         least = max(2 * self.least, self.limits.rival_energy * self._excess(fit))
-        left = self.scan(fit).eligible
-        return next((s for s in left if s.gain > least and imitates(fit.chosen, s)), None)
+        return next((s for s in self.scan(fit).eligible if s.gain > least and imitates(fit.chosen, s)), None)
 
     def _verdict(self, fit: Fit, closed: float, steps: list[Step]) -> Finding:
         """Order causes by what is lost without each, and look for places that would do as well."""
