@@ -98,9 +98,10 @@ def has_size(cause: Cause, limits: DecisionLimits = LIMITS) -> bool:
     Of a simulator, whose file is wrong in many ways, it may be small beside others, and not on its own joints.
     """
     values = cause.parameters.values()
-    closes = cause.closure is not None and cause.closure >= limits.least_share
-    if cause.closure_of_joints is not None and not closes:
-        closes = cause.closure_of_joints >= limits.least_closure
+    if cause.closure is None or not isfinite(cause.closure):
+        return False
+    of_joints = cause.closure_of_joints
+    closes = cause.closure >= limits.least_share or (of_joints is not None and of_joints >= limits.least_closure)
     return closes and all(map(isfinite, values)) and any(values)
 
 
