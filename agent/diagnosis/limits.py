@@ -101,9 +101,6 @@ class DecisionLimits:
 
     # What a verdict promises
     explained: float = _limit(0.75, "gap", "that all causes close together, or it is not explained", _CONTRACT)
-    partly_closed: float = _limit(
-        0.5, "excess energy", "that causes close before any is named, below `explained` as one of several", TUNED
-    )
     least_closure: float = _limit(0.25, "gap", "causes that close less are not named, whatever equals them", "chosen")
     least_share: float = _limit(0.03, "gap", "a cause that closes less by itself has no size", "chosen")
     least_probability: float = _limit(

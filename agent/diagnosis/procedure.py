@@ -89,11 +89,9 @@ class Search:
             return self._nothing(nothing, steps)
         fit = base.with_chosen(self._pruned(best[1]))
         closed = closed_excess(self.limits, before, fit)
-        if closed < self.limits.partly_closed:
+        if closed < self.limits.explained:
             return self._nothing(nothing, steps, closed)
         finding = self._verdict(fit, closed, steps)
-        if closed < self.limits.explained:
-            finding = finding.with_uncertain_form()
         likely = finding.probability[0] > self.limits.least_probability
         return finding if likely else self._nothing(nothing, steps, closed)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -76,27 +74,3 @@ def test_a_further_effect_that_only_turns_against_the_first_is_none(diagnosed, r
     search = Left(seen)
     friction = seen.candidate(CATALOGUE["friction_change"], (3,), {"coulomb": 1.0})
     assert len(search._forward((friction,), [])) == (2 if rubs > 0 else 1)
-
-
-class Two(Search):
-    """A search that knows a hose and friction on one joint, and nothing else."""
-
-    def scan(self, fit):
-        self.null = SimpleNamespace(threshold=0.0, p_value=lambda gain: 0.005)
-        known = [hose(fit), fit.candidate(CATALOGUE["friction_change"], (4,), {"coulomb": 1.0})]
-        scores = tuple(sorted(fit.score(known), key=lambda score: -score.gain))
-        return Step(fit.chosen, fit.error(), scores, () if fit.chosen else scores[:1])
-
-
-@pytest.mark.parametrize(("beside", "verdict"), [(0.6, "ambiguous"), (1.7, "unknown")])
-def test_a_cause_that_closes_most_of_a_gap_but_not_three_quarters_is_one_of_two(diagnosed, beside, verdict):
-    """Beside a hose something that is in no catalogue, with so many times its energy."""
-    fit = diagnosed(0).dataset.fit
-    seen = redrawn(fit, np.random.default_rng(4), hose(fit), np.array([0.0, 0.0, 60.0]))
-    of_hose = np.mean((hose(fit).blocks[4] @ [0.0, 0.0, 60.0]) ** 2)
-    unknown = np.sign(np.sin(np.arange(len(seen.rows[4])) / 17.0))
-    seen.rows[4][:, -1] += np.sqrt(beside * of_hose) * unknown
-    found = Two(redrawn_from(seen)).run()
-    assert found.verdict == verdict
-    assert [candidate.effect.name for candidate in found.causes] == ["dress_pack"] * (verdict == "ambiguous")
-    assert all(rivals == (("friction_change", (4,)),) for rivals in found.rivals)
