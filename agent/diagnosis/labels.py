@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from agent.diagnosis.limits import LIMITS
 from agent.model import CATALOGUE
 
 REGIMES = {
@@ -58,6 +59,8 @@ def closes(cause: Mapping[str, Any], whole: float | None = None) -> str:
         part = "less than 1 %"
     if in_torque(cause):
         own = cause.get("closure_of_joints")
-        beside = "" if own is None or closure >= 0.03 else f" and {100 * own:.0f} % of that of {place(cause)}"
+        beside = ""
+        if own is not None and closure < LIMITS.least_share:  # named for what it closes of its own joints
+            beside = f" and {100 * own:.0f} % of that of {place(cause)}"
         return f"closes {part} of the gap{beside}"
     return f"closes {part} of the gap between planned and executed path"

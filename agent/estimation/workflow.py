@@ -124,13 +124,13 @@ def _problem(observation: Observation, cells: Partition, friction: str) -> Probl
     """The problem of fitting one set of friction terms, the prior with the weight that its residuals ask for."""
     if friction == "paper":
         return _first_problem(observation, cells).with_own_prior_weight()
-    plain = choose_links(_first_problem(observation, cells, "offset"))
+    usual = choose_links(_first_problem(observation, cells, "offset"))
     if friction == "plain":
-        return plain
+        return usual
     selected = select_friction_terms(observation, cells).with_own_prior_weight()
     weights = selected.weights()
-    before, after = (np.sum(weights * each.held_out(weights), axis=(1, 2)) for each in (plain, selected))
-    return selected if clearly_better(before, after, _MORE_FRICTION) else plain
+    before, after = (np.sum(weights * each.held_out(weights), axis=(1, 2)) for each in (usual, selected))
+    return selected if clearly_better(before, after, _MORE_FRICTION) else usual
 
 
 def observe_predictable(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -> Observation:
