@@ -6,15 +6,17 @@ import numpy as np
 
 from agent.compiled.compiling import compiled
 
+_FORGETTING = 4.0  # power of the time gone with which the start is forgotten
 _TOGETHER = 64  # links that take their steps side by side: their states stay in the fastest cache
 
 
 @compiled(
-    "Tuple((f4[:,::1], f4[:,::1]))"
-    "(f8[:,::1], f8[:,::1], i8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8, i8, f8)"
+    "Tuple((f4[:,::1], f4[:,::1], f4[:,::1]))"
+    "(f8[:,::1], f8[:,::1], f8[:,::1], i8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8, i8, f8)"
 )
 def driven_through_play(
     impulse: np.ndarray,
+    slope: np.ndarray,
     mobility: np.ndarray,
     column: np.ndarray,
     followed: np.ndarray,
@@ -25,17 +27,21 @@ def driven_through_play(
     step: float,
     substeps: int,
     period: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """(K, S) change of K links' momentum [N·m], and of their speed [rad/s²], in each sample of `period` [s].
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(K, S) what K links take of their load [N·m], the change of their speed [rad/s²] and the twist [rad], in each
+    sample of `period` [s].
 
-    impulse, mobility (S, M): what pushes in a step of length `step` [s], and one over the inertia, of which link k has
-    `column` k (K,), the mobility `followed` (K,) at most. spring (K,): impulse of a step per twist beyond half the play
-    (K,); loss (K,): part of the speed's momentum that damping takes in a step while the teeth touch, which they always
-    do where no link has play; twist (K,): at the start.
+    impulse, slope, mobility (S, M): what pushes in a step of length `step` [s], by how much less for a twist of one,
+    and one over the inertia, of which link k has `column` k (K,), the mobility `followed` (K,) at most and of the slope
+    half the spring's. spring (K,): impulse of a step per twist beyond half the play (K,); loss (K,): part of the
+    speed's momentum that damping takes in a step while the teeth touch, which they always do where no link has play;
+    twist (K,): at the start, which is a guess: a link is damped so that it forgets it with the time gone, squared, or
+    critically, as long as that is more than its own damping.
     """
     samples, count = len(impulse), len(column)
     torque, second = np.empty((count, samples), np.float32), np.empty((count, samples), np.float32)
-    pushed, kept, moved, momentum, angle, before, speed = np.zeros((7, _TOGETHER))
+    twisted = np.empty((count, samples), np.float32)
+    pushed, fallen, kept, moved, momentum, angle, before, speed = np.zeros((8, _TOGETHER))
     has_play = False
     for k in range(count):
         has_play |= half[k] > 0
@@ -47,7 +53,12 @@ def driven_through_play(
             for k in range(wide):
                 inverse = min(mobility[s, column[first + k]], followed[first + k])
                 pushed[k] = impulse[s, column[first + k]]
-                kept[k] = 1.0 - loss[first + k] * inverse
+                most = 0.5 * spring[first + k]
+                fallen[k] = min(max(slope[s, column[first + k]], -most), most)
+                taken = loss[first + k] * inverse
+                critical = 2.0 * np.sqrt(step * spring[first + k] * inverse)
+                forgetting = min(critical, 2.0 * _FORGETTING * step / ((s + 1) * period))
+                kept[k] = 1.0 - min(max(taken, forgetting), 1.0)
                 moved[k] = inverse
                 before[k] = momentum[k]
             for _ in range(substeps):
@@ -55,18 +66,24 @@ def driven_through_play(
                     for k in range(wide):
                         at, end, p = angle[k], half[first + k], momentum[k]
                         beyond = at - min(max(at, -end), end)
-                        p = (p * kept[k] if beyond != 0 else p) + pushed[k] - beyond * spring[first + k]
+                        p = (
+                            (p * kept[k] if beyond != 0 else p)
+                            + pushed[k]
+                            - at * fallen[k]
+                            - beyond * spring[first + k]
+                        )
                         momentum[k] = p
                         angle[k] = at + step * moved[k] * p
                 else:
                     for k in range(wide):
                         at = angle[k]
-                        p = momentum[k] * kept[k] + pushed[k] - at * spring[first + k]
+                        p = momentum[k] * kept[k] + pushed[k] - at * (fallen[k] + spring[first + k])
                         momentum[k] = p
                         angle[k] = at + step * moved[k] * p
             for k in range(wide):
-                torque[first + k, s] = (momentum[k] - before[k]) / period
+                torque[first + k, s] = (momentum[k] - before[k]) / period + angle[k] * fallen[k] / step
                 fast = momentum[k] * moved[k]
                 second[first + k, s] = (fast - speed[k]) / period
                 speed[k] = fast
-    return torque, second
+                twisted[first + k, s] = angle[k]
+    return torque, second, twisted

@@ -22,6 +22,7 @@ from agent.diagnosis.fit import Fit
 from agent.diagnosis.isolability import best_by_place, complexity, imitates, plausible, structurally_equivalent
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.needs import Excursions
+from agent.diagnosis.refinement import refined
 from agent.diagnosis.rivals import as_good, equals_by_definition, gain_at_best, gain_by_form
 from agent.diagnosis.standstill import at_rest
 from agent.diagnosis.verdict import abstained, named
@@ -150,19 +151,8 @@ class Search:
         least = 0.5 * self.limits.least_gain * self.rows
         over, clear = over_background(fit), noticed(self.limits, self._at_rest, fit)
         large = [s for s in best.values() if s.gain > least and self._over(s, over, clear)]
-        leaders = sorted(large, key=lambda s: -s.gain)[:6]
-        for factor in (1.25, 1.1, 1.04, 1.015):
-            if factor < 1.1:
-                leaders = [s for s in leaders if best[s.candidate.place].gain > 0.5 * leaders[0].gain]
-            wanted = []
-            for place in (s.candidate.place for s in leaders):
-                effect, joints = best[place].candidate.effect, place[1]
-                wanted += [(effect, joints, near) for near in effect.nearby(best[place].candidate.settings, factor)]
-            finer = fit.candidates(wanted)
-            self.pool += [c for c in finer if not c.effect.residual_driven]
-            for score in fit.score(finer):
-                if plausible(score) and score.gain > best[score.candidate.place].gain:
-                    best[score.candidate.place] = score
+        best, made = refined(fit, best, sorted(large, key=lambda s: -s.gain)[:6], self.limits)
+        self.pool += [c for c in made if not c.effect.residual_driven]
         return best
 
     def _eligible(self, fit: Fit, best: dict[Where, HeldOutScore]) -> tuple[HeldOutScore, ...]:
@@ -201,7 +191,9 @@ class Search:
         """Whether a simpler limit of the form does as well, so that the form has nothing to show for itself."""
         joints = score.candidate.joints
         places = [(limit, ())] if CATALOGUE[limit].scope != "joint" else [(limit, (j,)) for j in joints]
+        most = complexity(score.candidate)  # a limit with a reversal of its own may be no simpler
         simpler = [best[place] for place in places if place in best and plausible(best[place])]
+        simpler = [other for other in simpler if complexity(other.candidate) <= most]
         least, share = self.limits.equal_gain_floor * self.rows, 0.5 * self.limits.equal_gain
         if score.candidate.effect.rivals_special_cases and limit in self.allowed:
             return False

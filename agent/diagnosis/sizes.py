@@ -27,6 +27,7 @@ _UNITS = {
     "stiffness": "N·m/rad", "quadratic": "N·m/rad²", "cubic": "N·m/rad³",
     "damping": "N·m·s/rad", "speed": "rad/s", "force": "N", "tilt": "rad",
     "gap": "rad", "travel": "rad", "way": "rad", "low": "rad", "high": "rad", "middle": "rad", "reach": "rad",
+    "reversal_travel": "rad", "reversal_level": "N·m",
     "order": "1/rad",
     "delay": "s", "shift": "s", "blend": "s", "start": "s", "end": "s", "duration": "s", "time": "s",
 }  # fmt: skip

@@ -102,6 +102,7 @@ def torque_of_file(path: Path, module, q, qd, qdd):
     """(S, 3) of MuJoCo, or of Pinocchio, from the file and the effects, and of the bodies alone what these need."""
     model = load_simulator(path, None, NAMES).model  # for mass matrices only
     masses = np.array([model.rigid.dynamics.mass_matrix(row) for row in q])
+    slopes = model.rigid.dynamics.torque_slope(q, qd, qdd)
     if path.suffix == ".urdf":
         import pinocchio as pin
 
@@ -132,7 +133,7 @@ def torque_of_file(path: Path, module, q, qd, qdd):
         spring = arm.jnt_stiffness * (q - arm.qpos_spring)
         load = plain - arm.dof_armature * qdd - arm.dof_damping * qd - spring
     effects = module.Effects(dt=1 / RATE)
-    added = np.array([effects.torque(*row) for row in zip(q, qd, qdd, load, masses, strict=True)])
+    added = np.array([effects.torque(*row) for row in zip(q, qd, qdd, load, masses, slopes, strict=True)])
     total = plain + friction * np.tanh(qd / module.REVERSAL) + added
     return np.array([effects.reading(row) for row in total])
 

@@ -30,6 +30,9 @@ CASES = {
     "encoder_offset": entry("encoder_offset", "lift", offset=0.04),
     "spring": entry("dress_pack", "lift", constant=0.4, stiffness=2.5),
     "stribeck": entry("stribeck", "pan", speed=0.2, shape=2, rise=1.5),
+    "stribeck, with its reversal": entry(
+        "stribeck", "pan", speed=0.2, shape=2, rise=1.5, reversal_travel=0.02, reversal_level=1.5
+    ),
     "asymmetric_friction": entry(
         "asymmetric_friction", "lift", coulomb=1, viscous=1, coulomb_asymmetry=0.3, viscous_asymmetry=0.1
     ),
@@ -136,9 +139,12 @@ def test_the_file_and_its_effects_give_the_torque_of_our_model(what, kind, tmp_p
     torque = torque_of_file(out, module, q, qd, qdd)
     plain = given.model.predict(q, qd, qdd, time)
     assert np.abs(expected - plain).max() > 1e-3 * np.abs(plain).max()
+    apart = np.abs(torque - expected).max(axis=1)
     # mass matrices are interpolated in our prediction of two masses, and teeth may meet a step earlier
-    tolerance = {"joint_elasticity": 1e-3, "backlash": 1e-2}.get(what, 1e-6)
-    assert np.abs(torque - expected).max() < tolerance * np.abs(expected).max()
+    tolerance, size = {"joint_elasticity": (1e-3, apart.max()), "backlash": (3e-3, np.sqrt(np.mean(apart**2)))}.get(
+        what, (1e-6, apart.max())
+    )
+    assert size < tolerance * np.abs(expected).max()
 
 
 def test_the_effects_need_numpy_alone_and_take_many_arms_at_once(tmp_path):

@@ -20,7 +20,7 @@ class Backlash(TwoMass):
 
     name = "backlash"
     family = "transmission"
-    formula = "−ṗ, p = M_kk ḋ, ṗ + c ḋ + k z(d) = τ_link, z = d beyond ± gap / 2"
+    formula = "−(ṗ + s d), p = M_kk ḋ, ṗ + c ḋ + k z(d) = τ_link − s d, z = d beyond ± gap / 2"
     source = "Nordin, Gutman, Automatica 38 (2002)"
     signature = "pulses right after the load torque changes sign, quiet elsewhere"
     confused_with = ("presliding", "joint_elasticity")

@@ -135,6 +135,12 @@ class Effect(ABC):
         """Those of its special cases that it has with these nonlinear parameters."""
         return self.special_cases
 
+    def reversing(
+        self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
+    ) -> list[dict[str, float]]:
+        """The same settings with reversals of their own, to try beside them; none where it has no such."""
+        return []
+
     def nearby(self, settings: Mapping[str, float], factor: float) -> list[dict[str, float]]:
         """Settings with one of the nonlinear parameters that are worth a finer search a `factor` up or down."""
         steps = ((name, scale) for name in self.refined if name in settings for scale in (1 / factor, factor))

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from agent.model.effects.effect import Columns, Effect, FitContext, on_axle, rubs
+import numpy as np
+
+from agent.model.effects.effect import FitContext, rubs
+from agent.model.effects.friction_level import FrictionLevel
 from agent.model.signals import MotionSignals, NominalModel
 
 
-class FrictionChange(Effect):
+class FrictionChange(FrictionLevel):
     """τ = a s + b w, or either term alone."""
 
     name = "friction_change"
@@ -28,23 +31,21 @@ class FrictionChange(Effect):
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         return [{"coulomb": 1.0}, {"viscous": 1.0}, {"coulomb": 1.0, "viscous": 1.0}]
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def level_names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return tuple(f"{kind}_change" for kind in ("coulomb", "viscous") if kind in settings)
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
-        (axle,) = joints
+    def level_columns(self, signals: MotionSignals, axle: int, settings: Mapping[str, float]) -> tuple[np.ndarray, ...]:
         parts = {"coulomb": signals.direction(axle), "viscous": signals.axles.speed[:, axle]}
-        return on_axle(signals.reference, axle, *(parts[kind] for kind in parts if kind in settings))
+        return tuple(parts[kind] for kind in parts if kind in settings)
 
-    def possible(
-        self,
-        reference: NominalModel,
-        joints: tuple[int, ...],
-        settings: Mapping[str, float],
-        values: Mapping[str, float],
+    def level_possible(
+        self, reference: NominalModel, axle: int, settings: Mapping[str, float], values: Mapping[str, float]
     ) -> bool:
         change = {kind: values[f"{kind}_change"] for kind in ("coulomb", "viscous") if kind in settings}
-        return rubs(reference, joints[0], **change)
+        return rubs(reference, axle, **change)
 
-    def n_parameters(self, settings: Mapping[str, float]) -> int:
+    def level_changes(self, settings: Mapping[str, float]) -> bool:
+        return "coulomb" in settings
+
+    def level_parameters(self, settings: Mapping[str, float]) -> int:
         return len(settings)

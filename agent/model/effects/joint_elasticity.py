@@ -14,11 +14,11 @@ _DAMPING = (0.04, 0.12)
 
 
 class JointElasticity(TwoMass):
-    """τ_k = −a ṗ, d the motor's lead over the link (see `two_mass`), a near 1: all joints feel the link."""
+    """τ_k = −a (ṗ + s d), d the motor's lead over the link (see `two_mass`), a near 1: all joints feel the link."""
 
     name = "joint_elasticity"
     family = "transmission"
-    formula = "−ṗ, p = M_kk ḋ, ṗ + c ḋ + k d = τ_link"
+    formula = "−(ṗ + s d), p = M_kk ḋ, ṗ + c ḋ + k d = τ_link − s d, s = ∂τ_link / ∂q_k"
     source = "Spong, J. Dynamic Systems, Measurement and Control 109 (1987)"
     signature = "ringing after fast load changes, at one frequency that falls with the inertia carried"
     confused_with = ("time_delay", "backlash", "inertial_mismatch")

@@ -7,12 +7,13 @@ from types import MappingProxyType
 
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, FitContext, on_axle
+from agent.model.effects.effect import FitContext
+from agent.model.effects.friction_level import FrictionLevel
 from agent.model.signals import MotionSignals
 from agent.robot import RobotDescription
 
 
-class LoadDependentFriction(Effect):
+class LoadDependentFriction(FrictionLevel):
     """τ = a s |τ_load|, or a s τ₁ (|τ_load| / τ₁)^p, with b w |τ_load| or b τ_load besides.
 
     Teeth rub in proportion to the load, preloaded rollers and flexsplines with another power of it; a film of oil under
@@ -45,13 +46,13 @@ class LoadDependentFriction(Effect):
         ]
 
     def simpler(self, settings: Mapping[str, float], robot: RobotDescription) -> tuple[str, ...]:
-        return (*self.special_cases, "torque_constant") if "driven" in settings else self.special_cases
+        simpler = super().simpler(settings, robot)
+        return (*simpler, "torque_constant") if "driven" in settings else simpler
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def level_names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("coefficient", *(f"{kind}_coefficient" for kind in ("sheared", "driven") if kind in settings))
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
-        (axle,) = joints
+    def level_columns(self, signals: MotionSignals, axle: int, settings: Mapping[str, float]) -> tuple[np.ndarray, ...]:
         assert signals.axles.load is not None
         load, slide = signals.axles.load[:, axle], signals.direction(axle)
         nominal = settings.get("load", 1.0)
@@ -60,10 +61,10 @@ class LoadDependentFriction(Effect):
             columns.append(signals.axles.speed[:, axle] * np.abs(load))
         if "driven" in settings:
             columns.append(load)
-        return on_axle(signals.reference, axle, *columns)
+        return tuple(columns)
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
         return abs(values.get("driven_coefficient", 0.0)) <= abs(values["coefficient"])
 
-    def n_parameters(self, settings: Mapping[str, float]) -> int:
+    def level_parameters(self, settings: Mapping[str, float]) -> int:
         return 1 + bool(settings)

@@ -6,15 +6,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, FitContext, highest_speed, on_axle, rubs
+from agent.model.effects.effect import FitContext, highest_speed, rubs
 from agent.model.effects.experiments import SLOW_REVERSALS
+from agent.model.effects.friction_level import FrictionLevel
 from agent.model.signals import MotionSignals, NominalModel
 
 # Of the highest speed. Below it is how the friction reverses, in which a model and a machine differ without any effect.
 _SPEEDS = (0.02, 0.035, 0.06, 0.1, 0.17, 0.28)
 
 
-class Stribeck(Effect):
+class Stribeck(FrictionLevel):
     """τ = a s exp(−(|w| / v)^δ): v the speed over which it fades, δ 1 or 2."""
 
     name = "stribeck"
@@ -37,19 +38,14 @@ class Stribeck(Effect):
         fastest = highest_speed(context, joints[0])
         return [{"speed": fastest * fraction, "shape": shape} for fraction in _SPEEDS for shape in (1.0, 2.0)]
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def level_names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("rise",)
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
-        (axle,) = joints
+    def level_columns(self, signals: MotionSignals, axle: int, settings: Mapping[str, float]) -> tuple[np.ndarray, ...]:
         fading = (signals.axles.magnitude[:, axle] / settings["speed"]) ** settings["shape"]
-        return on_axle(signals.reference, axle, signals.direction(axle) * np.exp(-np.minimum(fading, 700)))
+        return (signals.direction(axle) * np.exp(-np.minimum(fading, 700)),)
 
-    def possible(
-        self,
-        reference: NominalModel,
-        joints: tuple[int, ...],
-        settings: Mapping[str, float],
-        values: Mapping[str, float],
+    def level_possible(
+        self, reference: NominalModel, axle: int, settings: Mapping[str, float], values: Mapping[str, float]
     ) -> bool:
-        return rubs(reference, joints[0], coulomb=values["rise"])
+        return rubs(reference, axle, coulomb=values["rise"])

@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, FitContext, on_axle, rubs
+from agent.model.effects.effect import FitContext, rubs
 from agent.model.effects.experiments import FROM_COLD
+from agent.model.effects.friction_level import FrictionLevel
 from agent.model.signals import MotionSignals, NominalModel
 
 _LONGEST_SESSION = 12 * 3600.0  # s
@@ -15,7 +16,7 @@ _SHORTEST = 5.0  # s: no gear warms up faster
 _LEAST_WAY = 1.0  # rad: nor within a sixth of a turn
 
 
-class ThermalFriction(Effect):
+class ThermalFriction(FrictionLevel):
     """τ = (a + b c(t)) s + (d + e c(t)) w with c(t) how cold the drive still is.
 
     c = exp(−t / T), t from the start of each log, or of the first of a session. Where the arm pauses or goes at very
@@ -60,7 +61,7 @@ class ThermalFriction(Effect):
             *({"way": fraction * whole, "session": 1.0} for fraction in (0.03, 0.1, 0.3, 1.0)),
         ]
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def level_names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("coulomb_change", "coulomb_drift", "viscous_change", "viscous_drift")
 
     def prepare(
@@ -75,8 +76,7 @@ class ThermalFriction(Effect):
             way = np.array([float(_way(motion, axle)[-1]) for axle in range(len(whole))])
             gone[motion.log_index], whole = before + way, whole + way
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
-        (axle,) = joints
+    def level_columns(self, signals: MotionSignals, axle: int, settings: Mapping[str, float]) -> tuple[np.ndarray, ...]:
         if "way" in settings:
             before = signals.__dict__.get("_gone", (np.zeros(signals.q.shape[1]),) * 2)["session" in settings][axle]
             fading = np.exp(-(before + _way(signals, axle)) / settings["way"])
@@ -84,22 +84,18 @@ class ThermalFriction(Effect):
             since = signals.time + (signals.started if "session" in settings else 0.0)
             fading = np.exp(-since / settings["time_constant"])
         slide, speed = signals.direction(axle), signals.axles.speed[:, axle]
-        return on_axle(signals.reference, axle, slide, slide * fading, speed, speed * fading)
+        return slide, slide * fading, speed, speed * fading
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
         return settings.get("time_constant", np.inf) > _SHORTEST and settings.get("way", np.inf) > _LEAST_WAY
 
-    def possible(
-        self,
-        reference: NominalModel,
-        joints: tuple[int, ...],
-        settings: Mapping[str, float],
-        values: Mapping[str, float],
+    def level_possible(
+        self, reference: NominalModel, axle: int, settings: Mapping[str, float], values: Mapping[str, float]
     ) -> bool:
         cold = {kind: values[f"{kind}_change"] + values[f"{kind}_drift"] for kind in ("coulomb", "viscous")}
-        return rubs(reference, joints[0], **cold)
+        return rubs(reference, axle, **cold)
 
-    def n_parameters(self, settings: Mapping[str, float]) -> int:
+    def level_parameters(self, settings: Mapping[str, float]) -> int:
         return 5
 
 

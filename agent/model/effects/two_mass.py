@@ -21,13 +21,18 @@ _NEIGHBOURS = (1.12, 1.05)  # factors of frequency and play, finer with every ro
 
 def leads(
     motions: Sequence[MotionSignals], joints: np.ndarray, stiffness: np.ndarray, gap: np.ndarray, damping: np.ndarray
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Per motion ṗ [N·m] and d̈ [rad/s²] of the motor's lead d over the link, (S, K) float32, K of each argument (K,).
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Per motion ṗ + s d [N·m], d̈ [rad/s²] and d [rad], d the motor's lead over the link, (S, K) float32 for K of each
+    argument (K,).
 
-    The motor moves as measured, so the link's momentum p = m ḋ obeys ṗ + c ḋ + k z(d) = L, with L the torque the rigid
-    link would take, m(t) its inertia about the joint, z(d) the twist beyond half the play (without play z(d) = d) and
+    The motor moves as measured, so the link's momentum p = m ḋ obeys ṗ + c ḋ + k z(d) = L − s d, with L the torque the
+    rigid link would take, s(t) how it changes with the joint's position (the link hangs where it is, not where its
+    motor is), m(t) its inertia about the joint, z(d) the twist beyond half the play (without play z(d) = d) and
     c = 2 ζ √(k m̄), which acts while the teeth touch. Semi-implicit steps, all motions and all K at once; a link that
     is lighter in some posture than the steps can follow (k h² / m > 1) counts as one that they can.
+
+    How the links ring when a log begins is not known, so they are damped more at first: a start is forgotten with the
+    time gone, squared, and not carried on by a little damping.
     """
     from agent.compiled import driven_through_play
 
@@ -40,6 +45,7 @@ def leads(
     load = side_by_side([motion.link_load for motion in motions])
     diagonal = [np.diagonal(motion.mass, axis1=1, axis2=2) for motion in motions]
     inertia = np.maximum(side_by_side(diagonal), 1e-9)
+    slope = side_by_side([np.diagonal(motion.link_slope, axis1=1, axis2=2) for motion in motions])
     dof = motions[0].q.shape[1]
     column = np.concatenate([motion * dof + joints for motion in range(len(motions))])
     k, half = np.tile(stiffness, len(motions)), 0.5 * np.tile(gap, len(motions))
@@ -50,18 +56,18 @@ def leads(
     first = load[0, column]
     twist = first / k + np.sign(first) * half
     followed = 1 / np.maximum(step**2 * k, step * c)
-    parts = driven_through_play(
-        step * load, 1 / inertia, column, followed, step * k, step * c, half, twist, step, substeps, period
-    )
-    torque, second = (np.split(part, len(motions)) for part in parts)
+    moving = step * load, step * slope, 1 / inertia
+    parts = driven_through_play(*moving, column, followed, step * k, step * c, half, twist, step, substeps, period)
+    torque, second, twisted = (np.split(part, len(motions)) for part in parts)
     return [
-        (one.T[: len(motion.time)], two.T[: len(motion.time)])
-        for one, two, motion in zip(torque, second, motions, strict=True)
+        (one.T[: len(motion.time)], two.T[: len(motion.time)], lead.T[: len(motion.time)])
+        for one, two, lead, motion in zip(torque, second, twisted, motions, strict=True)
     ]
 
 
 class TwoMass(Effect):
-    """τ_k = −a d/dt(M_kk ḋ), τ_j = −a M_jk d̈, a near 1: what the joints feel of a motor that leads its link by d.
+    """τ_k = −a (d/dt(M_kk ḋ) + s_kk d), τ_j = −a (M_jk d̈ + s_jk d), a near 1: what joints feel of a motor that leads
+    its link by d; s_jk = ∂τ_j / ∂q_k of the links.
 
     A resonance is far narrower than a step of any grid that could be tried in full. So the whole `grid` is tried on the
     joint itself, where it costs one column each, then the neighbours of the best, and only the best of all on all
@@ -146,18 +152,21 @@ class TwoMass(Effect):
         if not new:
             return
         joints, stiffness, damping, gap = (np.array(part) for part in zip(*new, strict=True))
-        for of_motion, (torque, second) in zip(known, leads(motions, joints, stiffness, gap, damping), strict=True):
-            of_motion.update(zip(new, zip(torque.T, second.T, strict=True), strict=True))
+        for of_motion, parts in zip(known, leads(motions, joints, stiffness, gap, damping), strict=True):
+            of_motion.update(zip(new, zip(*(part.T for part in parts), strict=True), strict=True))
 
-    def _lead(self, signals: MotionSignals, k: int, settings: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    def _lead(
+        self, signals: MotionSignals, k: int, settings: Mapping[str, float]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return signals.__dict__["_leads"][_key(k, settings)]
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         (k,) = joints
         self.prepare([signals], [(joints, settings)])
-        torque, second = self._lead(signals, k, settings)
-        others = {j: -(signals.mass[:, j, k] * second)[:, None] for j in range(signals.q.shape[1])}
-        return {**others, k: -torque[:, None].astype(float)}
+        torque, second, lead = self._lead(signals, k, settings)
+        felt = signals.mass[:, :, k] * second[:, None] + signals.link_slope[:, :, k] * lead[:, None]
+        felt[:, k] = torque
+        return {j: -felt[:, j, None] for j in range(signals.q.shape[1])}
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 2

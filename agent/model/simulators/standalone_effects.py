@@ -41,16 +41,23 @@ class Effects:
     def reset(self, time: float = 0.0) -> None:
         """Forget all motion."""
         self.time = time
-        self._states: dict[int, dict[str, Array]] = {}
+        self._states: dict[int, dict[str, Any]] = {}
         self._past: list[Array] = []
 
     def torque(
-        self, q: Array, qd: Array, qdd: Array | None = None, load: Array | None = None, mass: Array | None = None
+        self,
+        q: Array,
+        qd: Array,
+        qdd: Array | None = None,
+        load: Array | None = None,
+        mass: Array | None = None,
+        slope: Array | None = None,
     ) -> Array:
         """(..., n) [N·m] that the motors give beyond the simulator's, at q, qd, qdd (..., n); then time goes on.
 
-        `load` (..., n) [N·m] is the inverse dynamics of the bodies alone, without rotors and friction, and `mass`
-        (..., n, n) their mass matrix. What is not given counts as zero (the mass matrix as one).
+        `load` (..., n) [N·m] is the inverse dynamics of the bodies alone, without rotors and friction, `slope`
+        (..., n, n) [N·m/rad] how it changes with the position of each joint (columns), and `mass` (..., n, n) their
+        mass matrix. What is not given counts as zero (the mass matrix as one).
         """
         q, qd = np.asarray(q, dtype=float), np.asarray(qd, dtype=float)
         qdd = np.zeros_like(q) if qdd is None else np.asarray(qdd, dtype=float)
@@ -61,12 +68,15 @@ class Effects:
             j, p = list(effect["joints"]), effect["parameters"]
             kind = effect["effect"]
             if kind in ("joint_elasticity", "backlash"):
-                total = total + self._two_mass(state, j[0], p, load, mass)
+                total = total + self._two_mass(state, j[0], p, load, mass, slope)
             elif kind == "wrist_coupling":
                 total = total + self._coupled(j[0], j[1], p, qd, qdd, load)
             elif kind not in ("torque_constant", "torque_offset", "time_delay"):
                 form = getattr(self, f"_{kind}")
                 total[..., j[0]] += form(state, j[0], p, q[..., j[0]], qd[..., j[0]], load[..., j[0]], qdd[..., j[0]])
+                if "reversal_travel" in p:
+                    bristles = self._dahl(state.setdefault("bristles", {}), q[..., j[0]], p["reversal_travel"])
+                    total[..., j[0]] += p["reversal_level"] * (bristles - self._slide(j[0], qd[..., j[0]]))
         self.time += self.dt
         return total
 
@@ -157,25 +167,33 @@ class Effects:
             torque = torque + p["hysteresis"] * self._dahl(state, q, p["travel"])
         return np.asarray(torque)
 
-    def _two_mass(self, state: dict[str, Array], j: int, p: Any, load: Array, mass: Array | None) -> Array:
-        """Motor ahead of its link by d: ṗ + c ḋ + k z(d) = load, p = m ḋ; semi-implicit steps of 1/1500 s at most."""
-        matrix = np.broadcast_to(np.eye(len(JOINTS)), (*load.shape, len(JOINTS))) if mass is None else np.asarray(mass)
+    def _two_mass(
+        self, state: dict[str, Any], j: int, p: Any, load: Array, mass: Array | None, slope: Array | None
+    ) -> Array:
+        """Motor ahead of its link by d: ṗ + c ḋ + k z(d) = load − slope d, p = m ḋ; semi-implicit steps of 1/1500 s at
+        most. How the link rings at the start is not known: it is forgotten with the fourth power of the time gone."""
+        empty = np.zeros((*load.shape, len(JOINTS)))
+        matrix = empty + np.eye(len(JOINTS)) if mass is None else np.asarray(mass)
+        falls = empty[..., j] if slope is None else np.asarray(slope)[..., :, j]
         inertia, k, half = np.maximum(matrix[..., j, j], 1e-9), p["stiffness"], 0.5 * p.get("gap", 0.0)
-        here = load[..., j]
+        here, fallen = load[..., j], np.clip(falls[..., j], -0.5 * k, 0.5 * k)
         twist = state.get("twist", here / k + np.sign(here) * half)
         momentum = before = state.get("momentum", np.zeros_like(here))
+        state["steps"] = state.get("steps", 0) + 1
         steps = max(2, int(np.ceil(1500.0 * self.dt)))
         h = self.dt / steps
+        forgetting = np.minimum(2 * h * np.sqrt(k / inertia), 8 * h / (state["steps"] * self.dt))
+        kept_touching = 1 - np.minimum(np.maximum(h * p["damper"] / inertia, forgetting), 1)
         for _ in range(steps):
             beyond = twist - np.clip(twist, -half, half)
-            kept = np.where((beyond != 0) | (half == 0), 1 - h * p["damper"] / inertia, 1.0)
-            momentum = kept * momentum + h * here - h * k * beyond
+            kept = np.where((beyond != 0) | (half == 0), kept_touching, 1.0)
+            momentum = kept * momentum + h * here - h * fallen * twist - h * k * beyond
             twist = twist + h * momentum / inertia
         speed = momentum / inertia
         second = (speed - state.get("speed", np.zeros_like(speed))) / self.dt
         state.update(twist=twist, momentum=momentum, speed=speed)
-        felt = -p["share"] * matrix[..., :, j] * second[..., None]
-        felt[..., j] = -p["share"] * (momentum - before) / self.dt
+        felt = -p["share"] * (matrix[..., :, j] * second[..., None] + falls * twist[..., None])
+        felt[..., j] = -p["share"] * ((momentum - before) / self.dt + fallen * twist)
         return felt
 
     def _coupled(self, i: int, j: int, p: Any, qd: Array, qdd: Array, load: Array) -> Array:
@@ -218,10 +236,10 @@ def _harmonics(p: Any, angle: Array) -> Array:
     )
 
 
-def along(q: Array, qd: Array, qdd: Array, load: Array, mass: Array, dt: float) -> Array:
+def along(q: Array, qd: Array, qdd: Array, load: Array, mass: Array, slope: Array, dt: float) -> Array:
     """(S, n) [N·m] along a motion of S steps, from rest; arguments as of `Effects.torque`, with the steps first."""
     effects = Effects(dt=dt)
-    return np.array([effects.torque(*step) for step in zip(q, qd, qdd, load, mass, strict=True)])
+    return np.array([effects.torque(*step) for step in zip(q, qd, qdd, load, mass, slope, strict=True)])
 
 
 def install(mujoco: Any, model: Any, joints: tuple[str, ...] = JOINTS) -> Effects:
@@ -236,12 +254,28 @@ def install(mujoco: Any, model: Any, joints: tuple[str, ...] = JOINTS) -> Effect
     dof = np.array([int(model.joint(name).dofadr[0]) for name in joints])
     rotors = np.array(ROTORS)
     now: dict[str, Any] = {"time": -1.0}
+    gears = any(effect["effect"] in ("joint_elasticity", "backlash") for effect in EFFECTS)
+    moved = mujoco.MjData(model)
 
     def links(m: Any, d: Any) -> Array:
         columns = np.zeros((len(dof), m.nv))
         for column, k in zip(columns, dof, strict=True):
             mujoco.mj_mulM(m, d, column, np.eye(m.nv)[k])
         return columns[:, dof] - np.diag(rotors)
+
+    def slopes(m: Any, d: Any) -> Array:
+        found, side = np.empty((len(dof), len(dof))), np.zeros((2, m.nv))
+        moved.qvel[:], moved.qacc[:] = d.qvel, d.qacc
+        for column, k in enumerate(at):
+            for way, torque in zip((-1e-5, 1e-5), side, strict=True):
+                moved.qpos[:] = d.qpos
+                moved.qpos[k] += way
+                mujoco.mj_kinematics(m, moved)
+                mujoco.mj_comPos(m, moved)
+                mujoco.mj_comVel(m, moved)
+                mujoco.mj_rne(m, moved, 1, torque)
+            found[:, column] = (side[1] - side[0])[dof] / 2e-5
+        return found
 
     def passive(m: Any, d: Any) -> None:
         if m.nv != model.nv or m.nq != model.nq:
@@ -251,7 +285,8 @@ def install(mujoco: Any, model: Any, joints: tuple[str, ...] = JOINTS) -> Effect
                 effects.reset()
             matrix = links(m, d)
             load = matrix @ d.qacc[dof] + d.qfrc_bias[dof]
-            now["torque"] = effects.torque(d.qpos[at], d.qvel[dof], d.qacc[dof], load, matrix)
+            slope = slopes(m, d) if gears else None
+            now["torque"] = effects.torque(d.qpos[at], d.qvel[dof], d.qacc[dof], load, matrix, slope)
             now["time"] = float(d.time)
         d.qfrc_passive[dof] -= now["torque"]
 
@@ -262,7 +297,7 @@ def install(mujoco: Any, model: Any, joints: tuple[str, ...] = JOINTS) -> Effect
     inertia = np.diag(links(model, data)) + rotors
     levels = np.zeros(len(joints))
     for effect in EFFECTS:
-        keys = ("rise", "level", "coulomb_change", "coulomb_asymmetry", "coulomb_drift", "coulomb")
+        keys = ("rise", "level", "coulomb_change", "coulomb_asymmetry", "coulomb_drift", "coulomb", "reversal_level")
         levels[list(effect["joints"])] += sum(abs(effect["parameters"].get(key, 0.0)) for key in keys)
         grows = effect["parameters"].get("coefficient", 0.0)
         levels[list(effect["joints"])] += abs(grows) * np.abs(data.qfrc_bias[dof][list(effect["joints"])])
