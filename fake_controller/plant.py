@@ -11,7 +11,7 @@ from agent.core import InputError
 from agent.robot import Dynamics, RobotDescription
 from agent.simulation import ExternalTorque, ForwardSimulation, ServoGains
 from fake_controller.actuation import load_effect
-from fake_controller.actuation.drive import Drive
+from fake_controller.actuation.drive import actuation
 from fake_controller.actuation.machine import Machine, draw_machine
 from fake_controller.actuation.sensors import Measured, Sensors
 
@@ -64,7 +64,7 @@ class Plant:
         self._simulation = ForwardSimulation(
             dynamics,
             self.machine.rotor_inertias,
-            Drive(self.machine),
+            actuation(self.machine),
             gains,
             period,
             max(_INNER_RATE, _rate_for_gears(self.machine, dynamics, gains)),

@@ -1,3 +1,4 @@
+from .arm import march as march
 from .kinematics import apart as apart, forward_and_jacobian as forward_and_jacobian
 from .paths import blended as blended, derivatives as derivatives, not_a_knot as not_a_knot
 from .play import driven_through_play as driven_through_play

@@ -91,6 +91,13 @@ class Dynamics:
         samples = (np.asarray(values, dtype=float) for values in (q, qd, qdd))
         return regressor_columns(*self._frames, self._model.gravity.linear.copy(), *samples)
 
+    @property
+    def chain(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """What compiled loops take: of each joint its frame's rotation (n, 3, 3) and origin (n, 3) [m], its axis (n, 3)
+        and whether it slides (n,); gravity (3,) [m/s²]; of each link its standard parameters (n, 10)."""
+        parameters = self.standard_parameters().reshape(self.dof, -1)
+        return *self._frames, self._model.gravity.linear.copy(), parameters
+
     @cached_property
     def _frames(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Of each joint's frame in the one before its rotation (n, 3, 3) and origin (n, 3) [m], of each joint its axis

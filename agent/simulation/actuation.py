@@ -6,7 +6,6 @@ ratio where nothing gives way in between, a torque on it is the motor's times th
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -33,13 +32,6 @@ class Actuation(Protocol):
     def motors(self, position: Sequence[float], velocity: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
         """What the motors' encoders see, (n,) and (n,), while the axles' load side is at `position`, `velocity`."""
 
-    @property
-    def damping(self) -> Sequence[float] | None:
-        """(n,) d ≥ 0 [N·m·s/rad] as of the last step, or None: a torque −d · velocity that `step` left out.
-
-        The integrator takes it at the velocity after the step, so friction that is stiff at rest stays stable.
-        """
-
     def step(
         self, time: float, position: Sequence[float], velocity: Sequence[float], torque: Sequence[float], dt: float
     ) -> Sequence[float]:
@@ -47,37 +39,31 @@ class Actuation(Protocol):
 
 
 class RigidActuation:
-    """Stiff gears and memoryless friction f0 tanh(v / transition) + f1 v + f2 |v| v on every axle.
+    """Stiff gears and friction f0 tanh(v / transition) + f1 v + f2 |v| v on every axle; it runs compiled.
 
-    Arrays (n,): `coulomb` f0 [N·m], `viscous` f1 [N·m·s/rad], `quadratic` f2 [N·m·s²/rad²], `transition` [rad/s].
+    Arrays (n,): `coulomb` f0 [N·m], `viscous` f1 [N·m·s/rad], `quadratic` f2 [N·m·s²/rad²], `transition` [rad/s], all
+    taken at the velocity after the step, so that friction that is stiff at rest stays stable. `bristles` (6, n) are
+    those of `agent.compiled.march`, friction with a memory beside it.
     """
 
-    def __init__(self, coulomb: np.ndarray, viscous: np.ndarray, quadratic: np.ndarray, transition: np.ndarray):
+    def __init__(
+        self,
+        coulomb: np.ndarray | float,
+        viscous: np.ndarray | float,
+        quadratic: np.ndarray | float,
+        transition: np.ndarray | float,
+        bristles: np.ndarray | None = None,
+    ):
         terms = np.broadcast_arrays(coulomb, viscous, quadratic, np.maximum(transition, 1e-9))
-        self._axles = list(zip(*(term.astype(float).tolist() for term in terms), strict=True))
-        self._damping = [0.0] * len(self._axles)
+        memoryless = np.array(terms, dtype=float)
+        self.friction = np.vstack([memoryless, np.zeros((6, memoryless.shape[1])) if bristles is None else bristles])
 
     @property
     def rigid(self) -> Sequence[bool]:
-        return [True] * len(self._axles)
-
-    @property
-    def damping(self) -> Sequence[float]:
-        return self._damping
+        return [True] * self.friction.shape[1]
 
     def reset(self, position: Sequence[float], torque: Sequence[float]) -> None:
         pass
 
     def motors(self, position: Sequence[float], velocity: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
         return position, velocity
-
-    def step(
-        self, time: float, position: Sequence[float], velocity: Sequence[float], torque: Sequence[float], dt: float
-    ) -> Sequence[float]:
-        damping = []
-        for speed, (f0, f1, f2, transition) in zip(velocity, self._axles, strict=True):
-            size = abs(speed)
-            chord = math.tanh(size / transition) / size if size > 1e-9 * transition else 1.0 / transition
-            damping.append(f0 * chord + f1 + f2 * size)
-        self._damping = damping
-        return torque

@@ -4,20 +4,19 @@
 
 with the coupling C, the inertia I of the rotors that turn with their axles, and f from the actuation, which the servo
 drives. Leapfrog with a predicted velocity: positions live at t, velocities at t − dt/2, forces see
-v̂ = v + dt/2 · (last acceleration). Second order, one evaluation of the dynamics a step; the damping that the actuation
-declares is taken linearly implicitly.
+v̂ = v + dt/2 · (last acceleration). Second order, one evaluation of the dynamics a step. What a `RigidActuation` is runs
+compiled, its memoryless friction linearly implicitly; any other is asked step by step.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from agent.robot import Dynamics
-from agent.simulation.actuation import Actuation
+from agent.simulation.actuation import Actuation, RigidActuation
 from agent.simulation.servo import CascadedServo, ServoGains
 
 #: (time [s], q (n,), q̇ (n,)) → joint torque (n,) [N·m] from outside, asked once a sample.
@@ -53,7 +52,7 @@ class ForwardSimulation:
         self,
         dynamics: Dynamics,
         rotor_inertias: np.ndarray,
-        actuation: Actuation,
+        actuation: Actuation | RigidActuation,
         gains: ServoGains,
         period: float = 0.002,
         inner_rate: float = 2000.0,
@@ -64,44 +63,47 @@ class ForwardSimulation:
         self.time = 0.0
         self._dynamics = dynamics
         self._actuation = actuation
+        self._gains = gains
         self._servo = CascadedServo(gains)
         self._inertia_feedforward = np.asarray(gains.inertia, dtype=float)
         self._external = external
-        self._coupling = robot.coupling
+        self._coupling = np.array(robot.coupling, dtype=float)
         self._coupled = bool(np.any(robot.coupling - np.eye(robot.dof)))
         reflected = robot.gear_ratios**2 * np.asarray(rotor_inertias, dtype=float)
-        self._accelerate = dynamics.acceleration_function(np.where(actuation.rigid, reflected, 0.0))
+        self._rotors = np.where(actuation.rigid, reflected, 0.0)
+        self._accelerate = dynamics.acceleration_function(self._rotors)
         self._substeps = max(1, int(np.ceil(period * inner_rate - 1e-9)))
         self.rest(np.zeros(robot.dof))
 
     @property
     def position(self) -> np.ndarray:
         """(n,) joint positions now, load side."""
-        return self._q.copy()
+        return self._state[0].copy()
 
     @property
     def velocity(self) -> np.ndarray:
         """(n,) joint velocities now, load side."""
         dt = self.period / self._substeps
-        return self._v + 0.5 * dt * self._a
+        return self._state[1] + 0.5 * dt * self._state[2]
 
     @property
     def motor_position(self) -> np.ndarray:
         """(n,) positions of the motors now, on the axles."""
-        axle, speed = self._coupling @ self._q, self._coupling @ self.velocity
+        axle, speed = self._coupling @ self.position, self._coupling @ self.velocity
         return np.array(self._actuation.motors(axle.tolist(), speed.tolist())[0])
 
     def rest(self, q: np.ndarray) -> None:
         """Put the arm at q (n,), at rest, holding itself; transients of friction and gears are not waited for."""
-        self._q = np.array(q, dtype=float)
-        self._v = np.zeros(len(self._q))
-        self._a = np.zeros(len(self._q))
-        still = np.zeros((1, len(self._q)))
-        load = self._dynamics.inverse_dynamics(self._q[None], still, still)[0]
+        # As compiled: position, velocity, acceleration of the joints; integral of the servos, torque of the bristles.
+        self._state = np.zeros((5, len(q)))
+        self._state[0] = q
+        still = np.zeros((1, len(q)))
+        load = self._dynamics.inverse_dynamics(self._state[:1], still, still)[0]
         if self._external is not None:
-            load = load - self._external(self.time, self._q, still[0])
-        torque = np.linalg.solve(self._coupling.T, load).tolist()
-        axle = self._coupling @ self._q
+            load = load - self._external(self.time, self.position, still[0])
+        self._state[3] = np.linalg.solve(self._coupling.T, load)
+        torque = self._state[3].tolist()
+        axle = self._coupling @ self.position
         self._servo.reset(torque)
         self._actuation.reset(axle.tolist(), torque)
         self._set_point = (axle, np.zeros(len(axle)))
@@ -110,65 +112,70 @@ class ForwardSimulation:
         self, reference: np.ndarray, reference_velocity: np.ndarray, feedforward: np.ndarray | None = None
     ) -> SimulatedMotion:
         """Follow joint set-points (S, n), one a period; `feedforward` (S, n) [N·m] is added to the torque command."""
-        positions, velocities, torques = self._inner_references(reference, reference_velocity, feedforward)
-        rows = self._march(len(reference), positions, velocities, torques)
-        q, v, motor_position, motor_velocity, motor_torque = (np.array(row) for row in zip(*rows, strict=True))
-        start = self.time - self.period * len(reference)
-        time = start + self.period * np.arange(len(reference))
+        references = self._inner_references(reference, reference_velocity, feedforward)
+        if isinstance(self._actuation, RigidActuation):
+            found = self._march(self._actuation, references)
+        else:
+            found = self._step_by_step(self._actuation, references)
+        time = self.time + self.period * np.arange(len(found))
+        self.time += self.period * len(found)
+        q, v, motor_position, motor_velocity, motor_torque = (found[:, row].copy() for row in range(5))
         return SimulatedMotion(time, q, v, motor_position, motor_velocity, motor_torque, motor_torque @ self._coupling)
 
-    def _march(
-        self, samples: int, positions: list[list[float]], velocities: list[list[float]], torques: list[list[float]]
-    ) -> list[tuple[Any, ...]]:
+    def _march(self, actuation: RigidActuation, references: np.ndarray) -> np.ndarray:
+        """(S, 5, n) what `agent.compiled.march` finds: at once, or from sample to sample where something acts."""
+        from agent.compiled import march
+
+        gains, steps = self._gains, self._substeps
+        servo = np.array([gains.position, gains.velocity, gains.integral, gains.feedforward, gains.limit], dtype=float)
+        arm = *self._dynamics.chain, self._coupling, self._rotors, servo, actuation.friction
+        found = np.empty((len(references) // steps, *self._state.shape))
+        outside = np.zeros(len(self._rotors))
+        together = len(found) if self._external is None else 1
+        for k in range(0, len(found), max(together, 1)):
+            if self._external is not None:
+                outside = self._external(self.time + k * self.period, self.position, self.velocity)
+            part = references[k * steps : (k + together) * steps]
+            march(*arm, part, outside, steps, self.period / steps, self._state, found[k : k + together])
+        return found
+
+    def _step_by_step(self, actuation: Actuation, references: np.ndarray) -> np.ndarray:
+        """The same of an actuation that has to be asked."""
         substeps, coupled, coupling, external = self._substeps, self._coupled, self._coupling, self._external
-        motors, actuate, servo, accelerate = (
-            self._actuation.motors,
-            self._actuation.step,
-            self._servo.step,
-            self._accelerate,
-        )
-        actuation = self._actuation
-        implicit = actuation.damping is not None
+        motors, actuate, servo, accelerate = actuation.motors, actuation.step, self._servo.step, self._accelerate
         dt = self.period / substeps
-        q, v, a, time = self._q, self._v, self._a, self.time
+        q, v, a = self._state[:3].copy()
+        time = self.time
         whole, half = np.full((2, len(q)), dt) * [[1.0], [0.5]]  # small arrays times a number are slower
         outside = None
-        added = None
         rows = []
-        step = 0
-        for _ in range(samples):
-            for inner in range(substeps):
-                predicted = v + half * a
-                if coupled:
-                    axle, speed = (coupling @ q).tolist(), (coupling @ predicted).tolist()
-                else:
-                    axle, speed = q.tolist(), predicted.tolist()
-                motor, motor_speed = motors(axle, speed)
-                command = servo(positions[step], velocities[step], torques[step], motor, motor_speed, dt)
-                if inner == 0:
-                    rows.append((q.copy(), predicted, motor, motor_speed, command))
-                    if external is not None:
-                        outside = external(time, q, predicted)
-                load = np.array(actuate(time, axle, speed, command, dt))
-                if implicit:
-                    damping = np.array(actuation.damping)
-                    added = damping * dt
-                    load -= damping * (coupling @ v)
-                torque = load @ coupling if coupled else load
-                if outside is not None:
-                    torque = torque + outside
-                a = accelerate(q, predicted, torque, added)
-                v += whole * a
-                q += whole * v
-                time += dt
-                step += 1
-        self._a, self.time = a, time
-        return rows
+        for step, (position, velocity, torque) in enumerate(references.tolist()):
+            predicted = v + half * a
+            if coupled:
+                axle, speed = (coupling @ q).tolist(), (coupling @ predicted).tolist()
+            else:
+                axle, speed = q.tolist(), predicted.tolist()
+            motor, motor_speed = motors(axle, speed)
+            command = servo(position, velocity, torque, motor, motor_speed, dt)
+            if step % substeps == 0:
+                rows.append((q.copy(), predicted, motor, motor_speed, command))
+                if external is not None:
+                    outside = external(time, q, predicted)
+            load = np.array(actuate(time, axle, speed, command, dt))
+            pull = load @ coupling if coupled else load
+            if outside is not None:
+                pull = pull + outside
+            a = accelerate(q, predicted, pull)
+            v += whole * a
+            q += whole * v
+            time += dt
+        self._state[:3] = q, v, a
+        return np.array(rows).reshape(-1, *self._state.shape)
 
     def _inner_references(
         self, reference: np.ndarray, reference_velocity: np.ndarray, feedforward: np.ndarray | None
-    ) -> tuple[list[list[float]], list[list[float]], list[list[float]]]:
-        """Cubic Hermite interpolation of the axles' set-points at the inner rate, from the last one given."""
+    ) -> np.ndarray:
+        """(S · substeps, 3, n) position, velocity, torque of the axles: cubic Hermite from the last set-point given."""
         position = np.vstack([self._set_point[0], np.asarray(reference, dtype=float) @ self._coupling.T])
         velocity = np.vstack([self._set_point[1], np.asarray(reference_velocity, dtype=float) @ self._coupling.T])
         self._set_point = (position[-1], velocity[-1])
@@ -181,5 +188,4 @@ class ForwardSimulation:
         torque = self._inertia_feedforward * np.repeat((v1 - v0) / h, self._substeps, axis=1)
         if feedforward is not None:
             torque = torque + np.asarray(feedforward, dtype=float)[:, None]
-        rows = -1, position.shape[1]
-        return fine.reshape(rows).tolist(), fine_velocity.reshape(rows).tolist(), torque.reshape(rows).tolist()
+        return np.stack([fine, fine_velocity, torque], axis=2).reshape(-1, 3, position.shape[1])

@@ -5,18 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import exp
 
+import numpy as np
+
+from agent.simulation import RigidActuation
 from fake_controller.actuation.machine import Machine
 
 
-class Drive:
-    """States of all axles of one machine."""
+def actuation(machine: Machine) -> Drive | RigidActuation:
+    """Of a machine: compiled, where its axles have friction and nothing else."""
+    if any(machine.terms.values()) or machine.gears or any(machine.motor_loads.values()):
+        return Drive(machine)
+    none = np.zeros(len(machine.friction))
+    return RigidActuation(none, none, none, none, np.transpose([curve.numbers for curve in machine.friction]))
 
-    damping = None
+
+class Drive:
+    """States of all axles of one machine, one Python step at a time: any effect may act on them."""
 
     def __init__(self, machine: Machine):
-        self._curves = [
-            (c.coulomb, c.rise, 1.0 / c.stribeck_speed, c.viscous, 1.0 / c.knee, c.stiffness) for c in machine.friction
-        ]
+        self._curves = [curve.numbers for curve in machine.friction]
         n = len(self._curves)
         self._terms = [machine.terms.get(k, ()) for k in range(n)]
         self._gears = list(machine.gears.items())

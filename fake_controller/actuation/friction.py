@@ -31,6 +31,11 @@ class FrictionCurve:
     knee: float
     stiffness: float
 
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """As `agent.simulation.RigidActuation` has bristles."""
+        return self.coulomb, self.rise, 1.0 / self.stribeck_speed, self.viscous, 1.0 / self.knee, self.stiffness
+
     def steady(self, speed: np.ndarray) -> np.ndarray:
         """(S,) torque that opposes a constant speed (S,)."""
         level = self.coulomb + self.rise * np.exp(-((speed / self.stribeck_speed) ** 2))

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from agent.robot.drivetrain import rotor_mass_matrix
 from agent.robot.dynamics import Dynamics
 from agent.simulation import ForwardSimulation, RigidActuation, ServoGains
-from fake_controller.actuation.drive import Drive
+from fake_controller.actuation.drive import Drive, actuation
 from fake_controller.actuation.machine import draw_machine
 
 ROTORS = 2e-4
@@ -47,7 +47,6 @@ class Watched:
     def __init__(self, inner):
         self.inner = inner
         self.rigid = inner.rigid
-        self.damping = inner.damping
         self.reset, self.motors = inner.reset, inner.motors
         self.torques, self.loads, self.speeds = [], [], []
 
@@ -217,6 +216,28 @@ def test_memoryless_friction_holds_a_dead_arm_however_stiff_it_is(make_arm, tran
     # Gravity is 39 N·m: the tanh creeps at less than its transition speed, and nothing oscillates.
     assert np.abs(motion.velocity[10:]).max() <= 0.6 * transition + 1e-8
     assert np.abs(np.diff(motion.velocity[50:], axis=0)).max() < 1e-6
+
+
+@pytest.mark.parametrize("case", ["wrist", "sliding", "seven"])
+def test_compiled_steps_are_those_of_an_actuation_that_is_asked(ns16, make_arm, stop_and_go, case):
+    robot = {"sliding": lambda: make_arm(3, prismatic_first=True), "wrist": lambda: ns16}.get(
+        case, lambda: make_arm(7)
+    )()
+    machine = draw_machine(robot, 1)
+    gains = ServoGains.tuned(machine.typical_inertia, 0.5 * machine.limit)
+    ends = np.random.default_rng(3).uniform(-0.5, 0.5, (2, robot.dof))
+    q, qd = stop_and_go(ends, 0.6)
+    for push in (None, lambda time, q, qd: 0.05 * machine.limit * np.sin(9.0 * time + q + qd)):
+        runs = []
+        for drive in (actuation(machine), Drive(machine)):
+            simulation = ForwardSimulation(machine.dynamics(), machine.rotor_inertias, drive, gains, external=push)
+            simulation.rest(q[0])
+            runs.append(simulation.run(q, qd, 0.1 * qd))
+        assert isinstance(drive, Drive)
+        assert isinstance(actuation(machine), RigidActuation)
+        for what in ("time", "position", "velocity", "motor_position", "motor_velocity", "torque"):
+            compiled, asked = (getattr(run, what) for run in runs)
+            np.testing.assert_allclose(compiled, asked, rtol=0, atol=1e-9 * np.abs(asked).max())
 
 
 def test_set_points_are_reached_one_period_later_and_the_state_persists(ns16, stop_and_go):
