@@ -20,7 +20,8 @@ class EffectPlace:
 @dataclass(frozen=True)
 class Cause:
     """A named effect: what it closes by itself (None: nothing to close), of its class the probability, parameters (SI),
-    what these data cannot tell from it, and what it closes of the gap of its own joints (None: not judged by that)."""
+    what these data cannot tell from it, and what it closes of what all else leaves on its own joints (None: not judged
+    by that)."""
 
     effect: str
     joints: tuple[str, ...]

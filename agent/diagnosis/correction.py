@@ -30,7 +30,8 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
         reasons[candidate.effect.name, tuple(names[j] for j in candidate.joints)] = reason(candidate.text(names))
         effects.append(candidate.part_of_model(values, names))
     inertia = np.mean([np.diagonal(s.mass, axis1=1, axis2=2).mean(axis=0) for s in fit.signals], axis=0)
-    found = correct(simulator, change, weight, inertia, effects, released, reasons)
+    unexplained = fit.error(fit.once) / fit.repeat
+    found = correct(simulator, change, weight, unexplained, inertia, effects, released, reasons)
     given, gap = diagnosis.dataset.model, diagnosis.gap
     model = replace(
         found.model,

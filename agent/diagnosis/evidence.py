@@ -52,8 +52,12 @@ class Null:
         return float(np.quantile((-b + np.sqrt(np.maximum(b * b - 4 * a * c, 0))) / (2 * a), self.limits.power))
 
 
-def null_gains(fit: Fit, candidates: Sequence[Candidate], limits: DecisionLimits = LIMITS) -> Null:
+def null_gains(
+    fit: Fit, candidates: Sequence[Candidate], limits: DecisionLimits = LIMITS, beside: Fit | None = None
+) -> Null:
     """Gains of candidates on the background of a fit without effects; those that happen once are left out.
+
+    `beside`: the fit with effects that are known, whose error is the background instead.
 
     With X, Z the columns of model and candidate, R = H⁻¹ XᵀZ and Z̃ = Z − X R what the model cannot follow, an error e
     of the model alone becomes e − Z̃ β on rows held out, which gains 2 βᵀ Z̃ᵀe − βᵀ Z̃ᵀZ̃ β. All of it is linear or
@@ -63,7 +67,7 @@ def null_gains(fit: Fit, candidates: Sequence[Candidate], limits: DecisionLimits
     ends = np.cumsum([0, *(len(c.names) for c in wanted)])
     spans = dict(zip(wanted, (slice(a, b) for a, b in pairwise(ends)), strict=True))
     unit, fold_of, block_of = _units(fit)
-    background = _background(fit)
+    background = _background(fit if beside is None else beside)
     signs = np.random.default_rng(0).choice((-1.0, 1.0), (limits.draws, int(block_of.max()) + 1))[:, block_of]
     model, effects = np.zeros((len(fold_of), fit.size)), np.zeros((len(fold_of), int(ends[-1])))
     for joint, (rows, index) in enumerate(zip(fit.rows, fit.index, strict=True)):

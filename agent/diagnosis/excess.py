@@ -42,6 +42,18 @@ def put_elsewhere(fit: Fit, score: HeldOutScore) -> float:
     return float(gained.max() - gained.sum())
 
 
+def largest_torque(fit: Fit, score: HeldOutScore) -> float:
+    """Root mean square torque of an effect over nominal, on the joint and log where it is largest."""
+    largest = 0.0
+    for joint, block in score.candidate.blocks.items():
+        torque = block @ score.values * fit.sigma[:, joint] / fit.reference.scale[joint]
+        largest = max(largest, float(np.sqrt(np.mean(torque**2))))
+        if score.candidate.effect.once:
+            inside = np.abs(torque) > 0
+            largest = max(largest, float(np.sqrt(np.mean(torque[inside] ** 2))) if inside.any() else 0.0)
+    return largest
+
+
 def possible_together(fit: Fit) -> bool:
     """Whether the parameters of all chosen effects, fitted together, can be true: one may turn to cancel another."""
     chosen = zip(fit.chosen, fit.values, strict=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.diagnosis.candidate import Candidate, HeldOutScore
+from agent.diagnosis.candidate import Candidate, HeldOutScore, Where
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 
@@ -52,6 +52,11 @@ class Finding:
         others = [score.candidate.place for score in self.steps[0].scores if score.candidate.place not in named]
         rivals = self.rivals[0] or self.runners or tuple(others[:1])
         return replace(self, verdict="ambiguous", rivals=(rivals, *self.rivals[1:]))
+
+    def with_rival(self, number: int, place: Where) -> Finding:
+        """The same where a place equals one of the causes, by number."""
+        rivals = tuple((place, *r) if k == number and place not in r else r for k, r in enumerate(self.rivals))
+        return replace(self, verdict="ambiguous" if rivals[0] else self.verdict, rivals=rivals)
 
     def only(self, kept: Sequence[int], fit: Fit) -> Finding:
         """The same with some of its causes, by number; `fit` is the one without effects."""

@@ -53,11 +53,15 @@ class HeldOutGap:
         whole = float(np.mean(self.before**2))
         return 1 - float(np.mean(self.after**2)) / whole if whole > 0 else 0.0
 
-    def closure_without(self, left: np.ndarray, joints: Sequence[int] | None = None) -> float | None:
-        """What is lost of the closure, of all joints or some, where (S', n) [N·m] is left instead."""
-        at = slice(None) if joints is None else list(joints)
-        worse, floor = rms(self.beyond(left)) / self.unit, None if self.floor is None else self.floor[at]
-        return closure(self.before[at], worse[at], self.after[at], floor, self.limits)
+    def closure_without(self, left: np.ndarray) -> float | None:
+        """What is lost of the closure where (S', n) [N·m] is left instead."""
+        return closure(self.before, rms(self.beyond(left)) / self.unit, self.after, self.floor, self.limits)
+
+    def closure_on(self, joints: Sequence[int], left: np.ndarray) -> float | None:
+        """The part of what joints have left, where (S', n) [N·m] is left instead, that is closed."""
+        at, floor = list(joints), None if self.floor is None else self.floor[list(joints)]
+        without = (rms(self.beyond(left)) / self.unit)[at]
+        return closure(without, without, self.after[at], floor, self.limits)
 
     def beyond(self, rows: np.ndarray) -> np.ndarray:
         """(S', n) [N·m] what of an error is beyond stiction."""

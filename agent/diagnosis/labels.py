@@ -61,6 +61,6 @@ def closes(cause: Mapping[str, Any], whole: float | None = None) -> str:
         own = cause.get("closure_of_joints")
         beside = ""
         if own is not None and closure < LIMITS.least_share:  # named for what it closes of its own joints
-            beside = f" and {100 * own:.0f} % of that of {place(cause)}"
+            beside = f" and {100 * own:.0f} % of what all else leaves on {place(cause)}"
         return f"closes {part} of the gap{beside}"
     return f"closes {part} of the gap between planned and executed path"

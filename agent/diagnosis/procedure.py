@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from agent.diagnosis.evidence import Null, null_gains
 from agent.diagnosis.excess import (
     closed_excess,
     joint_energy,
+    largest_torque,
     noticed,
     over_background,
     possible_together,
@@ -23,7 +25,7 @@ from agent.diagnosis.isolability import best_by_place, complexity, imitates, pla
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.needs import Excursions
 from agent.diagnosis.refinement import refined
-from agent.diagnosis.rivals import as_good, equals_by_definition, gain_at_best, gain_by_form
+from agent.diagnosis.rivals import as_good, equals_by_definition, gain_at_best, gain_by_form, special_case_as_good
 from agent.diagnosis.standstill import at_rest
 from agent.diagnosis.verdict import abstained, named
 from agent.model import CATALOGUE
@@ -88,7 +90,7 @@ class Search:
         nothing = abstained(matters)
         if best is None:
             return self._nothing(nothing, steps)
-        fit = base.with_chosen(self._pruned(best[1]))
+        fit = base.with_chosen(self._pruned(self._smaller(best[1], steps) if self._moved else best[1]))
         closed = closed_excess(self.limits, before, fit)
         if closed < self.limits.explained:
             return self._nothing(nothing, steps, closed)
@@ -164,14 +166,14 @@ class Search:
             effect = score.candidate.effect
             if name not in self.allowed or not plausible(score) or score.gain < self.least:
                 continue
-            if self.size(fit, score) < self.limits.practical_torque:
+            if largest_torque(fit, score) < self.limits.practical_torque:
                 continue
             if not self._over(score, over, clear):
                 continue
-            if any(
-                self._as_good(score, limit, best)
-                for limit in effect.simpler(score.candidate.settings, fit.reference.robot)
-            ):
+            simpler = effect.simpler(score.candidate.settings, fit.reference.robot)
+            rivalled = effect.rivals_special_cases
+            simpler = [limit for limit in simpler if not (rivalled and limit in self.allowed)]
+            if any(special_case_as_good(self.limits, self.rows, score, limit, best) for limit in simpler):
                 continue
             if effect.fast_torque and gain_in_band(fit, score) < self.limits.in_band_gain:
                 continue  # it takes noise out of the prediction
@@ -186,33 +188,6 @@ class Search:
         if not self.given or score.candidate.effect.once:
             return True
         return bool(np.any(clear[joints]) and np.sum(over[joints]) >= self.limits.own_excess * score.gain)
-
-    def _as_good(self, score: HeldOutScore, limit: str, best: dict[Where, HeldOutScore]) -> bool:
-        """Whether a simpler limit of the form does as well, so that the form has nothing to show for itself."""
-        joints = score.candidate.joints
-        places = [(limit, ())] if CATALOGUE[limit].scope != "joint" else [(limit, (j,)) for j in joints]
-        most = complexity(score.candidate)  # a limit with a reversal of its own may be no simpler
-        simpler = [best[place] for place in places if place in best and plausible(best[place])]
-        simpler = [other for other in simpler if complexity(other.candidate) <= most]
-        least, share = self.limits.equal_gain_floor * self.rows, 0.5 * self.limits.equal_gain
-        if score.candidate.effect.rivals_special_cases and limit in self.allowed:
-            return False
-        place = score.candidate.place
-        return any(
-            score.gain - other.gain < max(least, share * gain_by_form(score.gain, best, place, other.candidate.place))
-            for other in simpler
-        )
-
-    def size(self, fit: Fit, score: HeldOutScore) -> float:
-        """Root mean square torque of an effect over nominal, on the joint and log where it is largest."""
-        largest = 0.0
-        for joint, block in score.candidate.blocks.items():
-            torque = block @ score.values * fit.sigma[:, joint] / fit.reference.scale[joint]
-            largest = max(largest, float(np.sqrt(np.mean(torque**2))))
-            if score.candidate.effect.once:
-                inside = np.abs(torque) > 0
-                largest = max(largest, float(np.sqrt(np.mean(torque[inside] ** 2))) if inside.any() else 0.0)
-        return largest
 
     def _starts(self, step: Step) -> list[Candidate]:
         """The simplest of the best, then the runners-up."""
@@ -246,6 +221,27 @@ class Search:
             step = Step(step.chosen, step.error, step.scores, tuple(worth))
             chosen = (*chosen, self._simplest(step).candidate)
         return chosen
+
+    def _smaller(self, chosen: tuple[Candidate, ...], steps: list[Step]) -> tuple[Candidate, ...]:
+        """With the effects that stand out once those found are no longer part of what chance is judged by."""
+        while len(chosen) < self.limits.most_effects:
+            self._progress("what forms gain by chance beside the effects found")
+            null = null_gains(self.fit, self.tried, self.limits, self.fit.with_chosen(chosen))
+            least = max(self.limits.least_gain * self.rows, null.threshold)
+            if least >= self.least:
+                break
+            self.null, self.least = null, least
+            self._scanned = {key: self._again(step) for key, step in self._scanned.items()}
+            more = self._forward(chosen, steps)
+            if more == chosen:
+                break
+            chosen = more
+        return chosen
+
+    def _again(self, step: Step) -> Step:
+        """A scan, with what may be named by `least` as it is now."""
+        best = {score.candidate.place: score for score in step.scores}
+        return replace(step, eligible=self._eligible(self.fit.with_chosen(step.chosen), best))
 
     def _further(self, fit: Fit, score: HeldOutScore) -> float:
         """Gain from which on an effect counts beside those chosen: a misfit on another joint does not hide it."""

@@ -52,6 +52,20 @@ def as_good(limits: DecisionLimits, score: HeldOutScore, best: HeldOutScore, lea
     return best.gain - gain_at_best(limits, score, places, best.candidate.place) <= max(least, share * by_form)
 
 
+def special_case_as_good(limits: DecisionLimits, rows: float, score: HeldOutScore, limit: str, places: Places) -> bool:
+    """Whether a simpler limit of a form does as well, so that the form has nothing to show for itself."""
+    joints, place = score.candidate.joints, score.candidate.place
+    there = [(limit, ())] if CATALOGUE[limit].scope != "joint" else [(limit, (j,)) for j in joints]
+    most = complexity(score.candidate)  # a limit with a reversal of its own may be no simpler
+    simpler = [places[at] for at in there if at in places and plausible(places[at])]
+    simpler = [other for other in simpler if complexity(other.candidate) <= most]
+    least, share = limits.equal_gain_floor * rows, 0.5 * limits.equal_gain
+    return any(
+        score.gain - other.gain < max(least, share * gain_by_form(score.gain, places, place, other.candidate.place))
+        for other in simpler
+    )
+
+
 def equals_by_definition(
     limits: DecisionLimits,
     fit: Fit,

@@ -38,6 +38,8 @@ _BELOW_ZERO = 0.1  # of a friction level without an effect, that chance may take
 _ROUNDS = 2  # of choosing numbers beside effects and effects beside numbers
 #: Effects that are the file's numbers under another name.
 _NUMBERS = tuple(name for name, effect in CATALOGUE.items() if effect.numbers in ("friction", "links"))
+#: The effect that is links which weigh otherwise.
+_LINKS = next(name for name, effect in CATALOGUE.items() if effect.numbers == "links")
 _FAR = 2.0  # times what an answer has to leave at most, beyond which its first effects settle that it does not
 _AS_GOOD = 1.1  # times the squared error left, to where another choice of numbers is as good
 
@@ -77,9 +79,8 @@ class Explanation:
 
 
 def _like_links(causes: Sequence[Candidate]) -> bool:
-    links = {name for name, effect in CATALOGUE.items() if effect.numbers == "links"}
     effects = [candidate.effect for candidate in causes]
-    return any(e.numbers != "load" and (e.family == "load" or links & {*e.confused_with}) for e in effects)
+    return any(e.numbers != "load" and (e.family == "load" or _LINKS in e.confused_with) for e in effects)
 
 
 def with_expected_error(
@@ -171,9 +172,7 @@ def search_simulator(
 
     def better(chosen: ReleasedSimulator, entry: Explanation) -> bool:
         """Whether numbers chosen otherwise leave less beside the same effects, by a part that counts."""
-        moved = chosen.moved
-        causes = [(cause.effect, cause.joints, cause.settings) for cause in entry.finding.causes]
-        return _AS_GOOD * _left(moved, moved.fit.with_chosen(moved.fit.candidates(causes)), unit) < entry.left
+        return _AS_GOOD * _beside(chosen, entry.finding.causes, unit) < entry.left
 
     def settled(entry: Explanation) -> Explanation:
         """Numbers chosen beside its effects, and effects at these numbers, as long as that leaves no more.
@@ -204,6 +203,22 @@ def search_simulator(
             entry = other
         return entry
 
+    def needed(entry: Explanation) -> Explanation:
+        """Without causes in whose stead a link may weigh otherwise, where links do; else these equal it."""
+        number = 0
+        while number < len(entry.finding.causes):
+            place, instead = entry.finding.causes[number].place, numbers_instead(entry, number, unit)
+            if instead is not None and entry.calibrated.with_links:
+                progress(f"choosing again what of the simulator's numbers moves, in the stead of {place[0]}")
+                other = answer(instead, searching(instead))
+                if other.left <= _AS_GOOD * entry.left and place not in {c.place for c in other.finding.causes}:
+                    entry, number = other, 0
+                    continue
+            if instead is not None:
+                entry = replace(entry, finding=entry.finding.with_rival(number, (_LINKS, ())))
+            number += 1
+        return entry
+
     given = ReleasedSimulator(dataset, dataset, ())
     as_given = searching(given)
 
@@ -224,20 +239,40 @@ def search_simulator(
     if drives.groups and len(everything.groups) > len(drives.groups):
         by_drives = answer(drives, searching(drives, found[0].left))
         if by_drives.finding.causes and by_drives.stands(0.0, enough):
-            return settled(by_drives)
+            return needed(settled(by_drives))
         found.insert(0, by_drives)
     best = min(entry.left for entry in found)
     if _one_may_do(dataset, found[-1].search.tried, unit, best + enough) and (simplest := plain(best + enough)):
         return simplest
     for entry in found[:-1]:
         if entry.finding.causes and entry.stands(best, enough):
-            return settled(entry)
-    return settled(found[-1])
+            return needed(settled(entry))
+    return needed(settled(found[-1]))
 
 
 def _left(dataset: Dataset, fit: Fit, unit: np.ndarray) -> float:
     """Mean square over joints that a fit leaves."""
     return float(np.mean(held_out_gap(dataset, fit, unit).after ** 2))
+
+
+def numbers_instead(entry: Explanation, number: int, unit: np.ndarray) -> ReleasedSimulator | None:
+    """Numbers chosen beside the other causes that leave as much without this one (by number); None where none do.
+
+    Only a cause that may be links is asked for: links that weigh otherwise, all of them or some, are the likelier.
+    """
+    causes = entry.finding.causes
+    if not (causes[number].effect.numbers == "load" or _like_links([causes[number]])):
+        return None
+    others = (*causes[:number], *causes[number + 1 :])
+    chosen = calibration(entry.calibrated.given, True, others)
+    return chosen if _beside(chosen, others, unit) <= _AS_GOOD * entry.left else None
+
+
+def _beside(chosen: ReleasedSimulator, causes: Sequence[Candidate], unit: np.ndarray) -> float:
+    """Mean square over joints that numbers leave beside effects, which are made at these numbers."""
+    fit = chosen.moved.fit
+    forms = fit.candidates([(cause.effect, cause.joints, cause.settings) for cause in causes])
+    return _left(chosen.moved, fit.with_chosen(forms), unit)
 
 
 def _one_may_do(dataset: Dataset, forms: Sequence[Candidate], unit: np.ndarray, goal: float) -> bool:

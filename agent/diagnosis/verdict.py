@@ -70,7 +70,7 @@ def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Caus
                 _floats(zip(candidate.names, values, strict=True)),
             ),
             tuple(EffectPlace(name, tuple(joints[j] for j in there)) for name, there in rivals),
-            gap.closure_without(left, candidate.joints) if by_joint and candidate.joints else None,
+            gap.closure_on(candidate.joints, left) if by_joint and candidate.joints else None,
         )
         for candidate, left, values, rivals, probability in parts
     )

@@ -76,11 +76,11 @@ def simulator(folder: Path, kind: str):
     return load_simulator(path, None, NAMES)
 
 
-def corrected(given, effects=(), links=(), rotors=(), friction=(), change=None):
+def corrected(given, effects=(), links=(), rotors=(), friction=(), change=None, unexplained=1.0):
     released = Released(*({k: "because" for k in joints} for joints in (links, rotors, friction)))
     change = np.zeros(len(given.model.values)) if change is None else change
     weight = 1e4 * np.eye(len(given.model.independent))
-    return correct(given, change, weight, np.ones(3), effects, released, {})
+    return correct(given, change, weight, unexplained, np.ones(3), effects, released, {})
 
 
 def loaded(path: Path):

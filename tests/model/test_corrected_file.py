@@ -122,6 +122,17 @@ def test_bodies_that_could_not_exist_are_not_written(tmp_path):
     assert 0 < mass < 0.5
 
 
+def test_a_rotor_found_as_a_links_is_written_as_one_where_a_body_would_lose_more_than_chance(tmp_path):
+    """A hundredth of what moving a link gained may be far more than what noise leaves."""
+    given = simulator(tmp_path, "urdf")
+    turning = np.zeros(len(given.model.values))
+    turning[: len(given.model.independent)] = given.model.projection @ np.eye(33)[30 + 2] * 0.1
+    heavier = 5 * moved(given, links=[2])
+    rough, exact = (corrected(given, links=[2], change=turning + heavier, unexplained=left) for left in (1e6, 10.0))
+    assert rough.arm.armature[2] == 0
+    assert exact.arm.armature[2] == pytest.approx(0.1, rel=0.4)
+
+
 def test_what_cannot_be_changed_in_place_is_refused_and_nothing_is_written(tmp_path):
     given = simulator(tmp_path, "mjcf")
     (tmp_path / "arm.xml").write_text(MJCF.replace('angle="degree"', 'angle="degree" boundmass="5"'))

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from agent.core import Console
-from agent.diagnosis.calibration import calibration
-from agent.diagnosis.dataset import assemble
+from agent.diagnosis.calibration import ReleasedSimulator, calibration
+from agent.diagnosis.dataset import Dataset, assemble
+from agent.diagnosis.finding import Finding
+from agent.diagnosis.gap import held_out_gap
 from agent.diagnosis.limits import LIMITS
+from agent.diagnosis.procedure import Search
 from agent.diagnosis.rollout import MujocoEngine
-from agent.diagnosis.simulator import Explanation, _possible, with_expected_error
+from agent.diagnosis.simulator import Explanation, _possible, numbers_instead, with_expected_error
 from agent.model import CATALOGUE, load_simulator
 from agent.pipeline.corrected_simulator import beyond_range
+from agent.pipeline.first_screen import after_diagnosis
 from agent.pipeline.identify import check_plausible
 from agent.recording import read_log
 from agent.report import headline, verdict_text
@@ -62,6 +67,70 @@ def test_a_simulator_may_be_called_otherwise_than_the_robot_of_the_logs(tmp_path
     assert "cell 7" not in capsys.readouterr().err
     check_plausible(robot, [log], False, Console(-1))
     assert "of robot cell 7, not of bench" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("model", "out"), [("arm.xml", "fixed.xml"), ("a/b.urdf", "fixed.urdf"), ("model.json", None)])
+def test_the_page_proposes_the_corrected_file_in_the_format_that_was_given(model, out):
+    result = {"verdict": "explained", "causes": [{"effect": "stribeck"}]}
+    (step,) = after_diagnosis(result, None, [Path("a.mcap")], Path(model))
+    assert step.command == f"agent diagnose --model {model} a.mcap -o {out or 'model_with_effects.json'}"
+
+
+def sprung(folder: Path, slow: float = 0.0) -> Dataset:
+    """Of an arm that weighs otherwise than its file: a spring at its upright axis, friction that rises as the other
+    slows down."""
+    model = load_simulator(written(folder, URDF, "arm.urdf"), None, ("pan", "lift")).model
+    standard = np.append(model.standard[:20] * 0.8, [0.5, 0.4])
+    friction = model.values[len(model.independent) :] + [1.5, 1.0, 1.5, 2.0]
+    robot = replace(model, values=np.append(model.projection @ standard, friction))
+    logs = []
+    for k in (1, 2):
+        log = read_log(recorded(folder / f"{k}.mcap", robot, k), model.robot)
+        speed = log.velocity[:, 1]
+        rising = slow * np.tanh(speed / 0.01) / (1 + (speed / 0.15) ** 2)
+        spring = 3 * np.cos(log.position[:, 0] - 0.4)
+        logs.append(replace(log, effort=log.effort + np.stack([spring, rising], axis=1)))
+    return assemble(model.robot, with_expected_error(model, logs, LIMITS, 0.01), logs, None, LIMITS)
+
+
+def test_a_spring_is_asked_whether_a_link_in_its_stead_leaves_as_much(tmp_path):
+    data = sprung(tmp_path)
+    spring = CATALOGUE["gravity_spring"]
+    causes = tuple(data.fit.candidates([(spring, (joint,), {"harmonics": 1.0}) for joint in (0, 1)]))
+    found = calibration(data, True, causes)
+    fit = found.moved.fit
+    fit = fit.with_chosen(fit.candidates([(spring, cause.joints, cause.settings) for cause in causes]))
+    unit = fit.reference.scale
+    entry = Explanation(found, SimpleNamespace(), SimpleNamespace(causes=causes), held_out_gap(found.moved, fit, unit))
+    assert numbers_instead(entry, 0, unit) is None, "no link pulls about an upright axis"
+    instead = numbers_instead(entry, 1, unit)
+    assert isinstance(instead, ReleasedSimulator)
+    assert ("link inertia", 1) in instead.released
+    rubs = data.fit.candidate(CATALOGUE["stribeck"], (1,), {"speed": 0.1, "shape": 1.0})
+    friction = replace(entry, finding=SimpleNamespace(causes=(*causes, rubs)))
+    assert numbers_instead(friction, 2, unit) is None, "no link rubs"
+
+
+def test_what_equals_a_cause_makes_the_first_ambiguous():
+    finding = Finding("explained", None, (), ((), (("dress_pack", (1,)),)), (), (), 1.0, (), 0.0, 0.0)
+    links = ("inertial_mismatch", ())
+    second = finding.with_rival(1, links)
+    assert (second.verdict, second.rivals) == ("explained", ((), (links, ("dress_pack", (1,)))))
+    assert second.with_rival(1, links).rivals == second.rivals
+    assert finding.with_rival(0, links).verdict == "ambiguous"
+
+
+def test_an_effect_that_a_larger_one_hid_is_judged_by_chance_beside_that(tmp_path):
+    moved = calibration(sprung(tmp_path, 0.08)).moved
+    places = {("gravity_spring", (0,)), ("stribeck", (1,)), ("torque_constant", (0,)), ("asymmetric_friction", (0,))}
+    search = Search(moved.fit, moved=True, only=places)
+    alone = search.scan(moved.fit)
+    hidden = search.least
+    found = search.run()
+    assert {cause.place for cause in found.causes} == {("gravity_spring", (0,)), ("stribeck", (1,))}
+    gained = next(score.gain for score in alone.scores if score.candidate.place == ("stribeck", (1,)))
+    assert gained < 2 * hidden, "too little where the spring is part of what chance is judged by"
+    assert search.least < hidden
 
 
 def explaining(left: float, *effects: str) -> Explanation:

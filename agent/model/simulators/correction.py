@@ -27,6 +27,7 @@ from agent.robot import LINK_PARAMETERS, ParameterLayout
 
 _FRICTION = ("coulomb", "viscous")
 _LOST = 0.01  # of what moving bodies gained, from where on it is said that they could not exist
+_LOST_OF_REST = 0.1  # of the squared error that the fit leaves, from where on more than chance is lost
 _STRAINED = 10.0  # times the mass in the file, which no wrong number of a file is
 
 
@@ -62,6 +63,7 @@ def correct(
     simulator: Simulator,
     change: np.ndarray,
     weight: np.ndarray,
+    unexplained: float,
     inertia: np.ndarray,
     effects: Sequence[ModelEffect],
     released: Released,
@@ -70,7 +72,8 @@ def correct(
     """Move a simulator's numbers by a fitted `change` (p,) of its model's parameters, and take in effects.
 
     Args:
-        weight: (b, b) information of the logs on the base parameters; `inertia` as in `Correction`.
+        weight: (b, b) information of the logs on the base parameters; `unexplained` in the same unit: squared
+            error that the fit leaves; `inertia` as in `Correction`.
         effects: found beside the change; `reasons` by effect and joints.
     """
     given, model = simulator.arm, simulator.model
@@ -118,7 +121,7 @@ def correct(
     notes = []
     if np.any(moved[list(released.friction)] == 0):
         notes.append("friction below zero is none: where less than nothing was found, the file has 0")
-    arm, said = _with_bodies(arm, model, target, weight, released)
+    arm, said = _with_bodies(arm, model, target, weight, unexplained, released)
     description, _ = described(arm, simulator.robot)
     fixed = model_of(arm, description, dict(model.provenance))
     fixed = replace(
@@ -180,7 +183,12 @@ def turned_pose(pose: np.ndarray, axis: np.ndarray, prismatic: bool, offset: flo
 
 
 def _with_bodies(
-    arm: SimulatedArm, model: IdentifiedModel, target: np.ndarray, weight: np.ndarray, released: Released
+    arm: SimulatedArm,
+    model: IdentifiedModel,
+    target: np.ndarray,
+    weight: np.ndarray,
+    unexplained: float,
+    released: Released,
 ) -> tuple[SimulatedArm, list[str]]:
     """The arm whose released bodies and rotors moved its base parameters by `target` (b,), as near as bodies can."""
     links = sorted(released.links)
@@ -205,7 +213,7 @@ def _with_bodies(
         missed = columns @ np.concatenate([blocks.ravel(), armature]) - wanted
         lost = float(missed @ weight @ missed)
         heavy = any(block[0] > _STRAINED * old[0] > 0 for block, old in zip(blocks, own, strict=True))
-        return blocks, armature, lost, heavy or lost > _LOST * size
+        return blocks, armature, lost, heavy or lost > min(_LOST * size, _LOST_OF_REST * unexplained)
 
     size = float(target @ weight @ target)
     rotors = sorted(released.rotors)
