@@ -53,7 +53,7 @@ class Search:
         only: Collection[Where] | None = None,
     ):
         self.fit, self.given, self._progress, self.limits = fit, given and not moved, progress, limits
-        self._worth, self._moved, self._only = worth, moved, only
+        self._worth, self.moved, self._only = worth, moved, only
         self._alike = limits.equal_gain if moved else limits.indistinguishable_gain
         self.allowed = {name for name in CATALOGUE if name not in without}
         self.rows = float(fit.count.sum())
@@ -90,7 +90,7 @@ class Search:
         nothing = abstained(matters)
         if best is None:
             return self._nothing(nothing, steps)
-        fit = base.with_chosen(self._pruned(self._smaller(best[1], steps) if self._moved else best[1]))
+        fit = base.with_chosen(self._pruned(self._smaller(best[1], steps) if self.moved else best[1]))
         closed = closed_excess(self.limits, before, fit)
         if closed < self.limits.explained:
             return self._nothing(nothing, steps, closed)
@@ -264,7 +264,7 @@ class Search:
         total = self._total(self.fit.with_chosen(chosen))
         for candidate in chosen:
             others = tuple(c for c in chosen if c is not candidate)
-            had = self._excess(self.fit, list(candidate.blocks)) if self._moved else self.fit.error()
+            had = self._excess(self.fit, list(candidate.blocks)) if self.moved else self.fit.error()
             least = max(self.least, self.limits.redundant_gain * had)
             if others and self._total(self.fit.with_chosen(others)) - total < least:
                 return self._pruned(others)

@@ -205,23 +205,27 @@ def not_testable(dataset: Dataset, search: Search) -> list[NotTestable]:
                 continue
             if effect.once:
                 continue
+            if search.moved:  # in its plainest form: links that were moved may do all that this does
+                fewest = min(effect.n_parameters(candidate.settings) for candidate in candidates)
+                candidates = [c for c in candidates if effect.n_parameters(c.settings) == fewest]
             size = min(search.null.minimum_detectable_size(candidate, search.least) for candidate in candidates)
             if size > 1:
-                result.append(NotTestable(name, where, _why_small(effect, size, dataset.given)))
+                result.append(NotTestable(name, where, _why_small(effect, size, dataset.given, search.moved)))
     if all(log.planned_position is None or log.reference_position is None for log in dataset.logs):
         why = "the logs lack planned or executed set-points"
         result += [NotTestable(name, None, why) for name in _of_path()]
     return result
 
 
-def _why_small(effect: Effect, size: float, given: bool) -> str:
+def _why_small(effect: Effect, size: float, given: bool, moved: bool) -> str:
     """`size` in practical sizes: the smallest that would be found."""
     if not given:
         return "no model was given: the fit to these logs absorbs it"
     found = "none of any size" if size * effect.practical > 5 else f"from {100 * size * effect.practical:.1f} % on"
+    beside = ", and beside the numbers of the simulator that were moved," if moved else ""
     return (
-        f"on these motions it would be found {found} of nominal torque (1 % false alarms, 80 % power), and it matters "
-        f"from {100 * effect.practical:.1f} % on"
+        f"on these motions{beside} it would be found {found} of nominal torque (1 % false alarms, 80 % power), and it "
+        f"matters from {100 * effect.practical:.1f} % on"
     )
 
 

@@ -16,6 +16,7 @@ from agent.diagnosis.finding import Finding
 from agent.diagnosis.gap import held_out_gap
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.procedure import Search
+from agent.diagnosis.result import not_testable
 from agent.diagnosis.rollout import MujocoEngine
 from agent.diagnosis.simulator import Explanation, _possible, numbers_instead, with_expected_error
 from agent.model import CATALOGUE, load_simulator
@@ -131,6 +132,17 @@ def test_an_effect_that_a_larger_one_hid_is_judged_by_chance_beside_that(tmp_pat
     gained = next(score.gain for score in alone.scores if score.candidate.place == ("stribeck", (1,)))
     assert gained < 2 * hidden, "too little where the spring is part of what chance is judged by"
     assert search.least < hidden
+
+
+def test_a_shoulders_spring_is_not_testable_where_its_link_was_moved(tmp_path):
+    found = calibration(sprung(tmp_path))
+    assert ("link inertia", 1) in found.released
+    places = {("gravity_spring", (0,)), ("gravity_spring", (1,))}
+    search = Search(found.moved.fit, moved=True, only=places)
+    search.run()
+    said = {entry.joint: entry.why for entry in not_testable(found.moved, search) if entry.effect == "gravity_spring"}
+    assert set(said) == {"lift"}
+    assert "beside the numbers of the simulator that were moved" in said["lift"]
 
 
 def explaining(left: float, *effects: str) -> Explanation:
