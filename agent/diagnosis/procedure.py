@@ -170,9 +170,8 @@ class Search:
                 continue
             if not self._over(score, over, clear):
                 continue
-            simpler = effect.simpler(score.candidate.settings, fit.reference.robot)
-            rivalled = effect.rivals_special_cases
-            simpler = [limit for limit in simpler if not (rivalled and limit in self.allowed)]
+            limits = effect.simpler(score.candidate.settings, fit.reference.robot)
+            simpler = [limit for limit in limits if not (effect.rivals_special_cases and limit in self.allowed)]
             if any(special_case_as_good(self.limits, self.rows, score, limit, best) for limit in simpler):
                 continue
             if effect.fast_torque and gain_in_band(fit, score) < self.limits.in_band_gain:
