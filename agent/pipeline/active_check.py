@@ -5,7 +5,8 @@ robot time, and is diagnosed with all logs before it. A way's motions run after 
 is as warm as it would be. Diagnosis and planning are given logs, model and recipe; the key is sealed before them.
 
 Every answer is kept in a file of its own, and a check that was stopped goes on with the next one. The first motions of
-all runs and one further one come first, second ones after them.
+all runs come first: they take seconds, and say where the dear rest is worth it. Then the runs that are ambiguous get a
+further motion of every way, those that are `unknown` after them, and second ones last.
 """
 
 from __future__ import annotations
@@ -70,11 +71,16 @@ class ActiveCheck:
         digest = seal(self.folder, text)
         console.step(f"{self.count} runs; SHA-256 of the key, which stays closed until the last diagnosis: {digest}")
         runs = [ActiveRun(self._world, case, self.folder) for case in cases]
+        for number, run in enumerate(runs):
+            run.go_on(0)
+            console.progress(f"first motions: {number + 1} of {self.count} runs", (number + 1) / self.count)
+        runs.sort(key=lambda run: not run.ambiguous)
         for rounds in range(1, _ROUNDS + 1):
             for number, run in enumerate(runs):
                 run.go_on(rounds)
                 done = ((rounds - 1) * len(runs) + number + 1) / (_ROUNDS * len(runs))
                 console.progress(f"further motion {rounds} of {_ROUNDS}: {number + 1} of {self.count} runs", done)
+        runs.sort(key=lambda run: run.number)
         open_key(self.folder, text)
         scores = {"schema": "active-check/1", "key_sha256": digest, "world": self._world.title}
         scores |= active_scores([run.entry() for run in runs])
@@ -91,6 +97,16 @@ class ActiveRun:
         #: Machines are numbered as they come: their seed would tell of the key.
         self._machine = folder / "machines" / f"{case.number // world.group:04d}"
         self._found: dict[tuple[Path, ...], Diagnosis] = {}
+
+    @property
+    def number(self) -> int:
+        """As drawn."""
+        return self._case.number
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether that is what its first motions came to."""
+        return self._read("first").get("verdict") == "ambiguous"
 
     def go_on(self, rounds: int) -> None:
         """Whatever is missing of the first motions and so many further ones of each way."""

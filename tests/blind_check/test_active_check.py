@@ -26,7 +26,7 @@ BEGIN = ("excite",)
 @pytest.fixture
 def check(tmp_path: Path, monkeypatch):
     """Of three runs, whose first recordings are ambiguous, and that are settled by any second further motion."""
-    made = SimpleNamespace(ran=[], asked=[], read=[], fails="", refuses=(), folder=tmp_path / "check")
+    made = SimpleNamespace(ran=[], asked=[], read=[], fails="", refuses=(), first={}, folder=tmp_path / "check")
 
     def record(self, job):
         assert not (made.folder / "key.json").exists(), "the key is closed while anything is recorded"
@@ -39,7 +39,8 @@ def check(tmp_path: Path, monkeypatch):
     def diagnose(self, logs):
         assert all(log.exists() for log in logs), "no earlier motion's log is lost"
         made.read.append(len(logs))
-        verdict = "ambiguous" if len(logs) < 3 else "explained"
+        open_now = made.first.get(int(logs[0].parent.name), "ambiguous")
+        verdict = open_now if len(logs) < 3 else "explained"
         cause = {"effect": "stribeck", "joints": ["joint_2"], "equivalent_to": []}
         return SimpleNamespace(result={"verdict": verdict, "causes": [cause], "closure": 0.9})
 
@@ -78,6 +79,14 @@ def test_the_first_further_motions_of_all_runs_come_before_any_second(check):
     assert order == ["further1"] * 12 + ["further2"] * 12
 
 
+def test_what_is_ambiguous_comes_before_what_is_unknown_once_all_runs_have_their_first_motions(check):
+    check.first = {0: "unknown", 1: "explained"}
+    scores = check.whole.run(QUIET)
+    assert [entry[0] for entry in check.ran[:3]] == [0, 1, 2]
+    assert [entry[0] for entry in check.asked] == [2] * 4 + [0] * 4 + [2] * 4 + [0] * 4
+    assert [case["number"] for case in scores["cases"]] == [0, 1, 2]
+
+
 def test_no_time_is_spent_where_no_motion_would_tell(check):
     check.refuses = (1,)
     scores = check.whole.run(QUIET)
@@ -105,7 +114,7 @@ def test_a_check_that_is_stopped_keeps_every_answer_until_then(check, monkeypatc
     with pytest.raises(ZeroDivisionError):
         check.whole.run(QUIET)
     ran = len(check.ran)
-    assert ran == 3, "the first motions, a planned one, and the loop again"
+    assert ran == 5, "the first motions of all, a planned one, and the loop again"
     monkeypatch.setattr(ActiveRun, "_motion", real)
     check.whole.run(QUIET)
     assert len({entry[:2] for entry in check.ran}) == len(check.ran), "nothing is recorded twice"
