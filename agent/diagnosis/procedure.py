@@ -285,7 +285,7 @@ class Search:
             lost = self._total(without) - total
             least = max(self.limits.equal_gain_floor * self.rows, self._excess(fit, tuple(candidate.blocks)))
             places = best_by_place(step.scores)
-            trust = {there: gain_by_form(lost, places, candidate.place, there) for there in places}
+            trust = {there: gain_by_form(self.limits, lost, places, candidate.place, there) for there in places}
             margins = {there: max(least, self._alike * by_form) for there, by_form in trust.items()}
             level: list[Where] = []
             runners: list[Where] = []

@@ -22,11 +22,17 @@ def exact_in_both(first: Where, second: Where) -> Where | None:
     return next(((name, first[1]) for name in sorted(a & b) if CATALOGUE[name].exact), None)
 
 
-def gain_by_form(gain: float, best: Places, first: Where, second: Where) -> float:
-    """Of the gain of one of two places, without that of the other where it is exact: only there a form errs."""
+def gain_by_form(limits: DecisionLimits, gain: float, best: Places, first: Where, second: Where) -> float:
+    """Of the gain of one of two places, without that of what they have in common, where one of them is exactly that or
+    explains no more: only beyond it a form errs. Of two that both explain more, both forms err in all they explain."""
     both = exact_in_both(first, second)
-    exact = both in (first, second) and both in best
-    return gain - min(max(best[both].gain, 0.0), gain) if both is not None and exact else gain
+    if both is None or both not in best:
+        return gain
+    exact = max(best[both].gain, 0.0)
+    no_more = (1 + limits.indistinguishable_gain) * exact
+    if both not in (first, second) and all(best[one].gain > no_more for one in (first, second) if one in best):
+        return gain
+    return gain - min(exact, gain)
 
 
 def gain_at_best(limits: DecisionLimits, score: HeldOutScore, best: Places, other: Where) -> float:
@@ -48,7 +54,7 @@ def as_good(limits: DecisionLimits, score: HeldOutScore, best: HeldOutScore, lea
     far = complexity(score.candidate) <= complexity(best.candidate) / limits.simpler_ratio
     freer = complexity(score.candidate) < complexity(best.candidate) and structurally_equivalent(best.candidate, score)
     share = limits.equal_gain if far else limits.equal_shape_gain if freer else limits.indistinguishable_gain
-    by_form = gain_by_form(best.gain, places, best.candidate.place, score.candidate.place)
+    by_form = gain_by_form(limits, best.gain, places, best.candidate.place, score.candidate.place)
     return best.gain - gain_at_best(limits, score, places, best.candidate.place) <= max(least, share * by_form)
 
 
@@ -61,7 +67,8 @@ def special_case_as_good(limits: DecisionLimits, rows: float, score: HeldOutScor
     simpler = [other for other in simpler if complexity(other.candidate) <= most]
     least, share = limits.equal_gain_floor * rows, 0.5 * limits.equal_gain
     return any(
-        score.gain - other.gain < max(least, share * gain_by_form(score.gain, places, place, other.candidate.place))
+        score.gain - other.gain
+        < max(least, share * gain_by_form(limits, score.gain, places, place, other.candidate.place))
         for other in simpler
     )
 

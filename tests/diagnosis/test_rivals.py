@@ -37,10 +37,19 @@ def test_a_constant_is_part_of_an_offset_a_spring_and_a_hose_on_one_joint():
 
 def test_only_beyond_what_is_exact_can_a_form_err():
     known = places(score(OFFSET, 980.0), score(SPRING, 1000.0, harmonics=1.0))
-    assert gain_by_form(1000.0, known, SPRING, OFFSET) == 20.0
-    assert gain_by_form(1000.0, known, SPRING, ("payload", ())) == 1000.0
-    assert gain_by_form(1000.0, known, SPRING, HOSE) == 1000.0, "neither is exact"
-    assert gain_by_form(500.0, known, SPRING, OFFSET) == 0.0
+    assert gain_by_form(LIMITS, 1000.0, known, SPRING, OFFSET) == 20.0
+    assert gain_by_form(LIMITS, 1000.0, known, SPRING, ("payload", ())) == 1000.0
+    assert gain_by_form(LIMITS, 1000.0, known, SPRING, HOSE) == 1000.0, "neither is exact"
+    assert gain_by_form(LIMITS, 500.0, known, SPRING, OFFSET) == 0.0
+
+
+@pytest.mark.parametrize(("gain", "by_form"), [(981.0, 20.0), (990.0, 1000.0)])
+def test_friction_by_direction_that_explains_no_more_than_the_constant_is_taken_for_it(gain, by_form):
+    """Its form errs around reversals only, and what a spring has beside the constant is not hidden by that."""
+    spring, one_sided = score(SPRING, 1000.0, harmonics=1.0), score(ONE_SIDED, gain, coulomb=1.0)
+    known = places(score(OFFSET, 980.0), spring, one_sided)
+    assert gain_by_form(LIMITS, 1000.0, known, SPRING, ONE_SIDED) == by_form
+    assert (gain_by_form(LIMITS, gain, known, ONE_SIDED, SPRING) == gain) is (by_form == 1000.0)
 
 
 def test_a_large_constant_does_not_hide_what_a_spring_has_beside_it():
