@@ -188,10 +188,12 @@ def background_of(
     moving: np.ndarray,
     signals: Sequence[MotionSignals],
     limits: DecisionLimits,
+    beside: Sequence[MotionSignals] = (),
 ) -> np.ndarray:
     """(S', n) [N·m] what the model itself gets wrong: its held-out error (n,), more within 0.1 s of standing still.
 
     There stiction leaves the torque anywhere below the Coulomb level.
+    `beside`: as for `standing`.
     """
     model = reference.model
     count = len(model.independent)
@@ -200,7 +202,8 @@ def background_of(
         if term.form == "coulomb":
             level[term.axle] = abs(model.values[count + k])
     still = np.maximum(limits.stiction * level @ np.abs(reference.coupling), 2 * moving)
-    rest = np.concatenate([still[s.kept] for s, still in zip(signals, standing(signals, limits), strict=True)])
+    found = standing(signals, limits, beside)
+    rest = np.concatenate([still[s.kept] for s, still in zip(signals, found, strict=True)])
     rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
     reach = int(limits.near_rest * rate)
     near = rest.copy()

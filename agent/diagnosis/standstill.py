@@ -10,10 +10,16 @@ from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.model import MotionSignals, standstill_speed
 
 
-def standing(signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -> list[np.ndarray]:
-    """Per motion (S, n) bool: whether a joint stands. One that travels nowhere always does, whatever its noise."""
-    slowest = standstill_speed([motion.qd for motion in signals], signals[0].reference.robot.max_velocity)
-    slowest = np.where(moves(signals, limits), slowest, np.inf)
+def standing(
+    signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS, beside: Sequence[MotionSignals] = ()
+) -> list[np.ndarray]:
+    """Per motion (S, n) bool: whether a joint stands. One that travels nowhere always does, whatever its noise.
+
+    `beside` are other motions of the same arm: how slow is standing depends on how fast the joint goes in any.
+    """
+    known = [*beside, *signals]
+    slowest = standstill_speed([motion.qd for motion in known], known[0].reference.robot.max_velocity)
+    slowest = np.where(moves(known, limits), slowest, np.inf)
     return [np.abs(motion.qd) <= slowest for motion in signals]
 
 

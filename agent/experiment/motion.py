@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
+from agent.diagnosis import Dataset, background_of
+from agent.model import MotionSignals, NominalModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,3 +19,24 @@ class GridMotion:
     q: np.ndarray
     qd: np.ndarray
     qdd: np.ndarray
+
+
+def background_on(
+    dataset: Dataset, reference: NominalModel, motion: MotionSignals, beside: Sequence[MotionSignals] = ()
+) -> np.ndarray:
+    """(S, n) [N·m] the verdict's background on a motion that is not in the logs; `beside` other motions than those.
+
+    How slow is standing depends on all motions that are diagnosed together. On a grid as coarse as a motion's, a joint
+    that turns back stands between two samples: neither does its friction follow its direction there.
+    """
+    fit, limits = dataset.fit, dataset.limits
+    moving = fit.sigma.min(axis=0)
+    sigma = background_of(reference, moving, [motion], limits, [*fit.signals, *beside])
+    turns = np.zeros(sigma.shape, dtype=bool)
+    turns[1:] = motion.qd[1:] * motion.qd[:-1] < 0
+    turns[:-1] |= turns[1:]
+    near = turns.copy()
+    for shift in range(1, int(limits.near_rest / float(np.median(np.diff(motion.time)))) + 1):
+        near[shift:] |= turns[:-shift]
+        near[:-shift] |= turns[shift:]
+    return np.where(near, np.maximum(fit.sigma.max(axis=0), 2 * moving), sigma)

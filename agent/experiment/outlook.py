@@ -31,8 +31,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import ndtr
 
-from agent.diagnosis import Candidate, Dataset, Excursions, Fit, background_of, complexity, exact_in_both
-from agent.experiment.motion import GridMotion
+from agent.diagnosis import Candidate, Dataset, Excursions, Fit, complexity, exact_in_both
+from agent.experiment.motion import GridMotion, background_on
 from agent.experiment.questions import Form, Hypothesis, OpenPair
 from agent.model import CATALOGUE, MotionSignals, NominalModel
 from agent.robot import Tool
@@ -137,7 +137,7 @@ class Outlook:
         log, after = len(dataset.logs), max(s.started + float(s.time[-1]) for s in dataset.fit.signals)
         signals = MotionSignals(reference, motion.time, motion.q, motion.qd, motion.qdd, log, started=after)
         moving = dataset.fit.sigma.min(axis=0)
-        sigma = background_of(reference, moving, [signals], dataset.limits)
+        sigma = background_on(dataset, reference, signals)
         rate = 1 / float(np.median(np.diff(motion.time)))
         weight = np.where(sigma > 1.01 * moving, np.inf, np.sqrt(max(1.0, _INDEPENDENT * rate)))
         unit = sigma * weight

@@ -33,7 +33,7 @@ KINDS = {"loop": 0.4, "stops": 0.3, "reversals": 0.3}
 #: Speed of a loop or of stops, over the recipe's; of reversals, over the joint's highest.
 _LOOP_SPEEDS = (1.0, 0.5, 0.2)
 _STOP_SPEEDS = (1.0, 0.3, 0.1)
-_JOINT_SPEEDS = (0.01, 0.05, 0.2, 0.5)
+_JOINT_SPEEDS = (0.01, 0.05, 0.2, 1.0)
 #: Rests [s].
 _RESTS = (0.3, 1.0, 2.0)
 #: Largest turn of a joint to either side [rad, m], before it is cut to the sub-region.

@@ -201,12 +201,10 @@ def _known(chances: np.ndarray) -> tuple[float | None, float | None]:
 
 
 def _joints(found: Diagnosis, pairs: Sequence[OpenPair]) -> list[int]:
-    """Joints that the hypotheses sit on; all of them where one is of the whole arm."""
+    """Joints that the hypotheses sit on; all of them where every one is of the whole arm."""
     names = found.dataset.robot.joint_names
     sides = [side for pair in pairs for side in (pair.first, pair.second) if side.forms]
-    if any(not side.joints for side in sides):
-        return list(range(len(names)))
-    return sorted({names.index(joint) for side in sides for joint in side.joints})
+    return sorted({names.index(joint) for side in sides for joint in side.joints}) or list(range(len(names)))
 
 
 def _greedy(

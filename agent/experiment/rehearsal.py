@@ -25,14 +25,13 @@ from agent.diagnosis import (
     Fit,
     HeldOutScore,
     Search,
-    background_of,
     complexity,
     drawn_change,
     folds_of,
     judge,
     plausible,
 )
-from agent.experiment.motion import GridMotion
+from agent.experiment.motion import GridMotion, background_on
 from agent.experiment.questions import OpenPair, Place
 from agent.model import CATALOGUE, MotionSignals, NominalModel
 from agent.recording import PARTS, PLANNED_PARTS
@@ -127,10 +126,11 @@ class Rehearsal:
             yield left
 
     def _forms(self, place: Place, fit: Fit) -> list[Candidate]:
-        """The simplest of those that explain the logs as well as the best, each kept to about the size of the gap."""
+        """The simplest of those that explain the logs as well as the best, of as many parameters the one that explains
+        most, each kept to about the size of the gap."""
         effect, train = CATALOGUE[place[0]], self._of_logs
         inverse, alone = fit.solve(train)
-        found = []
+        best: dict[int, tuple[float, Candidate]] = {}
         for one in fit.candidates([(effect, place[1], settings) for settings in effect.settings(fit, place[1])]):
             form = self._restrained(one)
             ((_, (cross, own)),) = fit.moments([form])
@@ -139,10 +139,11 @@ class Rehearsal:
             values = np.linalg.solve(
                 a + fit.ridge(form, own.sum(axis=0).diagonal()) - b[:-1].T @ inverse @ b[:-1], side
             )
-            if plausible(HeldOutScore(form, 0.0, 0.0, values)):
-                found.append((float(side @ values) * fit.repeat, form))
-        least = max((gain for gain, _ in found), default=0.0) - self._found.finding.least
-        return sorted((form for gain, form in found if gain >= least), key=complexity)[:_TRUE]
+            gain = float(side @ values) * fit.repeat
+            if plausible(HeldOutScore(form, 0.0, 0.0, values)) and gain > best.get(complexity(form), (-np.inf,))[0]:
+                best[complexity(form)] = gain, form
+        least = max((gain for gain, _ in best.values()), default=0.0) - self._found.finding.least
+        return [form for _, (gain, form) in sorted(best.items()) if gain >= least][:_TRUE]
 
     def _restrained(self, form: Candidate) -> Candidate:
         """A form with a prior that keeps each of its parameters to about the torque that is to be explained."""
@@ -217,8 +218,7 @@ def _with_motion(dataset: Dataset, pieces: Sequence[GridMotion], load: Tool | No
         time = time - time[0] + begins
         begins = float(time[-1]) + step / dataset.rate
         new.append(MotionSignals(reference, time, q, qd, qdd, number, started=after))
-    moving = fit.sigma.min(axis=0)
-    sigma = np.concatenate([fit.sigma[thin], *(background_of(bare, moving, [one], limits) for one in new)])
+    sigma = np.concatenate([fit.sigma[thin], *(background_on(dataset, bare, one, new) for one in new)])
     columns = np.concatenate([reference.model.columns(one.q, one.qd, one.qdd) for one in new])
     unit = sigma[len(thin) :]
     rows = [

@@ -14,12 +14,12 @@ from agent.diagnosis.dataset import folds_of, part_borders
 from agent.diagnosis.limits import LIMITS
 from agent.excitation import LoopProblem
 from agent.experiment import as_drawn, d_optimal, open_pairs, pieces_otherwise, plan_experiment, questions
-from agent.experiment.motion import GridMotion
+from agent.experiment.motion import GridMotion, background_on
 from agent.experiment.outlook import Outlook
 from agent.experiment.pieces import Pieces
 from agent.experiment.questions import Form, Hypothesis, OpenPair
 from agent.experiment.rehearsal import Rehearsal
-from agent.model import CATALOGUE
+from agent.model import CATALOGUE, MotionSignals
 from agent.motion import ViaRegions
 from agent.motion.program import FlyTrajectory, FlyType, MotionSettings
 from agent.motion.regions import BoxRegion
@@ -99,6 +99,32 @@ def test_a_standstill_tells_nothing(arm, ambiguous):
     told = outlook.told(GridMotion(time, zero + 0.3, zero, zero))
     assert not told.moments.any()
     assert np.all(outlook.probabilities(told) <= outlook.probabilities(outlook.nothing)), "only the margin grows"
+
+
+@pytest.mark.parametrize("seconds", [10.0, 40.0, 160.0])
+def test_however_slow_a_motion_an_offset_is_friction_by_direction(arm, ambiguous, seconds):
+    """It is one while the joint slides, and how slow is standing depends on the logs, not on the motion alone."""
+    pair = next(pair for pair in open_pairs(ambiguous) if set(pair.names) == SIDES)
+    outlook = Outlook(ambiguous.dataset, [pair])
+    alike = [k for k, one in enumerate(outlook.comparisons) if one.truth.candidate.effect.name == "torque_offset"]
+    time = np.arange(0, seconds, 0.02)[:, None]
+    w = 2 * np.pi / seconds * np.arange(1, arm.dof + 1)
+    slow = GridMotion(time[:, 0], -np.cos(w * time) / 3, w * np.sin(w * time) / 3, w**2 * np.cos(w * time) / 3)
+    before, after = (outlook.distances(added) for added in (outlook.nothing, outlook.told(slow)))
+    assert alike
+    assert np.all(after[alike] - before[alike] < 1.0)
+
+
+@pytest.mark.parametrize("rate", [30.0, 500.0])
+def test_a_joint_that_turns_back_between_two_samples_stands_there(arm, ambiguous, rate):
+    fit = ambiguous.dataset.fit
+    time = np.arange(0, 4, 1 / rate) + 0.3 / rate
+    q, qd = np.stack([np.sin(4 * time)] * arm.dof, axis=1), np.stack([4 * np.cos(4 * time)] * arm.dof, axis=1)
+    motion = MotionSignals(fit.reference, time, q, qd, -16 * q)
+    still = background_on(ambiguous.dataset, fit.reference, motion) > 1.01 * fit.sigma.min(axis=0)
+    for turn in np.arange(np.pi / 8, 3.9, np.pi / 4):
+        assert still[np.abs(time - turn) < 0.04].all()
+    assert np.mean(still) < 0.25
 
 
 def test_pieces_begin_and_end_at_rest_in_the_sub_region(problem):
