@@ -29,6 +29,7 @@ from .randomisation import Range as Range, ranges as ranges, ranges_text as rang
 from .regimes import BANDS as BANDS, band_shares as band_shares, masks as masks, motor_phase_share as motor_phase_share
 from .result import Diagnosis as Diagnosis
 from .rivals import exact_in_both as exact_in_both
+from .servo_torque import with_servo_torque as with_servo_torque
 from .sizes import (
     amplitude as amplitude,
     intervals as intervals,

@@ -123,6 +123,8 @@ class DiagnosisResult:
     warnings: tuple[str, ...]
     #: Where there is a gap in torque, and steps that close it.
     waterfall: tuple[WaterfallStep, ...] = ()
+    #: `servos` where torque was not measured but is that of the simulator's servos at recorded set-points.
+    torque_of: str = "motors"
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, ready for JSON."""
@@ -130,7 +132,8 @@ class DiagnosisResult:
         for cause in data["causes"]:
             if cause["closure_of_joints"] is None:
                 del cause["closure_of_joints"]
-        return data if self.waterfall else {key: value for key, value in data.items() if key != "waterfall"}
+        usual = {"waterfall": [], "torque_of": "motors"}
+        return {key: value for key, value in data.items() if key not in usual or value != usual[key]}
 
 
 def _plain(value: Any) -> Any:

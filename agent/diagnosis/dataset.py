@@ -24,7 +24,7 @@ from agent.estimation import (
     observe,
     physical_prior,
 )
-from agent.model import IdentifiedModel, MotionSignals, NominalModel, effect_torque, known_payload
+from agent.model import IdentifiedModel, MotionSignals, NominalModel, effect_torque, known_payload, servo_stiffness
 from agent.recording import PARTS, Log
 from agent.robot import RobotDescription
 
@@ -113,6 +113,7 @@ def assemble(
                 tuple(motion.cycle_starts),
                 begun[segment.log_index],
                 motion.low_pass,
+                _driving(logs[segment.log_index], motion.set_points),
             )
         )
         extra = _known_effects(model, signals[-1])
@@ -150,6 +151,12 @@ def assemble(
         observation.segments[0].motion.cutoff,
         limits,
     )
+
+
+def _driving(log: Log, set_points: np.ndarray | None) -> np.ndarray | None:
+    """(S, n) [N·m] that set-points (S, n) add to a torque that is of position servos; else None."""
+    stiffness = servo_stiffness(log.metadata)
+    return None if stiffness is None or set_points is None else stiffness * set_points
 
 
 def _begun(logs: Sequence[Log]) -> list[float]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from agent.diagnosis.extension import extended_model
 from agent.estimation import FilterSettings, Motion, motions, smooth_and_differentiate
-from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel, NominalModel, effect_torque
+from agent.model import CATALOGUE, PAYLOAD, SERVO_STIFFNESS, IdentifiedModel, NominalModel, effect_torque
 from agent.simulation import ForwardSimulation, RigidActuation, ServoGains
 
 if TYPE_CHECKING:
@@ -58,6 +58,8 @@ def simulate(diagnosis: Diagnosis) -> list[Simulated]:
         return found
     for number, log in enumerate(dataset.logs):
         if log.reference_position is None or log.metadata.get(PAYLOAD):  # the model simulates the bare arm
+            continue
+        if log.metadata.get(SERVO_STIFFNESS):  # its servo is no usual one, but that of the simulator's file
             continue
         settings = FilterSettings(dataset.cutoff, dataset.model.order)
         motion = max(motions(log, settings, reduce=False), key=lambda m: len(m.time))

@@ -1,6 +1,7 @@
 """The gap in motion: the given and the corrected simulator run from measured states, and how far they drift.
 
-Windows of up to two seconds start at measured positions and velocities. Where set-points were recorded and a servo like
+Windows of up to two seconds start at measured positions and velocities. Where logs have no torque, the servos of the
+simulator's file follow the recorded set-points, each until the next. Where these stand beside torque, and a servo like
 
     τ = kp e + kd ė + ki ∫ e + a ṙ + b r̈ + c,  e = r − q
 
@@ -23,9 +24,9 @@ from agent.diagnosis.correction import corrected
 from agent.diagnosis.forward import shortened
 from agent.diagnosis.forward_interval import expected_range
 from agent.diagnosis.result import Diagnosis
-from agent.diagnosis.rollout import Drive, at_motors, engine
+from agent.diagnosis.rollout import Drive, RolloutEngine, at_motors, engine
 from agent.estimation import FilterSettings, Motion, motions
-from agent.model import PAYLOAD, ModelEffect, Simulator, write_corrected, written_files
+from agent.model import PAYLOAD, Commands, ModelEffect, Simulator, write_corrected, written_files
 
 _HORIZONS = (0.2, 0.5, 1.0, 2.0)  # s
 _WINDOWS = 24  # at most, over all motions
@@ -54,9 +55,10 @@ def forward(diagnosis: Diagnosis, simulator: Simulator) -> dict[str, Any]:
     if not horizons:
         return {}
     all_motions = list({id(window.motion): window.motion for window in windows}.values())
-    servo = _servo(all_motions)
+    servo = None if simulator.servos else _servo(all_motions)
     given = engine(simulator, simulator.arm.path, simulator.model, None)
-    errors = np.full((2, 2, len(windows), len(horizons), len(simulator.arm.joint_names)), np.nan)
+    dof = len(simulator.arm.joint_names)
+    errors = np.full((2, 2, len(windows), len(horizons), dof), np.nan)
     with tempfile.TemporaryDirectory() as folder:
         for fold in sorted({window.fold for window in windows}):
             correction = corrected(diagnosis, simulator, without=fold)
@@ -69,10 +71,15 @@ def forward(diagnosis: Diagnosis, simulator: Simulator) -> dict[str, Any]:
                     continue
                 times = np.array([h for h in horizons if _lasts(window, h)])
                 for side, (which, entries) in enumerate(((given, ()), (fixed, correction.effects))):
-                    drift = _drift(which, window, times, servo, entries, simulator.arm.joint_names)
+                    if simulator.servos:
+                        drive = _commanded(window, correction.commands if side else Commands.as_recorded(dof))
+                    else:
+                        drive = _drive(window, servo, entries, simulator.arm.joint_names)
+                    drift = _drift(which, window, times, drive)
                     errors[side, :, number, : len(times)] = drift
     group = np.array([window.fold for window in windows])
-    return _figures(errors, horizons, "torque" if servo is None else "set_points", group, simulator)
+    driven = "set_points" if simulator.servos or servo is not None else "torque"
+    return _figures(errors, horizons, driven, group, simulator)
 
 
 def _lasts(window: ForwardWindow, seconds: float) -> bool:
@@ -138,23 +145,35 @@ def _servo(parts: Sequence[Motion]) -> np.ndarray | None:
     return np.array(gains)
 
 
-def _drift(
-    which: Any,
-    window: ForwardWindow,
-    times: np.ndarray,
-    servo: np.ndarray | None,
-    entries: Sequence[ModelEffect],
-    names: Any,
-) -> np.ndarray:
+def _drift(which: RolloutEngine, window: ForwardWindow, times: np.ndarray, drive: Drive) -> np.ndarray:
     """(2, T, n) error of position [rad] and velocity [rad/s] at the times of a window."""
     motion, first = window.motion, window.first
-    assert motion.torque is not None
-    torque = at_motors(entries, names, motion.torque) if servo is None else motion.torque
-    drive = _recorded(motion, first, torque) if servo is None else _following(motion, first, servo)
     q, qd = which.run(motion.q[first], motion.qd[first], drive, times)
     at = first + np.round(times * motion.rate).astype(int)
     error = np.stack([q - motion.q[at], qd - motion.qd[at]])
     return np.asarray(np.clip(np.where(np.isfinite(error), error, _RUNS_AWAY), -_RUNS_AWAY, _RUNS_AWAY))
+
+
+def _drive(window: ForwardWindow, servo: np.ndarray | None, entries: Sequence[ModelEffect], names: Any) -> Drive:
+    """The recorded torque, or that of an identified servo."""
+    motion, first = window.motion, window.first
+    assert motion.torque is not None
+    if servo is not None:
+        return _following(motion, first, servo)
+    return _recorded(motion, first, at_motors(entries, names, motion.torque))
+
+
+def _commanded(window: ForwardWindow, commands: Commands) -> Drive:
+    """Set-points for the file's servos, each in force until the next."""
+    motion, first = window.motion, window.first
+    assert motion.set_points is not None
+    r = motion.set_points - commands.shift
+
+    def drive(time: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        place = first + int(np.floor((time - commands.late) * motion.rate + 1e-6))
+        return np.asarray(r[min(max(place, 0), len(r) - 1)])
+
+    return drive
 
 
 def _recorded(motion: Motion, first: int, torque: np.ndarray) -> Drive:

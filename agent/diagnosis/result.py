@@ -30,7 +30,7 @@ from agent.diagnosis.motion_gap import MotionGap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.regimes import regimes
 from agent.diagnosis.verdict import causes_of, settle, with_path
-from agent.model import CATALOGUE, Effect
+from agent.model import CATALOGUE, Effect, servo_stiffness
 from agent.robot import error_units
 
 _WHEN_UNKNOWN = "slow single-joint ramps both ways on the joints named, then the same at full speed, each twice"
@@ -124,6 +124,7 @@ def build(
         _folds(dataset),
         tuple(warnings),
         steps,
+        "servos" if any(servo_stiffness(log.metadata) is not None for log in dataset.logs) else "motors",
     )
     return Diagnosis(answer, finding, dataset, motion, gap, calibrated)
 

@@ -26,9 +26,10 @@ from agent.diagnosis.fit import Fit
 from agent.diagnosis.gap import HeldOutGap, held_out_gap
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.procedure import Search
+from agent.diagnosis.rounding import quiet_cutoff
 from agent.diagnosis.verdict import abstained, judge
 from agent.estimation import FilterSettings, resolve_cutoff
-from agent.model import CATALOGUE, IdentifiedModel
+from agent.model import CATALOGUE, IdentifiedModel, NominalModel, servo_stiffness
 from agent.recording import Log
 from agent.robot import RobotDescription
 
@@ -104,6 +105,8 @@ def with_expected_error(
     error = np.maximum(np.maximum(usual, least), 1e-9)
     settings = FilterSettings()
     cutoff = min(resolve_cutoff(log, settings) for log in logs)
+    if any(servo_stiffness(log.metadata) is not None for log in logs):
+        cutoff = quiet_cutoff(NominalModel(model), logs, cutoff, limits.least_error)
     return replace(
         model,
         cutoff=cutoff,

@@ -14,7 +14,7 @@ from agent.diagnosis.procedure import Search
 from agent.diagnosis.result import Diagnosis, build
 from agent.diagnosis.simulator import search_simulator
 from agent.diagnosis.verdict import judge
-from agent.model import CATALOGUE, SIMULATOR, IdentifiedModel
+from agent.model import CATALOGUE, SERVO_STIFFNESS, SIMULATOR, IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
 
@@ -95,7 +95,7 @@ def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool, limits:
         yield "one motion only: parts of it are held out from each other, which another motion would test harder"
     if not given:
         yield "no model was given: only what a model fitted to these logs cannot absorb is seen as a gap"
-    for log in logs:
+    for log in (log for log in logs if SERVO_STIFFNESS not in log.metadata):
         assert log.effort is not None
         largest = np.abs(log.effort).max(axis=0)
         clipped = np.mean(np.abs(log.effort) >= largest * (1 - 1e-9), axis=0)

@@ -7,7 +7,7 @@ from .filtering import (
     used_text as used_text,
 )
 from .observation import Observation as Observation, check_log as check_log, observe as observe
-from .plausible import plausibility_warnings as plausibility_warnings
+from .plausible import plausibility_warnings as plausibility_warnings, unsigned_torque as unsigned_torque
 from .prior import DESCRIPTION as DESCRIPTION, EITHER as EITHER, physical_prior as physical_prior
 from .refitting import Refit as Refit, conditional_covariance as conditional_covariance, refit as refit
 from .workflow import (

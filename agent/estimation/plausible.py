@@ -88,16 +88,27 @@ def _signals(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
         yield degrees
     if too_strong := _too_strong(robot, turning, moving, strong):
         yield too_strong
-    live = moving & ~dead
+    unsigned = unsigned_torque(logs)
+    if unsigned.any():
+        yield (
+            f"the torque of {', '.join(names[unsigned])} is never negative, whichever way it moves: it is an amount "
+            "without a sign, as some drives report their current"
+        )
+
+
+def unsigned_torque(logs: Sequence[Log]) -> np.ndarray:
+    """(n,) joints whose torque is an amount without a sign; all of the logs have torque."""
+    low, high = (np.array([f(log.position, axis=0) for log in logs]) for f in (np.min, np.max))
+    moving = high.max(axis=0) - low.min(axis=0) > _MOVING
+    efforts = [log.effort for log in logs if log.effort is not None]
+    weakest, strongest = (np.array([f(e, axis=0) for e in efforts]) for f in (np.min, np.max))
+    live = moving & (strongest.max(axis=0) - weakest.min(axis=0) > _NOTHING)
     unsigned = live & (weakest.min(axis=0) >= 0)
     # one joint of several that carries its load one way may come near nothing; one that turns back at it does not
     least, near = (0.05, 0.1) if unsigned.sum() == live.sum() else (0.02, 0.02)
-    live = unsigned & [_comes_to_nothing(logs, efforts, k, least, near) for k in range(len(names))]
-    if live.any():
-        yield (
-            f"the torque of {', '.join(names[live])} is never negative, whichever way it moves: it is an amount "
-            "without a sign, as some drives report their current"
-        )
+    return np.asarray(
+        unsigned & [_comes_to_nothing(logs, efforts, k, least, near) for k in range(len(unsigned))], dtype=bool
+    )
 
 
 def _stuck(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:

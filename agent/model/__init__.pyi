@@ -27,6 +27,7 @@ from .signals import MotionSignals as MotionSignals, NominalModel as NominalMode
 from .simulators.arm import SIMULATOR as SIMULATOR
 from .simulators.corrected_file import write_corrected as write_corrected, written_files as written_files
 from .simulators.correction import (
+    Commands as Commands,
     Correction as Correction,
     Released as Released,
     correct as correct,
@@ -34,5 +35,10 @@ from .simulators.correction import (
 from .simulators.joints import load_joint_map as load_joint_map
 from .simulators.load import Simulator as Simulator, is_simulator as is_simulator, load_simulator as load_simulator
 from .simulators.mjcf import compiled as compiled, mujoco_package as mujoco_package
+from .simulators.servos import (
+    SERVO_STIFFNESS as SERVO_STIFFNESS,
+    PositionServos as PositionServos,
+    servo_stiffness as servo_stiffness,
+)
 from .standard_parameters import full_parameters as full_parameters
 from .with_effects import effect_torque as effect_torque

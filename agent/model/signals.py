@@ -116,7 +116,8 @@ class MotionSignals:
 
     `log_index` counts logs (-1 where unknown), `cycle_starts` [s] are those of its log and `started` [s] is when that
     began, counted from the first log: all for effects that happen at some time. `low_pass` is the torque's filter, of
-    whose samples it returns `kept`.
+    whose samples it returns `kept`. Where the torque is that of position servos, `driving` (S, n) [N·m] is what
+    set-points add to it: stiffness times set-point.
     """
 
     reference: NominalModel
@@ -129,6 +130,7 @@ class MotionSignals:
     cycle_starts: tuple[float, ...] = ()
     started: float = 0.0
     low_pass: Callable[[np.ndarray], np.ndarray] = np.asarray
+    driving: np.ndarray | None = None
 
     @cached_property
     def axles(self) -> AxleMotion:

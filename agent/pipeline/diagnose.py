@@ -211,7 +211,7 @@ def _next(found: Diagnosis, question: GapQuestion, console: Console) -> dict[str
 
 
 def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQuestion, console: Console) -> Found:
-    from agent.diagnosis import diagnose, simulate
+    from agent.diagnosis import diagnose, simulate, with_servo_torque
     from agent.model import SIMULATOR
 
     reference, simulator = _simulator(robot, paths, question, console)
@@ -228,9 +228,14 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
     console.step(f"reading {len(paths)} logs")
     logs = read_logs(list(paths), robot, console)
     check_one_machine(logs, reference, question.allow_mixed, payload_counts=True)
-    check_plausible(robot, logs, question.force, console, described=described)
+    said: tuple[str, ...] = ()
+    if simulator is not None:
+        simulator, logs, said = with_servo_torque(simulator, logs)
+    if not said:
+        check_plausible(robot, logs, question.force, console, described=described)
     console.step("searching for what model and robot disagree in")
     found = diagnose(robot, logs, reference, question.cutoff, question.without, console.progress)
+    found = replace(found, answer=replace(found.answer, warnings=(*said, *found.answer.warnings)))
     say_used(logs, found.dataset.cutoff, found.dataset.model.order, console)
     console.step("simulating with and without it")
     return found, simulate(found), simulator

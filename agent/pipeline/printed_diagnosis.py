@@ -27,6 +27,10 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         for other in cause["equivalent_to"]:
             lines.append(f"    as good: {other['effect']} on {', '.join(other['joints']) or 'the whole arm'}")
     gap = result["gap"]
+    by_servos = result.get("torque_of") == "servos"
+    if by_servos:
+        lines += _forward_lines(result)
+        lines.append("torque below is no measured one, but that of the file's servos at the recorded set-points")
     lines.append("torque error held out, in % of nominal torque where there is one; floor: what no cycle repeats")
     lines.append(f"{'joint':12} {'before':>11} {'after':>11} {'floor':>11} {'share':>7}   mostly in")
     shares = {entry["joint"]: entry for entry in result["where"]}
@@ -47,16 +51,21 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         worst = max(range(len(units)), key=lambda k: (units[k] == SHARE, torque["before"][k]))
         before, after = (figure_text(torque[side][worst], units[worst]) for side in ("before", "after"))
         lines.append(f"torque error of {gap['joints'][worst]} in forward simulation: {before}, then {after}")
-    if result.get("forward"):
-        from agent.diagnosis import forward_lines
-
-        lines += list(forward_lines(result["forward"]))
+    if not by_servos:
+        lines += _forward_lines(result)
     if result["next_experiment"] is not None:
         lines.append(f"run next: {result['next_experiment']['motion']}")
     if result["not_testable"]:
         names = sorted({entry["effect"] for entry in result["not_testable"]})
         lines.append(f"not testable on some joints here: {', '.join(names)}")
     return "\n".join(lines)
+
+
+def _forward_lines(result: dict[str, Any]) -> list[str]:
+    """How far the simulator drifts, where it was run."""
+    from agent.diagnosis import forward_lines
+
+    return list(forward_lines(result["forward"])) if result.get("forward") else []
 
 
 def _waterfall_lines(steps: Sequence[dict[str, Any]]) -> Iterator[str]:

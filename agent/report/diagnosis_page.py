@@ -30,7 +30,7 @@ from agent.report.first_screen import (
 )
 from agent.report.page import NextStep, Page, Section, Table, render
 from agent.report.rounds_section import rounds_sections
-from agent.report.simulator_section import simulator_sections, waterfall_parts
+from agent.report.simulator_section import motion_first, simulator_sections, waterfall_parts
 from agent.robot import figure_text
 
 #: Title of the section on candidates that were not named.
@@ -54,6 +54,7 @@ def diagnosis_report(
     """
     verdict = diagnosis.result["verdict"]
     sections = [
+        *motion_first(diagnosis, forward),
         _cause_section(diagnosis),
         *rounds_sections(rounds.get("rounds"), rounds.get("rounds_end", "")),
         _where_section(diagnosis),
@@ -122,6 +123,8 @@ def _where_section(diagnosis: Diagnosis) -> Section:
         for k, joint in enumerate(gap["joints"])
     ]
     text = list(where_sentences(result))
+    if diagnosis.answer.torque_of == "servos":
+        text.append("Torque was not measured: it is what the servos of the simulator would give at the set-points.")
     text.append(
         "Errors of torque are root mean squares on motion held out, in % of nominal joint torque where there is one."
     )

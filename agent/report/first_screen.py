@@ -148,6 +148,8 @@ def _facts(diagnosis: Diagnosis) -> list[str]:
     result = diagnosis.result
     facts = list(_largest_steps(result)) if diagnosis.calibrated is not None else []
     worst = result["where"][0]["joint"]
+    if diagnosis.answer.torque_of == "servos":
+        facts.append("Torque was not measured: it is what the simulator's servos would give at the set-points.")
     if torque_gap(result):
         own = result["causes"][0]["joints"] if result["causes"] else []
         shown = [worst] if worst in own or len(own) != 1 else [own[0], worst]

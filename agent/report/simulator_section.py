@@ -14,11 +14,17 @@ from agent.report.page import Section, Table
 from agent.report.plots import SERIES
 
 
+def motion_first(diagnosis: Diagnosis, forward: Mapping[str, Any] | None) -> list[Section]:
+    """How far a simulator drifts, before anything of torque, where that was not measured."""
+    return [_forward(dict(forward))] if forward and diagnosis.answer.torque_of == "servos" else []
+
+
 def simulator_sections(diagnosis: Diagnosis, forward: Mapping[str, Any] | None = None) -> list[Section]:
     """Sections of a diagnosis against an MJCF or URDF; none where the model was not such a file."""
     if diagnosis.calibrated is None:
         return []
     result, sections = diagnosis.result, []
+    forward = None if motion_first(diagnosis, forward) else forward
     if result.get("waterfall"):
         text, picture, table = waterfall_parts(result["waterfall"])
         sections.append(Section("What the simulator gets wrong", (text,), (picture, table)))

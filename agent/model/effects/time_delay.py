@@ -26,6 +26,8 @@ class TimeDelay(Effect):
 
     A model that was fitted to late torque lets friction turn over too long a way, as that looks late too. So what is
     shifted may turn over a part `reversal` of the model's way. Friction of a simulator turns sharply and has none.
+
+    Where the torque is that of position servos at recorded set-points r, these act late: τ = a k (r(t) − r(t − d)).
     """
 
     name = "time_delay"
@@ -65,7 +67,8 @@ class TimeDelay(Effect):
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         late = np.clip(signals.time - settings["delay"], signals.time[0], signals.time[-1])
-        change = _predicted(signals, settings.get("reversal"))(late) - signals.predicted
+        shifted = _over_time(signals, settings.get("reversal"))(late)
+        change = shifted - signals.predicted if signals.driving is None else signals.driving - shifted
         return {joint: change[:, joint, None] for joint in range(signals.q.shape[1])}
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
@@ -75,13 +78,13 @@ class TimeDelay(Effect):
         return len(settings)
 
 
-def _predicted(signals: MotionSignals, part: float | None) -> CubicSplines:
-    """Of the model's torque over time, its friction turning over a `part` of the way; remembered, as many delays are
-    tried."""
-    known = signals.__dict__.setdefault("_over_time", {})
+def _over_time(signals: MotionSignals, part: float | None) -> CubicSplines:
+    """Of the torque that is shifted over time: that of set-points, or the model's, its friction turning over a `part`
+    of the way; remembered, as many delays are tried."""
+    known: dict[float | None, CubicSplines] = signals.__dict__.setdefault("_over_time", {})
     if part not in known:
         torque = signals.predicted if part is None else _turning_faster(signals, part)
-        known[part] = CubicSplines(signals.time, torque)
+        known[part] = CubicSplines(signals.time, torque if signals.driving is None else signals.driving)
     return known[part]
 
 

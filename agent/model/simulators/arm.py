@@ -14,6 +14,7 @@ from agent.model.friction_terms import FrictionTerm, Reversal
 from agent.model.identified import IdentifiedModel
 from agent.model.rigid_friction import ModelEffect
 from agent.model.simulators.bodies import CarryingBody
+from agent.model.simulators.servos import PositionServos
 from agent.robot import Joint, ParameterLayout, RobotDescription
 
 #: `method` of a model that was read from a simulator's file.
@@ -32,7 +33,8 @@ class SimulatedArm:
     [N·m·s/rad], frictionloss [N·m], stiffness [N·m/rad] and the position [rad] where the spring is at rest.
 
     `file_joints` are the joints' names in the file; in `urdf` they have those of the robot or the logs. `max_velocity`
-    is NaN where the file has none. `carrying` (n,): which body takes a change of each link.
+    is NaN where the file has none. `carrying` (n,): which body takes a change of each link. `servos`: those of the
+    file's joints, or why it has none.
     """
 
     path: Path
@@ -53,6 +55,7 @@ class SimulatedArm:
     rest: np.ndarray
     carrying: tuple[CarryingBody, ...]
     notes: tuple[str, ...] = ()
+    servos: PositionServos | str = "a URDF has no servos"
 
 
 def described(arm: SimulatedArm, robot: RobotDescription | None) -> tuple[RobotDescription, tuple[str, ...]]:

@@ -23,6 +23,7 @@ from agent.model.simulators.correction import Correction
 from agent.model.simulators.effects_file import effects_text
 from agent.model.simulators.load import Simulator, load_simulator
 from agent.model.simulators.mjcf_text import MjcfText
+from agent.model.simulators.servos import PositionServos
 from agent.model.simulators.urdf_text import UrdfText
 
 SCHEMA = "simulator-changes/1"
@@ -69,6 +70,8 @@ def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> 
     arm = simulator.arm
     text = UrdfText(arm, out) if is_urdf(source) else MjcfText(arm, out)
     changes = list(_changes(correction, text))
+    if simulator.servos is not None and isinstance(text, MjcfText):
+        changes += _servo_changes(correction, text)
     files = text.files()
     _read_back(correction, simulator, files, out)
     beside, effects = written_files(out)
@@ -129,6 +132,25 @@ def _changes(correction: Correction, text: MjcfText | UrdfText) -> Iterator[File
     if before.gravity != after.gravity:
         text.set_gravity(after.gravity)
         yield FileChange("option", "gravity", list(before.gravity), list(after.gravity), released.gravity)
+
+
+def _servo_changes(correction: Correction, text: MjcfText) -> Iterator[FileChange]:
+    """Other gains of servos; those damped by a ratio are written as they are, where masses change."""
+    given, released = correction.given.servos, correction.released
+    servos = correction.arm.servos
+    assert isinstance(given, PositionServos)
+    assert isinstance(servos, PositionServos)
+    moved = text.damps_by_ratio and bool(released.links or released.rotors)
+    for k, joint in enumerate(correction.given.file_joints):
+        if k not in released.gains and not moved:
+            continue
+        (_, before), (gain, bias) = given.parameters(k), servos.parameters(k)
+        text.set_servo(joint, gain, bias)
+        if k in released.gains:
+            yield FileChange(f"actuator of {joint}", "kp", -before[1], -bias[1], released.gains[k])
+        if bias[2]:
+            kept = "as it was: a dampratio would move it with the masses"
+            yield FileChange(f"actuator of {joint}", "kv", -before[2], -bias[2], released.gains.get(k, kept))
 
 
 def _listed(block: np.ndarray, part: slice) -> float | list[float]:

@@ -8,7 +8,7 @@ The rest are effects beside the file (`effects_file`).
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from xml.etree.ElementTree import SubElement
 
@@ -22,6 +22,7 @@ from agent.model.rigid_friction import ModelEffect
 from agent.model.simulators.arm import SimulatedArm, described, model_of
 from agent.model.simulators.bodies import about_centre, is_body, nearest, seen_from
 from agent.model.simulators.load import Simulator
+from agent.model.simulators.servos import PositionServos
 from agent.model.urdf_elements import digits, inertial_element, pose_of, rotation, rpy_of
 from agent.robot import LINK_PARAMETERS, ParameterLayout
 
@@ -40,14 +41,29 @@ class Released:
     friction: dict[int, str] = field(default_factory=dict)
     offsets: dict[int, float] = field(default_factory=dict)
     springs: dict[int, str] = field(default_factory=dict)
+    gains: dict[int, str] = field(default_factory=dict)
     gravity: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """How set-points reach servos: [s] late, and by how much (n,) [rad or m] they are less than recorded."""
+
+    late: float
+    shift: np.ndarray
+
+    @classmethod
+    def as_recorded(cls, dof: int) -> Commands:
+        """At once and as they are."""
+        return cls(0.0, np.zeros(dof))
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
     """The corrected arm, its model with all effects, what was released, and the effects that are not in the file.
 
-    `inertia` (n,) [kg·m²] that the joints carried on average while effects were fitted.
+    `inertia` (n,) [kg·m²] that the joints carried on average while effects were fitted; `commands`: how set-points
+    reach the servos, where torque is theirs.
     """
 
     given: SimulatedArm
@@ -57,6 +73,7 @@ class Correction:
     effects: tuple[ModelEffect, ...]
     inertia: np.ndarray
     notes: tuple[str, ...]
+    commands: Commands
 
 
 def correct(
@@ -84,7 +101,7 @@ def correct(
         if term.axle in released.friction and term.form in _FRICTION:
             friction[term.axle, _FRICTION.index(term.form)] = change[b + k]
     layout = ParameterLayout.of(model.robot)
-    arm, left = given, []
+    arm, left, commands = given, [], Commands.as_recorded(n)
     for entry in effects:
         reason = reasons.get((entry.effect, entry.joints), entry.effect)
         joints = [names.index(name) for name in entry.joints]
@@ -114,11 +131,14 @@ def correct(
                 arm, stiffness=_put(arm.stiffness, joints[0], stiffness), rest=_put(arm.rest, joints[0], rest)
             )
             released.springs[joints[0]] = reason
+        elif simulator.servos is not None and not CATALOGUE[entry.effect].moves_arm:
+            arm, commands = _servo_of(arm, simulator.servos, commands, entry, joints)
+            released.gains |= dict.fromkeys(joints if CATALOGUE[entry.effect].scales_report else (), reason)
         elif CATALOGUE[entry.effect].of_the_arm:
             left.append(entry)
     moved = np.maximum(np.stack([given.frictionloss, given.damping], axis=1) + friction, 0.0)
     arm = replace(arm, frictionloss=moved[:, 0], damping=moved[:, 1])
-    notes = []
+    notes = list(_command_notes(commands, names))
     if np.any(moved[list(released.friction)] == 0):
         notes.append("friction below zero is none: where less than nothing was found, the file has 0")
     arm, said = _with_bodies(arm, model, target, weight, unexplained, released)
@@ -129,7 +149,37 @@ def correct(
         effects=(*fixed.effects, *left),
         notes=(f"corrected from {given.path.name}, by what logs of the robot say", *given.notes),
     )
-    return Correction(given, arm, fixed, released, tuple(left), inertia, (*notes, *said))
+    return Correction(given, arm, fixed, released, tuple(left), inertia, (*notes, *said), commands)
+
+
+def _servo_of(
+    arm: SimulatedArm, servos: PositionServos, commands: Commands, entry: ModelEffect, joints: Sequence[int]
+) -> tuple[SimulatedArm, Commands]:
+    """What an effect of the measurement is of a torque that servos give: another gain, or other set-points.
+
+    A torque that is reported 1 + s times too large is of a servo with 1 / (1 + s) of the gain; its limit stays.
+    """
+    effect, values = CATALOGUE[entry.effect], entry.parameters
+    if effect.scales_report is not None:
+        now = arm.servos if isinstance(arm.servos, PositionServos) else servos
+        return replace(arm, servos=now.scaled(joints[0], 1 / (1 + values[effect.scales_report]))), commands
+    if effect.adds_to_report is not None:
+        offset = values[effect.adds_to_report] / servos.stiffness[joints[0]]
+        return arm, replace(commands, shift=_put(commands.shift, joints[0], commands.shift[joints[0]] + offset))
+    return arm, replace(commands, late=commands.late + values.get("delay", 0.0))
+
+
+def _command_notes(commands: Commands, names: Sequence[str]) -> Iterator[str]:
+    if commands.late:
+        yield (
+            f"set-points act {1e3 * commands.late:.3g} ms after they are recorded, which no number of the file says: "
+            "command it that much later"
+        )
+    for k in np.flatnonzero(commands.shift).tolist():
+        yield (
+            f"set-points of {names[k]} act as if they were {commands.shift[k]:.3g} rad or m less, which no number of "
+            "the file says: command them so"
+        )
 
 
 def _added(entry: ModelEffect, n: int) -> tuple[int, np.ndarray]:

@@ -13,6 +13,7 @@ from agent.core import InputError
 from agent.model.identified import IdentifiedModel
 from agent.model.simulators.arm import SimulatedArm, described, model_of
 from agent.model.simulators.joints import matched
+from agent.model.simulators.servos import PositionServos
 from agent.model.simulators.urdf import read_urdf
 from agent.robot import RobotDescription
 
@@ -23,12 +24,13 @@ _MOST_JOINTS = 7
 @dataclass(frozen=True, eq=False)
 class Simulator:
     """A simulator's file, the model that it is, the description whose drives it has, and what was taken, held or left
-    out of the file."""
+    out of the file. `servos`: those of the file whose torque stands for that of logs that have none."""
 
     arm: SimulatedArm
     model: IdentifiedModel
     robot: RobotDescription | None
     notes: tuple[str, ...]
+    servos: PositionServos | None = None
 
 
 def is_simulator(path: Path) -> bool:

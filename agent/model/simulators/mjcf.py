@@ -16,6 +16,7 @@ from agent.core import InputError, needed
 from agent.model.simulators.arm import SimulatedArm, described, model_of
 from agent.model.simulators.bodies import CarryingBody, parameters
 from agent.model.simulators.joints import leaving_out, listed
+from agent.model.simulators.servos import position_servos
 from agent.model.urdf_elements import digits, inertial_element, rpy_of
 
 _BASE = "base"
@@ -84,6 +85,7 @@ def read_mjcf(path: Path, match: Callable[[Sequence[str]], Mapping[str, str]]) -
         rest=np.array(model.qpos_spring[at]),
         carrying=tuple(_carrying(mujoco, model, chosen, link_of)),
         notes=notes,
+        servos=position_servos(mujoco, model, chosen),
     )
     _check(mujoco, model, arm, chosen)
     return arm

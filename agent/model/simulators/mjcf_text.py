@@ -156,6 +156,35 @@ class MjcfText:
         else:
             option.set("gravity", digits(*gravity))
 
+    def set_servo(self, joint: str, gain: float, bias: list[float]) -> None:
+        """Gain and bias (b₀, b₁, b₂) of the actuator that holds a joint at set-points."""
+        found = [
+            tag
+            for kind in ("position", "general")
+            for tag in self._all(kind)
+            if joint in (tag.get("joint"), tag.get("jointinparent"))
+        ]
+        if len(found) != 1:
+            raise InputError(
+                f"{self._source}: {joint!r} has {len(found)} position or general actuators as text, so its gain cannot "
+                "be changed in place: save the compiled model (mj_saveLastXML), and give that"
+            )
+        tag = found[0]
+        if tag.name == "general":
+            tag.set("gainprm", digits(gain))
+            tag.set("biasprm", digits(*bias))
+            return
+        tag.set("kp", digits(gain))
+        if bias[2]:
+            tag.set("kv", digits(-bias[2]))
+        if tag.get("dampratio") is not None:
+            tag.set("dampratio", None)
+
+    @property
+    def damps_by_ratio(self) -> bool:
+        """Whether servos are damped by a ratio, so that other masses would change them."""
+        return any(tag.get("dampratio") is not None for tag in self._all("position"))
+
     def move_zero(self, number: int, joint: str, prismatic: bool, offset: float) -> tuple[float, float]:
         """Move a joint's zero by `offset` [rad or m]; returns its `ref`, old and new."""
         tag = self._joint(joint)

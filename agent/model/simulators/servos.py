@@ -1,0 +1,134 @@
+"""Position servos of a simulator's file: the torque that they give at set-points and states.
+
+A MuJoCo `position` actuator, or a `general` one with affine bias, has the force f = g u + b₀ + b₁ l + b₂ l̇ on
+l = gear · q. The set-point r of a joint is where it gives no force at rest, so f = −b₁ gear (r − q) + b₂ gear q̇,
+whatever the unit of its control, clamped to `forcerange`; the joint has gear · f, clamped to `actuatorfrcrange`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+#: Key of `Log.metadata` where torque is that of servos: their stiffness per joint, a JSON list [N·m/rad].
+SERVO_STIFFNESS = "servo_stiffness_nm_per_rad"
+_AT_LIMIT = 1 - 1e-3  # of the largest torque, from where on it says nothing but a bound
+
+
+@dataclass(frozen=True, eq=False)
+class PositionServos:
+    """τ = clip(k (clip(r) − q) − d q̇) of n joints, arrays (n,), on the joint side.
+
+    stiffness k [N·m/rad], damping d [N·m·s/rad]; low, high [N·m] the least and largest torque; least, most [rad] of the
+    set-points; `control` (n, 2): the control of the file's actuator is control₀ + control₁ r, `gear` (n,) its gear;
+    `actuators` and `inputs` (n,) are the places of actuators and of their controls in the compiled model.
+    """
+
+    stiffness: np.ndarray
+    damping: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    least: np.ndarray
+    most: np.ndarray
+    control: np.ndarray
+    gear: np.ndarray
+    actuators: tuple[int, ...]
+    inputs: tuple[int, ...]
+
+    def torque(self, set_points: np.ndarray, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        """(S, n) [N·m] before it is clamped."""
+        return np.asarray(
+            self.stiffness * (np.clip(set_points, self.least, self.most) - q) - self.damping * qd, dtype=float
+        )
+
+    def scaled(self, joint: int, factor: float) -> PositionServos:
+        """The same with another gain of one joint, stiffness and damping alike."""
+        factors = np.where(np.arange(len(self.stiffness)) == joint, factor, 1.0)
+        return replace(self, stiffness=factors * self.stiffness, damping=factors * self.damping)
+
+    def parameters(self, joint: int) -> tuple[float, list[float]]:
+        """Gain and bias (b₀, b₁, b₂) of the actuator of a joint."""
+        gear, (first, slope) = self.gear[joint], self.control[joint]
+        kp, kv = self.stiffness[joint] / gear**2, self.damping[joint] / gear**2
+        gain = kp * gear / slope
+        return float(gain), [float(-gain * first) + 0.0, float(-kp), float(-kv) + 0.0]
+
+    def controls(self, set_points: np.ndarray) -> np.ndarray:
+        """(n,) controls of the file's actuators at set-points (n,)."""
+        return np.asarray(self.control[:, 0] + self.control[:, 1] * set_points)
+
+    def saturated(self, torque: np.ndarray) -> np.ndarray:
+        """(S, n) where a torque that is not clamped yet is at a limit or beyond."""
+        return np.asarray((torque >= _AT_LIMIT * self.high) | (torque <= _AT_LIMIT * self.low))
+
+
+def servo_stiffness(metadata: Mapping[str, str]) -> np.ndarray | None:
+    """(n,) [N·m/rad] of the servos whose torque a log has, by its metadata; None where its torque is no servos'."""
+    said = metadata.get(SERVO_STIFFNESS)
+    return None if said is None else np.array(json.loads(said), dtype=float)
+
+
+def position_servos(mujoco: Any, model: Any, joints: Sequence[int]) -> PositionServos | str:
+    """The servos of a compiled model's joints; why there are none, for people, where one has none that is read."""
+    found = []
+    for joint in joints:
+        servo = _servo(mujoco, model, int(joint))
+        if isinstance(servo, str):
+            return servo
+        found.append(servo)
+    numbers = np.array([servo[:9] for servo in found])
+    inputs = getattr(model, "actuator_ctrladr", np.arange(model.nu))
+    stiffness, damping, low, high, least, most = numbers.T[:6]
+    actuators = tuple(servo[9] for servo in found)
+    ports = tuple(int(inputs[actuator]) for actuator in actuators)
+    return PositionServos(stiffness, damping, low, high, least, most, numbers[:, 6:8], numbers[:, 8], actuators, ports)
+
+
+def _servo(mujoco: Any, model: Any, joint: int) -> tuple[Any, ...] | str:
+    """Numbers of `PositionServos` for one joint, and its actuator."""
+    name = model.joint(joint).name
+    at_joint = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
+    affine, fixed = int(mujoco.mjtBias.mjBIAS_AFFINE), int(mujoco.mjtGain.mjGAIN_FIXED)
+    on_joint = [a for a in range(model.nu) if model.actuator_trntype[a] in at_joint and _of(model, a) == joint]
+    own = [a for a in on_joint if model.actuator_biastype[a] == affine and model.actuator_biasprm[a, 1] < 0]
+    if not own:
+        tendons = (a for a in range(model.nu) if model.actuator_trntype[a] == int(mujoco.mjtTrn.mjTRN_TENDON))
+        pulled = next((a for a in tendons if joint in _pulled(mujoco, model, _of(model, a))), None)
+        if pulled is not None:
+            return f"{name} is driven through a tendon ({model.actuator(pulled).name or pulled!r})"
+        return f"{name} has no position actuator" + (" (what drives it holds no position)" if on_joint else "")
+    a, gear = own[0], float(model.actuator_gear[own[0], 0])
+    others = [b for b in on_joint if b != a and model.actuator_biastype[b] != int(mujoco.mjtBias.mjBIAS_NONE)]
+    if others:
+        return f"{name} has several actuators with a force of their own"
+    delayed = bool(np.any(getattr(model, "actuator_delay", np.zeros(model.nu))[a]))
+    if model.actuator_gaintype[a] != fixed or model.actuator_dyntype[a] != int(mujoco.mjtDyn.mjDYN_NONE) or delayed:
+        return f"the actuator of {name} has a gain, filter or delay of its own"
+    gain, (b0, b1, b2) = float(model.actuator_gainprm[a, 0]), model.actuator_biasprm[a, :3].tolist()
+    if gain <= 0 or gear == 0:
+        return f"the actuator of {name} has no gain or gear"
+    control = np.array([-b0 / gain, -b1 * gear / gain])
+    ranges = [np.array([-np.inf, np.inf])]
+    if model.actuator_forcelimited[a]:
+        ranges.append(np.sort(gear * model.actuator_forcerange[a]))
+    if model.jnt_actfrclimited[joint]:
+        ranges.append(model.jnt_actfrcrange[joint])
+    asked = np.array([-np.inf, np.inf])
+    if model.actuator_ctrllimited[a]:
+        asked = np.sort((model.actuator_ctrlrange[a] - control[0]) / control[1])
+    low, high = max(float(part[0]) for part in ranges), min(float(part[1]) for part in ranges)
+    return (-b1 * gear**2, -b2 * gear**2, low, high, *asked, *control, gear, a)
+
+
+def _of(model: Any, actuator: int) -> int:
+    return int(model.actuator_trnid[actuator, 0])
+
+
+def _pulled(mujoco: Any, model: Any, tendon: int) -> list[int]:
+    """Joints that a fixed tendon pulls at."""
+    parts = range(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
+    return [int(model.wrap_objid[w]) for w in parts if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT)]

@@ -1,0 +1,188 @@
+"""Position-controlled servos without torque: what their file says of them stands in, and is judged."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.core import InputError
+from agent.core.console import Console
+from agent.diagnosis import forward_windows, with_servo_torque
+from agent.model.simulators import load_simulator
+from agent.pipeline.diagnose import GapQuestion, diagnose_files
+from agent.pipeline.printed_diagnosis import diagnosis_text
+from agent.recording import Log, read_log
+from agent.recording.mcap.log_file import write_log
+
+mujoco = pytest.importorskip("mujoco")
+RATE, SECONDS, STEP = 50.0, 14.0, 0.001
+ARM = """<mujoco model="hobby">
+  <default><joint armature="0.03" damping="0.3" frictionloss="0.05"/>SERVO</default>
+  <worldbody><body name="upper"><joint name="lift" axis="0 1 0"/>
+    <inertial pos="0.12 0 0" mass="0.25" diaginertia="1e-3 1e-3 1e-3"/>
+    <body name="fore" pos="0.2 0 0"><joint name="elbow" axis="0 1 0"/>
+      <inertial pos="0.1 0 0" mass="0.15" diaginertia="5e-4 5e-4 5e-4"/></body></body></worldbody>
+  <actuator>ELBOW<position joint="lift"/></actuator>
+</mujoco>
+"""
+PLAIN, RANGE = '<position kp="20" kv="0.5"/>', ' forcerange="-3 3"'
+ELBOW = '<position joint="elbow"/>'
+
+
+def arm(path: Path, servo: str = PLAIN, elbow: str = ELBOW) -> Path:
+    path.write_text(ARM.replace("SERVO", servo).replace("ELBOW", elbow), encoding="utf-8")
+    return path
+
+
+def recorded(path: Path, source: Path, phase: float, change=lambda model: None, late: float = 0.0) -> Path:
+    """A log of positions and set-points of the arm of a file, changed, whose set-points are held."""
+    model = mujoco.MjModel.from_xml_path(str(source))
+    model.opt.timestep = STEP
+    change(model)
+    data = mujoco.MjData(model)
+    dofs = [model.joint(name).id for name in ("lift", "elbow")]
+    inputs = [next(a for a in range(model.nu) if model.actuator_trnid[a, 0] == dof) for dof in dofs]
+    t = np.arange(int(SECONDS * RATE)) / RATE
+    parts = ((0.5, 1.1), (0.25, 2.7), (0.08, 6.1))
+    r = sum(a * np.sin(np.outer(t, w * np.array([1, 1.2])) + phase * w + [0, 1]) for a, w in parts)
+    each, q, waiting = round(1 / RATE / STEP), np.empty(r.shape), [r[0]] * round(late / STEP)
+    for k in range(-int(RATE), len(t)):
+        if k >= 0:
+            q[k] = data.qpos[dofs]
+        for _ in range(each):
+            waiting.append(r[max(k, 0)])
+            data.ctrl[inputs] = waiting.pop(0)
+            mujoco.mj_step(model, data)
+    log = Log(path, ("lift", "elbow"), t, q, None, None, r, None, RATE, 100.0, ((0, len(t)),), metadata={"robot": "x"})
+    write_log(path, log)
+    return path
+
+
+def softer_elbow(model) -> None:
+    """Its servo has 0.7 of the file's gain, and the shoulder more friction."""
+    elbow = next(a for a in range(model.nu) if model.actuator_trnid[a, 0] == 1)
+    model.actuator_gainprm[elbow, 0] *= 0.7
+    model.actuator_biasprm[elbow, 1:3] *= 0.7
+
+
+@pytest.fixture(scope="module")
+def softer(tmp_path_factory):
+    """A diagnosis of logs of an arm whose elbow's servo is softer than the file's: its folder and result."""
+    folder = tmp_path_factory.mktemp("servos")
+    source = arm(folder / "arm.xml", PLAIN.replace("/>", RANGE + "/>"))
+    logs = [recorded(folder / f"{k}.mcap", source, k, softer_elbow) for k in (1, 2)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(forward_windows, "_WINDOWS", 4)
+        question = GapQuestion(source, out=folder / "fixed.xml", report=folder / "page.html")
+        return folder, diagnose_files(None, logs, question, Console(-1))
+
+
+def test_a_servo_whose_gain_is_not_the_files_is_named_and_changed_in_the_file(softer):
+    folder, result = softer
+    cause = result["causes"][0]
+    assert (cause["effect"], cause["joints"]) == ("torque_constant", ["elbow"])
+    assert cause["parameters"]["scale_error"] == pytest.approx(1 / 0.7 - 1, rel=0.05)
+    changes = json.loads((folder / "fixed.changes.json").read_text())["changes"]
+    gains = {c["attribute"]: (c["old"], c["new"]) for c in changes if c["element"] == "actuator of elbow"}
+    assert gains["kp"] == (20, pytest.approx(14, rel=0.05))
+    assert gains["kv"] == (0.5, pytest.approx(0.35, rel=0.05))
+    assert not [c for c in changes if c["element"] == "actuator of lift"]
+    fixed = mujoco.MjModel.from_xml_path(str(folder / "fixed.xml"))
+    assert sorted(-fixed.actuator_biasprm[:, 1]) == [pytest.approx(14, rel=0.05), 20]
+
+
+def test_the_gap_is_in_motion_first_and_the_torque_is_said_to_be_the_servos(softer):
+    folder, result = softer
+    forward = result["forward"]
+    assert forward["driven_by"] == "set_points"
+    assert np.all(np.max(forward["after"], axis=1) < 0.2 * np.max(forward["before"], axis=1))
+    assert result["torque_of"] == "servos"
+    assert "no torque was measured" in result["warnings"][0]
+    text, page = diagnosis_text(result), (folder / "page.html").read_text()
+    assert text.index("position error of") < text.index("that of the file's servos") < text.index("torque error held")
+    assert page.index("How far it drifts") < page.index("Where it is")
+
+
+def test_set_points_that_act_late_are_told_from_friction(tmp_path, monkeypatch):
+    monkeypatch.setattr(forward_windows, "_WINDOWS", 4)
+    source = arm(tmp_path / "arm.xml")
+    logs = [recorded(tmp_path / f"{k}.mcap", source, k, late=0.03) for k in (1, 2)]
+    result = diagnose_files(None, logs, GapQuestion(source, out=tmp_path / "fixed.xml"), Console(-1))
+    assert result["causes"][0]["effect"] == "time_delay"
+    assert result["causes"][0]["parameters"]["delay"] == pytest.approx(0.03, abs=0.002)
+    assert np.max(result["forward"]["after"]) < 0.2 * np.max(result["forward"]["before"])
+    assert "ms after they are recorded" in json.loads((tmp_path / "fixed.changes.json").read_text())["notes"][0]
+
+
+def test_what_is_at_the_limit_is_left_out_and_counted(tmp_path):
+    source = arm(tmp_path / "arm.xml", PLAIN.replace("/>", ' forcerange="-1.3 1.3"/>'))
+    log = read_log(recorded(tmp_path / "1.mcap", source, 1))
+    simulator, (driven,), said = with_servo_torque(load_simulator(source, None, log.joint_names), [log])
+    assert simulator.servos is not None
+    assert np.abs(driven.effort).max() < 1.3
+    assert 0 < len(log.t) - len(driven.t) < len(log.t) / 2
+    assert f"{len(log.t) - len(driven.t)} of {len(log.t)} samples are left out" in said[1]
+    assert [b - a for a, b in driven.segments] != [len(driven.t)]
+
+
+@pytest.mark.parametrize(
+    ("elbow", "servo"),
+    [
+        ('<general joint="elbow" gear="2" gainprm="3" biastype="affine" biasprm="0.6 -5 -0.125"/>', PLAIN),
+        ('<position joint="elbow" gear="2" kp="5" kv="0.125"/><motor joint="elbow"/>', PLAIN),
+    ],
+)
+def test_a_servo_is_what_it_does_whatever_its_gear_and_units(tmp_path, elbow, servo):
+    plain, other = arm(tmp_path / "a.xml", servo), arm(tmp_path / "b.xml", servo, elbow)
+    log = read_log(recorded(tmp_path / "1.mcap", plain, 1))
+    torque = [
+        with_servo_torque(load_simulator(path, None, log.joint_names), [log])[1][0].effort for path in (plain, other)
+    ]
+    np.testing.assert_allclose(torque[0], torque[1], atol=1e-12)
+
+
+def copied(log: Log) -> Log:
+    return replace(log, reference_position=log.position)
+
+
+def in_degrees(log: Log) -> Log:
+    return replace(log, reference_position=np.degrees(log.reference_position))
+
+
+def without(log: Log) -> Log:
+    return replace(log, reference_position=None)
+
+
+def measured(log: Log) -> Log:
+    return replace(log, effort=np.sin(log.position))
+
+
+TENDON = '<position tendon="cable" kp="20"/>'
+CABLE = '</actuator><tendon><fixed name="cable"><joint joint="elbow" coef="1"/></fixed></tendon><actuator>'
+
+
+@pytest.mark.parametrize(
+    ("elbow", "servo", "change", "message"),
+    [
+        ("", PLAIN, None, r"1\.mcap: no torque .* arm\.xml has no position servo .* elbow has no position actuator"),
+        ("<motor joint='elbow'/>", PLAIN, None, r"elbow has no position actuator \(what drives it holds no position\)"),
+        (TENDON + CABLE, PLAIN, None, r"elbow is driven through a tendon"),
+        (ELBOW + '<velocity joint="elbow" kv="1"/><position joint="elbow"/>', PLAIN, None, "elbow has several"),
+        (ELBOW, '<position kp="20" timeconst="0.1"/>', None, "has a gain, filter or delay of its own"),
+        (ELBOW, PLAIN, without, r"2\.mcap: neither torque .* nor set-points"),
+        (ELBOW, PLAIN, copied, r"2\.mcap: the set-points of lift, elbow are the measured positions themselves"),
+        (ELBOW, PLAIN, in_degrees, r"2\.mcap: \w+ is .* from its set-points in the middle: .* another unit or zero"),
+        (ELBOW, PLAIN, measured, r"1\.mcap: no torque .* was recorded, and 2\.mcap has one"),
+        (ELBOW, '<position kp="2000" forcerange="-0.01 0.01"/>', None, r"1\.mcap: .* at their largest torque all the"),
+    ],
+)
+def test_what_cannot_be_used_is_said_once(tmp_path, elbow, servo, change, message):
+    source = arm(tmp_path / "arm.xml", servo, elbow)
+    first = read_log(recorded(tmp_path / "1.mcap", arm(tmp_path / "right.xml"), 1))
+    write_log(tmp_path / "2.mcap", first if change is None else change(first))
+    with pytest.raises(InputError, match=message):
+        diagnose_files(None, [tmp_path / "1.mcap", tmp_path / "2.mcap"], GapQuestion(source), Console(-1))
