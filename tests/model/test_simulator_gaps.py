@@ -57,7 +57,7 @@ def test_servos_that_report_no_torque_are_told_what_to_record(tmp_path, robot):
     right = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model
     log = read_log(recorded(tmp_path / "1.mcap", right, 1))
     write_log(tmp_path / "bare.mcap", replace(log, effort=None))
-    with pytest.raises(InputError, match=r"bare\.mcap: no torque .* a URDF has no servos\. Record the current times the"):
+    with pytest.raises(InputError, match=r"bare\.mcap: no torque .* a URDF has no servos\. Record the"):
         diagnose_files(None, [tmp_path / "bare.mcap"], GapQuestion(tmp_path / "arm.urdf"), Console(-1))
 
 
