@@ -18,7 +18,9 @@ from .labels import (
     closes as closes,
     confidence_phrase as confidence_phrase,
     in_torque as in_torque,
+    look_at as look_at,
     name as name,
+    phrase as phrase,
     place as place,
     torque_gap as torque_gap,
 )

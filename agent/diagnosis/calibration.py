@@ -28,6 +28,7 @@ _EQUAL = 0.9  # of the best gain, from where on the plainer group is taken
 _MOVED = 100  # standard deviations in the file, from where on a base parameter has moved
 _DRAWS = 200  # of blocks of motion, for an interval
 _INTERVAL = (5, 95)  # per cent
+_UNLOADED = 0.1  # of a joint's torque, that holding its load makes at most
 #: What is left, as the last step.
 REMAINDER = "remainder"
 
@@ -206,6 +207,17 @@ def _load(found: ReleasedSimulator) -> dict[str, float]:
     return dict(zip(names, map(float, gained), strict=False)) if gained[0] > prior_std[0] else {}
 
 
+def _unloaded_servos(dataset: Dataset) -> tuple[int, ...]:
+    """Joints that carry next to no load where torque is that of servos: another gain is other friction and rotor."""
+    signals, model = [s for s in dataset.fit.signals if s.driving is not None], dataset.model
+    if not signals:
+        return ()
+    still = [model.rigid.torque(s.q, 0 * s.q, 0 * s.q, model.base_values)[s.kept] for s in signals]
+    whole = np.concatenate([s.predicted[s.kept] for s in signals])
+    load = np.sqrt(np.mean(np.concatenate(still) ** 2, axis=0))
+    return tuple(np.flatnonzero(load < _UNLOADED * np.sqrt(np.mean(whole**2, axis=0))).tolist())
+
+
 def causes_of_steps(found: ReleasedSimulator, steps: Sequence[WaterfallStep], closure: float) -> tuple[Cause, ...]:
     """The released groups in the vocabulary of effects, what closes most first: where no effect is needed."""
     model, names = found.given.model, found.given.robot.joint_names
@@ -213,7 +225,8 @@ def causes_of_steps(found: ReleasedSimulator, steps: Sequence[WaterfallStep], cl
     probability = class_probability(0.0, closure, found.given.limits)
     load = _load(found)
     called = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}  # the built-in ones last
-    causes = []
+    gain = next((name for name, effect in CATALOGUE.items() if effect.scales_report), "")
+    scaled, causes = _unloaded_servos(found.given) if gain else (), []
     bodies = 0.0
     for group, step in zip(found.groups, steps, strict=False):
         if load and group.kind == "link inertia" and group.joint == len(names) - 1:
@@ -225,7 +238,8 @@ def causes_of_steps(found: ReleasedSimulator, steps: Sequence[WaterfallStep], cl
             continue
         own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
         parameters = {f"{form}_change": value for form, value in own.items()}
-        causes.append(Cause(called["friction"], (names[group.joint],), step.closes, probability, parameters))
+        own_gain = (EffectPlace(gain, (names[group.joint],)),) if group.joint in scaled else ()
+        causes.append(Cause(called["friction"], (names[group.joint],), step.closes, probability, parameters, own_gain))
     if bodies:
         known = np.abs(change[:base]) > _MOVED * model.standard_deviations[:base]
         parameters = {model.names[k]: float(change[k]) for k in np.flatnonzero(known)}

@@ -74,7 +74,7 @@ def _about(name: str) -> str:
         f"no torque was measured: it is what the position servos of {name} would give at the recorded set-points, "
         "positions and speeds, and the simulator is judged with its servos; figures in motion (forward) are what "
         "counts. A joint's torque_constant is its servo's gain, a time_delay that of its set-points, and gains that "
-        "are all wrong alike cannot be told from masses that are"
+        "are all wrong alike cannot be told from masses that are, nor that of a joint without load from its friction"
     )
 
 

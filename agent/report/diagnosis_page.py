@@ -10,7 +10,9 @@ from agent.diagnosis import (
     Simulated,
     Step,
     closes,
+    look_at,
     name,
+    phrase,
     place,
     reported_parameters,
     simulation_part,
@@ -72,7 +74,7 @@ def diagnosis_report(
 
 def _cause_section(diagnosis: Diagnosis) -> Section:
     result = diagnosis.result
-    text = [sentence for cause in result["causes"] for sentence in _about_cause(cause, result["closure"])]
+    text = [sentence for cause in result["causes"] for sentence in _about_cause(cause, result)]
     if result["verdict"] == "unknown":
         text.append(f"No effect that was tried closes it; how far the nearest fall short stands under {REJECTED}.")
     if result["next_experiment"] is not None:
@@ -92,17 +94,17 @@ def _cause_section(diagnosis: Diagnosis) -> Section:
     return Section("What it is", text or ["Nothing to look for."], tables)
 
 
-def _about_cause(cause: Mapping[str, Any], whole: float | None) -> Iterator[str]:
-    effect = CATALOGUE[cause["effect"]]
+def _about_cause(cause: Mapping[str, Any], result: Mapping[str, Any]) -> Iterator[str]:
+    effect, whole = CATALOGUE[cause["effect"]], result["closure"]
     closed = f" On motion that it was not fitted to: {closes(cause, whole)}." if closes(cause) else ""
     together = " for it and what cannot be told from it" if cause["equivalent_to"] else ""
-    opening = f"{place(cause)}, {name(effect.name)}: {effect.phrase}. "
+    opening = f"{place(cause)}, {name(effect.name)}: {phrase(effect.name, result)}. "
     yield f"{sentence(opening)}Probability {cause['probability']:.2f}{together}.{closed}"
-    yield f"Look at: {effect.look_at}."
+    yield f"Look at: {look_at(effect.name, result)}."
     yield f"It shows as: {effect.signature}."
     if cause["equivalent_to"]:
         others = "; ".join(
-            f"{name(other['effect'])} on {place(other)} ({CATALOGUE[other['effect']].phrase})"
+            f"{name(other['effect'])} on {place(other)} ({phrase(other['effect'], result)})"
             for other in cause["equivalent_to"]
         )
         yield f"These logs cannot tell it from: {others}."

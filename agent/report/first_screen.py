@@ -14,7 +14,9 @@ from agent.diagnosis import (
     confidence_phrase,
     intervals,
     leading_parameter,
+    look_at,
     name,
+    phrase,
     place,
     size_text,
     torque_gap,
@@ -52,7 +54,8 @@ def headline(result: Mapping[str, Any], size: str = "") -> str:
         text = f"{place(cause)}: {_one_of(cause)}; these logs do not tell which ({_listed(found)})."
     else:
         sure = confidence_phrase(cause["probability"])
-        text = f"{place(cause)}: {sure} {name(effect.name)}: {effect.phrase} ({_listed([size, closed, probability])})."
+        about = f"{phrase(effect.name, result)} ({_listed([size, closed, probability])})"
+        text = f"{place(cause)}: {sure} {name(effect.name)}: {about}."
     if not torque_gap(result):
         text += " In torque, model and robot agree."
     return sentence(text)
@@ -166,8 +169,7 @@ def _facts(diagnosis: Diagnosis) -> list[str]:
     if result["causes"] and result["causes"][0]["equivalent_to"]:
         cause = result["causes"][0]
         facts += [
-            f"{name(one['effect'])[0].upper()}{name(one['effect'])[1:]}, {place(one)}: "
-            f"{CATALOGUE[one['effect']].phrase}."
+            f"{name(one['effect'])[0].upper()}{name(one['effect'])[1:]}, {place(one)}: {phrase(one['effect'], result)}."
             for one in (cause, *cause["equivalent_to"])
         ]
     return facts
@@ -203,7 +205,7 @@ def _found_if_there(result: Mapping[str, Any]) -> str:
 
 def _measures(diagnosis: Diagnosis) -> list[NextStep]:
     result = diagnosis.result
-    steps = [NextStep(f"look at {CATALOGUE[cause['effect']].look_at}.") for cause in result["causes"][:1]]
+    steps = [NextStep(f"look at {look_at(cause['effect'], result)}.") for cause in result["causes"][:1]]
     if result["next_experiment"] is not None:
         steps.append(NextStep(f"run {result['next_experiment']['motion']}."))
     return steps
