@@ -72,6 +72,10 @@ class ReleasedSimulator:
         """Whether links are among them."""
         return any(group.kind == "link inertia" for group in self.groups)
 
+    def released_in(self, dataset: Dataset) -> Fit:
+        """The same numbers released in other data of the same simulator."""
+        return _released(dataset, self.groups) if self.groups else dataset.fit
+
     @property
     def model(self) -> IdentifiedModel:
         """The simulator's, its numbers as moved before any effect."""

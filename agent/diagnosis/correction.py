@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from agent.diagnosis.dataset import assemble
 from agent.diagnosis.result import Diagnosis
+from agent.diagnosis.servo_torque import at_gains
 from agent.model import Correction, Released, Simulator, correct
 
 
@@ -14,6 +17,8 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
     """What the simulator's numbers should be, by all logs or by all but one (`without`)."""
     fit, names = diagnosis.finding.fit, simulator.arm.joint_names
     change, fitted = fit.fitted(None if without is None else fit.folds[without])
+    if simulator.servos is not None:
+        change, fitted = _at_own_gains(diagnosis, change, fitted, without)
     b = len(simulator.model.independent)
     weight = fit.gram[:, :b, :b].sum(axis=0) / fit.repeat
     closes = {step.step: step.closes for step in diagnosis.answer.waterfall}
@@ -42,3 +47,31 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
         weights=1 / np.stack([np.maximum(gap.after * gap.unit, 1e-9) ** 2] * 2),
     )
     return replace(found, model=model)
+
+
+def _at_own_gains(
+    diagnosis: Diagnosis, change: np.ndarray, fitted: Sequence[np.ndarray], without: int | None
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Numbers and effects fitted anew to the torque of servos that have the gains found.
+
+    Beside another gain they were fitted to a torque of the file's, as many times too large as its gain is.
+    """
+    fit, calibrated = diagnosis.finding.fit, diagnosis.calibrated
+    gains = {
+        k: 1 + values[candidate.names.index(candidate.effect.scales_report)]
+        for k, (candidate, values) in enumerate(zip(fit.chosen, fitted, strict=True))
+        if candidate.effect.scales_report is not None
+    }
+    if not gains or calibrated is None:
+        return change, list(fitted)
+    given, factors = calibrated.given, np.ones(diagnosis.dataset.robot.dof)
+    for k, scale in gains.items():
+        factors[fit.chosen[k].joints[0]] /= scale
+    logs = at_gains(given.logs, factors)
+    data = assemble(given.robot, given.model, logs, given.cutoff, given.limits, calibrated.model)
+    moved = calibrated.released_in(data).seen_from(fit.reference)
+    others = [(c.effect, c.joints, c.settings) for k, c in enumerate(fit.chosen) if k not in gains]
+    again = moved.with_chosen(moved.candidates(others))
+    change, found = again.fitted(None if without is None else again.folds[without])
+    left = iter(found)
+    return change, [values if k in gains else next(left) for k, values in enumerate(fitted)]

@@ -44,26 +44,16 @@ def name(effect: str) -> str:
     return effect.replace("_", " ")
 
 
-#: What effects of the measurement are, and what to look at, where torque is that of servos at set-points.
-_OF_SERVOS = {
-    "torque_constant": ("its servo has another gain", "gain (P) of this servo in its firmware, and its supply voltage"),
-    "torque_offset": ("its set-points are shifted", "zero of this servo's set-points against its positions"),
-    "time_delay": ("set-points act later than they were recorded", "bus, rate and stamps of the set-points"),
-}
-
-
 def phrase(effect: str, result: Mapping[str, Any]) -> str:
     """What an effect is, for somebody who has never read the vocabulary."""
-    return _OF_SERVOS[effect][0] if _by_servos(effect, result) else CATALOGUE[effect].phrase
+    known = CATALOGUE[effect]
+    return known.of_servos[0] if known.of_servos and result.get("torque_of") == "servos" else known.phrase
 
 
 def look_at(effect: str, result: Mapping[str, Any]) -> str:
     """What to check on the arm."""
-    return _OF_SERVOS[effect][1] if _by_servos(effect, result) else CATALOGUE[effect].look_at
-
-
-def _by_servos(effect: str, result: Mapping[str, Any]) -> bool:
-    return effect in _OF_SERVOS and result.get("torque_of") == "servos"
+    known = CATALOGUE[effect]
+    return known.of_servos[1] if known.of_servos and result.get("torque_of") == "servos" else known.look_at
 
 
 def confidence_phrase(probability: float) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from agent.core import InputError
 from agent.diagnosis.rounding import rounding_step
 from agent.estimation import FilterSettings, motions, unsigned_torque
-from agent.model import SERVO_STIFFNESS, PositionServos, Simulator
+from agent.model import SERVO_STIFFNESS, PositionServos, Simulator, servo_stiffness
 from agent.recording import Log
 
 _FAR = 1.5  # rad or m from the set-points in the middle: they are of another unit or zero
@@ -67,6 +67,18 @@ def with_servo_torque(simulator: Simulator, logs: Sequence[Log]) -> tuple[Simula
         )
     driven = [log for log, _ in found]
     return replace(simulator, servos=servos), driven, (*said, *_coarse(servos, arm.joint_names, driven))
+
+
+def at_gains(logs: Sequence[Log], factors: np.ndarray) -> list[Log]:
+    """Logs with the torque of servos whose gains are the file's times `factors` (n,)."""
+    found = []
+    for log in logs:
+        stiffness = servo_stiffness(log.metadata)
+        assert log.effort is not None
+        assert stiffness is not None
+        said = {SERVO_STIFFNESS: json.dumps((stiffness * factors).tolist())}
+        found.append(replace(log, effort=log.effort * factors, metadata={**log.metadata, **said}))
+    return found
 
 
 def _about(name: str) -> str:

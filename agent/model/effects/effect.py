@@ -82,6 +82,7 @@ class Effect(ABC):
     `numbers` are those of a simulator's file that move under its name: `friction` of its joint, `links`, or the `load`
     that the last link gained. The torque that a drive reports is that of its
     motor times one plus the parameter `scales_report`, plus the parameter `adds_to_report`; most effects have neither.
+    `of_servos` are `phrase` and `look_at` where torque is that of position servos at recorded set-points.
     """
 
     name: ClassVar[str]
@@ -117,6 +118,7 @@ class Effect(ABC):
     numbers: ClassVar[str] = ""
     adds_to_report: ClassVar[str | None] = None
     scales_report: ClassVar[str | None] = None
+    of_servos: ClassVar[tuple[str, str] | None] = None
 
     @property
     def of_the_arm(self) -> bool:

@@ -44,6 +44,7 @@ class TimeDelay(Effect):
     refined = ("reversal",)
     fast_torque = True
     moves_arm = False
+    of_servos = ("set-points act later than they were recorded", "bus, rate and stamps of the set-points")
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         tried = [{"delay": delay} for delay in _TRIED]

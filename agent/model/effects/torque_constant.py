@@ -27,6 +27,7 @@ class TorqueConstant(Effect):
     moves_arm = False
     units = MappingProxyType({"scale_error": "%"})
     scales_report = "scale_error"
+    of_servos = ("its servo has another gain", "gain (P) of this servo in its firmware, and its supply voltage")
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("scale_error",)

@@ -28,6 +28,7 @@ class TorqueOffset(Effect):
     exact = True
     experiment = RAMPS_AND_STANDSTILLS
     moves_arm = False
+    of_servos = ("its set-points are shifted", "zero of this servo's set-points against its positions")
     units = MappingProxyType({"offset": "N·m"})
     adds_to_report = "offset"
 
