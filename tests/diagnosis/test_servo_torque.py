@@ -12,11 +12,13 @@ import pytest
 from agent.core import InputError
 from agent.core.console import Console
 from agent.diagnosis import forward_windows, with_servo_torque
+from agent.model import ModelEffect, write_corrected
 from agent.model.simulators import load_simulator
 from agent.pipeline.diagnose import GapQuestion, diagnose_files
 from agent.pipeline.printed_diagnosis import diagnosis_text
 from agent.recording import Log, read_log
 from agent.recording.mcap.log_file import write_log
+from tests.model.correcting import corrected
 
 mujoco = pytest.importorskip("mujoco")
 RATE, SECONDS, STEP = 50.0, 14.0, 0.001
@@ -63,7 +65,8 @@ def recorded(path: Path, source: Path, phase: float, change=lambda model: None, 
 
 
 def softer_elbow(model) -> None:
-    """Its servo has 0.7 of the file's gain, and the shoulder more friction."""
+    """Its servo has 0.7 of the file's gain, and the joint three times its friction."""
+    model.dof_frictionloss[1] *= 3
     elbow = next(a for a in range(model.nu) if model.actuator_trnid[a, 0] == 1)
     model.actuator_gainprm[elbow, 0] *= 0.7
     model.actuator_biasprm[elbow, 1:3] *= 0.7
@@ -91,6 +94,8 @@ def test_a_servo_whose_gain_is_not_the_files_is_named_and_changed_in_the_file(so
     assert gains["kp"] == (20, pytest.approx(14, rel=0.05))
     assert gains["kv"] == (0.5, pytest.approx(0.35, rel=0.05))
     assert not [c for c in changes if c["element"] == "actuator of lift"]
+    level = next(c for c in changes if (c["element"], c["attribute"]) == ("joint elbow", "frictionloss"))
+    assert level["new"] == pytest.approx(0.15, rel=0.05)  # of the gain it has, not of the file's
     fixed = mujoco.MjModel.from_xml_path(str(folder / "fixed.xml"))
     assert sorted(-fixed.actuator_biasprm[:, 1]) == [pytest.approx(14, rel=0.05), 20]
 
@@ -146,6 +151,40 @@ def test_a_servo_is_what_it_does_whatever_its_gear_and_units(tmp_path, elbow, se
     np.testing.assert_allclose(torque[0], torque[1], atol=1e-12)
 
 
+MASS = {"mass": 0.2, "moment_x": 0.02, "moment_y": 0, "moment_z": 0, "inertia": 0.003}
+HEAVY = {"m0": 0.2, "hx0": 0.02, "hy0": 0, "hz0": 0, **MASS}
+
+
+@pytest.mark.parametrize(
+    ("servo", "elbow"),
+    [
+        ('<position kp="20" dampratio="1"/>', '<position joint="elbow" kv="0.4"/>'),
+        ('<position kp="20" kv="0.2"/>', '<position joint="elbow" dampratio="0.5"/>'),
+        ('<general gainprm="20" biastype="affine" biasprm="0 -20 -0.4"/>', '<general joint="elbow"/>'),
+    ],
+)
+def test_gains_are_written_however_the_file_says_them_and_other_masses_change_no_damping(tmp_path, servo, elbow):
+    source = tmp_path / "arm.xml"
+    arm(source, servo, elbow)
+    if "general" in servo:
+        source.write_text(source.read_text().replace("position", "general"))
+    given = load_simulator(source, None, ("lift", "elbow"))
+    given = replace(given, servos=given.arm.servos)
+    found = (
+        ModelEffect("torque_constant", ("elbow",), {"scale_error": 0.25}),
+        ModelEffect("payload", (), HEAVY),
+        ModelEffect("torque_offset", ("lift",), {"offset": 0.4}),
+    )
+    correction = corrected(given, found, links=(1,))
+    assert (correction.effects, correction.commands.shift[0]) == ((), pytest.approx(0.02))
+    write_corrected(given, correction, tmp_path / "fixed.xml")
+    before, after = (mujoco.MjModel.from_xml_path(str(tmp_path / name)) for name in ("arm.xml", "fixed.xml"))
+    assert after.body_mass[2] > before.body_mass[2]
+    scale = np.where(before.actuator_trnid[:, 0] == 1, 0.8, 1.0)[:, None]
+    np.testing.assert_allclose(after.actuator_biasprm[:, :3], scale * before.actuator_biasprm[:, :3], rtol=1e-9)
+    np.testing.assert_allclose(after.actuator_gainprm[:, :1], scale * before.actuator_gainprm[:, :1], rtol=1e-9)
+
+
 def copied(log: Log) -> Log:
     return replace(log, reference_position=log.position)
 
@@ -163,6 +202,7 @@ def measured(log: Log) -> Log:
 
 
 TENDON = '<position tendon="cable" kp="20"/>'
+FLOATING = '</actuator><worldbody><body gravcomp="1"><geom size="0.1"/></body></worldbody><actuator>'
 CABLE = '</actuator><tendon><fixed name="cable"><joint joint="elbow" coef="1"/></fixed></tendon><actuator>'
 
 
@@ -173,6 +213,7 @@ CABLE = '</actuator><tendon><fixed name="cable"><joint joint="elbow" coef="1"/><
         ("<motor joint='elbow'/>", PLAIN, None, r"elbow has no position actuator \(what drives it holds no position\)"),
         (TENDON + CABLE, PLAIN, None, r"elbow is driven through a tendon"),
         (ELBOW + '<velocity joint="elbow" kv="1"/><position joint="elbow"/>', PLAIN, None, "elbow has several"),
+        (ELBOW + FLOATING, PLAIN, None, "it compensates gravity"),
         (ELBOW, '<position kp="20" timeconst="0.1"/>', None, "has a gain, filter or delay of its own"),
         (ELBOW, PLAIN, without, r"2\.mcap: neither torque .* nor set-points"),
         (ELBOW, PLAIN, copied, r"2\.mcap: the set-points of lift, elbow are the measured positions themselves"),

@@ -74,6 +74,8 @@ def servo_stiffness(metadata: Mapping[str, str]) -> np.ndarray | None:
 
 def position_servos(mujoco: Any, model: Any, joints: Sequence[int]) -> PositionServos | str:
     """The servos of a compiled model's joints; why there are none, for people, where one has none that is read."""
+    if np.any(model.body_gravcomp):
+        return "it compensates gravity (gravcomp), so that its servos do not carry the weight"
     found = []
     for joint in joints:
         servo = _servo(mujoco, model, int(joint))
