@@ -105,12 +105,21 @@ def test_gravity_that_a_pendulum_follows_in_any_direction_is_told_by_its_describ
 
 
 def test_a_thousand_times_the_described_weight_is_nmm(shared_data):
-    """The drives' torques are not in this description, and a block of steel of its reach would do."""
+    """Neither the drives' torques nor a reach are in this description."""
     robot = load_robot(str(shared_data / "real-dev/bam_xl330/robot.yaml"))
     log = read_log(shared_data / "real-dev/bam_xl330/kp400_sin_sin.mcap", robot)
     joints = tuple(replace(joint, nominal_motor_torque=None) for joint in robot.joints)
     (found,) = plausibility_warnings(replace(robot, joints=joints), [replace(log, effort=1000 * log.effort)])
     assert "torques look like N·mm" in found
+
+
+def test_torque_for_more_weight_than_an_arm_of_its_reach_has_is_nmm(shared_data):
+    """The TIAGo has no drives in its description and loads its joints little: in N·mm a cube of steel would do."""
+    robot = load_robot(str(shared_data / "real-dev/tiago/robot.yaml"))
+    log = read_log(shared_data / "real-dev/tiago/fit.mcap", robot)
+    (found,) = plausibility_warnings(robot, [replace(log, effort=1000 * log.effort)])
+    assert found.startswith("torques look like N·mm")
+    assert "more than any of its reach" in found
 
 
 @pytest.mark.parametrize("swapped", [False, True], ids=["flipped", "swapped"])
