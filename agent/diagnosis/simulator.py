@@ -19,7 +19,7 @@ import numpy as np
 
 from agent.core import InputError
 from agent.diagnosis.calibration import ReleasedSimulator, calibration
-from agent.diagnosis.candidate import Candidate
+from agent.diagnosis.candidate import Candidate, Where
 from agent.diagnosis.dataset import Dataset, assemble
 from agent.diagnosis.finding import Finding
 from agent.diagnosis.fit import Fit
@@ -207,15 +207,21 @@ def search_simulator(
         return entry
 
     def needed(entry: Explanation) -> Explanation:
-        """Without causes in whose stead a link may weigh otherwise, where links do; else these equal it."""
-        number = 0
+        """Without causes in whose stead a link may weigh otherwise, where links do or no more numbers move then.
+
+        Else these equal it.
+        """
+        number, dropped = 0, set[Where]()
         while number < len(entry.finding.causes):
             place, instead = entry.finding.causes[number].place, numbers_instead(entry, number, unit)
-            if instead is not None and entry.calibrated.with_links:
+            moved = entry.calibrated
+            if instead is not None and (moved.with_links or len(instead.groups) <= len(moved.groups)):
                 progress(f"choosing again what of the simulator's numbers moves, in the stead of {place[0]}")
                 other = answer(instead, searching(instead))
-                if other.left <= _AS_GOOD * entry.left and place not in {c.place for c in other.finding.causes}:
+                again = {cause.place for cause in other.finding.causes} & {place, *dropped}
+                if other.left <= _AS_GOOD * entry.left and not again:
                     entry, number = other, 0
+                    dropped.add(place)
                     continue
             if instead is not None:
                 entry = replace(entry, finding=entry.finding.with_rival(number, (_LINKS, ())))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from agent.core import Console
+from agent.diagnosis import diagnose
 from agent.diagnosis.calibration import ReleasedSimulator, calibration
 from agent.diagnosis.dataset import Dataset, assemble
 from agent.diagnosis.finding import Finding
@@ -77,11 +78,11 @@ def test_the_page_proposes_the_corrected_file_in_the_format_that_was_given(model
     assert step.command == f"agent diagnose --model {model} a.mcap -o {out or 'model_with_effects.json'}"
 
 
-def sprung(folder: Path, slow: float = 0.0) -> Dataset:
-    """Of an arm that weighs otherwise than its file: a spring at its upright axis, friction that rises as the other
-    slows down."""
+def sprung_logs(folder: Path, slow: float = 0.0, lighter: float = 0.8, strength: float = 3.0):
+    """Model of a file and logs of an arm that weighs otherwise: a spring at its upright axis, friction that rises as
+    the other slows down."""
     model = load_simulator(written(folder, URDF, "arm.urdf"), None, ("pan", "lift")).model
-    standard = np.append(model.standard[:20] * 0.8, [0.5, 0.4])
+    standard = np.append(model.standard[:20] * lighter, [0.5, 0.4])
     friction = model.values[len(model.independent) :] + [1.5, 1.0, 1.5, 2.0]
     robot = replace(model, values=np.append(model.projection @ standard, friction))
     logs = []
@@ -89,8 +90,13 @@ def sprung(folder: Path, slow: float = 0.0) -> Dataset:
         log = read_log(recorded(folder / f"{k}.mcap", robot, k), model.robot)
         speed = log.velocity[:, 1]
         rising = slow * np.tanh(speed / 0.01) / (1 + (speed / 0.15) ** 2)
-        spring = 3 * np.cos(log.position[:, 0] - 0.4)
+        spring = strength * np.cos(log.position[:, 0] - 0.4)
         logs.append(replace(log, effort=log.effort + np.stack([spring, rising], axis=1)))
+    return model, logs
+
+
+def sprung(folder: Path, slow: float = 0.0) -> Dataset:
+    model, logs = sprung_logs(folder, slow)
     return assemble(model.robot, with_expected_error(model, logs, LIMITS, 0.01), logs, None, LIMITS)
 
 
@@ -110,6 +116,14 @@ def test_a_spring_is_asked_whether_a_link_in_its_stead_leaves_as_much(tmp_path):
     rubs = data.fit.candidate(CATALOGUE["stribeck"], (1,), {"speed": 0.1, "shape": 1.0})
     friction = replace(entry, finding=SimpleNamespace(causes=(*causes, rubs)))
     assert numbers_instead(friction, 2, unit) is None, "no link rubs"
+
+
+@pytest.mark.verify
+def test_a_link_that_weighs_otherwise_is_not_named_as_a_scale_of_torque_beside_a_strong_spring(tmp_path):
+    model, logs = sprung_logs(tmp_path, lighter=0.9, strength=30.0)
+    found = diagnose(model.robot, logs, model)
+    assert [(cause["effect"], cause["joints"]) for cause in found.result["causes"]] == [("gravity_spring", ["pan"])]
+    assert ("link inertia", 1) in found.calibrated.released
 
 
 def test_what_equals_a_cause_makes_the_first_ambiguous():
