@@ -202,13 +202,7 @@ def background_of(
     There stiction leaves the torque anywhere below the Coulomb level.
     `beside`: as for `standing`.
     """
-    model = reference.model
-    count = len(model.independent)
-    level = np.zeros(reference.robot.dof)
-    for k, term in enumerate(model.terms):
-        if term.form == "coulomb":
-            level[term.axle] = abs(model.values[count + k])
-    still = np.maximum(limits.stiction * level @ np.abs(reference.coupling), 2 * moving)
+    still = np.maximum(limits.stiction * stiction(reference), 2 * moving)
     found = standing(signals, limits, beside)
     rest = np.concatenate([still[s.kept] for s, still in zip(signals, found, strict=True)])
     rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
@@ -218,6 +212,15 @@ def background_of(
         near[shift:] |= rest[:-shift]
         near[:-shift] |= rest[shift:]
     return np.where(near, still, moving)
+
+
+def stiction(reference: NominalModel) -> np.ndarray:
+    """(n,) [N·m] Coulomb level: as far as that goes the torque of a standing joint to either side."""
+    model, level = reference.model, np.zeros(reference.robot.dof)
+    for k, term in enumerate(model.terms):
+        if term.form == "coulomb":
+            level[term.axle] = abs(model.values[len(model.independent) + k])
+    return level @ np.abs(reference.coupling)
 
 
 def _known_effects(model: IdentifiedModel, signals: MotionSignals) -> np.ndarray:

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.diagnosis.dataset import Dataset
+from agent.diagnosis.dataset import Dataset, stiction
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 
@@ -17,8 +17,8 @@ from agent.diagnosis.limits import LIMITS, DecisionLimits
 class HeldOutGap:
     """Errors held out, `raw` without and `left` with the causes (S', n) [N·m], NaN on guards; their size on each joint.
 
-    At rest both are what is beyond stiction, of which `open` (S', n) [N·m] is left: there the torque is anything below
-    the Coulomb level, and no model knows it, though it comes back with every cycle.
+    At rest both are what is beyond stiction, of which `open` (S', n) [N·m] is left: there friction is anything within
+    the Coulomb level to either side, and no model knows it, though it comes back with every cycle.
 
     `before`, `after`, `floor` (n,) are their RMSE over `unit` (n,), nominal torque or 1 N·m if not said; `floor` is
     what does not repeat from cycle to cycle, None without repeats. `gain` is the part of the plain squared error that
@@ -97,7 +97,9 @@ def held_out_gap(dataset: Dataset, fit: Fit, unit: np.ndarray | None = None) -> 
     raw = dataset.residual if dataset.given else dataset.fit.out_of_fold()
     raw = np.where(np.isnan(left[:, :1]), np.nan, raw)
     gain, largest = _on_own_joints(fit, raw, left)
-    stuck = np.where(fit.near_rest, np.minimum(np.abs(left), fit.sigma), 0.0)
+    # friction that is predicted to hold one way may hold the other way: twice the level
+    possible = np.maximum(fit.sigma, 2 * stiction(fit.reference))
+    stuck = np.where(fit.near_rest, np.minimum(np.abs(left), possible), 0.0)
     raw, left = _beyond(raw, stuck), _beyond(left, stuck)
     before, after = rms(raw) / unit, rms(left) / unit
     floor = _floor(dataset, left, unit, before)

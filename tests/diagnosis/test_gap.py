@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from agent.diagnosis.dataset import stiction
 from agent.diagnosis.gap import held_out_gap
 from agent.model.effects import CATALOGUE
 
@@ -47,6 +48,18 @@ def test_what_happens_at_standstill_changes_no_gain(dataset):
     noisy = replace(data, residual=np.where(still, data.residual + 50.0, data.residual))
     assert held_out_gap(noisy, fit).gain == pytest.approx(held_out_gap(data, fit).gain)
     assert held_out_gap(noisy, fit).before.max() > held_out_gap(data, fit).before.max()
+
+
+def test_friction_that_holds_a_standing_joint_the_other_way_is_no_gap(dataset):
+    """Twice the level from what is predicted: other joints stand while one of them is turned to and fro."""
+    data, fit = dataset.dataset, dataset.dataset.fit
+    level = stiction(fit.reference)
+    assert np.all(level > 0)
+    for part, most in ((1.9, 0.1), (4.0, 10.0)):
+        fit = fit.with_residual(np.where(fit.near_rest, part * level / fit.sigma, 0.0))
+        gap = held_out_gap(replace(data, fit=fit, residual=fit.near_rest * part * level), fit)
+        assert np.all(gap.before * gap.unit < most * level)
+    assert np.any(gap.before * gap.unit > 0.5 * level), "beyond that it is one"
 
 
 def test_in_units_of_each_joint_a_cause_counts_by_its_own_joint(dataset):

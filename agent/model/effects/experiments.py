@@ -14,7 +14,9 @@ class SeparatingMotion:
 
 
 RAMPS_AND_STANDSTILLS = SeparatingMotion(
-    10, "single-joint ramps at several constant speeds both ways, with standstills of 2 s in between"
+    10,
+    "single-joint ramps both ways at several constant speeds, up to the highest; then the measured torque with the "
+    "drives off, where only an offset stays",
 )
 SLOW_REVERSALS = SeparatingMotion(
     20, "slow reversals of growing travel on this joint, then constant speeds from 1 to 20 % of the highest"

@@ -23,7 +23,7 @@ class TorqueOffset(Effect):
     confused_with = ("asymmetric_friction", "gravity_spring", "dress_pack")
     structurally_equivalent = ("asymmetric_friction",)
     phrase = "the measured torque is shifted by a constant"
-    look_at = "zero of the current sensor of this drive; a constant force such as a hose or a balancer"
+    look_at = "zero of the current sensor of this drive, read with the drives off; a constant force such as a hose"
     shapes = ("position",)
     exact = True
     experiment = RAMPS_AND_STANDSTILLS
