@@ -79,7 +79,7 @@ def null_gains(
             effects[:, places] += _sums(np.hstack([c.blocks[joint] for c in here]) * target, unit)
     own, cross = ({c: np.zeros(limits.draws) for c in wanted} for _ in range(2))
     square = dict.fromkeys(wanted, 0.0)
-    direction = {c: fit.practical(c) for c in wanted}
+    direction = {c: practical_parameters(fit, c) for c in wanted}
     moments = dict(fit.moments(wanted))
     together = np.concatenate([both[:, :-1] for both, _ in moments.values()], axis=2)  # (cells, p, all parameters)
     for number, fold in enumerate(fit.folds):
@@ -162,3 +162,19 @@ def share_intervals(rows: np.ndarray, floor: np.ndarray, block: np.ndarray, conf
     share = excess / np.maximum(excess.sum(axis=1, keepdims=True), 1e-300)
     tail = 0.5 * (1 - confidence)
     return np.quantile(share, (tail, 1 - tail), axis=0).T
+
+
+def practical_parameters(fit: Fit, candidate: Candidate) -> np.ndarray:
+    """(k,) parameters at which the effect has its practical size and the model can follow it least."""
+    (_, (cross, own)), *_ = fit.moments([candidate])
+    b, a = cross.sum(axis=0)[:-1] / fit.repeat, own.sum(axis=0) / fit.repeat
+    schur = a - b.T @ fit.solve(np.ones(fit.cells, dtype=bool))[0] @ b
+    torque = np.zeros_like(a)
+    for joint, block in candidate.blocks.items():
+        part = block * (fit.sigma[:, joint, None] / fit.reference.scale[joint])
+        torque += part.T @ part / len(part)
+    size = np.sqrt(np.maximum(np.diag(torque), 1e-300))
+    scaled = torque / np.outer(size, size) + 1e-9 * np.eye(len(size))
+    half = np.linalg.inv(np.linalg.cholesky(scaled))
+    vector = half.T @ np.linalg.eigh(half @ (schur / np.outer(size, size)) @ half.T)[1][:, -1]
+    return candidate.effect.practical * vector / np.sqrt(vector @ scaled @ vector) / size

@@ -149,6 +149,15 @@ class Fit:
             self._fitted.flags.writeable = False
         return self._split(self._fitted)
 
+    @property
+    def residuals_as_given(self) -> list[np.ndarray]:
+        """The same, but a model of other data stays as it is: a push is not spread over the whole motion."""
+        if not self.given:
+            return self.residuals
+        parameters = self.solve(np.ones(self.cells, dtype=bool))[1].copy()
+        parameters[: len(self.precision)] = 0
+        return self._split(self.remaining(parameters))
+
     def remaining(self, parameters: np.ndarray) -> np.ndarray:
         """(S'total, n) [N·m] residual with parameters (size,) of model change and chosen effects."""
         base = len(self.precision)
@@ -333,18 +342,3 @@ class Fit:
 
     def _ridges(self, candidates: Sequence[Candidate], energy: np.ndarray) -> np.ndarray:
         return np.stack(list(map(self.ridge, candidates, np.maximum(energy, 1e-9))))
-
-    def practical(self, candidate: Candidate) -> np.ndarray:
-        """(k,) parameters at which the effect has its practical size and the model can follow it least."""
-        (_, (cross, own)), *_ = self.moments([candidate])
-        b, a = cross.sum(axis=0)[:-1] / self.repeat, own.sum(axis=0) / self.repeat
-        schur = a - b.T @ self.solve(np.ones(self.cells, dtype=bool))[0] @ b
-        torque = np.zeros_like(a)
-        for joint, block in candidate.blocks.items():
-            part = block * (self.sigma[:, joint, None] / self.reference.scale[joint])
-            torque += part.T @ part / len(part)
-        size = np.sqrt(np.maximum(np.diag(torque), 1e-300))
-        scaled = torque / np.outer(size, size) + 1e-9 * np.eye(len(size))
-        half = np.linalg.inv(np.linalg.cholesky(scaled))
-        vector = half.T @ np.linalg.eigh(half @ (schur / np.outer(size, size)) @ half.T)[1][:, -1]
-        return candidate.effect.practical * vector / np.sqrt(vector @ scaled @ vector) / size

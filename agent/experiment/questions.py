@@ -8,7 +8,17 @@ from itertools import combinations
 
 import numpy as np
 
-from agent.diagnosis import Candidate, Diagnosis, Fit, HeldOutScore, best_by_place, complexity, joint_energy, plausible
+from agent.diagnosis import (
+    Candidate,
+    Diagnosis,
+    Fit,
+    HeldOutScore,
+    best_by_place,
+    complexity,
+    joint_energy,
+    plausible,
+    practical_parameters,
+)
 from agent.model import CATALOGUE
 
 Place = tuple[str, tuple[int, ...]]
@@ -185,7 +195,7 @@ def _practical(fit: Fit, form: Candidate) -> Form:
     count = len(form.names)
     energy = sum((np.sum(block**2, axis=0) for block in form.blocks.values()), np.zeros(count))
     if np.all(energy > 1e-9):
-        return Form(form, fit.practical(form), np.zeros((count, count)))
+        return Form(form, practical_parameters(fit, form), np.zeros((count, count)))
     deviation = np.ones(count) if form.prior is None else 1 / np.sqrt(np.diag(form.prior))
     return Form(form, deviation, np.zeros((count, count)))
 

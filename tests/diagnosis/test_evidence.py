@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agent.diagnosis.candidate import Candidate
-from agent.diagnosis.evidence import null_gains, share_intervals
+from agent.diagnosis.evidence import null_gains, practical_parameters, share_intervals
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.limits import LIMITS
 from agent.model.effects import CATALOGUE
@@ -92,7 +92,7 @@ def test_the_smallest_size_is_found_as_often_as_is_said(fit, candidates, measure
     for name, joints in WATCHED:
         mine = [c for c in candidates if c.place == (name, joints)]
         candidate = min(mine, key=lambda c: null.minimum_detectable_size(c, null.threshold))
-        values = null.minimum_detectable_size(candidate, null.threshold) * fit.practical(candidate)
+        values = null.minimum_detectable_size(candidate, null.threshold) * practical_parameters(fit, candidate)
         draws = 60
         found = 0
         for _ in range(draws):

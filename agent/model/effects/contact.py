@@ -15,11 +15,14 @@ _DURATIONS = (0.2, 0.3, 0.4, 0.55, 0.75, 1.0, 1.35, 1.8, 2.4, 3.2, 4.2, 6.0, 8.5
 _STARTS = 0.05  # s
 _EDGE = 0.15  # of the duration, at either end
 _USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of the other windows of a length, and how far above it a contact is
+_SHARP = 100.0  # the same of one that may come back with the cycle beside one that does not
 _CLEARANCE = 2.0  # durations before and after, where no window comes near it
 _BORDER = 0.3  # s from where a motion's samples begin: what there is before tells whether that is quiet
+_AGAIN = 0.2  # s that what comes back with the cycle may be early or late
 _ALONE = 2.0  # times the window at the same place of another cycle
 _MAX_PUSHES, _LEAST_GAIN_RATIO = 6, 0.1  # pushes, and part of the strongest one's gain that another has
 _EDGE_STEPS, _EDGE_PARTS = 8, 40  # by which either end of a push is moved to fit, of so many parts of its length each
+_WHOLE = 0.2  # of a push's gain a second, that parts in its middle have too: else it is two with a pause between
 _LINKS = 3  # tried as the one that all pushes are on
 
 
@@ -50,7 +53,7 @@ class Contact(Effect):
         windows = [
             window
             for link in range(dof)
-            for part in zip(context.signals, context.residuals, context.sigmas, strict=True)
+            for part in zip(context.signals, context.residuals_as_given, context.sigmas, strict=True)
             for window in _Windows.of(link, *part)
         ]
         found = [_strongest([w for w in windows if w.link == link]) for link in range(dof)]
@@ -132,13 +135,14 @@ class _Sums:
 @dataclass(frozen=True, eq=False)
 class _Windows:
     """All windows of a length in one motion: starts (K,) [s], gain (K,) of a force on a link, from its `sums`; `again`
-    (K,) is the largest gain at the same place of another cycle."""
+    (K,) is the largest gain at the same place of another cycle; `whole` (K,): no pause in the middle of it."""
 
     link: int
     log: int
     duration: float
     starts: np.ndarray
     gain: np.ndarray
+    whole: np.ndarray
     cycle_starts: Sequence[float]
     sums: _Sums
 
@@ -152,12 +156,14 @@ class _Windows:
         side = np.cumsum(np.einsum("san,sn->sa", columns, residual / sigma), axis=0)
         time = signals.time[signals.kept]
         sums = _Sums(time, gram, side)
+        gains: dict[float, np.ndarray] = {}
         for duration in _DURATIONS:
             starts = np.arange(time[0], time[-1] - duration, _STARTS)
             if len(starts) == 0:
                 return
-            gain = sums.gains(starts, starts + duration)
-            yield cls(link, signals.log_index, duration, starts, gain, signals.cycle_starts, sums)
+            gain = gains[duration] = sums.gains(starts, starts + duration)
+            whole = _whole(duration, gains)
+            yield cls(link, signals.log_index, duration, starts, gain, whole, signals.cycle_starts, sums)
 
     @cached_property
     def strongest(self) -> _Push | None:
@@ -167,7 +173,7 @@ class _Windows:
     def best(self, taken: Sequence[_Push]) -> _Push | None:
         """The strongest window beside those taken."""
         bare = self.starts < self.starts[0] + _BORDER
-        gain = np.where(self._shared(taken) | bare, -np.inf, self.gain)
+        gain = np.where(self._shared(taken) | bare | ~self.whole, -np.inf, self.gain)
         at = int(np.argmax(gain))
         if not np.isfinite(gain[at]):
             return None
@@ -193,10 +199,10 @@ class _Windows:
         """Gains of the windows that share no time with those taken."""
         return self.gain[~self._shared(taken)]
 
-    def near(self, push: _Push) -> float:
-        """Largest gain of the windows right before and after a push."""
+    def near(self, push: _Push, taken: Sequence[_Push]) -> float:
+        """Largest gain of the windows right before and after a push that share no time with those taken."""
         reach = (1 + _CLEARANCE) * push.duration
-        around = (np.abs(self.starts - push.start) <= reach) & ~self._shared([push])
+        around = (np.abs(self.starts - push.start) <= reach) & ~self._shared(taken)
         return float(self.gain[around].max(initial=0.0))
 
     def beside_edges(self, push: _Push) -> float:
@@ -205,13 +211,31 @@ class _Windows:
         close = [(gap >= _STARTS) & (gap <= _BORDER) for gap in (before, after)]
         return float(self.gain[close[0] | close[1]].max(initial=0.0)) / self.duration
 
-    def again(self, push: _Push) -> float:
-        """Largest gain at the same place, give or take half a step, of another cycle; nought where there is none."""
+    def again(self, push: _Push, taken: Sequence[_Push]) -> float:
+        """Largest gain at the same place, give or take half a step, of another cycle; nought where there is none.
+
+        Another push that only meets that place, neither end at its own, is no repetition.
+        """
         edges = np.asarray(self.cycle_starts, dtype=float)
         here = int(np.searchsorted(edges, push.start + 1e-9)) - 1
         if len(edges) < 2 or here < 0:
             return 0.0
-        places = np.delete(edges, here) + push.start - edges[here]
+        late = np.delete(edges, here) - edges[here]
+        close = max(_AGAIN, push.duration / _EDGE_PARTS)
+        ends = np.array([[p.start, p.start + p.duration] for p in taken if p.log == self.log and p is not push])
+        own = np.array([push.start, push.start + push.duration])
+        meets = [
+            bool(len(ends))
+            and bool(
+                np.any(
+                    (np.abs(ends - own - by) > close).all(axis=1)
+                    & (ends[:, 0] < own[1] + by)
+                    & (ends[:, 1] > own[0] + by)
+                )
+            )
+            for by in late
+        ]
+        places = push.start + late[~np.array(meets, dtype=bool)]
         return max(
             (float(self.gain[np.abs(self.starts - at) < 2 * _STARTS].max(initial=0.0)) for at in places), default=0
         )
@@ -221,6 +245,19 @@ class _Windows:
         for push in taken:
             shared |= push.overlaps(self.log, self.starts, self.duration)
         return shared
+
+
+def _whole(duration: float, gains: Mapping[float, np.ndarray]) -> np.ndarray:
+    """(K,) bool: which windows of a length pull in their middle as well, from the `gains` of shorter ones."""
+    gain = gains[duration]
+    part = max((length for length in gains if length <= duration / 3), default=None)
+    if part is None:
+        return np.ones(len(gain), dtype=bool)
+    least = np.full(len(gain), np.inf)
+    for centre in (0.3, 0.5, 0.7):
+        at = np.arange(len(gain)) + round((centre * duration - 0.5 * part) / _STARTS)
+        least = np.minimum(least, gains[part][np.minimum(at, len(gains[part]) - 1)])
+    return least / part >= _WHOLE * gain / duration
 
 
 def _strongest(windows: Sequence[_Windows]) -> list[_Push]:
@@ -238,24 +275,24 @@ def _strongest(windows: Sequence[_Windows]) -> list[_Push]:
         taken.append(last)
         # where the strongest of a length shares no time with it, it stays the strongest
         best = [w.best(taken) if one and last.meets(one) else one for one, w in zip(best, windows, strict=True)]
-    while taken:
-        if all(_stands_out(push, taken, windows) for push in taken):
-            return taken
-        taken.pop()
-    return taken
+    sharp = [push for push in taken if _stands_out(push, taken, windows, _SHARP, 0.0)]
+    alone = [push for push in taken if _stands_out(push, taken, windows, _STANDS_OUT, _ALONE)]
+    # beside a push that does not come back, one that does and has nothing like it around it is a push as well
+    return [push for push in taken if push in alone or (alone and push in sharp)]
 
 
-def _stands_out(push: _Push, taken: Sequence[_Push], windows: Sequence[_Windows]) -> bool:
+def _stands_out(push: _Push, taken: Sequence[_Push], windows: Sequence[_Windows], above: float, alone: float) -> bool:
+    """Whether a push gains `above` times what is usual and near it, and `alone` times what comes back."""
     of_link = [w for w in windows if w.link == push.link]
     here = [w for w in of_link if w.log == push.log]
     as_long = min((w.duration for w in here), key=lambda duration: abs(duration - push.duration))
     scale = push.duration / as_long
     usual = _usual(push, taken, of_link)
-    again = scale * max((w.again(push) for w in here if w.duration == as_long), default=0.0)
-    near = scale * max((w.near(push) for w in here if w.duration == as_long), default=0.0)
+    again = scale * max((w.again(push, taken) for w in here if w.duration == as_long), default=0.0)
+    near = scale * max((w.near(push, taken) for w in here if w.duration == as_long), default=0.0)
     shortest = [w for w in of_link if w.duration == _DURATIONS[0] and w.log == push.log]
     near = max(near, push.duration * max((w.beside_edges(push) for w in shortest), default=0.0))
-    return push.gain > max(_STANDS_OUT * usual, _STANDS_OUT * near, _ALONE * again)
+    return push.gain > max(above * usual, above * near, alone * again)
 
 
 def _usual(push: _Push, taken: Sequence[_Push], windows: Sequence[_Windows]) -> float:

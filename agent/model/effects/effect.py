@@ -35,6 +35,10 @@ class FitContext(Protocol):
         """Per motion (S', n) [N·m]: what is left of the torque."""
 
     @property
+    def residuals_as_given(self) -> Sequence[np.ndarray]:
+        """The same where the model's parameters stay as they are, if it is of other data."""
+
+    @property
     def sigmas(self) -> Sequence[np.ndarray]:
         """Per motion (S', n) [N·m]: the background."""
 

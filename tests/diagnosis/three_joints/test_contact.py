@@ -74,6 +74,18 @@ def test_pushes_are_found_on_their_link_with_force_and_times(arm, model, free, t
         assert np.linalg.norm(force - FORCE) < 0.25 * np.linalg.norm(FORCE)
 
 
+def test_several_long_pushes_in_every_log(arm, model, free):
+    """One of them meets the place of another in the next cycle; all bend the model's numbers if these may move."""
+    times = [(1.0, 3.0), (6.6, 8.6)]
+    found = forces(best(arm, model, [pushed(arm, log, "link_3", times) for log in free]))
+    found = sorted(found, key=lambda entry: (round(entry[0]), entry[3]))
+    assert [entry[3] for entry in found] == [0, 1, 0, 1]
+    for (start, end, link, _, force), expected in zip(found, np.repeat(times, 2, axis=0), strict=True):
+        assert (start, end) == pytest.approx(tuple(expected), abs=0.2)
+        assert link == 2
+        assert np.linalg.norm(force - FORCE) < 0.25 * np.linalg.norm(FORCE)
+
+
 @pytest.mark.parametrize("times", [[], [(1.5, 2.2), (6.5, 7.2)]])
 def test_what_no_one_did_and_what_comes_back_with_every_cycle_is_none(arm, model, free, times):
     found = best(arm, model, [pushed(arm, free[0], "link_3", times), free[1]])
