@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 
@@ -19,11 +20,14 @@ from agent.core import (
 )
 
 _INTERRUPTED = 130
+#: New objects between two looks for garbage: modules that are imported make many, and none of it.
+_COLLECT_EVERY = 100_000
 
 
 def main() -> None:
     """Entry point: runs the command and turns every error into one message and its exit code."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    gc.set_threshold(_COLLECT_EVERY)
     open_standard_descriptors()
     with signals_raised(), patient_messages(hang_up):
         _run()

@@ -30,7 +30,7 @@ from agent.recording import Log
 
 DEFAULT_CUTOFF = 30.0
 #: Gaps of at most so many periods of the cut-off are bridged: little of what passes the filter turns within one.
-_Response = Callable[[np.ndarray], np.ndarray]  # over frequency [Hz]
+_Responses = Callable[[np.ndarray], list[np.ndarray]]  # over frequency [Hz]
 _BRIDGED = 1.0
 _HALF_BAND = 4.0  # half of a transition band, in standard deviations of the Gaussian that makes it
 _PIECE = 30_000  # samples worked on at a time
@@ -82,12 +82,12 @@ class Motion:
         other in memory; so they do in what it returns.
         """
 
-        def response(frequency: np.ndarray) -> np.ndarray:
+        def response(frequency: np.ndarray) -> list[np.ndarray]:
             warped = np.tan(np.pi * np.minimum(frequency / self.rate, 0.5)) / np.tan(np.pi * self.cutoff / self.rate)
-            return 1 / (1 + warped ** (2 * self.order))
+            return [1 / (1 + warped ** (2 * self.order))]
 
         first, stop = self.edge // every, -(-(len(self.time) - self.edge - self.edge % every) // every)
-        return _respond(signals, self.rate / every, [response], slice(first, stop, self.step // every))[0]
+        return _respond(signals, self.rate / every, response, slice(first, stop, self.step // every))[0]
 
     @property
     def kept(self) -> slice:
@@ -143,10 +143,10 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
                 stop,
                 partial(_velocity, position, clock.rate, (flat, stop), every),
             )
-            if torque is not None:
-                torque = smooth_and_differentiate(torque, clock.rate, flat, stop, every)[0] if every > 1 else torque
+            if torque is not None and every > 1:
+                (torque,) = _smooth(torque, clock.rate, (flat, stop), every, (0,))
             if set_points is not None:
-                set_points = smooth_and_differentiate(set_points, clock.rate, flat, stop, every)[0]
+                (set_points,) = _smooth(set_points, clock.rate, (flat, stop), every, (0,))
             yield Motion(
                 log=log.name,
                 time=clock.time(grid)[::every],
@@ -228,28 +228,33 @@ def smooth_and_differentiate(
 
     Flat up to `pass_edge`, nothing from `stop_edge` on [Hz].
     """
-    middle, width = (pass_edge + stop_edge) / 2, (stop_edge - pass_edge) / (2 * _HALF_BAND)
-
-    def smooth(frequency: np.ndarray) -> np.ndarray:
-        argument = (frequency - middle) / (np.sqrt(2) * width)
-        return 0.5 * np.fromiter(map(math.erfc, argument), float, len(argument))
-
-    responses = [
-        smooth,
-        lambda frequency: 2j * np.pi * frequency * smooth(frequency),
-        lambda frequency: -((2 * np.pi * frequency) ** 2) * smooth(frequency),
-    ]
-    signals = _respond(position, rate, responses, slice(0, len(position), every))
-    q, qd, qdd = (np.ascontiguousarray(signal) for signal in signals)
+    q, qd, qdd = _smooth(position, rate, (pass_edge, stop_edge), every, (0, 1, 2))
     return q, qd, qdd
 
 
-def _velocity(position: np.ndarray, rate: float, band: tuple[float, float], every: int, factor: float) -> np.ndarray:
-    """(S, n) with both edges of the band [Hz] times `factor`."""
-    return smooth_and_differentiate(position, rate, factor * band[0], factor * band[1], every)[1]
+def _velocity(
+    position: np.ndarray, rate: float, band: tuple[float, float], every: int, factor: float, joints: np.ndarray
+) -> np.ndarray:
+    """(S, k) of some joints, with both edges of the band [Hz] times `factor`."""
+    return _smooth(position[:, joints], rate, (factor * band[0], factor * band[1]), every, (1,))[0]
 
 
-def _respond(signals: np.ndarray, rate: float, responses: list[_Response], kept: slice) -> list[np.ndarray]:
+def _smooth(
+    position: np.ndarray, rate: float, band: tuple[float, float], every: int, orders: tuple[int, ...]
+) -> list[np.ndarray]:
+    """The derivatives of these orders, 0 to 2, of what `smooth_and_differentiate` smooths."""
+    middle, width = sum(band) / 2, (band[1] - band[0]) / (2 * _HALF_BAND)
+
+    def responses(frequency: np.ndarray) -> list[np.ndarray]:
+        argument = (frequency - middle) / (np.sqrt(2) * width)
+        smooth = 0.5 * np.fromiter(map(math.erfc, argument), float, len(argument))
+        derivatives = smooth, 2j * np.pi * frequency * smooth, -((2 * np.pi * frequency) ** 2) * smooth
+        return [derivatives[order] for order in orders]
+
+    return [np.ascontiguousarray(signal) for signal in _respond(position, rate, responses, slice(0, None, every))]
+
+
+def _respond(signals: np.ndarray, rate: float, responses: _Responses, kept: slice) -> list[np.ndarray]:
     """Apply responses over frequency [Hz] to (S, m) signals continued by point reflection, and return `kept` of each.
 
     The spectrum is cut at the new Nyquist frequency where `kept` takes every k-th sample, so only responses that pass
@@ -262,8 +267,8 @@ def _respond(signals: np.ndarray, rate: float, responses: list[_Response], kept:
     before = min(size - 1, (length - size) // 2)
     after = min(size - 1, length - size - before)
     frequency = np.fft.rfftfreq(length, 1 / rate)[: reduced // 2 + 1]
-    gains = [response(frequency) / step for response in responses]
-    results = [np.empty((count, -(-(stop - first) // step))) for _ in responses]
+    gains = [response / step for response in responses(frequency)]
+    results = [np.empty((count, -(-(stop - first) // step))) for _ in gains]
     # sample `first` comes first in the transform, what precedes it wraps around
     extended = np.zeros((min(_TOGETHER, count), length))
     for start in range(0, count, _TOGETHER):

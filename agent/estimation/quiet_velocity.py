@@ -25,12 +25,12 @@ def quiet_velocity(
     rate: float,
     velocity: np.ndarray,
     stop_edge: float,
-    narrower: Callable[[float], np.ndarray],
+    narrower: Callable[[float, np.ndarray], np.ndarray],
 ) -> np.ndarray:
     """(S, n) velocity; `velocity` is that of the widest band, which ends at `stop_edge` [Hz].
 
-    `position` (P, n) at `rate` [Hz] tells the noise; narrower(factor) gives the velocity (S, n) of a band `factor`
-    times as wide.
+    `position` (P, n) at `rate` [Hz] tells the noise; narrower(factor, joints) gives the velocity (S, k) of some joints
+    in a band `factor` times as wide.
     """
     if len(position) < 2 * _PIECE:
         return velocity
@@ -46,7 +46,7 @@ def quiet_velocity(
     agrees = np.ones((len(velocity), len(noisy)), dtype=bool)
     factor = 0.5
     while factor * stop_edge >= _NARROWEST:
-        band, own = narrower(factor)[:, noisy], deviation[noisy] * factor**1.5
+        band, own = narrower(factor, noisy), deviation[noisy] * factor**1.5
         for wider, theirs in bands:
             agrees &= np.abs(band - wider) <= _CONFIDENCE * (own + theirs)
         if not agrees.any():
