@@ -35,16 +35,18 @@ def with_servo_torque(simulator: Simulator, logs: Sequence[Log]) -> tuple[Simula
         InputError: torque in some logs only, no servo in the file, set-points that are missing, copied from the
             positions or of another unit, or nothing left that is not at the servos' limits.
     """
-    bare = [log for log in logs if log.effort is None or np.any(unsigned_torque([log]))]
+    arm, servos = simulator.arm, simulator.arm.servos
+    bare = [log for log in logs if log.effort is None]
+    if not bare and isinstance(servos, PositionServos) and all(log.reference_position is not None for log in logs):
+        bare = list(logs) if np.any(unsigned_torque(logs)) else []
     if not bare:
         return simulator, list(logs), ()
     if len(bare) < len(logs):
-        other = next(log for log in logs if log not in bare)
+        other = next(log for log in logs if log.effort is not None)
         raise InputError(
-            f"{bare[0].path}: no torque (effort) with a sign was recorded, and {other.name} has one: give logs that "
-            "all have torque, or none of which has"
+            f"{bare[0].path}: no torque (effort) was recorded, and {other.name} has some: give logs that all have "
+            "torque, or none of which has"
         )
-    arm, servos = simulator.arm, simulator.arm.servos
     if isinstance(servos, str):
         raise InputError(
             f"{bare[0].path}: no torque (effort) was recorded, and {arm.path.name} has no position servo for each "

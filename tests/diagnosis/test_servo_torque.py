@@ -218,7 +218,7 @@ CABLE = '</actuator><tendon><fixed name="cable"><joint joint="elbow" coef="1"/><
         (ELBOW, PLAIN, without, r"2\.mcap: neither torque .* nor set-points"),
         (ELBOW, PLAIN, copied, r"2\.mcap: the set-points of lift, elbow are the measured positions themselves"),
         (ELBOW, PLAIN, in_degrees, r"2\.mcap: \w+ is .* from its set-points in the middle: .* another unit or zero"),
-        (ELBOW, PLAIN, measured, r"1\.mcap: no torque .* was recorded, and 2\.mcap has one"),
+        (ELBOW, PLAIN, measured, r"1\.mcap: no torque .* was recorded, and 2\.mcap has some"),
         (ELBOW, '<position kp="2000" forcerange="-0.01 0.01"/>', None, r"1\.mcap: .* at their largest torque all the"),
     ],
 )
@@ -228,3 +228,15 @@ def test_what_cannot_be_used_is_said_once(tmp_path, elbow, servo, change, messag
     write_log(tmp_path / "2.mcap", first if change is None else change(first))
     with pytest.raises(InputError, match=message):
         diagnose_files(None, [tmp_path / "1.mcap", tmp_path / "2.mcap"], GapQuestion(source), Console(-1))
+
+
+def test_efforts_without_a_sign_are_not_used_where_servos_say_more(tmp_path):
+    source = arm(tmp_path / "arm.xml")
+    log = read_log(recorded(tmp_path / "1.mcap", source, 1))
+    amount = replace(log, effort=np.abs(np.gradient(log.position, axis=0)))
+    simulator = load_simulator(source, None, log.joint_names)
+    known, (driven,), said = with_servo_torque(simulator, [amount])
+    assert known.servos is not None
+    assert "no sign" in said[1]
+    np.testing.assert_array_equal(driven.effort, with_servo_torque(simulator, [log])[1][0].effort)
+    assert with_servo_torque(simulator, [measured(log)])[2] == ()
