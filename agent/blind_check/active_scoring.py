@@ -84,11 +84,9 @@ def _asked(done: Sequence[Entry]) -> Iterator[tuple[float, bool]]:
 
 
 def _answers(result: Mapping[str, Any], truth: str, rival: str) -> bool:
-    """Whether a result names the truth, and the rival neither beside it nor as its equal."""
-    first = [_text(cause) for cause in result["causes"]]
-    of_truth = [cause for cause in result["causes"] if _text(cause) == truth]
-    members = [_text(member) for cause in of_truth for member in class_of(cause)]
-    return truth in first and rival not in (*first, *members)
+    """Whether a result has the truth among the causes and what equals them, and the rival not."""
+    members = [_text(member) for cause in result["causes"] for member in class_of(cause)]
+    return truth in members and rival not in members
 
 
 def _text(effect: Mapping[str, Any]) -> str:

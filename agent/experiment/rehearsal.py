@@ -61,10 +61,9 @@ class Said:
         return self.verdict == "explained" and self.classes[0] == (place,)
 
     def names(self, place: Place, rival: Place) -> bool:
-        """Whether a place is among the causes, and its rival neither beside it nor as its equal."""
-        causes = [one[0] for one in self.classes]
-        equals = [other for one in self.classes if one[0] == place for other in one]
-        return place in causes and rival not in (*causes, *equals)
+        """Whether a place is a cause or equals one, and its rival is neither: of the two it is the answer."""
+        members = {other for one in self.classes for other in one}
+        return place in members and rival not in members
 
 
 def said_by(finding: Finding) -> Said:

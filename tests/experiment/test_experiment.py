@@ -18,7 +18,7 @@ from agent.experiment.motion import GridMotion, background_on
 from agent.experiment.outlook import Outlook
 from agent.experiment.pieces import Pieces
 from agent.experiment.questions import Form, Hypothesis, OpenPair
-from agent.experiment.rehearsal import Rehearsal
+from agent.experiment.rehearsal import Rehearsal, Said
 from agent.model import CATALOGUE, MotionSignals
 from agent.motion import ViaRegions
 from agent.motion.program import FlyTrajectory, FlyType, MotionSettings
@@ -223,6 +223,16 @@ def test_a_rehearsal_asks_the_diagnosis_itself_with_each_rival_taken_for_true(sa
         assert answer.verdict in ("ambiguous", "explained"), "half of the torque is measured, and either explains it"
         assert place in answer.classes[0]
         assert answer.settles(place) == (answer.verdict == "explained" and answer.classes == ((place,),))
+
+
+def test_of_a_pair_what_is_in_the_class_is_the_answer_where_its_rival_is_not():
+    offset, one_sided, spring, hose = ((name, (1,)) for name in ("torque_offset", "asymmetric_friction", "s", "h"))
+    answer = Said("ambiguous", ((offset, one_sided), (hose,)))
+    assert answer.names(one_sided, spring), "which of two equals comes first says nothing of a third"
+    assert answer.names(offset, spring)
+    assert not answer.names(one_sided, offset)
+    assert not answer.names(one_sided, hose)
+    assert not answer.names(spring, hose)
 
 
 def test_a_rehearsal_repeats_itself(said):
