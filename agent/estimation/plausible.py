@@ -163,14 +163,19 @@ def _too_strong(robot: RobotDescription, turning: np.ndarray, moving: np.ndarray
 
 
 def _too_heavy(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
-    """Torque for more weight than an arm of this reach has; the last doubt, as a force for a torque looks alike."""
+    """Torque for more weight than an arm of this reach has; the last doubt, as a force for a torque looks alike.
+
+    An arm is as long as its joints are apart, wherever its tip is: that of a surgical arm is near where its axes meet.
+    """
     from agent.robot import Dynamics
 
     turning = ~np.array([joint.prismatic for joint in robot.joints])
     efforts = [log.effort[:, turning] for log in logs if log.effort is not None]
     torque = max(float(np.quantile(np.abs(effort), 0.99, axis=0).max(initial=0)) for effort in efforts)
     q = np.random.default_rng(0).uniform(-2, 2, (50, robot.dof)) * turning
-    reach = float(np.linalg.norm(Dynamics(robot).tip_pose(q)[:, :3, 3], axis=1).max())
+    dynamics = Dynamics(robot)
+    apart = np.linalg.norm(dynamics.chain[1][1:], axis=1).sum()
+    reach = max(float(np.linalg.norm(dynamics.tip_pose(q)[:, :3, 3], axis=1).max()), float(apart))
     mass = 2 * torque / (9.81 * reach) if reach > 0 else 0.0
     if mass > _HEAVIEST * reach**2:
         yield (

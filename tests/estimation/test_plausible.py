@@ -16,6 +16,7 @@ from agent.pipeline.identify import estimate_files, validate_files
 from agent.recording import read_log, write_log
 from agent.robot import load_robot
 from fake_controller.plant import Plant
+from tests.arms import Bar, serial_arm
 from tests.small_arms import make_arm, record
 
 JOINT = 1
@@ -120,6 +121,22 @@ def test_torque_for_more_weight_than_an_arm_of_its_reach_has_is_nmm(shared_data)
     (found,) = plausibility_warnings(robot, [replace(log, effort=1000 * log.effort)])
     assert found.startswith("torques look like N·mm")
     assert "more than any of its reach" in found
+
+
+def test_an_arm_whose_tip_is_where_its_axes_meet_is_as_long_as_its_joints_are_apart(make_log):
+    """A remote centre of motion, as surgical arms have: the slide ends where yaw and pitch meet."""
+    block = 0.01, 0.01, 0.01
+    bars = [
+        Bar("R", "0 0 0", "0 0 1", 2.0, "0.1 0 0", block),
+        Bar("R", "0 0 0", "0 1 0", 2.0, "0.1 0 0", block),
+        Bar("P", "0.43 0 0", "1 0 0", 0.5, "0.1 0 0", block),
+        Bar("R", "-0.42 0 0", "1 0 0", 0.1, "0.1 0 0", block),
+    ]
+    t = np.arange(0, 20, 0.01)
+    rate, size = np.array([1.0, 1.7, 2.3, 2.9]), np.array([0.5, 0.5, 0.01, 0.5])
+    friction = 3 * np.cos(t[:, None] * rate)
+    log = make_log(serial_arm(bars), t, size * np.sin(t[:, None] * rate), friction)
+    assert not any("N·mm" in text for text in plausibility_warnings(serial_arm(bars), [log]))
 
 
 @pytest.mark.parametrize("swapped", [False, True], ids=["flipped", "swapped"])
