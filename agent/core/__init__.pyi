@@ -32,6 +32,7 @@ from .files import (
     write_atomically as write_atomically,
     written_whole as written_whole,
 )
+from .linear_algebra import symmetric_eigen as symmetric_eigen
 from .memory import keep_freed_memory as keep_freed_memory
 from .on_dask import DaskEngine as DaskEngine
 from .output import (

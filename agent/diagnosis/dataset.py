@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.core import InputError
+from agent.core import InputError, symmetric_eigen
 from agent.diagnosis.candidate import Fold
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.limits import LIMITS, DecisionLimits
@@ -236,7 +236,7 @@ def precision_of(covariance: np.ndarray) -> np.ndarray:
     """(p, p) inverse of a covariance, which may be singular but for round-off."""
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     correlation = covariance / np.outer(deviation, deviation)
-    values, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
+    values, vectors = symmetric_eigen(0.5 * (correlation + correlation.T))
     inverse = (vectors / np.maximum(values, 1e-9)) @ vectors.T
     return inverse / np.outer(deviation, deviation)
 

@@ -17,6 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from agent.core import symmetric_eigen
 from agent.diagnosis.candidate import Candidate
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.limits import LIMITS, DecisionLimits
@@ -120,7 +121,7 @@ def drawn_change(fit: Fit, train: np.ndarray, error: np.ndarray, rng: np.random.
             if joint in candidate.blocks:
                 side[a:b] += drawn @ candidate.blocks[joint]
     deviation = np.sqrt(np.maximum(fit.prior.diagonal(), 1e-300))
-    values, vectors = np.linalg.eigh(fit.prior / np.outer(deviation, deviation))
+    values, vectors = symmetric_eigen(fit.prior / np.outer(deviation, deviation))
     prior = deviation * (vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(fit.size)))
     return fit.solve(train)[0] @ (side / fit.repeat + prior)
 
@@ -176,5 +177,5 @@ def practical_parameters(fit: Fit, candidate: Candidate) -> np.ndarray:
     size = np.sqrt(np.maximum(np.diag(torque), 1e-300))
     scaled = torque / np.outer(size, size) + 1e-9 * np.eye(len(size))
     half = np.linalg.inv(np.linalg.cholesky(scaled))
-    vector = half.T @ np.linalg.eigh(half @ (schur / np.outer(size, size)) @ half.T)[1][:, -1]
+    vector = half.T @ symmetric_eigen(half @ (schur / np.outer(size, size)) @ half.T)[1][:, -1]
     return candidate.effect.practical * vector / np.sqrt(vector @ scaled @ vector) / size

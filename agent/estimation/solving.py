@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from agent.core import symmetric_eigen
 from agent.estimation.moments import Moments
 from agent.estimation.prior import Prior
 
@@ -62,7 +63,7 @@ def scaled_rank(matrix: np.ndarray) -> int:
 def _scaled_eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     diagonal = np.diag(matrix)
     scale = np.where(diagonal > _RANK**2 * diagonal.max(), 1 / np.sqrt(np.maximum(diagonal, 1e-300)), 0.0)
-    return scale, *np.linalg.eigh(matrix * np.outer(scale, scale))
+    return scale, *symmetric_eigen(matrix * np.outer(scale, scale))
 
 
 def reweight(moments: Moments, parameters: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent.core import symmetric_eigen
 from agent.estimation.moments import Moments, standstill
 from agent.estimation.prior import Prior
 from agent.estimation.problem import Estimate, Problem
@@ -111,5 +112,5 @@ def silent_directions(moments: Moments, weights: np.ndarray, prior: Prior, times
     """(d, p) directions in which the data say less than the prior, in units of the prior's standard deviation."""
     information = moments.weighted(weights / times)[:-1, :-1]
     root = np.linalg.cholesky(np.linalg.inv(prior.precision))
-    values, vectors = np.linalg.eigh(root.T @ information @ root)
+    values, vectors = symmetric_eigen(root.T @ information @ root)
     return vectors[:, values < 1].T

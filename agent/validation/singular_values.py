@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.core import symmetric_eigen
 from agent.estimation import FilterSettings, motions
 from agent.model import IdentifiedModel
 from agent.recording import Log
@@ -44,7 +45,7 @@ def observability(model: IdentifiedModel, log: Log) -> Observability:
     length = np.sqrt(np.diag(total))
     seen = length > 1e-12 * length.max()
     scale = np.where(seen, length, 1.0)
-    energy, vectors = np.linalg.eigh(total / np.outer(scale, scale))
+    energy, vectors = symmetric_eigen(total / np.outer(scale, scale))
     values = np.sqrt(np.maximum(energy[::-1], 0.0))
     weakest = tuple(
         (float(values[-1 - k] / values[0]), _largest_parts(vectors[:, k], model.names)) for k in range(_WEAKEST)

@@ -1,0 +1,30 @@
+"""Eigenvalues of symmetric matrices, also where the usual method gives up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from agent.core import symmetric_eigen
+
+
+@given(st.integers(1, 12), st.integers(0, 2**31), st.floats(0, 8))
+def test_values_and_vectors_make_the_matrix(size, seed, decades):
+    rng = np.random.default_rng(seed)
+    turned, _ = np.linalg.qr(rng.normal(size=(size, size)))
+    values = np.sort(10.0 ** -rng.uniform(0, decades, size))
+    found, vectors = symmetric_eigen((turned * values) @ turned.T)
+    assert found == pytest.approx(values, abs=1e-14)
+    assert (vectors * found) @ vectors.T == pytest.approx((turned * values) @ turned.T, abs=1e-14)
+
+
+def test_a_method_that_does_not_converge_is_replaced(monkeypatch):
+    def gives_up(matrix):
+        raise np.linalg.LinAlgError("Eigenvalues did not converge")
+
+    matrix = np.array([[2.0, 1.0], [1.0, 2.0]])
+    monkeypatch.setattr(np.linalg, "eigh", gives_up)
+    values, vectors = symmetric_eigen(matrix)
+    assert values == pytest.approx([1, 3])
+    assert (vectors * values) @ vectors.T == pytest.approx(matrix)
