@@ -20,6 +20,7 @@ from agent.estimation.filtering import FilterSettings, motions, resolve_cutoff
 from agent.estimation.gravity_check import described_gravity_doubts, gravity_directions, gravity_text
 from agent.estimation.range_check import degrees_doubt, slide_doubts, swap_in_range
 from agent.estimation.rigid_fit import FOLDS, Bodies, FitSamples, HeldOutFit, overfitted, solved
+from agent.estimation.strength_check import too_heavy, too_strong
 from agent.estimation.velocity_check import velocity_doubts
 from agent.recording import Log
 from agent.robot import RobotDescription
@@ -32,8 +33,6 @@ _SLIDE_GAIN = 4.0  # the same of a slide in the place of a turning joint: other 
 _CERTAIN = 2.5  # standard errors of that gain over the folds, and
 _AS_GOOD = 0.5  # less gain than the best: as good, so the likelier one is named
 _EXACT = 0.01  # of the torque: a fit that leaves less is right, and what is left may be anything
-_HEAVIEST = 1000.0  # kg for each square metre of reach: of 13 arms, real and simulated, the heaviest has 510
-_TOO_STRONG = 100.0  # times what the description says of the drive
 _DRIVING = 0.15  # of a joint's torque, by which friction and inertia together must push the wrong way
 _SIGNIFICANT = 5.0  # standard deviations of that push, and
 _SAMPLES_PER_PARAMETER = 4.0  # independent samples for each parameter: a short log tells no mistake from chance
@@ -71,7 +70,7 @@ def plausibility_warnings(robot: RobotDescription, logs: Sequence[Log]) -> list[
     found = found or list(slide_doubts(robot, logs))
     samples = None if found else _samples(logs)
     found = found if samples is None else list(_mechanics(robot, samples))
-    return found or list(_too_heavy(robot, logs))
+    return found or list(too_heavy(robot, logs))
 
 
 def _signals(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
@@ -87,8 +86,8 @@ def _signals(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
         yield f"the torque of {', '.join(names[dead])} never changes while it moves: its channel is dead"
     if degrees := degrees_doubt(robot, logs, turning & moving):
         yield degrees
-    if too_strong := _too_strong(robot, turning, moving, strong):
-        yield too_strong
+    if doubt := too_strong(robot, turning, moving, strong):
+        yield doubt
     unsigned = unsigned_torque(logs)
     if unsigned.any():
         yield (
@@ -149,39 +148,6 @@ def _comes_to_nothing(
     both = min(way[way > 0].sum(), -way[way < 0].sum()) > 0.2 * np.abs(way).sum()
     values = np.concatenate([effort[:, joint] for effort in efforts])
     return bool(both and np.quantile(values, least) < near * np.quantile(values, 0.99))
-
-
-def _too_strong(robot: RobotDescription, turning: np.ndarray, moving: np.ndarray, strong: np.ndarray) -> str | None:
-    drives = np.array([np.nan if joint.max_torque is None else joint.max_torque for joint in robot.joints])
-    drives = np.where(drives > 0, drives, robot.nominal_torque)
-    here = turning & moving & (strong > 0)
-    times = (strong / np.where(drives > 0, drives, np.nan))[here]
-    times = times[np.isfinite(times)]
-    if len(times) and np.median(times) > _TOO_STRONG:
-        return f"torques look like N·mm: they are {np.median(times):.3g} times what the drives can do"
-    return None
-
-
-def _too_heavy(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
-    """Torque for more weight than an arm of this reach has; the last doubt, as a force for a torque looks alike.
-
-    An arm is as long as its joints are apart, wherever its tip is: that of a surgical arm is near where its axes meet.
-    """
-    from agent.robot import Dynamics
-
-    turning = ~np.array([joint.prismatic for joint in robot.joints])
-    efforts = [log.effort[:, turning] for log in logs if log.effort is not None]
-    torque = max(float(np.quantile(np.abs(effort), 0.99, axis=0).max(initial=0)) for effort in efforts)
-    q = np.random.default_rng(0).uniform(-2, 2, (50, robot.dof)) * turning
-    dynamics = Dynamics(robot)
-    apart = np.linalg.norm(dynamics.chain[1][1:], axis=1).sum()
-    reach = max(float(np.linalg.norm(dynamics.tip_pose(q)[:, :3, 3], axis=1).max()), float(apart))
-    mass = 2 * torque / (9.81 * reach) if reach > 0 else 0.0
-    if mass > _HEAVIEST * reach**2:
-        yield (
-            f"torques look like N·mm: to need {torque:.3g} N·m at a reach of {reach:.2g} m an arm would weigh "
-            f"{mass:.2g} kg, more than any of its reach ({_HEAVIEST * reach**2:.2g} kg)"
-        )
 
 
 def _samples(logs: Sequence[Log]) -> FitSamples | None:
