@@ -183,11 +183,11 @@ def _expected_error(robot: RobotDescription, observation: Observation, share: fl
 
 
 def _moving_error(model: IdentifiedModel) -> np.ndarray:
-    """(n,) [N·m] held-out error of moving rows: that of all rows, shared as the fit's own residuals are."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        moving = 1 / np.sqrt(model.weights[0])
-    ratio = np.where(np.isfinite(moving) & (model.residual_rmse > 0), moving / model.residual_rmse, 1.0)
-    return model.held_out_rmse * np.clip(ratio, 0.15, 1.0)
+    """(n,) [N·m] held-out error of moving rows, root mean square; of all rows where no other is known.
+
+    Not by the weights of the fit: those of a robust one are of most of its rows, and what it gives up is its error too.
+    """
+    return model.held_out_rmse if model.group_rmse is None else model.group_rmse[0]
 
 
 def background_of(
