@@ -6,11 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from agent.model.effects.effect import Columns, Effect, FitContext, highest_speed, on_axle
+from agent.model.effects.effect import FitContext, highest_speed
+from agent.model.effects.friction_level import FrictionLevel
 from agent.model.signals import MotionSignals
 
 
-class ViscousNonlinearity(Effect):
+class ViscousNonlinearity(FrictionLevel):
     """τ = a f(w) + b w with f(w) = v asinh(w / v) (shear thinning, Eyring), or a power of the speed."""
 
     name = "viscous_nonlinearity"
@@ -34,14 +35,13 @@ class ViscousNonlinearity(Effect):
             *({"power": power} for power in (0.5, 1.5, 2.0, 3.0)),
         ]
 
-    def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+    def level_names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("bend", "viscous_change")
 
-    def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
-        (axle,) = joints
+    def level_columns(self, signals: MotionSignals, axle: int, settings: Mapping[str, float]) -> tuple[np.ndarray, ...]:
         speed = signals.axles.speed[:, axle]
         if "power" in settings:
             bent = np.sign(speed) * np.abs(speed) ** settings["power"]
         else:
             bent = settings["speed"] * np.arcsinh(speed / settings["speed"])
-        return on_axle(signals.reference, axle, bent, speed)
+        return bent, speed
