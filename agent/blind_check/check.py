@@ -156,7 +156,7 @@ class BlindCheck:
             entry["size"] = self._world.size(case, folder, self._model(case).with_suffix(""))
             entry["kind"] = kind_by_size(case.kind, entry["size"])
         if case.kind in ("one", "two") and "error" not in found:
-            entry.update(self._second_opinions(case, found["result"]))
+            entry.update(self._second_opinions(case))
         entry["outcome"] = outcome(entry)
         write_atomically(kept, json.dumps(entry) + "\n")
         if entry["outcome"] in ("right", "in class"):
@@ -165,7 +165,7 @@ class BlindCheck:
             self._world.tidy(folder)
         return entry
 
-    def _second_opinions(self, case: Case, result: dict[str, Any]) -> dict[str, Any]:
+    def _second_opinions(self, case: Case) -> dict[str, Any]:
         from agent.blind_check.oracle import reference_closures
         from agent.blind_check.worker import diagnose_job
         from agent.core import finite
@@ -173,7 +173,7 @@ class BlindCheck:
         names = sorted({effect["effect"] for effect in case.effects})
         planned = sorted(self._folder(case).glob("*.npy"))
         withheld = diagnose_job(self._job(case, planned), without=names)
-        closures = reference_closures(withheld, case.effects, result["gap"], case.number)
+        closures = reference_closures(withheld, case.effects, case.number)
         return finite({"withheld": withheld.result, "closures": closures})
 
     def _folder(self, case: Case) -> Path:

@@ -49,14 +49,12 @@ class BlackBox(Effect):
         return {k: np.tanh(state @ self._weights + self._bias)}
 
 
-def reference_closures(
-    diagnosis: Diagnosis, effects: Sequence[Mapping[str, Any]], gap: Mapping[str, Any], seed: int
-) -> dict[str, Any]:
-    """Closures by the definition of the diagnosis, with this gap: `oracle`, `wrong` (and its name), `black_box`.
+def reference_closures(diagnosis: Diagnosis, effects: Sequence[Mapping[str, Any]], seed: int) -> dict[str, Any]:
+    """Closures by the definition of the diagnosis: `oracle`, `wrong` (and its name), `black_box`.
 
     Empty where a true effect shows in no torque or has no fitted form.
     """
-    trial = Trial(diagnosis, gap)
+    trial = Trial(diagnosis)
     chosen: list[Any] = []
     for effect in effects:
         if effect["effect"] not in CATALOGUE or CATALOGUE[effect["effect"]].shows_in == "path":

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from agent.diagnosis.candidate import Candidate
-from agent.diagnosis.gap import closure, rms
+from agent.diagnosis.gap import held_out_gap
 from agent.diagnosis.result import Diagnosis
 from agent.model import CATALOGUE, Effect
 
@@ -16,13 +15,10 @@ _FACTORS = (1.25, 1.1, 1.05)
 
 
 class Trial:
-    """Effects put where one wants them, on the logs and against the model of a diagnosis.
+    """Effects put where one wants them, on the logs and against the model of a diagnosis."""
 
-    `gap` says before and floor, as the key of that name in a result does; the diagnosis' own unless given.
-    """
-
-    def __init__(self, diagnosis: Diagnosis, gap: Mapping[str, Any] | None = None):
-        self._dataset, self._gap = diagnosis.dataset, diagnosis.result["gap"] if gap is None else gap
+    def __init__(self, diagnosis: Diagnosis):
+        self._dataset, self._gap = diagnosis.dataset, diagnosis.result["gap"]
         self._fit, self._unit = diagnosis.dataset.fit, diagnosis.gap.unit
 
     @property
@@ -57,6 +53,8 @@ class Trial:
         if not scores:
             return None
         best = max(scores, key=lambda score: score.gain)
+        reversing = [(kind, place, own) for own in kind.reversing(fit, place, best.candidate.settings)]
+        best = max([best, *fit.score(fit.candidates(reversing))], key=lambda score: score.gain)
         for factor in _FACTORS:
             now = best.candidate.settings
             finer = [(kind, place, near) for near in kind.nearby(now, factor)]
@@ -68,8 +66,5 @@ class Trial:
         return sum(candidate.effect.n_parameters(candidate.settings) for candidate in chosen)
 
     def closure(self, chosen: Sequence[Candidate]) -> float | None:
-        """(B² − A²) / (B² − F²) with A of these effects, and B and F as the diagnosis reports them."""
-        fit = self._fit.with_chosen(chosen)
-        before, floor = (None if self._gap[key] is None else np.array(self._gap[key]) for key in ("before", "floor"))
-        assert before is not None
-        return closure(before, before, rms(fit.out_of_fold(fit.once)) / self._unit, floor, self._dataset.limits)
+        """(B² − A²) / (B² − F²) of these effects, as a diagnosis that names them has it."""
+        return held_out_gap(self._dataset, self._fit.with_chosen(chosen), self._unit).closure
