@@ -35,8 +35,8 @@ def driven_through_play(
     and one over the inertia, of which link k has `column` k (K,), the mobility `followed` (K,) at most and of the slope
     half the spring's. spring (K,): impulse of a step per twist beyond half the play (K,); loss (K,): part of the
     speed's momentum that damping takes in a step while the teeth touch, which they always do where no link has play;
-    twist (K,): at the start, which is a guess: a link is damped so that it forgets it with the time gone, squared, or
-    critically, as long as that is more than its own damping.
+    twist (K,): at the start, which is a guess: a link is damped so that it forgets it with the fourth power of the time
+    gone, or critically, as long as that is more than its own damping.
     """
     samples, count = len(impulse), len(column)
     torque, second = np.empty((count, samples), np.float32), np.empty((count, samples), np.float32)

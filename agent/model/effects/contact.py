@@ -108,6 +108,13 @@ class _Push:
         """Whether another push shares time with it."""
         return bool(self.overlaps(other.log, np.array(other.start), other.duration))
 
+    def only_meets(self, other: _Push, late: float) -> bool:
+        """Whether it shares time with another `late` [s], neither end with that one's."""
+        start, end = other.start + late, other.start + other.duration + late
+        apart = abs(self.start - start), abs(self.start + self.duration - end)
+        shared = self.start < end and self.start + self.duration > start
+        return shared and min(apart) > max(_AGAIN, other.duration / _EDGE_PARTS)
+
     def overlaps(self, log: int, starts: np.ndarray, duration: float) -> np.ndarray:
         """(K,) bool: which windows of a log it shares time with."""
         return (log == self.log) & (starts < self.start + self.duration) & (starts + duration > self.start)
@@ -220,22 +227,9 @@ class _Windows:
         here = int(np.searchsorted(edges, push.start + 1e-9)) - 1
         if len(edges) < 2 or here < 0:
             return 0.0
+        others = [other for other in taken if other.log == self.log and other is not push]
         late = np.delete(edges, here) - edges[here]
-        close = max(_AGAIN, push.duration / _EDGE_PARTS)
-        ends = np.array([[p.start, p.start + p.duration] for p in taken if p.log == self.log and p is not push])
-        own = np.array([push.start, push.start + push.duration])
-        meets = [
-            bool(len(ends))
-            and bool(
-                np.any(
-                    (np.abs(ends - own - by) > close).all(axis=1)
-                    & (ends[:, 0] < own[1] + by)
-                    & (ends[:, 1] > own[0] + by)
-                )
-            )
-            for by in late
-        ]
-        places = push.start + late[~np.array(meets, dtype=bool)]
+        places = [push.start + by for by in late if not any(other.only_meets(push, by) for other in others)]
         return max(
             (float(self.gain[np.abs(self.starts - at) < 2 * _STARTS].max(initial=0.0)) for at in places), default=0
         )
@@ -275,14 +269,14 @@ def _strongest(windows: Sequence[_Windows]) -> list[_Push]:
         taken.append(last)
         # where the strongest of a length shares no time with it, it stays the strongest
         best = [w.best(taken) if one and last.meets(one) else one for one, w in zip(best, windows, strict=True)]
-    sharp = [push for push in taken if _stands_out(push, taken, windows, _SHARP, 0.0)]
-    alone = [push for push in taken if _stands_out(push, taken, windows, _STANDS_OUT, _ALONE)]
+    found = [(push, *_beside(push, taken, windows)) for push in taken]
+    alone = [p for p, around, again in found if p.gain > max(_STANDS_OUT * around, _ALONE * again)]
     # beside a push that does not come back, one that does and has nothing like it around it is a push as well
-    return [push for push in taken if push in alone or (alone and push in sharp)]
+    return [p for p, around, _ in found if p in alone or (alone and p.gain > _SHARP * around)]
 
 
-def _stands_out(push: _Push, taken: Sequence[_Push], windows: Sequence[_Windows], above: float, alone: float) -> bool:
-    """Whether a push gains `above` times what is usual and near it, and `alone` times what comes back."""
+def _beside(push: _Push, taken: Sequence[_Push], windows: Sequence[_Windows]) -> tuple[float, float]:
+    """Gain that is usual or near a push, and the one that comes back at its place of another cycle."""
     of_link = [w for w in windows if w.link == push.link]
     here = [w for w in of_link if w.log == push.log]
     as_long = min((w.duration for w in here), key=lambda duration: abs(duration - push.duration))
@@ -291,8 +285,7 @@ def _stands_out(push: _Push, taken: Sequence[_Push], windows: Sequence[_Windows]
     again = scale * max((w.again(push, taken) for w in here if w.duration == as_long), default=0.0)
     near = scale * max((w.near(push, taken) for w in here if w.duration == as_long), default=0.0)
     shortest = [w for w in of_link if w.duration == _DURATIONS[0] and w.log == push.log]
-    near = max(near, push.duration * max((w.beside_edges(push) for w in shortest), default=0.0))
-    return push.gain > max(above * usual, above * near, alone * again)
+    return max(usual, near, push.duration * max((w.beside_edges(push) for w in shortest), default=0.0)), again
 
 
 def _usual(push: _Push, taken: Sequence[_Push], windows: Sequence[_Windows]) -> float:

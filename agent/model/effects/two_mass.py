@@ -32,7 +32,7 @@ def leads(
     is lighter in some posture than the steps can follow (k h² / m > 1) counts as one that they can.
 
     How the links ring when a log begins is not known, so they are damped more at first: a start is forgotten with the
-    time gone, squared, and not carried on by a little damping.
+    fourth power of the time gone, and not carried on by a little damping.
     """
     from agent.compiled import driven_through_play
 
