@@ -18,12 +18,11 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         joints = ", ".join(cause["joints"]) or "the whole arm"
         closed = f", {closes(cause, result['closure'])}" if closes(cause) else ""
         lines.append(f"  {cause['effect']} on {joints}{closed}, probability {cause['probability']:.2f}")
-        sizes = (
-            f"{key} {size_text(cause['effect'], key, cause['parameters'][key], None)}"
-            for key in reported_parameters(cause)
-        )
-        parameters = "  ".join(sizes)
-        lines.append(f"    {parameters}")
+        sizes: list[list[str]] = []
+        for key in reported_parameters(cause):
+            sizes += [[]] if not sizes or key.startswith("link_") else []  # a line for every push of a contact
+            sizes[-1].append(f"{key} {size_text(cause['effect'], key, cause['parameters'][key], None)}")
+        lines += [f"    {'  '.join(line)}" for line in sizes]
         for other in cause["equivalent_to"]:
             lines.append(f"    as good: {other['effect']} on {', '.join(other['joints']) or 'the whole arm'}")
     gap = result["gap"]

@@ -13,6 +13,7 @@ from agent.robot import ParameterLayout
 
 _ROUNDS = 6
 _START = ("m0", "hx0", "hy0", "hz0")
+_POINT = "point_mass"  # of settings without an own inertia
 _INERTIA_TOLERANCE = 0.1  # of m r²: an inertia that is estimated below zero by no more is none
 _LEAST_RADIUS = 0.05  # m, of that r
 _BALL = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
@@ -22,7 +23,9 @@ class Payload(Effect):
     """A ball of mass m at c: columns of the last link for m, h = m c, and I = (hᵀh E − h hᵀ) / m + i E.
 
     I is homogeneous of degree one in (m, h), so with its derivatives at (m₀, h₀) the torque is exactly linear there;
-    (m₀, h₀) start from a fit of all ten parameters of the last link and settle in a few rounds (Gauss-Newton).
+    (m₀, h₀) start from a fit of all ten parameters of the last link and settle in a few rounds (Gauss-Newton). Where
+    its own inertia i comes out below zero, as torque that is scaled wrongly makes it, it is a point: i = 0 is its
+    border.
     """
 
     name = "payload"
@@ -37,25 +40,26 @@ class Payload(Effect):
     shapes = ("mass",)
     experiment = POSTURES
     residual_driven = True
-    not_reported = _START
+    not_reported = (*_START, _POINT)
     numbers = "load"
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
-        start: dict[str, float] = {}
+        settled: dict[str, float] = {}
+        start = settled
         for _ in range(_ROUNDS):
-            mass, *moment = context.fit(self, joints, start)[:4]
-            if not mass > 1e-3:
+            values = context.fit(self, joints, start)
+            if not values[0] > 1e-3:
                 return []
-            start = dict(zip(_START, map(float, (mass, *moment)), strict=True))
-        return [start]
+            settled, start = start, dict(zip(_START, map(float, values[:4]), strict=True))
+        whole = self._has_inertia(dict(zip(self.names(settled), values, strict=True)))
+        return [start if whole else {**start, _POINT: 1.0}]
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         first = ("mass", "moment_x", "moment_y", "moment_z")
-        return (
-            (*first, "inertia")
-            if settings
-            else (*first, *(f"inertia_{k}" for k in ("xx", "xy", "yy", "xz", "yz", "zz")))
-        )
+        if _POINT in settings:
+            return first
+        own = ("inertia",) if "m0" in settings else tuple(f"inertia_{k}" for k in ("xx", "xy", "yy", "xz", "yz", "zz"))
+        return (*first, *own)
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         n = signals.q.shape[1]
@@ -67,14 +71,19 @@ class Payload(Effect):
     def prior_precision(
         self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
     ) -> np.ndarray | None:
-        return np.diag(1 / np.array([20.0, 5.0, 5.0, 5.0, *([0.5] if settings else [2.0] * 6)]) ** 2)
+        scales = [20.0, 5.0, 5.0, 5.0, *([0.5] if settings else [2.0] * 6)]
+        return np.diag(1 / np.array(scales[: len(self.names(settings))]) ** 2)
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
         moment = np.array([values["moment_x"], values["moment_y"], values["moment_z"]])
-        mass, far = values["mass"], float(np.linalg.norm(moment))
-        if not (mass > 0.01 and far < mass):
-            return False
-        return values.get("inertia", 0.0) > -_INERTIA_TOLERANCE * mass * max(far / mass, _LEAST_RADIUS) ** 2
+        mass = values["mass"]
+        return mass > 0.01 and float(np.linalg.norm(moment)) < mass and self._has_inertia(values)
+
+    def _has_inertia(self, values: Mapping[str, float]) -> bool:
+        """Whether a ball's own inertia is not clearly below zero."""
+        mass, *moment = (values[name] for name in ("mass", "moment_x", "moment_y", "moment_z"))
+        radius = max(float(np.linalg.norm(moment)) / mass, _LEAST_RADIUS)
+        return values.get("inertia", 0.0) > -_INERTIA_TOLERANCE * mass * radius**2
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 4
@@ -87,7 +96,8 @@ def _voigt(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def ball(settings: Mapping[str, float]) -> np.ndarray:
-    """(10, 5) parameters of a link per unit of a ball's mass, first moments and own inertia, about (m0, h0)."""
+    """(10, 5) parameters of a link per unit of a ball's mass, first moments and own inertia, about (m0, h0); (10, 4) of
+    a point's."""
     m, h = settings["m0"], np.array([settings["hx0"], settings["hy0"], settings["hz0"]])
     change = np.zeros((10, 5))
     change[:4, :4] = np.eye(4)
@@ -95,4 +105,4 @@ def ball(settings: Mapping[str, float]) -> np.ndarray:
     for axis, unit in enumerate(np.eye(3)):
         change[4:, 1 + axis] = (_voigt(unit, h) + _voigt(h, unit)) / m
     change[4:, 4] = _BALL
-    return change
+    return change[:, :4] if _POINT in settings else change

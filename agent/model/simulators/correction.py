@@ -186,8 +186,7 @@ def _added(entry: ModelEffect, n: int) -> tuple[int, np.ndarray]:
     """Which link a payload or a mismatch changes, and by how much (10,)."""
     values = entry.parameters
     if entry.effect == "payload":
-        names = Payload().names({"m0": 1.0} if "m0" in values else {})
-        added = np.array([values[name] for name in names])
+        added = np.array([values[name] for name in Payload().names(values)])
         return n - 1, ball(values) @ added if "m0" in values else added
     link = int(values["link"])
     return link - 1, np.array([values[f"{name}{link}"] for name in LINK_PARAMETERS])

@@ -1,0 +1,40 @@
+"""A weight at the flange whose inertia comes out wrong, as where a drive's torque is scaled wrongly, is a weight."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.diagnosis import diagnose
+from agent.model.effects import CATALOGUE
+from agent.robot import ParameterLayout
+from agent.robot.dynamics import Dynamics
+from fake_controller.plant import Plant
+from tests.small_arms import record
+
+MASS = 3.0  # kg
+BALL = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
+PAYLOAD = CATALOGUE["payload"]
+
+
+@pytest.mark.parametrize(("inertia", "is_point"), [(0.0, False), (-0.06, True)])
+def test_a_load_is_a_point_where_its_own_inertia_would_be_below_nought(arm, model, inertia, is_point):
+    plant = Plant(arm, seed=3, effects=[{"effect": "payload", "parameters": {"mass": MASS}}])
+    last = ParameterLayout.of(arm, rotors=False).link(arm.dof - 1)
+    logs = []
+    for name, seed in (("one", 21), ("two", 22)):
+        log = record(plant, name, seed)
+        acceleration = np.gradient(log.velocity, log.t, axis=0)
+        ball = Dynamics(arm).regressor(log.position, log.velocity, acceleration)[:, :, last] @ (inertia * BALL)
+        logs.append(replace(log, effort=log.effort + ball))
+    found = diagnose(arm, logs, model)
+    assert found.result["verdict"] in ("explained", "ambiguous")  # a link may have any inertia, a weight may not
+    (cause,) = found.result["causes"]
+    assert cause["effect"] == "payload"
+    parameters = cause["parameters"]
+    assert parameters["mass"] == pytest.approx(MASS, rel=0.1)
+    assert ("inertia" not in parameters) == is_point
+    settings = {name: value for name, value in parameters.items() if name not in PAYLOAD.names(parameters)}
+    assert PAYLOAD.plausible(settings, parameters)
