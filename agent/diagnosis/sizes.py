@@ -31,6 +31,7 @@ _UNITS = {
     "order": "1/rad",
     "delay": "s", "shift": "s", "blend": "s", "start": "s", "end": "s", "duration": "s", "time": "s",
 }  # fmt: skip
+_ROUNDING = 1e-9  # of a parameter: it is the same in every fold
 _SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad")}  # where the figure is small
 
 
@@ -92,12 +93,16 @@ def intervals(finding: Finding) -> list[dict[str, tuple[float, float]]]:
     """Of every cause the 95 % intervals of its fitted parameters, by leaving the held-out motions out one at a time.
 
     The delete-a-group jackknife: with θ_k fitted without group k of K, the variance is (K - 1) / K Σ (θ_k - mean)².
-    Parameters that are chosen from a grid have none.
+    Parameters that are chosen from a grid have none. Of what happens once every fold of motions holds all or nothing:
+    it has those of the short segments that it is judged by.
     """
     fit = finding.fit
-    folds = [fit.fitted(fold)[1] for fold in fit.folds]
+    by_fold = {
+        once: [fit.fitted(fold)[1] for fold in folds] for once, folds in ((False, fit.folds), (True, fit.single))
+    }
     found = []
     for number, candidate in enumerate(finding.causes):
+        folds = by_fold[candidate.effect.once]
         settings = {name: float(value) for name, value in candidate.settings.items()}
 
         def reported(values: np.ndarray, candidate: Any = candidate, settings: Any = settings) -> dict[str, float]:
@@ -113,7 +118,7 @@ def intervals(finding: Finding) -> list[dict[str, tuple[float, float]]]:
             deviation = (
                 float(np.sqrt((count - 1) / count * np.sum((spread - spread.mean()) ** 2))) if count > 1 else 0.0
             )
-            if deviation > 0:
+            if deviation > _ROUNDING * abs(value):
                 half = _student(count - 1) * deviation
                 entry[name] = (value - half, value + half)
         found.append(entry)

@@ -304,5 +304,6 @@ def _write_model(found: Diagnosis, out: Path, console: Console) -> None:
         )
     if not found.finding.causes:
         console.warn(f"{out}: no effect was found, so nothing is added to the model")
+    if len(model.effects) == len(found.dataset.model.effects):
         model = found.dataset.model
     model.save(out)

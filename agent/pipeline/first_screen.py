@@ -58,8 +58,10 @@ def after_diagnosis(
         return [NextStep("after that motion, the same question with its logs added:", again)]
     if result["verdict"] == "ambiguous":
         return [NextStep("then ask again with its logs added:", again)]
-    from agent.model import is_simulator
+    from agent.model import CATALOGUE, is_simulator
 
+    if all(CATALOGUE[cause["effect"]].once for cause in result["causes"]):
+        return [NextStep("it happened once and is no part of the model: record again where nothing touches the arm.")]
     if model is not None and is_simulator(model):
         return [NextStep("or take what was found into the simulator:", f"{again} -o fixed{model.suffix}")]
     return [NextStep("or take what was found into the model:", f"{again} -o model_with_effects.json")]

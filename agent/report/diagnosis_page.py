@@ -38,6 +38,15 @@ from agent.robot import figure_text
 #: Title of the section on candidates that were not named.
 REJECTED = "What was rejected"
 _MOST_STEPS = 8
+#: What a table of pushes has of each, by the name of the parameter.
+_OF_PUSH = {
+    "on link": "link",
+    "from": "start",
+    "to": "end",
+    "force x": "force_x",
+    "force y": "force_y",
+    "force z": "force_z",
+}
 _MOST_REJECTED = 12
 _MOST_SCORES = 6
 
@@ -84,14 +93,29 @@ def _cause_section(diagnosis: Diagnosis) -> Section:
         (f"{name(cause['effect'])}, {place(cause)}", key.replace("_", " "), parameter_text(diagnosis, number, key))
         for number, cause in enumerate(result["causes"])
         for key in reported_parameters(cause)
+        if not CATALOGUE[cause["effect"]].once
     ]
-    if rows:
+    pushes = list(_push_rows(diagnosis))
+    if rows or pushes:
         text.append(
             "Intervals come from leaving motions out one at a time. What is chosen from a grid (a fading speed, a "
             "travel, an order) has none and is held, so that what trades with it may be off by more."
+            + (" Those of a push leave short segments of it out, which is narrower." if pushes else "")
         )
-    tables = (Table("parameters", ("cause", "parameter", "value, 95 % interval"), rows),) if rows else ()
+    tables = [Table("parameters", ("cause", "parameter", "value, 95 % interval"), rows)] if rows else []
+    tables += [Table("pushes", ("push", *_OF_PUSH, "in log"), pushes)] if pushes else []
     return Section("What it is", text or ["Nothing to look for."], tables)
+
+
+def _push_rows(diagnosis: Diagnosis) -> Iterator[tuple[str, ...]]:
+    """Where, when and how hard, of every push of a contact."""
+    for number, cause in enumerate(diagnosis.result["causes"]):
+        parameters = cause["parameters"] if CATALOGUE[cause["effect"]].once else {}
+        pushes = sum(key.startswith("link") for key in parameters)
+        for push in range(1, pushes + 1):
+            end = "" if push == 1 else f"_{push}"
+            shown = (parameter_text(diagnosis, number, key + end) for key in _OF_PUSH.values())
+            yield str(push), *shown, diagnosis.dataset.logs[int(parameters[f"log{end}"])].name
 
 
 def _about_cause(cause: Mapping[str, Any], result: Mapping[str, Any]) -> Iterator[str]:

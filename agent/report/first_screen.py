@@ -89,12 +89,12 @@ def sized(diagnosis: Diagnosis, number: int = 0) -> str:
 
 
 def parameter_text(diagnosis: Diagnosis, number: int, key: str) -> str:
-    """A parameter of a cause with interval and unit; of one without, two digits."""
+    """A parameter of a cause with interval and unit; of one without, two digits, but of when something happened."""
     cause = diagnosis.result["causes"][number]
     known = intervals(diagnosis.finding)
     interval = known[number].get(key) if number < len(known) else None
     value, about = float(cause["parameters"][key]), ""
-    if interval is None and not value.is_integer():
+    if interval is None and not value.is_integer() and not CATALOGUE[cause["effect"]].once:
         value, about = float(f"{value:.2g}"), "about "
     return about + size_text(cause["effect"], key, value, interval, _slides(diagnosis, cause))
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from agent.diagnosis import diagnose, intervals
 from agent.diagnosis.dataset import assemble
 from agent.model.effects import CATALOGUE
+from agent.pipeline.first_screen import after_diagnosis
+from agent.report import diagnosis_report
 from agent.robot.dynamics import Dynamics
 from fake_controller.plant import Plant
 from tests.small_arms import record
@@ -113,3 +118,26 @@ def test_a_push_near_the_base_beside_a_stronger_one_on_the_tip(arm, model, free)
     log = pushed(arm, pushed(arm, free[0], "link_3", [tip]), "link_2", [base], share=0.6)
     found = forces(best(arm, model, [log, free[1]]))
     assert [entry[:2] for entry in found] == [pytest.approx(tip, abs=0.2), pytest.approx(base, abs=0.2)]
+
+
+def test_the_page_lists_each_push_with_place_times_and_force(arm, model, free):
+    times = [(1.2, 2.0), (6.9, 7.5)]
+    found = diagnose(arm, [pushed(arm, free[0], "link_3", times), free[1]], model)
+    assert [cause["effect"] for cause in found.result["causes"]] == ["contact"]
+    (known,) = intervals(found.finding)
+    for axis, force in zip("xyz", FORCE, strict=True):
+        low, high = known[f"force_{axis}"]
+        assert high - low < np.linalg.norm(FORCE), "a fold of motions that holds all of a push says nothing of it"
+        assert (low + high) / 2 == pytest.approx(force, abs=0.3 * np.linalg.norm(FORCE))
+    assert not {"link", "log", "start", "end"} & set(known)
+    page = diagnosis_report(found, [])
+    rows = re.findall(r"<tr>((?:(?!</tr>).)*one\.mcap</td>)</tr>", page)
+    assert [row[:11] for row in rows] == ["<td>1</td><", "<td>2</td><"]
+    assert all(len(re.findall(r"[0-9] ± [0-9.]+ N<", row)) == 3 for row in rows)
+
+
+def test_a_push_is_not_taken_into_the_model():
+    result = {"verdict": "explained", "causes": [{"effect": "contact"}]}
+    (step,) = after_diagnosis(result, None, [Path("a.mcap")], Path("model.json"))
+    assert "no part of the model" in step.what
+    assert not step.command
