@@ -105,6 +105,10 @@ def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool, limits:
                     f"{log.name}: the torque of {robot.joint_names[joint]} stays at its largest value for "
                     f"{100 * share:.1f} % of the time: it looks clipped, and what happens there is not seen"
                 )
-    for joint, name in enumerate(robot.joint_names):
-        if all(np.ptp(log.position[:, joint]) <= limits.least_travel for log in logs):
-            yield f"{name} never moves: nothing but its weight can be judged"
+    still = [
+        name
+        for joint, name in enumerate(robot.joint_names)
+        if all(np.ptp(log.position[:, joint]) <= limits.least_travel for log in logs)
+    ]
+    if still:
+        yield f"nothing but its weight can be judged of a joint that never moves: {', '.join(still)}"
