@@ -43,9 +43,10 @@ class NominalModel:
         spread = (model.projection * prior_std**2) @ model.projection.T
         correction = np.linalg.solve(spread, model.base_values - model.projection @ mean)
         standard = mean + prior_std**2 * (model.projection.T @ correction)
-        self.prior_std = prior_std
         layout = ParameterLayout.of(self.robot)
         self.links: Dynamics = nominal.with_parameters(standard[layout.links])
+        # what a description without masses leaves open, only the model's weight tells the size of: nothing else changes
+        self.prior_std = prior_std if np.any(links) else _liftable(self.links, nominal) / prior_std[0] * prior_std
         #: links whose mass matrix is sound: where the spread ones could not be bodies, those of the description, or,
         #: where that has none, the nearest bodies to the spread ones
         self.solid: Dynamics = self.links
@@ -94,6 +95,14 @@ def _reach(nominal: Dynamics) -> float:
     """[m] how far the tip gets, at least 0.1."""
     tips = nominal.tip_pose(np.random.default_rng(0).uniform(-3, 3, (50, nominal.dof)))[:, :3, 3]
     return max(float(np.linalg.norm(tips, axis=1).max()), 0.1)
+
+
+def _liftable(links: Dynamics, nominal: Dynamics) -> float:
+    """[kg] what would weigh at the tip as much as all links do, a thousandth of a kilogram at least."""
+    poses = np.random.default_rng(0).uniform(-3, 3, (50, nominal.dof))
+    weight = np.abs(links.inverse_dynamics(poses, np.zeros_like(poses), np.zeros_like(poses))).max()
+    gravity = max(float(np.linalg.norm(links.robot.gravity)), 1.0)
+    return max(float(weight) / gravity / _reach(nominal), 1e-3)
 
 
 def _doubt(robot: RobotDescription, nominal: Dynamics, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

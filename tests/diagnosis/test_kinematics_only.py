@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -46,3 +47,13 @@ def test_a_link_on_a_spring_has_finite_columns(massless, name):
     with np.errstate(all="raise"):
         columns = CATALOGUE[name].columns(signals, (1,), settings)
     assert all(np.isfinite(block).all() for block in columns.values())
+
+
+def test_its_links_may_weigh_otherwise(massless):
+    """By as much as what the arm holds up, which is all that is known of their size."""
+    nominal, signals = massless
+    weight = np.abs(nominal.links.inverse_dynamics(signals.q, 0 * signals.q, 0 * signals.q)).max()
+    context, effect = SimpleNamespace(reference=nominal), CATALOGUE["inertial_mismatch"]
+    for settings in effect.settings(context, ()):
+        mass = 1 / np.sqrt(effect.prior_precision(context, (), settings)[0, 0])
+        assert 0.1 < mass * 9.81 / weight < 10, "a lever of a tenth of a metre to ten metres"

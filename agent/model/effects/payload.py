@@ -1,4 +1,4 @@
-"""Mass at the flange that the model does not have."""
+"""Mass at the flange that the model does not have, or has and the arm has not."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Payload(Effect):
     source = "Atkeson, An, Hollerbach, Int. J. Robotics Research 5 (1986): loads"
     signature = "residual of weight and inertia on all joints, as of a mass at the flange"
     confused_with = ("inertial_mismatch", "base_tilt")
-    phrase = "there is a mass at the flange that the model does not have"
-    look_at = "what hangs on the flange: tool, part, mass entered in the controller"
+    phrase = "the flange carries another mass than in the model"
+    look_at = "what hangs on the flange or was taken off it: tool, part, mass entered in the controller"
     shapes = ("mass",)
     experiment = POSTURES
     residual_driven = True
@@ -48,7 +48,7 @@ class Payload(Effect):
         start = settled
         for _ in range(_ROUNDS):
             values = context.fit(self, joints, start)
-            if not values[0] > 1e-3:
+            if not abs(values[0]) > 1e-3:
                 return []
             settled, start = start, dict(zip(_START, map(float, values[:4]), strict=True))
         whole = self._has_inertia(dict(zip(self.names(settled), values, strict=True)))
@@ -76,14 +76,14 @@ class Payload(Effect):
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
         moment = np.array([values["moment_x"], values["moment_y"], values["moment_z"]])
-        mass = values["mass"]
+        mass = abs(values["mass"])
         return mass > 0.01 and float(np.linalg.norm(moment)) < mass and self._has_inertia(values)
 
     def _has_inertia(self, values: Mapping[str, float]) -> bool:
-        """Whether a ball's own inertia is not clearly below zero."""
+        """Whether a ball's own inertia, counted as its mass is, is not clearly below zero."""
         mass, *moment = (values[name] for name in ("mass", "moment_x", "moment_y", "moment_z"))
-        radius = max(float(np.linalg.norm(moment)) / mass, _LEAST_RADIUS)
-        return values.get("inertia", 0.0) > -_INERTIA_TOLERANCE * mass * radius**2
+        radius = max(float(np.linalg.norm(moment)) / abs(mass), _LEAST_RADIUS)
+        return values.get("inertia", 0.0) / mass > -_INERTIA_TOLERANCE * radius**2
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return 4

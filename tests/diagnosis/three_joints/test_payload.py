@@ -1,4 +1,4 @@
-"""A weight at the flange whose inertia comes out wrong, as where a drive's torque is scaled wrongly, is a weight."""
+"""A weight at the flange, also where torque that is scaled wrongly makes its inertia, and where it was taken off."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from agent.diagnosis import diagnose
+from agent.estimation import estimate
 from agent.model.effects import CATALOGUE
 from agent.robot import ParameterLayout
 from agent.robot.dynamics import Dynamics
@@ -38,3 +39,14 @@ def test_a_load_is_a_point_where_its_own_inertia_would_be_below_nought(arm, mode
     assert ("inertia" not in parameters) == is_point
     settings = {name: value for name, value in parameters.items() if name not in PAYLOAD.names(parameters)}
     assert PAYLOAD.plausible(settings, parameters)
+
+
+def test_a_load_that_was_taken_off_weighs_less_than_nothing(arm):
+    carries = Plant(arm, seed=3, effects=[{"effect": "payload", "parameters": {"mass": MASS}}])
+    model = estimate(arm, [record(carries, "first", 11), record(carries, "second", 12)])
+    bare = Plant(arm, seed=3)
+    found = diagnose(arm, [record(bare, "one", 21), record(bare, "two", 22)], model)
+    assert found.result["verdict"] == "explained"
+    (cause,) = found.result["causes"]
+    assert cause["effect"] == "payload"
+    assert cause["parameters"]["mass"] == pytest.approx(-MASS, rel=0.1)

@@ -188,7 +188,7 @@ def test_a_motor_that_turns_along_is_found_as_it_is_built_in(arm, model, describ
 def test_the_page_says_what_where_and_what_to_do(diagnosed):
     page = diagnosis_report(diagnosed, simulate(diagnosed))
     for words in (
-        "a mass at the flange that the model does not have",
+        "the flange carries another mass than in the model",
         "Look at: what hangs on the flange",
         "On motion that it was not fitted to: closes ",
         "Forward simulation",
