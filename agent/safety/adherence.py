@@ -274,9 +274,9 @@ class Adherence:
                 self._mark = self._moved, self._mark[1] + planned
             return None
         return (
-            f"{self._last - self._began:.2f} s into the motion: what was planned to take {planned:.1f} s took "
-            f"{took:.1f} s: the override is not at 100 %, or was changed, or it is not the planned motion; set it to "
-            f"100 %, then run the command again; if it was, {_LAW}"
+            f"{self._last - self._began:.2f} s into the motion: what was planned to take {max(planned, 0.0):.1f} s "
+            f"took {took:.1f} s: the override is not at 100 %, or was changed, or it is not the planned motion; set it "
+            f"to 100 %, then run the command again; if it was, {_LAW}"
         )
 
     def _unit(self, joint: int) -> str:
