@@ -12,9 +12,9 @@ from agent.diagnosis.isolability import plausible
 from agent.diagnosis.limits import DecisionLimits
 
 
-def joint_energy(fit: Fit) -> np.ndarray:
-    """(n,) mean of (e / σ)² held out."""
-    return np.nanmean((fit.out_of_fold(fit.once) / fit.sigma) ** 2, axis=0)
+def joint_energy(fit: Fit, single: bool | None = None) -> np.ndarray:
+    """(n,) mean of (e / σ)² held out; by `single` folds if so, else by those that the chosen effects are judged by."""
+    return np.nanmean((fit.out_of_fold(fit.once if single is None else single) / fit.sigma) ** 2, axis=0)
 
 
 def over_background(fit: Fit) -> np.ndarray:
@@ -31,14 +31,14 @@ def put_elsewhere(fit: Fit, score: HeldOutScore) -> float:
     """Σ e² / σ² that an effect adds on the joints beside the one where it gains most; below nought where it takes away.
 
     A force or a body pulls at all joints below it. One that is fitted to what a single joint has, as a sensor that
-    holds its value, puts torque on the others that nobody measured.
+    holds its value, puts torque on the others that nobody measured. Rows of guards are in no fit, and do not count.
     """
     joints = list(score.candidate.blocks)
     if len(joints) < 2:
         return 0.0
     before = np.concatenate(fit.residuals)
     after = np.concatenate(fit.with_chosen((*fit.chosen, score.candidate)).residuals)
-    gained = np.sum(((before**2 - after**2) / fit.sigma**2)[:, joints], axis=0)
+    gained = np.sum(((before**2 - after**2) / fit.sigma**2)[fit.cell >= 0][:, joints], axis=0)
     return float(gained.max() - gained.sum())
 
 
@@ -60,9 +60,12 @@ def possible_together(fit: Fit) -> bool:
     return all(plausible(HeldOutScore(candidate, 0.0, 0.0, values)) for candidate, values in chosen)
 
 
-def closed_excess(limits: DecisionLimits, before: np.ndarray, fit: Fit) -> float:
-    """How much of the excess over the background is gone; 1 where there was none to speak of."""
-    after = joint_energy(fit)
+def closed_excess(limits: DecisionLimits, base: Fit, fit: Fit) -> float:
+    """How much of the excess over the background of a fit without effects is gone; 1 where there was none to speak of.
+
+    Before and after are held out alike, or what the model's numbers gain between other folds would be the effects'.
+    """
+    before, after = joint_energy(base, fit.once), joint_energy(fit)
     excess = np.sum(np.maximum(before - 1, 0))
     left = np.sum(np.maximum(after - 1, 0) * (after > 1 + 0.5 * limits.excess_energy))
     return float(1 - left / excess) if excess > 0.1 else float(left < 0.1)

@@ -68,7 +68,6 @@ class Search:
     def run(self) -> Finding:
         """Search until nothing worth naming is left."""
         base = self.fit
-        before = joint_energy(base)
         steps = [first := self.scan(base)]
         reported = noticed(self.limits, self._at_rest, base, self.limits.unexplained_torque)
         matters = bool(np.any(reported & noticed(self.limits, self._at_rest, base, allow_stiction=True)))
@@ -83,7 +82,7 @@ class Search:
                 break
             if best is None or best[0] - result > self._clearly_less(best[0]):
                 best = result, chosen
-            if closed_excess(self.limits, before, error) > self.limits.single_effect_closure and len(chosen) == 1:
+            if closed_excess(self.limits, base, error) > self.limits.single_effect_closure and len(chosen) == 1:
                 break
             if best[0] <= self._clearly_less(best[0]):
                 break  # even nothing is not clearly less
@@ -91,7 +90,7 @@ class Search:
         if best is None:
             return self._nothing(nothing, steps)
         fit = base.with_chosen(self._pruned(self._smaller(best[1], steps) if self.moved else best[1]))
-        closed = closed_excess(self.limits, before, fit)
+        closed = closed_excess(self.limits, base, fit)
         if closed < self.limits.explained:
             return self._nothing(nothing, steps, closed)
         finding = self._verdict(fit, closed, steps)

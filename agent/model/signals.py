@@ -55,6 +55,7 @@ class NominalModel:
         elif not _sound(self.links, nominal):
             self.solid = nominal
         self.rotors = standard[layout.rotors]
+        self.reach = _reach(nominal)
         self.coupling = self.robot.coupling
         self.from_joints = np.linalg.inv(self.coupling)
         self.reversals = tuple(self._reversal(axle) for axle in range(self.robot.dof))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.diagnosis.excess import put_elsewhere
+from agent.diagnosis.excess import closed_excess, joint_energy, put_elsewhere
 from agent.diagnosis.finding import Step
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.procedure import Search
 from agent.model.effects import CATALOGUE
 from tests.diagnosis.test_evidence import redrawn
@@ -30,6 +31,37 @@ def test_a_push_takes_away_on_every_joint_and_a_joint_alone_is_none(diagnosed, j
     (score,) = seen.score([push])
     assert score.gain > 0
     assert (put_elsewhere(seen, score) > 0.02 * float(seen.count.sum())) == (joint is not None)
+
+
+def test_rows_that_are_in_no_fit_take_nothing_away(diagnosed):
+    fit = diagnosed(0).dataset.fit
+    push = fit.candidate(CATALOGUE["contact"], (), PUSH)
+    seen = redrawn(fit, np.random.default_rng(3), push, FORCE)
+    guards = (seen.signals[0].time[seen.signals[0].kept] > 4.1) & (seen.signals[0].time[seen.signals[0].kept] < 4.2)
+    seen.cell = np.where(np.pad(guards, (0, len(seen.cell) - len(guards))), -1, seen.cell)
+    seen = redrawn_from(seen)
+    (score,) = seen.score([push])
+    before = put_elsewhere(seen, score)
+    for joint, rows in enumerate(seen.rows):
+        rows[seen.cell < 0, -1] += 1000.0 * (-1) ** joint
+    assert put_elsewhere(redrawn_from(seen), score) == pytest.approx(before, rel=1e-9)
+
+
+def test_what_moved_numbers_gain_between_other_folds_is_not_the_effects(diagnosed):
+    """A push where none was closes nothing, though it is judged by other folds than a fit without it."""
+    fit = diagnosed(0).dataset.fit
+    seen = redrawn(fit, np.random.default_rng(5), hose(fit), np.array([0.0, 0.0, 40.0]))
+    nothing = seen.candidate(CATALOGUE["contact"], (), {**PUSH, "log_1": 99.0})
+    assert abs(joint_energy(seen, True) - joint_energy(seen, False)).max() > 1e-3
+    assert closed_excess(LIMITS, seen, seen.with_chosen((nothing,))) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_force_that_turns_no_joint_is_small(diagnosed):
+    """Along the first axis nothing is seen of it: without a size of its own it would be anything."""
+    fit = diagnosed(0).dataset.fit
+    push = fit.candidate(CATALOGUE["contact"], (), {**PUSH, "link_1": 1.0})
+    deviation = np.sqrt(np.linalg.inv(fit.with_chosen((push,)).prior[-3:, -3:]).diagonal())
+    assert deviation.max() < 10 * fit.reference.scale.max() / fit.reference.reach
 
 
 def test_a_score_does_not_depend_on_what_is_scored_beside_it(diagnosed):

@@ -80,6 +80,13 @@ class Contact(Effect):
             block[inside, :, 3 * place : 3 * place + 3] = -pushed * window[inside, None, None]
         return {joint: block[:, joint] for joint in range(n)}
 
+    def prior_precision(
+        self, context: FitContext, joints: tuple[int, ...], settings: Mapping[str, float]
+    ) -> np.ndarray | None:
+        """A force is as the strongest joint holds at full reach: what turns no joint is not seen, and is small."""
+        usual = float(context.reference.scale.max()) / context.reference.reach
+        return np.eye(len(self.names(settings))) / usual**2
+
     def reported(
         self, reference: NominalModel, settings: Mapping[str, float], values: Mapping[str, float]
     ) -> dict[str, float]:
