@@ -177,8 +177,23 @@ class Search:
                 continue  # it takes noise out of the prediction
             if put_elsewhere(fit, score) > self.least:
                 continue  # what it explains is on one joint, and its torque on others is not there
+            if effect.once and self._may_follow_position(fit, score):
+                continue
             result.append(score)
         return tuple(sorted(result, key=lambda s: -s.gain))
+
+    def _may_follow_position(self, fit: Fit, score: HeldOutScore) -> bool:
+        """Whether a law of position takes away as much, on a joint that travels too little for it to be named."""
+        wanted = [
+            (effect, (joint,), settings)
+            for effect in CATALOGUE.values()
+            for joint in score.candidate.blocks
+            if effect.scope == "joint" and "position" in effect.shapes and self.excursions.moved[joint]
+            if self.excursions.travel[joint] < effect.needs_travel
+            for settings in effect.settings(fit, (joint,))
+        ]
+        laws = fit.score(fit.candidates(wanted))
+        return any(law.gain >= (1 - self.limits.equal_gain) * score.gain for law in laws)
 
     def _over(self, score: HeldOutScore, over: np.ndarray, clear: np.ndarray) -> bool:
         """Whether an error over the background may be its own; a model fitted with it would look the same below."""

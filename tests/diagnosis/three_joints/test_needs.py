@@ -53,3 +53,21 @@ def test_links_without_mass_do_not_ring(arm, model, parked, monkeypatch):
         monkeypatch.setitem(signals.__dict__, "mass", np.zeros((len(signals.time), arm.dof, arm.dof)))
     with np.errstate(all="raise"):
         assert [CATALOGUE[name].settings(fit, (0,)) for name in ("joint_elasticity", "backlash")] == [[], []]
+
+
+@pytest.mark.parametrize("cause", ["of its angle", "a push"])
+def test_what_follows_a_short_travel_is_no_push(arm, model, cause):
+    """A hose that grips late on a joint that turns by little; a push there is still one."""
+    plant, logs = Plant(arm, seed=3), []
+    for name, seed in (("one", 21), ("two", 22)):
+        log = replace(record(plant, name, seed, (0.06, 1.0, 1.0)), cycle_starts=())
+        way = log.position[:, 0] - np.median(log.position[:, 0])
+        torque = 8.0 * np.clip(way / np.abs(way).max() - 0.5, 0, None)
+        if cause == "a push":
+            torque = 4.0 * np.clip(np.minimum(log.t - 3.2, 4.0 - log.t) / 0.05, 0, 1)
+        effort = log.effort.copy()
+        effort[:, 0] += torque
+        logs.append(replace(log, effort=effort))
+    result = diagnose(arm, logs, model).result
+    assert [entry["effect"] for entry in result["causes"]] == ([] if cause == "of its angle" else ["contact"])
+    assert result["verdict"] != "no_gap"
