@@ -35,7 +35,7 @@ def main() -> None:
 
 def _run() -> None:
     try:
-        code = app(standalone_mode=False)
+        code = _called()
         if code == _INTERRUPTED:  # typer's word for a KeyboardInterrupt
             raise KeyboardInterrupt
         flush_results()
@@ -48,6 +48,16 @@ def _run() -> None:
     except Exception as error:
         _unexpected(error)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _called() -> object:
+    """What the command returns; where a signal comes while compiled code returns, Python hides it in a SystemError."""
+    try:
+        return app(standalone_mode=False)
+    except SystemError as error:
+        if isinstance(error.__cause__, KeyboardInterrupt | Ended):
+            raise error.__cause__ from None
+        raise
 
 
 def _unexpected(error: Exception) -> None:

@@ -217,7 +217,7 @@ def _held(friction: np.ndarray, speed: float, bristle: np.ndarray, dt: float) ->
     drag = viscous * speed / (1.0 + abs(speed) * per_knee)
     # Implicit in the bristle, whose rate |v| k / g is far beyond the step's at full speed.
     stretch = stiffness * speed * dt
-    if stretch != 0.0:
+    if abs(stretch) > 0.0:  # no number where an arm without bristles runs away
         bristle[0] = (bristle[0] + stretch) / (1.0 + abs(stretch) / level)
     return bristle[0] + drag
 

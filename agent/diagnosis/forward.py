@@ -66,7 +66,7 @@ def simulate(diagnosis: Diagnosis) -> list[Simulated]:
         motion = shortened(motion, int(LONGEST * motion.rate))  # edges included
         if motion.torque is None or motion.set_points is None or not np.all(np.isfinite(motion.set_points)):
             continue
-        held_out = len(dataset.logs) > 1
+        held_out = len(dataset.logs) > 1 and not diagnosis.finding.fit.once  # of a push no other log knows
         extended = extended_model(diagnosis, without=number if held_out else None, once=True)
         before = _follow(dataset.model, motion, number)
         after = _follow(extended, motion, number) if extended.effects else before

@@ -288,6 +288,8 @@ def _check(question: GapQuestion, logs: Sequence[Path]) -> None:
     for out in files:
         if out is not None:
             check_output(out, inputs)
+    if question.report is not None and question.report in files[1:]:
+        raise InputError(f"{question.out}: is both the page and the model; name two files")
     if question.out is not None and question.next_recipe is None:
         check_simulator_out(question.model, question.out, inputs)
 

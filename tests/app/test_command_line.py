@@ -28,6 +28,21 @@ def test_help_loads_nothing_heavy():
     assert "calibrate" in run.stdout
 
 
+def test_a_signal_within_compiled_code_is_a_signal():
+    """Python says SystemError where a handler raises while a function in C returns a result."""
+    script = (
+        "import importlib\n"
+        "entry = importlib.import_module('agent.cli.main')\n"
+        "def hit(standalone_mode):\n"
+        "    raise SystemError('returned a result with an exception set') from KeyboardInterrupt()\n"
+        "entry.app = hit\n"
+        "entry.main()\n"
+    )
+    run = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert run.returncode == 130
+    assert run.stderr == "agent: interrupted\n"
+
+
 def test_unknown_command_is_usage(run_agent):
     run = run_agent("calibrat")
     assert run.returncode == 2

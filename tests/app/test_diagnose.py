@@ -51,6 +51,7 @@ def test_nothing_moves_where_the_question_makes_no_sense(controller, write_recip
         (["--record", recipe, "--without", "squeak"], "squeak"),
         (["--record", recipe, "--model", "absent.json"], "no such model file"),
         (["--record", recipe, "--report", "nowhere/page.html"], "there is no folder"),
+        (["--record", recipe, "--report", "both.json", "-o", "both.json"], "name two files"),
         (["--robot", "comau_ns16", "some.mcap", "--until-sure"], "name the recipe to record"),
         (["--record", recipe, "--until-sure", "--budget", "10"], "10 min"),
         (["--record", recipe, "--until-sure", "--budget", "2 s"], "of motion are allowed"),

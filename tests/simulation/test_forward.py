@@ -275,3 +275,14 @@ def test_feedforward_of_the_inertia_shrinks_the_tracking_error(make_arm, stop_an
         position = simulation.run(q, qd).position
         worst.append(np.abs(position[1:] - q[:-1]).max())
     assert worst[1] < 0.3 * worst[0]
+
+
+def test_an_arm_that_runs_away_ends_in_no_number_and_not_in_an_error(make_arm):
+    """Gains of a thousand tonnes on a rotor of a feather, without bristles."""
+    friction = RigidActuation(np.zeros(1), np.full(1, 0.01), np.zeros(1), np.zeros(1))
+    gains = ServoGains.tuned(np.full(1, 1e6), np.full(1, np.inf))
+    simulation = ForwardSimulation(Dynamics(make_arm(1)), np.full(1, ROTORS), friction, gains)
+    simulation.rest(np.zeros(1))
+    with np.errstate(all="ignore"):
+        motion = simulation.run(np.full((2000, 1), 0.5), np.zeros((2000, 1)))
+    assert not np.all(np.isfinite(motion.position))

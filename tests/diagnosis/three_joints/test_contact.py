@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.diagnosis import diagnose, intervals
+from agent.diagnosis import diagnose, intervals, simulate
 from agent.diagnosis.dataset import assemble
 from agent.model.effects import CATALOGUE
 from agent.pipeline.first_screen import after_diagnosis
@@ -141,3 +141,11 @@ def test_a_push_is_not_taken_into_the_model():
     (step,) = after_diagnosis(result, None, [Path("a.mcap")], Path("model.json"))
     assert "no part of the model" in step.what
     assert not step.command
+
+
+def test_a_push_is_simulated_also_where_other_logs_know_nothing_of_it(arm, model, free):
+    found = diagnose(arm, [pushed(arm, free[0], "link_3", [(1.2, 2.0)]), free[1]], model)
+    assert [cause["effect"] for cause in found.result["causes"]] == ["contact"]
+    simulated = next(one for one in simulate(found) if one.log == "one.mcap")
+    before, after = (np.sqrt(np.mean(part**2)) for part in (simulated.torque_before, simulated.torque_after))
+    assert after < 0.5 * before
