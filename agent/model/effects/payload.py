@@ -25,7 +25,7 @@ class Payload(Effect):
     I is homogeneous of degree one in (m, h), so with its derivatives at (m₀, h₀) the torque is exactly linear there;
     (m₀, h₀) start from a fit of all ten parameters of the last link and settle in a few rounds (Gauss-Newton). Where
     its own inertia i comes out below zero, as torque that is scaled wrongly makes it, it is a point: i = 0 is its
-    border.
+    border. A load that was taken off is the same with every sign changed.
     """
 
     name = "payload"
