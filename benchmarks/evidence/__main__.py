@@ -25,7 +25,7 @@ RECIPE = Path(__file__).with_name("recipe.yaml")
 def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.evidence")
-    parser.add_argument("--folder", type=Path, default=FOLDER, help="of the results (default: build/evidence)")
+    parser.add_argument("--folder", type=Path, default=FOLDER, help="of the results (default: the kept ones)")
     parser.add_argument("--recipe", type=Path, default=RECIPE, help="robot, sub-region and size of the searches")
     commands = parser.add_subparsers(dest="command", required=True)
     of_run = commands.add_parser("run", help="compute what is missing of a piece")

@@ -15,8 +15,8 @@ from agent.excitation import Candidates, Criterion
 from agent.motion import Trajectory, ViaRegions
 from agent.pipeline.planning import loop_problem
 from agent.recipe import Recipe
-from benchmarks.evidence.emulation import plant, record, repeated, true_parameters
-from benchmarks.evidence.judging import figures, intervals
+from benchmarks.evidence.emulation import plant, record, repeated
+from benchmarks.evidence.judging import error, intervals
 from benchmarks.evidence.local import fitted
 from benchmarks.evidence.loops import (
     LocalLoops,
@@ -81,16 +81,16 @@ def measure(recipe: Recipe, machine: int, name: str, loops: Results, memory: dic
 
 
 def judged(recipe: Recipe, machine: int, loop: Trajectory, memory: dict) -> dict:
-    """Figures and intervals of models of the first seconds of a loop, run again and again."""
+    """Error and intervals of models of the first seconds of a loop, run again and again."""
     near = memory.setdefault(("near", machine), [])
     if not near:
         near += [record(plant(recipe.robot, machine), [motion]) for motion in unseen_motions(recipe, machine)]
     arm = plant(recipe.robot, machine)
     log = repeated(arm, loop, max(SECONDS))
-    found: dict = {"cycle": loop.duration}
+    found: dict = {}
     for seconds in SECONDS:
         model = fitted(recipe, log, seconds)
-        found[f"{seconds:g}"] = figures(model, near, true_parameters(arm)) | intervals(model, near[:1])
+        found[f"{seconds:g}"] = {"error": error(model, near)} | intervals(model, near[:1])
     return found
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -21,7 +21,7 @@ def error(model: IdentifiedModel, logs: Sequence[Log]) -> list[float]:
     return rounded(100 * np.sqrt(np.mean(left**2, axis=0)) / model.robot.nominal_torque)
 
 
-def figures(model: IdentifiedModel, logs: Sequence[Log], truth: np.ndarray | None = None) -> dict[str, list[float]]:
+def figures(model: IdentifiedModel, logs: Sequence[Log], truth: np.ndarray) -> dict[str, list[float]]:
     """Per joint, (n,) each, in percent:
 
     `error` and `torque`, RMS over nominal torque, all samples; `moving`, `resting`: of samples in which this joint
@@ -42,18 +42,17 @@ def figures(model: IdentifiedModel, logs: Sequence[Log], truth: np.ndarray | Non
             "resting": np.sqrt((square * ~moves).sum(axis=0) / (~moves).sum(axis=0)),
             "relative": np.linalg.norm(left, axis=0) / np.linalg.norm(measured, axis=0),
         }
-    if truth is not None:
-        motion = [
-            np.concatenate([getattr(p, name)[::_EVERY] for p in predictions])
-            for name in ("position", "velocity", "acceleration")
-        ]
-        wrong = model.rigid.torque(*motion, model.base_values) - model.rigid.torque(*motion, model.projection @ truth)
-        found["bodies"] = np.sqrt(np.mean((wrong / robot.nominal_torque) ** 2, axis=0))
+    motion = [
+        np.concatenate([getattr(p, name)[::_EVERY] for p in predictions])
+        for name in ("position", "velocity", "acceleration")
+    ]
+    wrong = model.rigid.torque(*motion, model.base_values) - model.rigid.torque(*motion, model.projection @ truth)
+    found["bodies"] = np.sqrt(np.mean((wrong / robot.nominal_torque) ** 2, axis=0))
     return {name: rounded(100 * values) for name, values in found.items()}
 
 
-def intervals(model: IdentifiedModel, logs: Sequence[Log]) -> dict[str, list[float]]:
-    """Per joint, (n,) each: `width` and `parameters`, RMS half width of 95 % intervals over nominal torque [%], whole
+def intervals(model: IdentifiedModel, logs: Sequence[Log]) -> dict[str, float]:
+    """Means over joints: `width` and `parameters`, RMS half width of 95 % intervals over nominal torque [%], whole
     and what the parameters' uncertainty has in it; `covered`, share of samples in motion that lie within [%]."""
     whole, own, within = [], [], []
     for log in logs:
@@ -68,11 +67,12 @@ def intervals(model: IdentifiedModel, logs: Sequence[Log]) -> dict[str, list[flo
         inside = np.abs(prediction.error[::_EVERY]) <= width
         within.append(inside[prediction.moving[::_EVERY]])
     nominal = model.robot.nominal_torque
-    return {
-        "width": rounded(100 * np.sqrt(np.mean(np.concatenate(whole) ** 2, axis=0)) / nominal),
-        "parameters": rounded(100 * np.sqrt(np.mean(np.concatenate(own) ** 2, axis=0)) / nominal),
-        "covered": rounded(100 * np.mean(np.concatenate(within), axis=0)),
+    found = {
+        "width": np.sqrt(np.mean(np.concatenate(whole) ** 2, axis=0)) / nominal,
+        "parameters": np.sqrt(np.mean(np.concatenate(own) ** 2, axis=0)) / nominal,
+        "covered": np.mean(np.concatenate(within), axis=0),
     }
+    return dict(zip(found, rounded([100 * np.mean(values) for values in found.values()]), strict=True))
 
 
 def covered_parameters(model: IdentifiedModel, truth: np.ndarray) -> float:
@@ -82,6 +82,6 @@ def covered_parameters(model: IdentifiedModel, truth: np.ndarray) -> float:
     return float(100 * np.mean(away <= Z * model.standard_deviations[:base]))
 
 
-def rounded(values: np.ndarray) -> list[float]:
+def rounded(values: Iterable[float]) -> list[float]:
     """Five digits are enough on disk."""
     return [float(f"{value:.5g}") for value in values]

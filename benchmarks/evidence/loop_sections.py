@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 
 from benchmarks.evidence import figures
 from benchmarks.evidence.criteria import DEFAULT, SECONDS, SETTINGS
 from benchmarks.evidence.results import Results
-from benchmarks.evidence.search import METHODS, setting
+from benchmarks.evidence.search import GENETIC, METHODS, setting
 from benchmarks.evidence.section import PageSection
-from benchmarks.evidence.statistics import each, mean_of, ratio_of, text, verdict
+from benchmarks.evidence.statistics import FEWEST, difference_of, each, mean_of, ratio_of, text, verdict
 
 _SHORT, _LONG = (f"{seconds:g}" for seconds in SECONDS)
 
@@ -80,34 +81,73 @@ def searches(results: Mapping[str, Results], pictures: Path) -> PageSection:
     """How it is searched."""
     part = PageSection()
     part.say("## How it is searched")
-    rows, picture = [], {}
-    for piece, kept in results.items():
+    kept: dict[int, dict[str, dict]] = {}
+    for piece, lines in results.items():
         budget = int(piece.rsplit("-", 1)[1])
-        base = kept.of(setting("genetic", budget))
-        if not base:
+        kept[budget] = {method: found for method in METHODS if (found := lines.of(setting(method, budget)))}
+        if GENETIC not in kept[budget]:
+            del kept[budget]
             part.weak.append(f"searches of {budget} candidates: not run")
-            continue
-        for method in METHODS:
-            if not (lines := kept.of(setting(method, budget))):
-                continue
-            error = each(lines, lambda v: v[_SHORT]["error"])
-            ratio = ratio_of(error, each(base, lambda v: v[_SHORT]["error"]))
-            width = ratio_of(*(each(group, lambda v: v[_SHORT]["parameters"]) for group in (lines, base)))
-            fitness = mean_of({m: v["fitness"] for m, v in lines.items()})
-            rows.append(
-                [method, str(budget), str(len(lines)), text(fitness, 1), text(mean_of(error)), text(ratio), text(width)]
-            )
-            if method != "genetic":
-                picture[f"{method}, {budget}"] = ratio, verdict(ratio, len(lines))
-    if rows:
-        part.say(
-            f"Every search has the seed of its machine; models of {_SHORT} s of the best loop of each. Ratios are over "
-            "the genetic search of equal size. Fitness is the criterion itself: how well a search does its own job."
-        )
-        part.table(
-            ["search", "candidates", "machines", "fitness", f"error after {_SHORT} s [%]", "ratio", "interval width"],
-            rows,
-        )
-        figures.ratios(pictures / "search.svg", picture, f"error after {_SHORT} s over that of the genetic search")
-        part.picture("search", "Ratio of errors by search")
+    if kept:
+        _methods(part, kept, pictures)
+        _budgets(part, kept)
     return part
+
+
+def _error(lines: dict) -> dict[int, float]:
+    return each(lines, lambda v: v[_SHORT]["error"])
+
+
+def _fitness(lines: dict) -> dict[int, float]:
+    return {machine: values["fitness"] for machine, values in lines.items()}
+
+
+def _methods(part: PageSection, kept: dict, pictures: Path) -> None:
+    rows, picture = [], {}
+    for budget, methods in kept.items():
+        base = methods[GENETIC]
+        for method, lines in methods.items():
+            ratio = ratio_of(_error(lines), _error(base))
+            width = ratio_of(*(each(group, lambda v: v[_SHORT]["parameters"]) for group in (lines, base)))
+            above = difference_of(_fitness(lines), _fitness(base))
+            row = [text(mean_of(_fitness(lines)), 1), text(above, 1), text(mean_of(_error(lines)))]
+            rows.append([method, str(budget), str(len(lines)), *row, text(ratio), text(width)])
+            if method == GENETIC:
+                continue
+            said = verdict(ratio, len(lines))
+            picture[f"{method}, {budget}"] = ratio, said
+            if len(lines) >= FEWEST and (above[1] > 0 or said == "better"):
+                part.weak.append(
+                    f"{method} of {budget} candidates did better than the genetic search: fitness {text(above, 1)} "
+                    f"above, {text(ratio)} times the error after {_SHORT} s ({len(lines)} machines)"
+                )
+    part.say(
+        f"Every search has the seed of its machine; models of {_SHORT} s of the best loop of each. Ratios are over the "
+        "genetic search of equal size. Fitness is the criterion itself, decades of the determinant: how well a search "
+        "does its own job."
+    )
+    error = f"error after {_SHORT} s [%]"
+    part.table(["search", "candidates", "machines", "fitness", "above genetic", error, "ratio", "interval width"], rows)
+    figures.ratios(pictures / "search.svg", picture, f"error after {_SHORT} s over that of the genetic search")
+    part.picture("search", "Ratio of errors by search")
+
+
+def _budgets(part: PageSection, kept: dict) -> None:
+    rows = []
+    for few, many in pairwise(kept):
+        for method in METHODS:
+            fewer, more = (kept[budget].get(method, {}) for budget in (few, many))
+            if not (both := len(fewer.keys() & more.keys())):
+                continue
+            ratio = ratio_of(_error(more), _error(fewer))
+            gained = difference_of(_fitness(more), _fitness(fewer))
+            width = ratio_of(*(each(group, lambda v: v[_SHORT]["parameters"]) for group in (more, fewer)))
+            rows.append([method, f"{few} to {many}", str(both), text(gained, 1), text(ratio), text(width)])
+            if method == GENETIC and verdict(ratio, both) != "better":
+                part.weak.append(
+                    f"genetic searches of {many} candidates led to models that are not shown to be better than those "
+                    f"of {few}: {text(ratio)} times their error ({both} machines)"
+                )
+    if rows:
+        part.say("What more candidates gain, on machines that have both:")
+        part.table(["search", "candidates", "machines", "fitness gained", "ratio of errors", "interval width"], rows)

@@ -8,13 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from agent.core import InputError
 from agent.excitation import Candidates, Criterion, Loop, LoopProblem, LoopScore, ranking
 from agent.excitation.criterion import log_determinant
 from agent.excitation.genetic import genetic
-from agent.motion import JointTarget, Move, MoveType, Termination, Trajectory, create_interpolator
+from agent.motion import JointTarget, MotionError, Move, MoveType, Termination, Trajectory, create_interpolator
 from agent.pipeline.planning import loop_problem
 from agent.recipe import Recipe
-from agent.robot import RobotDescription
+from agent.robot import KinematicsError, RobotDescription
 from benchmarks.evidence.results import Results
 
 #: Seeds of the machines start here: none that was looked at while the agent was made.
@@ -22,6 +23,7 @@ FIRST_MACHINE = 501
 #: A loop depends on no machine (but for learned noise): so many searches are made, and machines take them in turn.
 SEARCHES = 3
 _FINALISTS = 10
+_TOGETHER = 7  # candidates worked out together
 _DRAWS = 400
 
 
@@ -71,14 +73,20 @@ class LocalLoops(Candidates):
         self._criterion = criterion or self._criterion
 
 
+#: A loop, or the limit that it breaks.
+Planned = Loop | MotionError | KinematicsError
+
+
 class StoppingLoops(LocalLoops):
     """The same via-points, but the arm stops at each instead of flying by."""
 
-    def loop(self, genome: np.ndarray) -> Loop:
-        flown = super().loop(genome)
+    def loops(self, genomes: np.ndarray) -> list[Planned]:
+        return [loop if isinstance(loop, InputError) else self._stopping(loop) for loop in super().loops(genomes)]
+
+    def _stopping(self, flown: Loop) -> Planned:
         settings = self.problem.settings.changed(termination=Termination.FINE)
         moves = tuple(replace(move, fly=False, settings=settings) for move in flown.moves)
-        return Loop(genome, flown.poses, flown.start, moves, self._interpolator.plan(moves, flown.start))
+        return _planned(self._interpolator.plan, flown.genome, flown.poses, flown.start, moves)
 
 
 class GlobalLoops(LocalLoops):
@@ -93,7 +101,10 @@ class GlobalLoops(LocalLoops):
         self._lower, self._range = middle - 0.95 * half, 1.9 * half
         self._plan = create_interpolator(problem.interpolator, problem.robot, problem.tool, period=problem.period).plan
 
-    def loop(self, genome: np.ndarray) -> Loop:
+    def loops(self, genomes: np.ndarray) -> list[Planned]:
+        return [self._anywhere(genome) for genome in genomes]
+
+    def _anywhere(self, genome: np.ndarray) -> Planned:
         points = self._lower + self._range * genome.reshape(-1, self.problem.robot.dof)
         settings = self.problem.settings.changed(speed_override=self._override)
         closing = settings.changed(termination=Termination.FINE)
@@ -101,7 +112,14 @@ class GlobalLoops(LocalLoops):
             [Move(MoveType.JOINT, JointTarget(point), settings, fly=True) for point in points[1:]]
             + [Move(MoveType.JOINT, JointTarget(points[0]), closing)]
         )
-        return Loop(genome, self.kinematics.forward(points), points[0], moves, self._plan(moves, points[0]))
+        return _planned(self._plan, genome, self.kinematics.forward(points), points[0], moves)
+
+
+def _planned(plan: Callable, genome: np.ndarray, poses: np.ndarray, start: np.ndarray, moves: tuple) -> Planned:
+    try:
+        return Loop(genome, poses, start, moves, plan(moves, start))
+    except (MotionError, KinematicsError) as error:
+        return error
 
 
 class Search:
@@ -118,7 +136,8 @@ class Search:
         return self
 
     def _scores(self, genomes: np.ndarray) -> list[LoopScore]:
-        scores = [self._candidates.score(genome) for genome in genomes]
+        parts = (genomes[first : first + _TOGETHER] for first in range(0, len(genomes), _TOGETHER))
+        scores = [score for part in parts for score in self._candidates.scores(part)]
         self.seen.extend(zip(genomes.copy(), scores, strict=True))
         return scores
 

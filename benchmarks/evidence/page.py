@@ -36,10 +36,13 @@ python -m benchmarks.evidence run local --machines 10   # few-data, criteria, se
 python -m benchmarks.evidence page
 ```
 
-Every machine and setting is a line of `build/evidence/PIECE.jsonl`. A command starts nothing new after ten minutes
+Every machine and setting is a line of `benchmarks/evidence/measured/PIECE.jsonl`. These files are kept with the page
+and it is made of all of them: commit both. What is there is not computed again; to measure a piece anew, remove its
+file. `loops.jsonl` has the loops that the other pieces share. A command starts nothing new after ten minutes
 (`--minutes`) and takes `--workers 2`; the same goes on where it stopped, and with more `--machines` it adds. Machines
 are drawn from seeds {first} on, which nothing else here uses. {loops} searches of each setting are made and machines
-take their loops in turn: how much loops differ is in the intervals, but only for so many.
+take their loops in turn (but for the pieces of searches, where every machine has its own): how much loops differ is in
+the intervals, but only for so many.
 """
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDER = ROOT / "build/evidence"
+#: Kept with the page that is made of them.
+FOLDER = Path(__file__).with_name("measured")
 
 
 class Results:
@@ -42,7 +43,7 @@ class Results:
         entry["values"] = values
         self._path.parent.mkdir(parents=True, exist_ok=True)
         with self._path.open("a", encoding="utf-8") as file:
-            file.write("\n" * self._torn + json.dumps(entry) + "\n")
+            file.write("\n" * self._torn + json.dumps(entry, separators=(",", ":")) + "\n")
         self._torn = False
         self._lines[machine, setting] = entry
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -16,8 +15,9 @@ from benchmarks.evidence.loops import LocalLoops, Search
 from benchmarks.evidence.results import Results
 from benchmarks.evidence.searches import cma_es, differential_evolution, multi_start
 
+GENETIC = "genetic"
 METHODS: dict[str, Callable] = {
-    "genetic": genetic,
+    GENETIC: genetic,
     "CMA-ES": cma_es,
     "differential evolution": differential_evolution,
     "multi-start": multi_start,
@@ -41,11 +41,7 @@ def measure(recipe: Recipe, machine: int, name: str, loops: Results, memory: dic
     """Fitness that a search reaches, and what its loop is worth; search and machine have the same seed."""
     method, budget = name.rsplit(" at ", 1)
     candidates = memory.setdefault("candidates", LocalLoops(loop_problem(recipe, recipe.motion.speed)))
-    found = loops.get(machine, name)
-    if found is None:
-        started = time.process_time()
-        population = BUDGETS[int(budget)]
-        found = Search(candidates).run(METHODS[method], population, int(budget) // population, machine).best()
-        loops.keep(machine, name, found, time.process_time() - started)
+    population = BUDGETS[int(budget)]
+    found = Search(candidates).run(METHODS[method], population, int(budget) // population, machine).best()
     loop = candidates.loop(np.array(found["genome"])).trajectory
     return {"fitness": found["fitness"], **judged(recipe, machine, loop, memory)}

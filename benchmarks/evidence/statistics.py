@@ -24,6 +24,11 @@ def ratio_of(first: Mapping[int, float], second: Mapping[int, float]) -> tuple[f
     return _interval(np.array([first[m] for m in both]), np.array([second[m] for m in both]))
 
 
+def difference_of(first: Mapping[int, float], second: Mapping[int, float]) -> tuple[float, float, float]:
+    """Mean of first minus second over the machines that both have, with its 95 % interval."""
+    return mean_of({machine: first[machine] - second[machine] for machine in first if machine in second})
+
+
 def _interval(first: np.ndarray, second: np.ndarray) -> tuple[float, float, float]:
     value = float(first.sum() / second.sum())
     if len(first) < 2:
