@@ -8,10 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agent.pipeline.planning import loop_problem
+from agent.recipe import load_recipe
 from agent.robot import Dynamics, load_robot
 from benchmarks.evidence import __main__ as evidence, criteria
 from benchmarks.evidence.few_data import wrong_urdf
-from benchmarks.evidence.results import Results
+from benchmarks.evidence.loops import GlobalLoops, LocalLoops, StoppingLoops
+from benchmarks.evidence.results import FOLDER, ROOT, Results
 from benchmarks.evidence.statistics import ratio_of, text, verdict
 
 DEFAULT = "torque-weighted D"
@@ -70,6 +73,43 @@ def test_what_is_there_is_not_computed_again(tmp_path: Path, recipe: Path, monke
     evidence.main([*given, "2"])
     assert asked == [(501, "a"), (501, "b"), (501, "b"), (502, "a"), (502, "b")]
     assert len(Results(tmp_path, "local")) == 4
+
+
+def test_the_page_in_the_repository_is_made_of_the_results_kept_with_it(tmp_path: Path):
+    evidence.main(["page", "--docs", str(tmp_path)])
+    assert (tmp_path / "evidence.md").read_text("utf-8") == (ROOT / "docs/evidence.md").read_text("utf-8")
+    drawn = {path.name for path in (tmp_path / "evidence").iterdir()}
+    assert drawn == {path.name for path in (ROOT / "docs/evidence").iterdir()}
+    assert sum(path.stat().st_size for path in FOLDER.iterdir()) < 300_000
+
+
+def test_searches_are_compared_in_pairs_and_a_better_one_is_a_weak_spot(tmp_path: Path):
+    for budget, gain in ((500, 0.0), (2000, 3.0)):
+        results = Results(tmp_path, f"search-{budget}")
+        for machine in range(501, 507):
+            for method, fitness, error in (("genetic", -20.0, 0.4), ("CMA-ES", -19.0, 0.4), ("random", -30.0, 0.5)):
+                values = {"fitness": fitness + gain + machine, "10": {"error": [error, machine], "parameters": 0.1}}
+                results.keep(machine, f"{method} at {budget}", values, 1.0)
+    evidence.main(["--folder", str(tmp_path), "page", "--docs", str(tmp_path)])
+    page = (tmp_path / "evidence.md").read_text("utf-8")
+    row = next(line for line in page.splitlines() if line.startswith("| random | 2000 | 6 |"))
+    assert "| -10.0 [-10.0, -10.0] |" in row
+    assert "| random | 500 to 2000 | 6 | 3.0 [3.0, 3.0] | 1.00 [1.00, 1.00] | 1.00 [1.00, 1.00] |" in page
+    weak = page.split("## How it is searched")[0]
+    assert "- CMA-ES of 500 candidates did better than the genetic search: fitness 1.0 [1.0, 1.0] above" in weak
+    assert "- genetic searches of 2000 candidates led to models that are not shown to be better" in weak
+    assert "random of" not in weak
+    assert "searches of 20000 candidates: not run" in weak
+
+
+def test_a_loop_is_scored_as_it_is_run():
+    recipe = load_recipe(evidence.RECIPE)
+    problem = loop_problem(recipe, recipe.motion.speed)
+    (genome,) = np.random.default_rng(1).random((1, problem.genes))
+    flown, stopping, anywhere = LocalLoops(problem), StoppingLoops(problem), GlobalLoops(problem, 0.4)
+    assert stopping.loop(genome).trajectory.duration > 1.05 * flown.loop(genome).trajectory.duration
+    assert len({kind.score(genome).fitness for kind in (flown, stopping, anywhere)}) == 3
+    assert anywhere.loop(genome).trajectory.q.std(axis=0).min() > 3 * flown.loop(genome).trajectory.q.std(axis=0).min()
 
 
 def test_a_wrong_urdf_is_wrong_by_what_it_says():
