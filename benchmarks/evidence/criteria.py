@@ -22,9 +22,9 @@ from benchmarks.evidence.loops import (
     LocalLoops,
     ScaledCriterion,
     StoppingLoops,
+    WeightedCriterion,
     found_loop,
     unseen_motions,
-    weighted_rows,
 )
 from benchmarks.evidence.results import Results
 
@@ -51,9 +51,9 @@ def _nominal(recipe: Recipe) -> np.ndarray:
 
 SETTINGS = {
     DEFAULT: Setting(),
-    "inverse-torque D": Setting(lambda recipe, _: weighted_rows(recipe.robot, 1 / _nominal(recipe))),
-    "learned-noise D": Setting(lambda recipe, noise: weighted_rows(recipe.robot, 1 / noise), noise=True),
-    "unweighted D": Setting(lambda recipe, _: weighted_rows(recipe.robot, np.ones(recipe.robot.dof))),
+    "inverse-torque D": Setting(lambda recipe, _: WeightedCriterion(recipe.robot, 1 / _nominal(recipe))),
+    "learned-noise D": Setting(lambda recipe, noise: WeightedCriterion(recipe.robot, 1 / noise), noise=True),
+    "unweighted D": Setting(lambda recipe, _: WeightedCriterion(recipe.robot, np.ones(recipe.robot.dof))),
     "A": Setting(lambda recipe, _: ScaledCriterion(recipe.robot, "A")),
     "E": Setting(lambda recipe, _: ScaledCriterion(recipe.robot, "E")),
     "condition number": Setting(lambda recipe, _: ScaledCriterion(recipe.robot, "condition")),

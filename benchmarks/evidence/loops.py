@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -27,11 +27,15 @@ _TOGETHER = 7  # candidates worked out together
 _DRAWS = 400
 
 
-def weighted_rows(robot: RobotDescription, weights: Sequence[float] | np.ndarray) -> Criterion:
+class WeightedCriterion(Criterion):
     """log10 det(HᵀH/M) with the rows of joint i multiplied by `weights` (n,), of which only the ratios count."""
-    criterion = Criterion(robot)
-    criterion.weights = np.asarray(weights, dtype=float) / np.max(weights)
-    return criterion
+
+    def __init__(self, robot: RobotDescription, weights: np.ndarray):
+        super().__init__(robot)
+        self.weights = weights / np.max(weights)
+
+    def __call__(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, regressor: np.ndarray | None = None) -> float:
+        return log_determinant(self.observation_matrix(q, qd, qdd), len(q))
 
 
 class ScaledCriterion(Criterion):

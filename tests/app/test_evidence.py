@@ -13,7 +13,7 @@ from agent.recipe import load_recipe
 from agent.robot import Dynamics, load_robot
 from benchmarks.evidence import __main__ as evidence, criteria
 from benchmarks.evidence.few_data import wrong_urdf
-from benchmarks.evidence.loops import GlobalLoops, LocalLoops, StoppingLoops
+from benchmarks.evidence.loops import GlobalLoops, LocalLoops, StoppingLoops, WeightedCriterion
 from benchmarks.evidence.results import FOLDER, ROOT, Results
 from benchmarks.evidence.statistics import ratio_of, text, verdict
 
@@ -108,7 +108,13 @@ def test_a_loop_is_scored_as_it_is_run():
     (genome,) = np.random.default_rng(1).random((1, problem.genes))
     flown, stopping, anywhere = LocalLoops(problem), StoppingLoops(problem), GlobalLoops(problem, 0.4)
     assert stopping.loop(genome).trajectory.duration > 1.05 * flown.loop(genome).trajectory.duration
-    assert len({kind.score(genome).fitness for kind in (flown, stopping, anywhere)}) == 3
+    nominal = recipe.robot.nominal_torque
+    weighted, unweighted = (
+        LocalLoops(problem, WeightedCriterion(recipe.robot, weights)) for weights in (nominal, np.ones_like(nominal))
+    )
+    kinds = (flown, stopping, anywhere, unweighted)
+    assert len({round(kind.score(genome).fitness, 6) for kind in kinds}) == len(kinds)
+    assert weighted.score(genome).fitness == pytest.approx(flown.score(genome).fitness, abs=1e-6)
     assert anywhere.loop(genome).trajectory.q.std(axis=0).min() > 3 * flown.loop(genome).trajectory.q.std(axis=0).min()
 
 
