@@ -1,4 +1,4 @@
-"""A description without masses: the diagnosis works on what the fit says of the links."""
+"""A description without masses, or with made-up ones: the diagnosis works on what the fit says of the links."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ from agent.model.standard_parameters import from_pseudo_inertia, pseudo_inertia
 from agent.robot.bodies import rigid_bodies
 
 
-@pytest.fixture(scope="module")
-def massless(request):
-    """A nominal model of a three-joint arm whose description has no masses, and a motion of it."""
+def fitted(replacement):
+    """A nominal model of a three-joint arm whose description has other inertials or none, and a motion of it."""
     from tests.estimation.conftest import _arm, _log, _multisine
 
     robot = _arm(3)
@@ -27,9 +26,14 @@ def massless(request):
     rigid, _, _ = rigid_bodies(robot)
     torque = rigid.torque(q, qd, qdd, rigid.projection @ np.append(rigid.dynamics.standard_parameters(), [1e-4] * 3))
     torque = torque + 3 * np.tanh(qd / 0.01) + 0.5 * np.random.default_rng(1).normal(size=q.shape)
-    bare = replace(robot, urdf=re.sub(r"<inertial>.*?</inertial>", "", robot.urdf))
+    bare = replace(robot, urdf=re.sub(r"<inertial>.*?</inertial>", replacement, robot.urdf))
     model = estimate(bare, [_log(bare, t, q, torque)], EstimationSettings.create(cutoff=10, method="weighted"))
     return NominalModel(model), MotionSignals(NominalModel(model), t, q, qd, qdd)
+
+
+@pytest.fixture(scope="module")
+def massless():
+    return fitted("")
 
 
 def test_its_links_are_bodies(massless):
@@ -49,11 +53,29 @@ def test_a_link_on_a_spring_has_finite_columns(massless, name):
     assert all(np.isfinite(block).all() for block in columns.values())
 
 
-def test_its_links_may_weigh_otherwise(massless):
-    """By as much as what the arm holds up, which is all that is known of their size."""
-    nominal, signals = massless
-    weight = np.abs(nominal.links.inverse_dynamics(signals.q, 0 * signals.q, 0 * signals.q)).max()
+def placeholder(kilograms):
+    moment = 0.01 * kilograms
+    inertia = f'<inertia ixx="{moment}" iyy="{moment}" izz="{moment}" ixy="0" ixz="0" iyz="0"/>'
+    return f'<inertial><mass value="{kilograms}"/>{inertia}</inertial>'
+
+
+def deviation(nominal):
+    """[kg] that each link may weigh otherwise."""
     context, effect = SimpleNamespace(reference=nominal), CATALOGUE["inertial_mismatch"]
-    for settings in effect.settings(context, ()):
-        mass = 1 / np.sqrt(effect.prior_precision(context, (), settings)[0, 0])
+    return [1 / np.sqrt(effect.prior_precision(context, (), place)[0, 0]) for place in effect.settings(context, ())]
+
+
+def test_links_that_are_known_may_weigh_otherwise_by_half():
+    nominal, _ = fitted(r"\g<0>")
+    described = rigid_bodies(nominal.robot)[0].dynamics.standard_parameters()[::10]
+    assert deviation(nominal) == pytest.approx(0.5 * described)
+
+
+@pytest.mark.parametrize("kilograms", [None, 0.01, 1.0, 3.0])
+def test_its_links_may_weigh_otherwise(massless, kilograms):
+    """By as much as what the arm holds up, which is all that is known of their size: links that stand in for unknown
+    ones say nothing of it."""
+    nominal, signals = massless if kilograms is None else fitted(placeholder(kilograms))
+    weight = np.abs(nominal.links.inverse_dynamics(signals.q, 0 * signals.q, 0 * signals.q)).max()
+    for mass in deviation(nominal):
         assert 0.1 < mass * 9.81 / weight < 10, "a lever of a tenth of a metre to ten metres"

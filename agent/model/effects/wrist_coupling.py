@@ -14,6 +14,7 @@ from agent.robot import RobotDescription
 _RATIOS = (0.05, 0.068, 0.09, 0.12, 0.16, 0.22, 0.3, 0.4, 0.55, 0.74, 1.0, 1.4, 2.0)
 _FREE_RATIOS = (0.1, 0.3, 0.6, 1.0, 1.7)
 _RUBBING_RATIOS = (0.07, 0.12, 0.2, 0.33, 0.5, 0.72, 1.0, 1.4, 1.9)
+_LEAST_RATIO = 0.04  # below it what the coupled axle rubs is no other than what it rubs by itself
 _REVERSAL = 2e-3  # of the highest speed, where the model's friction reverses over a travel or at once
 
 
@@ -113,6 +114,8 @@ class WristCoupling(Effect):
         return {int(k): coupling[j, k] * more + carriers[k] * ratio * carried for k in felt}
 
     def plausible(self, settings: Mapping[str, float], values: Mapping[str, float]) -> bool:
+        if abs(settings["ratio"]) < _LEAST_RATIO:
+            return False
         if "besides" in settings:
             rubs = values["coulomb"] > 0 or values["viscous"] > 0
             turns = min(values.get("rotor", 1.0), values.get("inertia", 1.0)) > 0
