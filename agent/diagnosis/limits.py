@@ -103,6 +103,9 @@ class DecisionLimits:
     explained: float = _limit(0.75, "gap", "that all causes close together, or it is not explained", _CONTRACT)
     least_closure: float = _limit(0.25, "gap", "causes that close less are not named, whatever equals them", "chosen")
     least_share: float = _limit(0.03, "gap", "a cause that closes less by itself has no size", "chosen")
+    cancelling: float = _limit(
+        1.5, "gap", "closed by each of two causes on one joint: they are none, what one adds the other takes", "chosen"
+    )
     least_probability: float = _limit(
         0.5, "probability", "of the first cause's class: what is rather wrong than right is not named", "derived"
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import combinations
 from math import isfinite
 
 import numpy as np
@@ -105,6 +106,11 @@ def has_size(cause: Cause, limits: DecisionLimits = LIMITS) -> bool:
     return closes and all(map(isfinite, values)) and any(values)
 
 
+def _cancel(one: Cause, other: Cause, limits: DecisionLimits) -> bool:
+    far_more = all((cause.closure or 0.0) > limits.cancelling for cause in (one, other))
+    return far_more and not set(one.joints).isdisjoint(other.joints)
+
+
 def settle(
     verdict: str, causes: Sequence[Cause], closure: float | None, limits: DecisionLimits = LIMITS
 ) -> tuple[str, tuple[Cause, ...]]:
@@ -113,12 +119,15 @@ def settle(
     - `explained` has causes, and they close three quarters of the gap;
     - `ambiguous` has causes that close a good part of it, and something that equals the first;
     - `unknown` and `no_gap` have none, and where there is nothing to close (None) there is no gap;
-    - a cause without a size is none.
+    - a cause without a size is none, and two of one joint are none that each close far more than there is: together
+      they make a shape that neither has.
     """
     if verdict in ("no_gap", "unknown"):
         return verdict, ()
     if closure is None:
         return "no_gap", ()
+    if any(_cancel(one, other, limits) for one, other in combinations(causes, 2)):
+        return "unknown", ()
     left = tuple(cause for cause in causes if has_size(cause, limits))
     if not left or not closure >= limits.least_closure:  # not a number is not enough either
         return "unknown", ()

@@ -36,7 +36,7 @@ python -m benchmarks.evidence run local --machines 10   # few-data, criteria, se
 python -m benchmarks.evidence page
 ```
 
-Every machine and setting is a line of `benchmarks/evidence/measured/PIECE.jsonl`. These files are kept with the page
+Every machine and setting is a line of its piece in `benchmarks/evidence/measured`. These files are kept with the page
 and it is made of all of them: commit both. What is there is not computed again; to measure a piece anew, remove its
 file. `loops.jsonl` has the loops that the other pieces share. A command starts nothing new after ten minutes
 (`--minutes`) and takes `--workers 2`; the same goes on where it stopped, and with more `--machines` it adds. Machines

@@ -19,7 +19,7 @@ from agent.diagnosis.verdict import judge, settle, with_path
 VERDICTS = st.sampled_from(["no_gap", "explained", "ambiguous", "unknown"])
 closures = st.one_of(
     st.none(),
-    st.floats(-1, 1),
+    st.floats(-1, 3),
     st.sampled_from([0.0, LIMITS.least_share, LIMITS.least_closure, LIMITS.explained, np.nan, -np.inf]),
 )
 causes = st.builds(
@@ -74,6 +74,18 @@ def test_promises_hold_where_the_path_is_another(verdict, found, closure, of_pat
     verdict, closure = with_path(verdict, closure, of_path, path_named)
     settled, named = settle(verdict, found, closure)
     assert keeps_its_promises(settled, named, closure)
+
+
+def test_two_causes_that_cancel_each_other_are_none():
+    def cause(closure, joint="joint_2", effect="stribeck"):
+        return Cause(effect, (joint,), closure, 0.9, {"rise": 1.0})
+
+    hose = cause(2.3, effect="dress_pack")
+    assert settle("explained", (hose, cause(2.5)), 0.95) == ("unknown", ())
+    assert settle("ambiguous", (hose, cause(0.1), cause(1.7)), 0.95) == ("unknown", ())
+    for other in (cause(1.0), cause(2.5, "joint_3"), cause(None), cause(np.nan)):
+        assert settle("explained", (hose, other), 0.95)[0] == "explained", "one of them may be in the other's way"
+        assert settle("explained", (other, hose), 0.95)[0] == "explained"
 
 
 class _Fit:
