@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agent.core import Bare, Dimension, InputError, parse_quantity, write_atomically
+from agent.pipeline.identify import check_output
 from agent.recipe import BARE_ANGLE, BARE_LEAN, BARE_PLACE, BARE_REACH, load_recipe, recipe_schema, template
 from agent.robot import builtin_robots, load_robot
 
@@ -34,10 +35,11 @@ def write_recipe(path: Path, given: dict[str, str | None]) -> Path:
         given: by the names of `questions`; None is what nobody said.
 
     Raises:
-        InputError: the file exists, or something that was given cannot be.
+        InputError: the file exists, its folder does not, or something that was given cannot be.
     """
     if path.exists():
         raise InputError(f"{path}: exists already; name another file, or move it away")
+    check_output(path, ())
     asked = sys.stdin.isatty() and sys.stderr.isatty()
     answers = {}
     for question in questions():

@@ -50,6 +50,12 @@ def test_unknown_command_is_usage(run_agent):
     assert "Traceback" not in run.stderr
 
 
+def test_a_recipe_is_not_written_where_there_is_no_folder(run_agent):
+    run = run_agent("init", "nowhere/mine.yaml")
+    assert run.returncode == 2
+    assert "no folder nowhere" in run.stderr
+
+
 def test_a_recipe_from_init_passes_the_offline_part_of_check(run_agent, tmp_path: Path):
     assert run_agent("init", "mine.yaml").returncode == 0
     again = run_agent("init", "mine.yaml")
