@@ -21,6 +21,9 @@ from agent.core import symmetric_eigen
 from agent.diagnosis.candidate import Candidate
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.stacked import forms, side_by_side
+
+_AT_ONCE = 50  # candidates whose sums are worked out together: their rows take as much memory as the columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,14 +78,19 @@ def null_gains(
         target = background[:, joint, None]
         model[:, index] += _sums(rows[:, :-1] * target, unit)
         here = [c for c in wanted if joint in c.blocks]
-        if here:
-            places = np.concatenate([np.arange(ends[-1])[spans[c]] for c in here])
-            effects[:, places] += _sums(np.hstack([c.blocks[joint] for c in here]) * target, unit)
-    own, cross = ({c: np.zeros(limits.draws) for c in wanted} for _ in range(2))
-    square = dict.fromkeys(wanted, 0.0)
-    direction = {c: practical_parameters(fit, c) for c in wanted}
-    moments = dict(fit.moments(wanted))
-    together = np.concatenate([both[:, :-1] for both, _ in moments.values()], axis=2)  # (cells, p, all parameters)
+        for some in (here[first : first + _AT_ONCE] for first in range(0, len(here), _AT_ONCE)):
+            places = np.concatenate([np.arange(ends[-1])[spans[c]] for c in some])
+            effects[:, places] += _sums(np.hstack([c.blocks[joint] for c in some]) * target, unit)
+    moments = list(fit.moments(wanted))
+    together = np.concatenate([both[:, :-1] for _, (both, _) in moments], axis=2)  # (cells, p, all parameters)
+    groups = []
+    for numbers, _, alone in side_by_side(moments):
+        alike = [wanted[k] for k in numbers]
+        ridge = fit.ridges(alike, np.diagonal(alone.sum(axis=1), axis1=1, axis2=2))
+        direction = np.stack([practical_parameters(fit, c) for c in alike])
+        groups.append((numbers, np.array([np.arange(ends[k], ends[k + 1]) for k in numbers]), alone, ridge, direction))
+    own, cross = np.zeros((2, len(wanted), limits.draws))
+    square = np.zeros(len(wanted))
     for number, fold in enumerate(fit.folds):
         test, train = fold_of == number, fold_of != number
         x_test, x_train = signs[:, test] @ model[test], signs[:, train] @ model[train] / fit.repeat
@@ -94,17 +102,18 @@ def null_gains(
         follows = inverse @ x_z
         beyond = x_z_test - gram @ follows
         side = z_train - x_train @ follows
-        slope = z_test - x_test @ follows - change @ beyond
-        for c, span in spans.items():
-            alone, followed = moments[c][1], follows[:, span]
-            schur = alone[fold.train].sum(axis=0) / fit.repeat - x_z[:, span].T @ followed
-            schur += fit.ridge(c, np.maximum(alone.sum(axis=0).diagonal(), 1e-9))
-            values = np.linalg.solve(schur, side[:, span].T).T
-            energy = alone[fold.test].sum(axis=0) - followed.T @ x_z_test[:, span] - beyond[:, span].T @ followed
-            own[c] += np.sum(values * (2 * slope[:, span] - values @ energy), axis=1)
-            cross[c] += 2 * slope[:, span] @ direction[c]
-            square[c] += float(direction[c] @ energy @ direction[c])
-    return Null(np.max(np.stack(list(own.values())), axis=0), own, cross, square, limits)
+        slope = 2 * (z_test - x_test @ follows - change @ beyond)
+        for numbers, places, alone, ridge, direction in groups:
+            with_model, with_model_test, past = (part.T[places] for part in (x_z, x_z_test, beyond))  # (N, k, p)
+            followed = np.swapaxes(follows.T[places], 1, 2)
+            schur = alone[:, fold.train].sum(axis=1) / fit.repeat - with_model @ followed + ridge
+            values, slopes = np.linalg.solve(schur, side.T[places]), slope.T[places]  # (N, k, draws)
+            energy = alone[:, fold.test].sum(axis=1) - np.swapaxes(with_model_test @ followed, 1, 2) - past @ followed
+            own[numbers] += np.sum(values * (slopes - np.swapaxes(energy, 1, 2) @ values), axis=1)
+            cross[numbers] += (direction[:, None] @ slopes)[:, 0]
+            square[numbers] += forms(direction, energy, direction)
+    of_own, of_cross, of_square = (dict(zip(wanted, values, strict=True)) for values in (own, cross, square.tolist()))
+    return Null(own.max(axis=0), of_own, of_cross, of_square, limits)
 
 
 def drawn_change(fit: Fit, train: np.ndarray, error: np.ndarray, rng: np.random.Generator) -> np.ndarray:

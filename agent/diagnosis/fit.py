@@ -286,7 +286,7 @@ class Fit:
             transposed = np.swapaxes(b[:, :-1], 1, 2)
             side = b[:, -1] - transposed @ alone
             schur = energy / self.repeat - transposed @ inverse @ b[:, :-1]
-            schur += self._ridges([candidates[k] for k in numbers], np.diagonal(energy, axis1=1, axis2=2))
+            schur += self.ridges([candidates[k] for k in numbers], np.diagonal(energy, axis1=1, axis2=2))
             values = solved(schur, side, np.diagonal(schur, axis1=1, axis2=2))
             for number, gain, fitted in zip(numbers, products(side, values).tolist(), values, strict=True):
                 possible = plausible(HeldOutScore(candidates[number], 0.0, 0.0, fitted))
@@ -314,7 +314,7 @@ class Fit:
             return scores
         if len(some) < len(scores):
             cross, own, energy = cross[some], own[some], energy[some]
-        ridge = self._ridges([candidates[k] for k in some.tolist()], energy)
+        ridge = self.ridges([candidates[k] for k in some.tolist()], energy)
         total = np.zeros(len(some))
         for fold in self.single if single else self.folds:
             change, values = self._both(fold.train, cross, own, ridge)
@@ -340,5 +340,6 @@ class Fit:
         values = solved(a - transposed @ reach, side, np.diagonal(a, axis1=1, axis2=2))
         return alone - (reach @ values[:, :, None])[:, :, 0], values
 
-    def _ridges(self, candidates: Sequence[Candidate], energy: np.ndarray) -> np.ndarray:
+    def ridges(self, candidates: Sequence[Candidate], energy: np.ndarray) -> np.ndarray:
+        """(N, k, k) `ridge` of candidates with as many parameters, of energies (N, k)."""
         return np.stack(list(map(self.ridge, candidates, np.maximum(energy, 1e-9))))
