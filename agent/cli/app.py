@@ -217,7 +217,7 @@ def diagnose(
     messages: opt.Messages = None,
 ) -> None:
     """The gap between model and robot: where it lies, which effect causes it, how far it shrinks."""
-    from agent.pipeline import GapQuestion, budget_of, diagnose_files, diagnose_recording, diagnosis_text
+    from agent.pipeline import GapQuestion, diagnose_files, diagnose_recording, diagnosis_text
 
     left_out = tuple(without or ())
     question = GapQuestion(
@@ -227,6 +227,8 @@ def diagnose(
     if record is not None:
         if logs or robot:
             raise InputError("diagnose: --record records its own logs of the recipe's robot: leave out LOG and --robot")
+        from agent.pipeline import budget_of
+
         motion = budget_of(budget) if until_sure else None
         result = diagnose_recording(record, question, console, runs, yes, motion)
     elif until_sure:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 
 import numpy as np
 
@@ -117,11 +118,17 @@ def _share(excess: np.ndarray, mask: np.ndarray, blocks: np.ndarray) -> tuple[fl
     inside, total = np.bincount(blocks, excess * mask), np.bincount(blocks, excess)
     if total.sum() <= 0:
         return 0.0, None
-    draws = np.random.default_rng(0).multinomial(len(total), np.full(len(total), 1 / len(total)), _RESAMPLED)
+    draws = _resampled(len(total))
     of_draws = draws @ inside / np.maximum(draws @ total, 1e-9 * total.sum())
     tail = 0.5 * (1 - _PROBABILITY)
     low, high = np.clip(np.quantile(of_draws, [tail, 1 - tail]), 0, 1)
     return float(np.clip(inside.sum() / total.sum(), 0, 1)), (float(low), float(high))
+
+
+@cache
+def _resampled(count: int) -> np.ndarray:
+    """(draws, count) how often each of so many blocks is drawn."""
+    return np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), _RESAMPLED).astype(float)
 
 
 def _band_name(low: float, high: float) -> str:
