@@ -41,7 +41,8 @@ class Moments:
         total = np.zeros((self.parameters + 1, self.parameters + 1))
         for joint, index in enumerate(self.index):
             place = np.append(index, self.parameters)
-            total[np.ix_(place, place)] += np.tensordot(weights[:, joint], self._over(joint, cells), axes=1)
+            moving, still = self._over(joint, cells)
+            total[place[:, None], place] += weights[0, joint] * moving + weights[1, joint] * still
         return total
 
     def _over(self, joint: int, cells: Cells) -> np.ndarray:
@@ -68,14 +69,16 @@ class Moments:
         """The moments of some of the parameters, in the order given."""
         position = np.full(self.parameters, -1)
         position[chosen] = np.arange(len(chosen))
-        index, sums = [], []
+        index, sums, places = [], [], []
         for old, old_sums in zip(self.index, self.sums, strict=True):
             keep = np.flatnonzero(position[old] >= 0)
             keep = keep[np.argsort(position[old[keep]])]
             place = np.append(keep, len(old))
             index.append(position[old[keep]])
-            sums.append(old_sums[:, :, place[:, None], place])
-        return Moments(len(chosen), tuple(index), tuple(sums), self.rows)
+            places.append((slice(None), place[:, None], place))
+            sums.append(old_sums[:, *places[-1]])
+        known = {(joint, cells): total[places[joint]] for (joint, cells), total in self._totals.items()}
+        return Moments(len(chosen), tuple(index), tuple(sums), self.rows, known)
 
 
 def collect(

@@ -13,7 +13,6 @@ from agent.core import InputError
 from agent.model.checks import check_model
 from agent.model.friction_terms import FrictionTerm, Reversal
 from agent.model.rigid_friction import ModelEffect, ParameterPrior, RigidFrictionModel
-from agent.model.with_effects import effect_torque
 from agent.robot import RobotDescription
 
 SCHEMA = "model/1"
@@ -52,6 +51,8 @@ class IdentifiedModel(RigidFrictionModel):
         rigid, friction = self.rigid_and_friction(q, qd, qdd)
         torque = rigid + friction
         for entry in self.effects:
+            from agent.model.with_effects import effect_torque  # with all that a catalogue of effects imports
+
             torque = torque + effect_torque(self, entry, {"time": time, "q": q, "qd": qd, "qdd": qdd})
         return torque, friction
 
