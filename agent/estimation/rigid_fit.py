@@ -99,6 +99,7 @@ class HeldOutFit:
         self._alone = np.array([np.sum(centred[rows] ** 2, axis=0) for rows in folds])
         parts = [[columns[rows, joint] for joint in range(s.q.shape[1])] for rows in folds]
         self._own = np.array([[part.T @ part for part in joints] for joints in parts])
+        self._own_all = self._own.sum(axis=0)
         self._with = np.array(
             [[s.torque[rows].T @ part for part in joints] for rows, joints in zip(folds, parts, strict=True)]
         )
@@ -115,23 +116,32 @@ class HeldOutFit:
         joints = np.arange(len(order))
         own, cross = self._own, self._with[:, joints, order] * sign[:, None]
         torque = self._torque[:, order]
-        own_all, cross_all, torque_all = own.sum(axis=0), cross.sum(axis=0), torque.sum(axis=0)
+        own_all, cross_all, torque_all = self._own_all, cross.sum(axis=0), torque.sum(axis=0)
         least = _LEAST * torque_all + 1e-300
         left = torque_all
         for _ in range(_ROUNDS):
             weights = self._rows.sum() / np.maximum(left, least)
-            left = _squared(self._solve(own_all, cross_all, weights), own_all, cross_all, torque_all)
+            solution = self._solve(_weighted(weights, own_all), weights @ cross_all)
+            left = _squared(solution, own_all, cross_all, torque_all)
         weights = self._rows.sum() / np.maximum(left, least)
+        without = _weighted(weights, own_all) - _weighted(weights, own), weights @ (cross_all - cross)
         errors = np.empty(torque.shape)
-        for fold in range(FOLDS):
-            solution = self._solve(own_all - own[fold], cross_all - cross[fold], weights)
+        for fold, solution in enumerate(self._solve(*without)):
             errors[fold, order] = np.maximum(_squared(solution, own[fold], cross[fold], torque[fold]), least)
         return np.minimum(errors, np.maximum(self._alone, least[np.argsort(order)]))
 
-    def _solve(self, own: np.ndarray, cross: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        matrix = np.tensordot(weights, own, axes=1) + np.diag(self._precision)
-        scale = 1 / np.sqrt(np.diag(matrix))
-        return scale * np.linalg.solve(matrix * np.outer(scale, scale), scale * (weights @ cross))
+    def _solve(self, matrix: np.ndarray, side: np.ndarray) -> np.ndarray:
+        """(…, p) solutions of normal equations (…, p, p) with sides (…, p), the prior added."""
+        matrix = matrix + np.diag(self._precision)
+        scale = 1 / np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
+        scaled = matrix * (scale[..., :, None] * scale[..., None, :])
+        return np.asarray(scale * np.linalg.solve(scaled, (scale * side)[..., None])[..., 0])
+
+
+def _weighted(weights: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """(…, p, p) sum over joints of moments (…, n, p, p), weighted (n,)."""
+    size = own.shape[-1]
+    return (weights @ own.reshape(*own.shape[:-2], size * size)).reshape(*own.shape[:-3], size, size)
 
 
 def _squared(solution: np.ndarray, own: np.ndarray, cross: np.ndarray, torque: np.ndarray) -> np.ndarray:
