@@ -48,6 +48,17 @@ def test_tx40_held_out(shared_data, tmp_path, measured):
     assert inside > 0.88
 
 
+def test_a_term_that_one_fold_speaks_against_is_taken_on_very_strong_evidence(shared_data, tmp_path):
+    robot = load_robot(EXAMPLES / "tx40/robot.yaml")
+    tables = [shared_data / "tx40/pos_read_data.csv", shared_data / "tx40/curr_data.csv"]
+    logs = []
+    for part in ("held_out", "fit"):  # the shorter stretch is fitted here
+        import_log(robot, EXAMPLES / f"tx40/map_{part}.yaml", tables, tmp_path / f"{part}.mcap")
+        logs.append(read_log(tmp_path / f"{part}.mcap", robot))
+    model = estimate(robot, logs[:1], EstimationSettings.create(cutoff=20.0))
+    assert validate(model, logs[1:]).overall.relative_error_all_joints < 0.07
+
+
 def test_emps_to_the_pulse_file(shared_data, tmp_path, measured):
     robot = load_robot(EXAMPLES / "emps/robot.yaml")
     logs = []
