@@ -1,7 +1,8 @@
 """The even grid on which a segment of a log was sampled, and its signals there, a part at a time.
 
-Uneven stamps mean either an uneven sampling or a late stamp on an even one. The position tells: sampled evenly it is
-smooth in the sample number, else it is smooth in the stamps.
+Uneven stamps mean an uneven sampling, a late stamp on an even one, or both. The position tells: sampled evenly it is
+smooth in the sample number, else in the stamps. Where recorded velocities give times in which its squared fourth
+differences are a tenth of those in either, these are taken.
 """
 
 from __future__ import annotations
@@ -11,8 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.estimation.sample_times import taken_at
 from agent.recording import Log, line, sample_numbers, settled
 
+_SMOOTHER = 10.0  # times, squared fourth differences
 _HALO = 100  # samples at either side of a part, beyond which a spline does not feel its knots
 
 
@@ -45,9 +48,15 @@ class SampleClock:
             slope, intercept = line(number, stamps)
             late = intercept + slope * number
         by_number, by_stamp = (cls(log, start, number, slope, intercept, knots) for knots in (late, stamps))
-        if not uneven or by_number._roughness() <= by_stamp._roughness():
+        if not uneven:
             return by_number
-        return by_stamp
+        even, stamped = by_number._roughness(), by_stamp._roughness()
+        if log.velocity is not None and np.all(np.isfinite(log.velocity[start:stop])):
+            times = taken_at(stamps, late, log.position[start:stop], log.velocity[start:stop])
+            by_velocity = None if times is None else cls(log, start, number, slope, intercept, times)
+            if by_velocity and _SMOOTHER * by_velocity._roughness() < min(even, stamped):
+                return by_velocity
+        return by_number if even <= stamped else by_stamp
 
     @property
     def size(self) -> int:

@@ -213,3 +213,26 @@ def test_noise_of_the_positions_lowers_the_cutoff_unless_it_is_given(arm, multis
         return np.std(with_noise - without, axis=0) / np.sqrt(np.mean(torque**2, axis=0))
 
     assert noise(motion).max() < 0.6 * noise(chosen(noisy, 30.0)).max()
+
+
+@pytest.mark.parametrize("jitter", ["late", "either way"])
+@pytest.mark.parametrize(("short", "long"), [(0.010, 0.012), (0.010, 0.010)])
+def test_velocities_tell_when_samples_were_taken(arm, multisine, make_log, jitter, short, long):
+    """Sampled every 10 or 12 ms by turns, or evenly, with stamps that hide which."""
+    rng = np.random.default_rng(3)
+    true = np.cumsum(np.where(rng.random(3000) < 1 / 3, long, short))
+    q, qd, _ = multisine(3, true)
+    late = rng.exponential(0.003, 3000) if jitter == "late" else rng.uniform(-0.003, 0.003, 3000)
+    stamps = np.maximum.accumulate(true + late) + 1e-8 * np.arange(3000)
+    position, velocity = np.round(q, 5), qd + 1e-3 * rng.normal(size=qd.shape)
+    log = make_log(arm(3), stamps - stamps[0], position, None, velocity=velocity, rate=2999 / (true[-1] - true[0]))
+    (motion,) = _motions(log, 10.0, reduce=False)
+    middle = motion.time[motion.kept]
+    delay = np.mean(stamps - true)
+    expected = multisine(3, middle + stamps[0] - delay)[1]
+    error = np.sqrt(np.mean((motion.qd[motion.kept] - expected) ** 2))
+    assert error < 0.01
+    if long > short:
+        (without,) = _motions(replace(log, velocity=None), 10.0, reduce=False)
+        expected = multisine(3, without.time[without.kept] + stamps[0] - delay)[1]
+        assert error < 0.5 * np.sqrt(np.mean((without.qd[without.kept] - expected) ** 2))
