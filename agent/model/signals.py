@@ -47,8 +47,11 @@ class NominalModel:
         layout = ParameterLayout.of(self.robot)
         self.links: Dynamics = nominal.with_parameters(standard[layout.links])
         # what a description without masses leaves open, or with made-up ones, only the model tells the size of
-        known = _times_further(away, spread, model.covariance[: len(away), : len(away)])
-        self.prior_std = (known if np.any(links) else _liftable(self.links, nominal) / prior_std[0]) * prior_std
+        if np.any(links):
+            times = _times_further(away, spread, model.covariance[: len(away), : len(away)])
+        else:
+            times = _liftable(self.links, nominal) / prior_std[0]
+        self.prior_std = times * prior_std
         #: links whose mass matrix is sound: where the spread ones could not be bodies, those of the description, or,
         #: where that has none, the nearest bodies to the spread ones
         self.solid: Dynamics = self.links
@@ -125,8 +128,10 @@ def _doubt(robot: RobotDescription, nominal: Dynamics, links: np.ndarray) -> tup
 def _times_further(away: np.ndarray, spread: np.ndarray, covariance: np.ndarray) -> float:
     """How many times the prior deviations a model says that its description is wrong by, at least once.
 
-    The s with most evidence for `away` ~ N(0, s² spread + covariance) (MacKay, Neural Computation 4, 1992): about a
-    tenth for a description that was measured, hundreds for links of ten grams that stand in for unknown ones.
+    `away` (b,): base parameters of the model less those of the description; `spread` (b, b): their covariance by the
+    prior; `covariance` (b, b): that of the model, all in the base parameters' units. The s with most evidence for
+    `away` ~ N(0, s² spread + covariance) (MacKay, Neural Computation 4, 1992): about a tenth for a description that was
+    measured, hundreds for links of ten grams that stand in for unknown ones.
     """
 
     def evidence(times: float) -> float:
