@@ -116,7 +116,7 @@ def assemble(
                 _driving(logs[segment.log_index], motion.set_points),
             )
         )
-        extra = _known_effects(model, signals[-1])
+        extra = known_effects(model, signals[-1])
         per_joint = observation.joint_columns(segment, model.terms, carrier.model.base_values)
         index = [places for places, _ in per_joint]
         for joint, (places, columns) in enumerate(per_joint):
@@ -223,7 +223,7 @@ def stiction(reference: NominalModel) -> np.ndarray:
     return level @ np.abs(reference.coupling)
 
 
-def _known_effects(model: IdentifiedModel, signals: MotionSignals) -> np.ndarray:
+def known_effects(model: IdentifiedModel, signals: MotionSignals) -> np.ndarray:
     """(S', n) filtered torque of the effects that the model has already."""
     total = np.zeros(signals.q.shape)
     motion = {"time": signals.time, "q": signals.q, "qd": signals.qd, "qdd": signals.qdd}

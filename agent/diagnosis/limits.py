@@ -135,6 +135,9 @@ class DecisionLimits:
     usual_error: float = _limit(
         2.0, "held-out error of the model", "from where on a joint's error is more than the model's own", TUNED
     )
+    held_gap: float = _limit(
+        0.5, "energy over the background", "where a torque channel stands still: it is the sensor's", "chosen: most"
+    )
     path_gap: float = _limit(1e-4, "rad or m, RMS", "between planned and executed path that is notable", "chosen")
     path_rate: float = _limit(
         0.005,

@@ -202,6 +202,19 @@ def test_a_missing_sample_is_found_where_the_stamps_are_six_rows_off():
     np.testing.assert_array_equal(settled(guess.astype(float), place, position), true)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_joint_that_hardly_moves_does_not_say_where_samples_are_missing(seed):
+    """It stays on one count for hundreds of rows, and its step to the next one is no more than that count."""
+    rng = np.random.default_rng(seed)
+    true = np.flatnonzero(rng.random(4000) >= 0.03).astype(float)
+    true -= true[0]
+    position = np.round(np.column_stack([0.5 * np.sin(true / 400), 2e-3 * np.cos(true / 900 + seed)]), 4)
+    place = np.maximum.accumulate(true + rng.exponential(0.2, len(true)))
+    number = settled(sample_numbers(place / 500, 500.0), place, position)
+    wrong = np.abs(number - true) * np.abs(np.cos(true / 400))  # where the other one turns back neither tells
+    assert np.max(wrong) < 0.2
+
+
 def test_gaps_that_are_short_for_the_filter_are_bridged(log_at):
     rate = 100.0
     lost = (np.arange(30, 3000, 60)[:, None] + np.arange(5)).ravel()

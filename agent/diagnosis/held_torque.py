@@ -1,0 +1,171 @@
+"""A torque channel that stays where it is while the arm moves on: a sensor that holds its value or is cut off.
+
+A sensor that follows shows a change of torque within what noise and the model's error leave open. One that does not
+is flat, no more restless than its noise from sample to sample, over half a window and the other half, between which
+the model's torque has gone elsewhere. No law of an arm does that for a moment and follows again; fitted all the same
+it is taken for a push, or for friction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.diagnosis.dataset import Dataset, known_effects
+from agent.model import SERVO_STIFFNESS
+
+_WINDOWS = (0.05, 0.1, 0.2, 0.4, 0.8)  # s
+_SAMPLES = 5  # of half a window, at least
+_CERTAIN = 3.0  # standard deviations
+_FOLLOWS = 0.1  # of the change of the model's torque: one that holds its value follows less
+_MOVING = 1 / 3  # of the rows of either half
+_MAD = 0.6745  # of a standard deviation, for normal noise
+_MATTERS = 0.05  # of the energy of the stretch that has most
+_AT_LIMIT = 0.05  # of its size below the largest torque: it is cut off there
+_HIGHEST = 4.0  # times its deviation, of noise in ten thousand samples
+
+
+@dataclass(frozen=True)
+class HeldTorque:
+    """How often a joint's torque stood still while it should have changed, for how long [s] at most, at which size
+    [N·m] if always the same, and the part of the arm's whole gap (energy over the background) that lies there."""
+
+    joint: str
+    times: int
+    longest: float
+    limit: float | None
+    share: float
+
+    @property
+    def text(self) -> str:
+        """As a warning says it."""
+        how = "is cut off" if self.limit is not None else "holds its value"
+        at = f" at {self.limit:.4g} N·m" if self.limit is not None else ""
+        times = f"{self.times} times" if self.times > 1 else "once"
+        return (
+            f"the torque of {self.joint} stands still{at} {times}, for up to {self.longest:.2g} s, where it should "
+            f"change: sensor or recorder {how}; {100 * min(self.share, 1.0):.0f} % of the gap is there, so no cause is "
+            "named: mend that, and record again"
+        )
+
+
+def held_torque(dataset: Dataset) -> HeldTorque | None:
+    """The joint whose torque stands still where most of the gap is; None where none does, or there is hardly a gap."""
+    limits, fit = dataset.limits, dataset.fit
+    excess = (dataset.residual / fit.sigma) ** 2 - 1
+    whole = float(np.sum(np.maximum(excess.sum(axis=0), 0.0)))
+    largest: HeldTorque | None = None
+    for joint, name in enumerate(dataset.robot.joint_names):
+        moves = ~fit.near_rest[:, joint]
+        if not moves.any():
+            continue
+        usual = float(np.median(np.abs(dataset.residual[moves, joint]))) / _MAD  # a model may err more than it says
+        background = max(float(fit.sigma[:, joint].min()), usual)
+        stretches = _of_joint(dataset, joint, background, excess[:, joint])
+        energy = sum(stretch.energy for stretch in stretches)
+        torque = np.sqrt(max(energy, 0.0) / len(excess)) * fit.sigma[:, joint].min() / fit.reference.scale[joint]
+        if torque < limits.practical_torque or energy < limits.held_gap * whole:
+            continue
+        if largest is None or energy / whole > largest.share:
+            largest = _held(name, stretches, energy / whole)
+    return largest
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """How long [s], at which size [N·m], by how much below the largest of its log, and its energy."""
+
+    duration: float
+    size: float
+    below: float
+    energy: float
+
+
+def _held(joint: str, stretches: Sequence[_Stretch], share: float) -> HeldTorque:
+    """What is said of it, by the stretches that matter."""
+    most = max(stretch.energy for stretch in stretches)
+    large = [stretch for stretch in stretches if stretch.energy > _MATTERS * most]
+    at_limit = all(stretch.below < _AT_LIMIT * stretch.size for stretch in large)
+    limit = float(np.median([stretch.size for stretch in large])) if at_limit else None
+    return HeldTorque(joint, len(large), max(stretch.duration for stretch in large), limit, share)
+
+
+def _of_joint(dataset: Dataset, joint: int, background: float, excess: np.ndarray) -> list[_Stretch]:
+    """All stretches in which a joint's torque stands still; `excess` (S',) is its energy over the background."""
+    found, row = [], 0
+    for signals in dataset.fit.signals:
+        log, time = dataset.logs[signals.log_index], signals.time[signals.kept]
+        rows = slice(row, row := row + len(time))
+        if SERVO_STIFFNESS in log.metadata:
+            continue
+        assert log.effort is not None
+        inside = (log.t >= time[0]) & (log.t <= time[-1])
+        stamps, torque = log.t[inside], log.effort[inside, joint]
+        if len(stamps) < 2 * _SAMPLES:
+            continue
+        predicted = signals.predicted[signals.kept, joint] + known_effects(dataset.model, signals)[:, joint]
+        rests = np.interp(stamps, time, dataset.fit.near_rest[rows, joint].astype(float)) > 0
+        flags = _stands_still(stamps, torque, np.interp(stamps, time, predicted), rests, background)
+        largest = float(np.abs(torque).max()) - _HIGHEST * _noise(torque)
+        for first, last in _runs(flags):
+            begin, end = stamps[first], stamps[last - 1]
+            energy = float(excess[rows][(time >= begin) & (time <= end)].sum())
+            size = float(np.abs(np.median(torque[first:last])))
+            found.append(_Stretch(float(end - begin), size, largest - size, energy))
+    return found
+
+
+def _stands_still(
+    time: np.ndarray,
+    torque: np.ndarray,
+    predicted: np.ndarray,
+    rests: np.ndarray,
+    background: float,
+) -> np.ndarray:
+    """(T,) samples of a torque (T,) [N·m] that is flat while the predicted one changes; `rests` are no evidence."""
+    noise = _noise(torque)
+    rate = 1 / float(np.median(np.diff(time)))
+    starts = np.zeros(len(time) + 1, dtype=int)
+    moving = (~rests).astype(float)
+    of_torque, of_square, of_moving, of_predicted = (
+        np.concatenate([[0.0], np.cumsum(column)])
+        for column in (torque - torque.mean(), (torque - torque.mean()) ** 2, moving, moving * predicted)
+    )
+    for half in sorted({int(window * rate / 2) for window in _WINDOWS}):
+        if half < _SAMPLES or 2 * half >= len(time):
+            continue
+        a = np.arange(len(time) + 1 - 2 * half)
+        b, c = a + half, a + 2 * half
+        first, second = of_moving[b] - of_moving[a], of_moving[c] - of_moving[b]
+        enough = (first > _MOVING * half) & (second > _MOVING * half)
+        expected = (of_predicted[c] - of_predicted[b]) / np.maximum(second, 1) - (
+            of_predicted[b] - of_predicted[a]
+        ) / np.maximum(first, 1)
+        change = (of_torque[c] - 2 * of_torque[b] + of_torque[a]) / half
+        mean = (of_torque[c] - of_torque[a]) / (2 * half)
+        spread = (of_square[c] - of_square[a]) / (2 * half) - mean**2
+        error = noise * np.sqrt(2 / half)
+        should = enough & (np.abs(expected) > max(2 * _CERTAIN * error, _CERTAIN * background))
+        flat = spread <= noise**2 * (1 + _CERTAIN / np.sqrt(half)) + 1e-12 * of_square[-1] / len(time)
+        stands = should & flat & (np.abs(change) < _FOLLOWS * np.abs(expected) + _CERTAIN * error)
+        np.add.at(starts, a[stands], 1)
+        np.add.at(starts, c[stands], -1)
+    return np.cumsum(starts)[:-1] > 0
+
+
+def _noise(torque: np.ndarray) -> float:
+    """Standard deviation [N·m] from sample to sample; most of them may be equal, as of a torque in coarse steps."""
+    change = np.abs(np.diff(torque))
+    median = float(np.median(change))
+    if median > 0:
+        return median / (_MAD * np.sqrt(2))
+    usual = change[change <= 3 * np.quantile(change, 0.9)]
+    return float(np.sqrt(np.mean(usual**2) / 2))
+
+
+def _runs(flags: np.ndarray) -> Iterator[tuple[int, int]]:
+    """First and one past the last of every stretch that is set."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
+    return zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)

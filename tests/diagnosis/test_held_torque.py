@@ -1,0 +1,95 @@
+"""A torque that stands still while the arm moves on is the sensor's: no cause on the arm is named for it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from agent.diagnosis import Diagnosis, diagnose
+from agent.estimation import EstimationSettings, estimate
+from agent.model import IdentifiedModel
+from agent.recording.log import Log
+from agent.robot import RobotDescription
+from agent.robot.bodies import rigid_bodies
+from tests.estimation.conftest import _arm, _log, _multisine
+
+RATE = 250.0  # Hz
+NOISE = 0.4  # N·m
+MOVES = (11, 12, 13)
+
+
+def _torque(robot: RobotDescription, seed: int, more: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (S, 2) [rad] and joint torque (S, 2) [N·m] without noise; `more` is added to viscous friction."""
+    rigid, _, _ = rigid_bodies(robot)
+    q, qd, qdd = _multisine(2, np.arange(0, 16, 1 / RATE), seed)
+    bodies = rigid.projection @ np.concatenate([rigid.dynamics.standard_parameters(), np.full(2, 1e-4)])
+    return q, rigid.torque(q, qd, qdd, bodies) + 5 * np.sign(qd) + (4 + more) * qd
+
+
+def _recorded(robot: RobotDescription, seed: int, q: np.ndarray, torque: np.ndarray) -> Log:
+    noise = NOISE * np.random.default_rng(seed).normal(size=torque.shape)
+    return _log(robot, np.arange(len(q)) / RATE, q, torque + noise, f"{seed}.mcap")
+
+
+def _holding(torque: np.ndarray, seed: int) -> np.ndarray:
+    """The first joint's torque holds its value now and then, for 0.1 to 0.5 s."""
+    rng, held = np.random.default_rng(seed), torque.copy()
+    for start in range(200, len(held) - 200, 400):
+        held[start : start + rng.integers(25, 125), 0] = held[start, 0]
+    return held
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotDescription:
+    return _arm(2)
+
+
+@pytest.fixture(scope="module")
+def model(robot) -> IdentifiedModel:
+    logs = [_recorded(robot, seed, *_torque(robot, seed)) for seed in (1, 2)]
+    return estimate(robot, logs, EstimationSettings.create(cutoff=15))
+
+
+def _said(found: Diagnosis) -> list[str]:
+    return [warning for warning in found.answer.warnings if "stands still" in warning]
+
+
+def test_a_sensor_that_holds_its_value_is_said_and_no_cause_named(robot, model):
+    logs = []
+    for seed in MOVES:
+        q, torque = _torque(robot, seed)
+        logs.append(_recorded(robot, seed, q, _holding(torque, seed)))
+    found = diagnose(robot, logs, model)
+    assert found.answer.verdict == "unknown"
+    (warning,) = _said(found)
+    assert warning.startswith(f"the torque of {robot.joint_names[0]} stands still")
+    assert "holds its value" in warning
+
+
+def test_a_torque_that_is_cut_off_is_said_with_the_level(robot, model):
+    logs, level = [], 0.0
+    for seed in MOVES:
+        q, torque = _torque(robot, seed)
+        level = level or float(np.quantile(np.abs(torque[:, 1]), 0.8))
+        torque[:, 1] = np.clip(torque[:, 1], -level, level)
+        logs.append(_recorded(robot, seed, q, torque))
+    found = diagnose(robot, logs, model)
+    assert found.answer.verdict == "unknown"
+    (warning,) = _said(found)
+    said = float(warning.split("stands still at ")[1].split(" N·m")[0])
+    assert said == pytest.approx(level, rel=0.02)
+    assert f"{robot.joint_names[1]} stands still at" in warning
+
+
+def test_what_the_arm_does_is_not_the_sensors(robot, model):
+    """More friction, and torque held only where it hardly changes, which nothing tells from one that follows."""
+    logs = [_recorded(robot, seed, *_torque(robot, seed, np.array([2.0, 0.0]))) for seed in MOVES]
+    found = diagnose(robot, logs, model)
+    assert found.answer.verdict in ("explained", "ambiguous")
+    assert not _said(found)
+
+
+def test_without_a_gap_nothing_is_said(robot, model):
+    found = diagnose(robot, [_recorded(robot, seed, *_torque(robot, seed)) for seed in MOVES], model)
+    assert found.answer.verdict == "no_gap"
+    assert not _said(found)
