@@ -161,7 +161,7 @@ def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tu
     last = fits[-1] if fits else dataset.fit
     for k, candidate in enumerate(finding.causes):
         fits.append(last.with_chosen(finding.causes[: k + 1]))
-        alone.append(dataset.fit.with_chosen((candidate,)).out_of_fold(candidate.effect.once))
+        alone.append(dataset.fit.with_chosen((candidate,)).out_of_fold(candidate.once))
         texts.append(candidate.text(names))
     stages = [fit.out_of_fold(fit.once) for fit in fits]
     errors = [gap.raw, *(gap.beyond(stage) for stage in (*stages, *alone))]

@@ -38,6 +38,11 @@ class Candidate:
         """Effect and joints."""
         return self.effect.name, self.joints
 
+    @property
+    def once(self) -> bool:
+        """Whether it happens once, so that no other log tells of it and it is judged by `single` folds."""
+        return self.effect.happens_once(self.settings)
+
     def text(self, joint_names: Sequence[str]) -> str:
         """As a step or a range is called."""
         where = ", ".join(joint_names[j] for j in self.joints)

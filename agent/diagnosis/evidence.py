@@ -67,7 +67,7 @@ def null_gains(
     of the model alone becomes e − Z̃ β on rows held out, which gains 2 βᵀ Z̃ᵀe − βᵀ Z̃ᵀZ̃ β. All of it is linear or
     quadratic in sums over blocks of rows, so a draw costs their signs only.
     """
-    wanted = [c for c in candidates if not c.effect.once]
+    wanted = [c for c in candidates if not c.once]
     ends = np.cumsum([0, *(len(c.names) for c in wanted)])
     spans = dict(zip(wanted, (slice(a, b) for a, b in pairwise(ends)), strict=True))
     unit, fold_of, block_of = _units(fit)

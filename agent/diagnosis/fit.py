@@ -134,7 +134,7 @@ class Fit:
     @property
     def once(self) -> bool:
         """Whether a chosen effect happens once, so that `single` folds are what it can be judged by."""
-        return any(c.effect.once for c in self.chosen)
+        return any(c.once for c in self.chosen)
 
     @property
     def near_rest(self) -> np.ndarray:
@@ -277,9 +277,10 @@ class Fit:
     def promising(self, candidates: Sequence[Candidate], each: int) -> list[Candidate]:
         """Of every place the `each` candidates that gain most where nothing is held out, possible ones first.
 
-        Of every number of parameters so many: only where these are as many does such a gain compare.
+        Of every number of parameters so many, and of what happens once: only where these are alike does such a gain
+        compare.
         """
-        alike: dict[tuple[Where, int], list[tuple[bool, float, int]]] = {}
+        alike: dict[tuple[Where, int, bool], list[tuple[bool, float, int]]] = {}
         inverse, alone = self.solve(np.ones(self.cells, dtype=bool))
         for numbers, cross, own in side_by_side(list(self.moments(candidates))):
             b, energy = cross.sum(axis=1) / self.repeat, own.sum(axis=1)
@@ -289,8 +290,10 @@ class Fit:
             schur += self.ridges([candidates[k] for k in numbers], np.diagonal(energy, axis1=1, axis2=2))
             values = solved(schur, side, np.diagonal(schur, axis1=1, axis2=2))
             for number, gain, fitted in zip(numbers, products(side, values).tolist(), values, strict=True):
-                possible = plausible(HeldOutScore(candidates[number], 0.0, 0.0, fitted))
-                alike.setdefault((candidates[number].place, len(fitted)), []).append((possible, gain, number))
+                candidate = candidates[number]
+                possible = plausible(HeldOutScore(candidate, 0.0, 0.0, fitted))
+                kind = candidate.place, len(fitted), candidate.once
+                alike.setdefault(kind, []).append((possible, gain, number))
         kept = {number for found in alike.values() for *_, number in sorted(found, reverse=True)[:each]}
         return [candidate for number, candidate in enumerate(candidates) if number in kept]
 
@@ -304,7 +307,7 @@ class Fit:
 
     def _score(self, candidates: Sequence[Candidate], cross: np.ndarray, own: np.ndarray) -> list[HeldOutScore]:
         """Of candidates with as many parameters k: cross (N, cells, size + 1, k), own (N, cells, k, k)."""
-        single = candidates[0].effect.once or self.once
+        single = candidates[0].once or self.once
         error = self.error(single)
         energy = np.diagonal(own.sum(axis=1), axis1=1, axis2=2)
         empty = ~np.all(np.isfinite(energy), axis=1) | np.all(energy <= 1e-9, axis=1)

@@ -105,7 +105,7 @@ def _of_joint(dataset: Dataset, joint: int, background: float, excess: np.ndarra
         stamps, torque = log.t[inside], log.effort[inside, joint]
         if len(stamps) < 2 * _SAMPLES:
             continue
-        predicted = signals.predicted[signals.kept, joint] + known_effects(dataset.model, signals)[:, joint]
+        predicted = (signals.low_pass(signals.predicted) + known_effects(dataset.model, signals))[:, joint]
         rests = np.interp(stamps, time, dataset.fit.near_rest[rows, joint].astype(float)) > 0
         flags = _stands_still(stamps, torque, np.interp(stamps, time, predicted), rests, background)
         largest = float(np.abs(torque).max()) - _HIGHEST * _noise(torque)

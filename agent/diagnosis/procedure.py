@@ -25,7 +25,15 @@ from agent.diagnosis.isolability import best_by_place, complexity, imitates, pla
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.needs import Excursions
 from agent.diagnosis.refinement import refined
-from agent.diagnosis.rivals import as_good, equals_by_definition, gain_at_best, gain_by_form, special_case_as_good
+from agent.diagnosis.rivals import (
+    as_good,
+    equals_by_definition,
+    fades_for_certain,
+    gain_at_best,
+    gain_by_form,
+    may_follow_position,
+    special_case_as_good,
+)
 from agent.diagnosis.standstill import at_rest
 from agent.diagnosis.verdict import abstained, named
 from agent.model import CATALOGUE
@@ -137,7 +145,10 @@ class Search:
             pool = self.tried = new
         else:
             pool = [c for c in self.pool if c.place not in taken] + new
-        best = best_by_place(fit.score(fit.promising(pool, _SCORED)))
+        tried = fit.score(fit.promising(pool, _SCORED))
+        fading = [s for s in tried if s.candidate.once and not s.candidate.effect.once and s.gain > self.least]
+        only_steps = [s for s in fading if not fades_for_certain(self.limits, fit, s)]
+        best = best_by_place([s for s in tried if s not in only_steps])
         if fixed:
             self._progress(f"what {len(self.tried)} forms gain by chance")
             self.null = null_gains(fit, self.tried, self.limits)
@@ -177,23 +188,10 @@ class Search:
                 continue  # it takes noise out of the prediction
             if put_elsewhere(fit, score) > self.least:
                 continue  # what it explains is on one joint, and its torque on others is not there
-            if effect.once and self._may_follow_position(fit, score):
+            if effect.once and may_follow_position(self.limits, fit, score, self.excursions):
                 continue
             result.append(score)
         return tuple(sorted(result, key=lambda s: -s.gain))
-
-    def _may_follow_position(self, fit: Fit, score: HeldOutScore) -> bool:
-        """Whether a law of position takes away as much, on a joint that travels too little for it to be named."""
-        wanted = [
-            (effect, (joint,), settings)
-            for effect in CATALOGUE.values()
-            for joint in score.candidate.blocks
-            if effect.scope == "joint" and "position" in effect.shapes and self.excursions.moved[joint]
-            if self.excursions.travel[joint] < effect.needs_travel
-            for settings in effect.settings(fit, (joint,))
-        ]
-        laws = fit.score(fit.candidates(wanted))
-        return any(law.gain >= (1 - self.limits.equal_gain) * score.gain for law in laws)
 
     def _over(self, score: HeldOutScore, over: np.ndarray, clear: np.ndarray) -> bool:
         """Whether an error over the background may be its own; a model fitted with it would look the same below."""

@@ -204,7 +204,8 @@ def not_testable(dataset: Dataset, search: Search) -> list[NotTestable]:
                 if why:
                     result.append(NotTestable(name, where, why))
                 continue
-            if effect.once:
+            candidates = [candidate for candidate in candidates if not candidate.once]
+            if not candidates:
                 continue
             if search.moved:  # in its plainest form: links that were moved may do all that this does
                 fewest = min(effect.n_parameters(candidate.settings) for candidate in candidates)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from agent.diagnosis.candidate import Candidate, HeldOutScore, Where
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.isolability import complexity, plausible, structurally_equivalent
 from agent.diagnosis.limits import DecisionLimits
+from agent.diagnosis.needs import Excursions
 from agent.model import CATALOGUE
 
 Places = Mapping[Where, HeldOutScore]
@@ -71,6 +75,48 @@ def special_case_as_good(limits: DecisionLimits, rows: float, score: HeldOutScor
         < max(least, share * gain_by_form(limits, score.gain, places, place, other.candidate.place))
         for other in simpler
     )
+
+
+def may_follow_position(limits: DecisionLimits, fit: Fit, score: HeldOutScore, excursions: Excursions) -> bool:
+    """Whether a law of position takes away as much, on a joint that travels too little for it to be named."""
+    wanted = [
+        (effect, (joint,), settings)
+        for effect in CATALOGUE.values()
+        for joint in score.candidate.blocks
+        if effect.scope == "joint" and "position" in effect.shapes and excursions.moved[joint]
+        if excursions.travel[joint] < effect.needs_travel
+        for settings in effect.settings(fit, (joint,))
+    ]
+    laws = fit.score(fit.candidates(wanted))
+    return any(law.gain >= (1 - limits.equal_gain) * score.gain for law in laws)
+
+
+def fades_for_certain(limits: DecisionLimits, fit: Fit, score: HeldOutScore) -> bool:
+    """Whether what fades within one log does better than its simpler forms with parameters of each log's own.
+
+    Held out by short segments it could stand for anything that this log has and the others have not.
+    """
+    fading = score.candidate
+    reversal = {key: value for key, value in fading.settings.items() if key == "reversal_travel"}
+    wanted = [
+        (CATALOGUE[limit], fading.joints, {**settings, **reversal})
+        for limit in fading.effect.special_cases
+        for settings in CATALOGUE[limit].settings(fit, fading.joints)
+    ]
+    log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in fit.signals])
+    of_log = (log[:, None] == np.unique(log)).astype(float)
+    steps = [
+        replace(
+            fading,
+            names=tuple(f"{name}_{number}" for name in plain.names for number in range(of_log.shape[1])),
+            blocks={
+                joint: (block[:, :, None] * of_log[:, None]).reshape(len(log), -1)
+                for joint, block in plain.blocks.items()
+            },
+        )
+        for plain in fit.candidates(wanted)
+    ]
+    return all(score.gain - other.gain >= limits.equal_gain * score.gain for other in fit.score(steps))
 
 
 def equals_by_definition(

@@ -102,7 +102,7 @@ def intervals(finding: Finding) -> list[dict[str, tuple[float, float]]]:
     }
     found = []
     for number, candidate in enumerate(finding.causes):
-        folds = by_fold[candidate.effect.once]
+        folds = by_fold[candidate.once]
         settings = {name: float(value) for name, value in candidate.settings.items()}
 
         def reported(values: np.ndarray, candidate: Any = candidate, settings: Any = settings) -> dict[str, float]:

@@ -16,7 +16,7 @@ def side_by_side(found: Sequence[WithMoments]) -> Iterator[tuple[list[int], np.n
     """Of those that have as many parameters, and happen once or repeat: numbers, and moments of both kinds (N, …)."""
     groups: dict[tuple[int, bool], list[int]] = {}
     for number, (candidate, _) in enumerate(found):
-        groups.setdefault((len(candidate.names), candidate.effect.once), []).append(number)
+        groups.setdefault((len(candidate.names), candidate.once), []).append(number)
     for numbers in groups.values():
         yield numbers, np.stack([found[k][1][0] for k in numbers]), np.stack([found[k][1][1] for k in numbers])
 

@@ -129,6 +129,10 @@ class Effect(ABC):
         """Whether it is part of the arm that a simulator has: not once only, nor in the set-points alone."""
         return not self.once and self.shows_in == "torque"
 
+    def happens_once(self, settings: Mapping[str, float]) -> bool:
+        """Whether it does with these nonlinear parameters."""
+        return self.once
+
     def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:
         """Joints (from 0) it may sit on."""
         return [(k,) for k in range(robot.dof)] if self.scope == "joint" else [()]

@@ -14,6 +14,8 @@ from agent.model.signals import MotionSignals, NominalModel
 _LONGEST_SESSION = 12 * 3600.0  # s
 _SHORTEST = 5.0  # s: no gear warms up faster
 _LEAST_WAY = 1.0  # rad: nor within a sixth of a turn
+_STARTS = "within_first_log"
+_OF_START = (0.03, 0.1, 0.3)  # of its time or way
 
 
 class ThermalFriction(FrictionLevel):
@@ -38,6 +40,7 @@ class ThermalFriction(FrictionLevel):
     experiment = FROM_COLD
     complexity_penalty = 1
     refined = ("time_constant", "way")
+    not_reported = (_STARTS,)
     special_cases = ("friction_change",)
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
@@ -49,6 +52,8 @@ class ThermalFriction(FrictionLevel):
         for s in motions:
             each[s.log_index] += float(_way(s, axle)[-1])
         furthest, whole = max(each.values()), sum(each.values())
+        first = min(motions, key=lambda s: (s.started, float(s.time[0]))).log_index
+        start = max(float(s.time[-1]) for s in motions if s.log_index == first)
         found = [
             *({"time_constant": fraction * longest} for fraction in (0.08, 0.2, 0.5, 1.5, 5.0)),
             *({"way": fraction * furthest} for fraction in (0.1, 0.3, 1.0)),
@@ -59,7 +64,13 @@ class ThermalFriction(FrictionLevel):
             *found,
             *({"time_constant": fraction * session, "session": 1.0} for fraction in (0.1, 0.3, 0.8, 2.0)),
             *({"way": fraction * whole, "session": 1.0} for fraction in (0.03, 0.1, 0.3, 1.0)),
+            *({"time_constant": fraction * start, "session": 1.0, _STARTS: 1.0} for fraction in _OF_START),
+            *({"way": fraction * each[first], "session": 1.0, _STARTS: 1.0} for fraction in _OF_START),
         ]
+
+    def happens_once(self, settings: Mapping[str, float]) -> bool:
+        """Where the drive is warm before the first log of a session ends: none of the others shows that it was cold."""
+        return _STARTS in settings
 
     def level_names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return ("coulomb_change", "coulomb_drift", "viscous_change", "viscous_drift")
