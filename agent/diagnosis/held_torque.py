@@ -41,13 +41,22 @@ class HeldTorque:
     @property
     def text(self) -> str:
         """As a warning says it."""
-        how = "is cut off" if self.limit is not None else "holds its value"
-        at = f" at {self.limit:.4g} N·m" if self.limit is not None else ""
+        at, how = "", "holds its value"
+        if self.limit is not None:
+            at, how = f" at {self.limit:.4g} N·m", "cuts it off there"
         times = f"{self.times} times" if self.times > 1 else "once"
         return (
             f"the torque of {self.joint} stands still{at} {times}, for up to {self.longest:.2g} s, where it should "
-            f"change: sensor or recorder {how}; {100 * min(self.share, 1.0):.0f} % of the gap is there, so no cause is "
-            "named: mend that, and record again"
+            f"change: its sensor or recorder {how}; {100 * min(self.share, 1.0):.0f} % of the gap is there, so no "
+            "cause is named"
+        )
+
+    @property
+    def motion(self) -> str:
+        """That tells more."""
+        return (
+            f"the same motions again, once the torque of {self.joint}, which stands still where it should change, is "
+            "recorded as it is"
         )
 
 

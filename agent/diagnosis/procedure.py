@@ -33,6 +33,7 @@ from agent.diagnosis.rivals import (
     gain_by_form,
     may_follow_position,
     special_case_as_good,
+    trusted,
 )
 from agent.diagnosis.standstill import at_rest
 from agent.diagnosis.verdict import abstained, named
@@ -298,7 +299,8 @@ class Search:
             least = max(self.limits.equal_gain_floor * self.rows, self._excess(fit, tuple(candidate.blocks)))
             places = best_by_place(step.scores)
             trust = {there: gain_by_form(self.limits, lost, places, candidate.place, there) for there in places}
-            margins = {there: max(least, self._alike * by_form) for there, by_form in trust.items()}
+            shares = {there: trusted(self.limits, candidate, there, self._alike) for there in trust}
+            margins = {there: max(least, shares[there] * by_form) for there, by_form in trust.items()}
             level: list[Where] = []
             runners: list[Where] = []
             behind = np.inf

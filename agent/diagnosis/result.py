@@ -26,6 +26,7 @@ from agent.diagnosis.dataset import Dataset
 from agent.diagnosis.evidence import share_intervals
 from agent.diagnosis.finding import Finding
 from agent.diagnosis.gap import HeldOutGap, held_out_gap
+from agent.diagnosis.held_torque import HeldTorque
 from agent.diagnosis.motion_gap import MotionGap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.regimes import regimes
@@ -69,8 +70,11 @@ def build(
     motion: MotionGap | None,
     warnings: Sequence[str],
     calibrated: ReleasedSimulator | None = None,
+    held: HeldTorque | None = None,
 ) -> Diagnosis:
     """Figures held out, shares, regimes and what is not testable.
+
+    `held`: the torque that stands still where most of the gap is.
 
     `calibrated`: of a simulator whose parameters were moved, if any; causes are judged by the gap that is left then,
     and all figures are of the gap of the simulator as given.
@@ -120,9 +124,9 @@ def build(
         _where(dataset, gap),
         causes,
         tuple(not_testable(dataset, search)),
-        next_experiment(causes, verdict),
+        next_experiment(causes, verdict) if held is None else NextExperiment((), held.motion),
         _folds(dataset),
-        tuple(warnings),
+        (*(() if held is None else (held.text,)), *warnings),
         steps,
         "servos" if any(servo_stiffness(log.metadata) is not None for log in dataset.logs) else "motors",
     )

@@ -39,6 +39,18 @@ def gain_by_form(limits: DecisionLimits, gain: float, best: Places, first: Where
     return gain - min(exact, gain)
 
 
+def trusted(limits: DecisionLimits, cause: Candidate, other: Where, alike: float) -> float:
+    """The share of a gain by which a cause has to be better than another place; `alike` that of unlike forms.
+
+    Two laws of position that equal each other by definition are trusted to a tenth of their torque: a spring between
+    pivots is neither a sine nor a straight line.
+    """
+    effect, rival = cause.effect, CATALOGUE[other[0]]
+    same = other[1] == cause.joints and rival.name in effect.structurally_equivalent
+    laws = all("position" in one.shapes and not one.exact for one in (effect, rival))
+    return max(alike, limits.equal_shape_gain) if same and laws else alike
+
+
 def gain_at_best(limits: DecisionLimits, score: HeldOutScore, best: Places, other: Where) -> float:
     """A score's gain, and no less than that of the exact part that it has in common with another place, as far as forms
     are trusted: friction by direction is an offset while the joint slides, whatever its form around a reversal."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from agent.core import InputError, keep_freed_memory
 from agent.diagnosis.dataset import assemble
-from agent.diagnosis.held_torque import held_torque
+from agent.diagnosis.held_torque import HeldTorque, held_torque
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.motion_gap import MotionGap, motion_gap
 from agent.diagnosis.procedure import Search
@@ -40,7 +40,7 @@ def diagnose(
     check_effects(without)
     logs, twice = _distinct(logs)
     calibrated = None
-    said: tuple[str, ...] = ()
+    held: HeldTorque | None = None
     if model is not None and model.method == SIMULATOR:
         answer = search_simulator(robot, model, logs, cutoff, without, progress, limits)
         search, finding, gap, calibrated = answer.search, answer.finding, answer.gap, answer.calibrated
@@ -51,11 +51,11 @@ def diagnose(
         search = Search(dataset.fit, without, dataset.given, progress, limits)
         finding = search.run()
         if (held := held_torque(dataset)) is not None:
-            finding, said = finding.without_causes("unknown", dataset.fit), (held.text,)
+            finding = finding.without_causes("unknown", dataset.fit)
         finding, gap = judge(dataset, finding, dataset.fit)
     motion = motion_gap(logs, limits)
-    warnings = (*twice, *said, *_warnings(robot, logs, model is not None, limits), *_path_warnings(motion))
-    return build(dataset, finding, gap, search, motion, warnings, calibrated)
+    warnings = (*twice, *_warnings(robot, logs, model is not None, limits), *_path_warnings(motion))
+    return build(dataset, finding, gap, search, motion, warnings, calibrated, held)
 
 
 def check_effects(names: Sequence[str]) -> None:

@@ -64,6 +64,9 @@ def test_a_sensor_that_holds_its_value_is_said_and_no_cause_named(robot, model):
     (warning,) = _said(found)
     assert warning.startswith(f"the torque of {robot.joint_names[0]} stands still")
     assert "holds its value" in warning
+    assert found.result["next_experiment"]["motion"].endswith(
+        f"once the torque of {robot.joint_names[0]} is recorded as it is"
+    )
 
 
 def test_a_torque_that_is_cut_off_is_said_with_the_level(robot, model):

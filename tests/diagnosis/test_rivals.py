@@ -9,7 +9,7 @@ import pytest
 
 from agent.diagnosis.candidate import Candidate, HeldOutScore
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.rivals import as_good, equals_by_definition, exact_in_both, gain_at_best, gain_by_form
+from agent.diagnosis.rivals import as_good, equals_by_definition, exact_in_both, gain_at_best, gain_by_form, trusted
 from agent.model import CATALOGUE
 
 ARM = SimpleNamespace(scale=np.full(3, 100.0))
@@ -90,3 +90,15 @@ def test_a_curve_through_anything_is_no_evidence_for_a_hose(line, equal):
     margins = dict.fromkeys(known, 10.0)
     found = equals_by_definition(LIMITS, fit, tried, spring.candidate, 1000.0, margins, known)
     assert (HOSE in found) is equal
+
+
+def test_of_a_spring_and_a_hose_the_simpler_one_is_not_trusted_further_either():
+    """A straight line gained 0.7 % more than two harmonics of a spring between pivots, and was called a hose."""
+    alike = LIMITS.indistinguishable_gain
+    for cause, other in ((HOSE, SPRING), (SPRING, HOSE)):
+        settings = {"harmonics": 2.0} if cause == SPRING else {}
+        assert trusted(LIMITS, score(cause, 1.0, **settings).candidate, other, alike) == LIMITS.equal_shape_gain
+    hose = score(HOSE, 1.0).candidate
+    assert trusted(LIMITS, hose, ("gravity_spring", (2,)), alike) == alike, "on another joint"
+    assert trusted(LIMITS, hose, OFFSET, alike) == alike, "a constant is exact"
+    assert trusted(LIMITS, hose, SPRING, LIMITS.equal_gain) == LIMITS.equal_gain, "where numbers were moved"
