@@ -67,14 +67,10 @@ def held_torque(dataset: Dataset) -> HeldTorque | None:
     whole = float(np.sum(np.maximum(excess.sum(axis=0), 0.0)))
     largest: HeldTorque | None = None
     for joint, name in enumerate(dataset.robot.joint_names):
-        moves = ~fit.near_rest[:, joint]
-        if not moves.any():
-            continue
-        usual = float(np.median(np.abs(dataset.residual[moves, joint]))) / _MAD  # a model may err more than it says
-        background = max(float(fit.sigma[:, joint].min()), usual)
+        background = float(fit.sigma[:, joint].min())
         stretches = _of_joint(dataset, joint, background, excess[:, joint])
         energy = sum(stretch.energy for stretch in stretches)
-        torque = np.sqrt(max(energy, 0.0) / len(excess)) * fit.sigma[:, joint].min() / fit.reference.scale[joint]
+        torque = np.sqrt(max(energy, 0.0) / len(excess)) * background / fit.reference.scale[joint]
         if torque < limits.practical_torque or energy < limits.held_gap * whole:
             continue
         if largest is None or energy / whole > largest.share:

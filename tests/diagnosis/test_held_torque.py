@@ -54,6 +54,10 @@ def _said(found: Diagnosis) -> list[str]:
     return [warning for warning in found.answer.warnings if "stands still" in warning]
 
 
+def _level(warning: str) -> float:
+    return float(warning.split("stands still at ")[1].split(" N·m")[0])
+
+
 def test_a_sensor_that_holds_its_value_is_said_and_no_cause_named(robot, model):
     logs = []
     for seed in MOVES:
@@ -64,9 +68,19 @@ def test_a_sensor_that_holds_its_value_is_said_and_no_cause_named(robot, model):
     (warning,) = _said(found)
     assert warning.startswith(f"the torque of {robot.joint_names[0]} stands still")
     assert "holds its value" in warning
-    assert found.result["next_experiment"]["motion"].endswith(
-        f"once the torque of {robot.joint_names[0]} is recorded as it is"
-    )
+    assert f"once the torque of {robot.joint_names[0]}, which stands still" in found.result["next_experiment"]["motion"]
+
+
+def test_a_torque_that_is_nearly_always_cut_off_is_said_too(robot, model):
+    logs = []
+    for seed in MOVES:
+        q, torque = _torque(robot, seed)
+        torque[:, 1] = np.clip(torque[:, 1], -8.0, 8.0)
+        logs.append(_recorded(robot, seed, q, torque))
+    found = diagnose(robot, logs, model)
+    assert found.answer.verdict == "unknown"
+    (warning,) = _said(found)
+    assert _level(warning) == pytest.approx(8.0, rel=0.02)
 
 
 def test_a_torque_that_is_cut_off_is_said_with_the_level(robot, model):
@@ -79,8 +93,7 @@ def test_a_torque_that_is_cut_off_is_said_with_the_level(robot, model):
     found = diagnose(robot, logs, model)
     assert found.answer.verdict == "unknown"
     (warning,) = _said(found)
-    said = float(warning.split("stands still at ")[1].split(" N·m")[0])
-    assert said == pytest.approx(level, rel=0.02)
+    assert _level(warning) == pytest.approx(level, rel=0.02)
     assert f"{robot.joint_names[1]} stands still at" in warning
 
 
