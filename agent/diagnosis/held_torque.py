@@ -65,10 +65,11 @@ def held_torque(dataset: Dataset) -> HeldTorque | None:
     limits, fit = dataset.limits, dataset.fit
     excess = (dataset.residual / fit.sigma) ** 2 - 1
     whole = float(np.sum(np.maximum(excess.sum(axis=0), 0.0)))
+    predicted = [s.low_pass(s.predicted) + known_effects(dataset.model, s) for s in fit.signals]
     largest: HeldTorque | None = None
     for joint, name in enumerate(dataset.robot.joint_names):
         background = float(fit.sigma[:, joint].min())
-        stretches = _of_joint(dataset, joint, background, excess[:, joint])
+        stretches = _of_joint(dataset, joint, [torque[:, joint] for torque in predicted], excess[:, joint])
         energy = sum(stretch.energy for stretch in stretches)
         torque = np.sqrt(max(energy, 0.0) / len(excess)) * background / fit.reference.scale[joint]
         if torque < limits.practical_torque or energy < limits.held_gap * whole:
@@ -97,10 +98,12 @@ def _held(joint: str, stretches: Sequence[_Stretch], share: float) -> HeldTorque
     return HeldTorque(joint, len(large), max(stretch.duration for stretch in large), limit, share)
 
 
-def _of_joint(dataset: Dataset, joint: int, background: float, excess: np.ndarray) -> list[_Stretch]:
-    """All stretches in which a joint's torque stands still; `excess` (S',) is its energy over the background."""
+def _of_joint(dataset: Dataset, joint: int, predicted: Sequence[np.ndarray], excess: np.ndarray) -> list[_Stretch]:
+    """All stretches in which a joint's torque stands still; of every motion its torque by the model, (S',) [N·m], and
+    `excess` (S'total,) is its energy over the background."""
+    background = float(dataset.fit.sigma[:, joint].min())
     found, row = [], 0
-    for signals in dataset.fit.signals:
+    for signals, by_model in zip(dataset.fit.signals, predicted, strict=True):
         log, time = dataset.logs[signals.log_index], signals.time[signals.kept]
         rows = slice(row, row := row + len(time))
         if SERVO_STIFFNESS in log.metadata:
@@ -110,9 +113,8 @@ def _of_joint(dataset: Dataset, joint: int, background: float, excess: np.ndarra
         stamps, torque = log.t[inside], log.effort[inside, joint]
         if len(stamps) < 2 * _SAMPLES:
             continue
-        predicted = (signals.low_pass(signals.predicted) + known_effects(dataset.model, signals))[:, joint]
         rests = np.interp(stamps, time, dataset.fit.near_rest[rows, joint].astype(float)) > 0
-        flags = _stands_still(stamps, torque, np.interp(stamps, time, predicted), rests, background)
+        flags = _stands_still(stamps, torque, np.interp(stamps, time, by_model), rests, background)
         largest = float(np.abs(torque).max()) - _HIGHEST * _noise(torque)
         for first, last in _runs(flags):
             begin, end = stamps[first], stamps[last - 1]
