@@ -17,8 +17,8 @@ def effect_torque(model: RigidFrictionModel, entry: ModelEffect, motion: Mapping
     """(S, n) joint torque [N·m] of one effect on a motion (time, q, qd, qdd as arrays; `log` counts the logs of a fit).
 
     Raises:
-        InputError: an effect that is neither built in nor installed, parameters or joints that it does not have, or a
-            motion without times.
+        InputError: an effect that is neither built in nor installed, parameters or joints that it does not have, or
+            that give no finite torque, or a motion without times.
     """
     if entry.effect not in CATALOGUE:
         raise InputError(f"the model has an effect {entry.effect!r} that this version cannot evaluate")
@@ -37,6 +37,10 @@ def effect_torque(model: RigidFrictionModel, entry: ModelEffect, motion: Mapping
         NominalModel(model), motion["time"], motion["q"], motion["qd"], motion["qdd"], motion.get("log", -1)
     )
     total = np.zeros(signals.q.shape)
-    for joint, columns in effect.columns(signals, joints, settings).items():
-        total[:, joint] += columns @ values
+    with np.errstate(all="ignore"):
+        for joint, columns in effect.columns(signals, joints, settings).items():
+            total[:, joint] += columns @ values
+    if not np.all(np.isfinite(total)):
+        given = ", ".join(f"{name} {value:g}" for name, value in entry.parameters.items())
+        raise InputError(f"the model's effect {entry.effect} gives no finite torque with {given}: estimate it again")
     return total
