@@ -13,9 +13,9 @@ from agent.model import CATALOGUE
 
 #: What a cause is called large by, in the order of preference.
 _LEADING = (
-    "mass", "rise", "coulomb_change", "viscous_change", "coulomb_asymmetry", "viscous_asymmetry", "coefficient", "bend",
-    "level", "gap", "stiffness", "delay", "scale_error", "offset", "ratio", "tilt_1", "tilt_2", "force_x", "force_y",
-    "force_z", "shift", "m", "cosine_1", "sine_1", "constant", "hysteresis",
+    "mass", "rise", "coulomb_drift", "coulomb_change", "viscous_change", "coulomb_asymmetry", "viscous_asymmetry",
+    "coefficient", "bend", "level", "gap", "stiffness", "delay", "scale_error", "offset", "ratio", "tilt_1", "tilt_2",
+    "force_x", "force_y", "force_z", "shift", "m", "cosine_1", "sine_1", "constant", "hysteresis",
 )  # fmt: skip
 #: Units by name, or by what stands before the first underscore, where the effect itself does not say them.
 _UNITS = {

@@ -45,6 +45,8 @@ def test_the_leading_figure_and_what_is_not_told():
     one_sided = {"effect": "asymmetric_friction", "parameters": {"coulomb": 1.0, "coulomb_asymmetry": 28.3}}
     assert reported_parameters(one_sided) == ["coulomb_asymmetry"]
     assert leading_parameter({"effect": "inertial_mismatch", "parameters": {"link": 3.0, "m3": 1.0}}) == "m3"
+    warms_up = {"coulomb_change": 0.0, "coulomb_drift": 0.7, "viscous_drift": 0.3}
+    assert leading_parameter({"effect": "thermal_friction", "parameters": warms_up}) == "coulomb_drift"
     assert leading_parameter({"effect": "other", "parameters": {"odd": 1.0}}) is None
     assert leading_parameter({"effect": "backlash", "parameters": {"stiffness": 2e5, "gap": 0.002}}) == "gap"
 

@@ -40,7 +40,7 @@ class ThermalFriction(FrictionLevel):
     experiment = FROM_COLD
     complexity_penalty = 1
     refined = ("time_constant", "way")
-    not_reported = (_STARTS,)
+    not_reported = ("session", _STARTS)
     special_cases = ("friction_change",)
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
