@@ -23,6 +23,7 @@ _FOLLOWS = 0.1  # of the change of the model's torque: one that holds its value 
 _MOVING = 1 / 3  # of the rows of either half
 _MAD = 0.6745  # of a standard deviation, for normal noise
 _MATTERS = 0.05  # of the energy of the stretch that has most
+_SHORTEST = 0.2  # s in all: less may be chance, of some ten thousand windows
 _AT_LIMIT = 0.05  # of its size below the largest torque: it is cut off there
 _HIGHEST = 4.0  # times its deviation, of noise in ten thousand samples
 
@@ -74,8 +75,11 @@ def held_torque(dataset: Dataset) -> HeldTorque | None:
         torque = np.sqrt(max(energy, 0.0) / len(excess)) * background / fit.reference.scale[joint]
         if torque < limits.practical_torque or energy < limits.held_gap * whole:
             continue
+        large = [s for s in stretches if s.energy > _MATTERS * max(s.energy for s in stretches)]
+        if sum(stretch.duration for stretch in large) < _SHORTEST:
+            continue
         if largest is None or energy / whole > largest.share:
-            largest = _held(name, stretches, energy / whole)
+            largest = _held(name, large, energy / whole)
     return largest
 
 
@@ -91,11 +95,9 @@ class _Stretch:
 
 def _held(joint: str, stretches: Sequence[_Stretch], share: float) -> HeldTorque:
     """What is said of it, by the stretches that matter."""
-    most = max(stretch.energy for stretch in stretches)
-    large = [stretch for stretch in stretches if stretch.energy > _MATTERS * most]
-    at_limit = all(stretch.below < _AT_LIMIT * stretch.size for stretch in large)
-    limit = float(np.median([stretch.size for stretch in large])) if at_limit else None
-    return HeldTorque(joint, len(large), max(stretch.duration for stretch in large), limit, share)
+    at_limit = all(stretch.below < _AT_LIMIT * stretch.size for stretch in stretches)
+    limit = float(np.median([stretch.size for stretch in stretches])) if at_limit else None
+    return HeldTorque(joint, len(stretches), max(stretch.duration for stretch in stretches), limit, share)
 
 
 def _of_joint(dataset: Dataset, joint: int, predicted: Sequence[np.ndarray], excess: np.ndarray) -> list[_Stretch]:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from agent.diagnosis import Diagnosis, diagnose
 from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
+from agent.recording import read_log
 from agent.recording.log import Log
-from agent.robot import RobotDescription
+from agent.robot import RobotDescription, load_robot
 from agent.robot.bodies import rigid_bodies
 from tests.estimation.conftest import _arm, _log, _multisine
 
@@ -109,3 +112,22 @@ def test_without_a_gap_nothing_is_said(robot, model):
     found = diagnose(robot, [_recorded(robot, seed, *_torque(robot, seed)) for seed in MOVES], model)
     assert found.answer.verdict == "no_gap"
     assert not _said(found)
+
+
+@pytest.mark.parametrize("joint", [1, 5])
+def test_of_a_real_arm_a_torque_that_is_made_to_hold_is_said(shared_data, joint):
+    """KR300, free motion: the torque of one joint is held for 0.2 to 0.8 s now and then; as recorded it is not."""
+    folder = shared_data / "real-dev/kr300"
+    arm = load_robot(folder / "robot_real.yaml")
+    given = estimate(
+        arm, [read_log(folder / f"{name}.mcap", arm) for name in "AB"], EstimationSettings.create(cutoff=10)
+    )
+    log = read_log(folder / "C.mcap", arm)
+    rng, moment, effort = np.random.default_rng(joint), 0.0, log.effort.copy()
+    while (moment := moment + rng.exponential(2.0)) < log.t[-1]:
+        first, last = np.searchsorted(log.t, [moment, moment + rng.uniform(0.2, 0.8)])
+        effort[first:last, joint] = effort[first, joint]
+    assert not _said(diagnose(arm, [log], given))
+    found = diagnose(arm, [replace(log, effort=effort)], given)
+    assert found.answer.verdict == "unknown"
+    assert _said(found)[0].startswith(f"the torque of {arm.joint_names[joint]} stands still")
