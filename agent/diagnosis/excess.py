@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 
-from agent.diagnosis.candidate import HeldOutScore
+from agent.diagnosis.candidate import Candidate, HeldOutScore
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.isolability import plausible
 from agent.diagnosis.limits import DecisionLimits
@@ -69,6 +69,17 @@ def closed_excess(limits: DecisionLimits, base: Fit, fit: Fit) -> float:
     excess = np.sum(np.maximum(before - 1, 0))
     left = np.sum(np.maximum(after - 1, 0) * (after > 1 + 0.5 * limits.excess_energy))
     return float(1 - left / excess) if excess > 0.1 else float(left < 0.1)
+
+
+def exact_but_for_more(limits: DecisionLimits, base: Fit, fit: Fit, cause: Candidate) -> bool:
+    """Whether a cause of an exact form, with no other on its joint, leaves a part of what a fit without effects has
+    there: no form of it errs, so there is more, and that may be all."""
+    joints = list(cause.blocks)
+    others = (set(c.blocks) for c in fit.chosen if c.place != cause.place)
+    if not cause.effect.exact or any(not other.isdisjoint(joints) for other in others):
+        return False
+    before, after = (float(np.sum(np.maximum(joint_energy(one, fit.once)[joints] - 1, 0))) for one in (base, fit))
+    return after > (1 - limits.good_fit[0]) * before
 
 
 def noticed(

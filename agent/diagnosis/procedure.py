@@ -12,6 +12,7 @@ from agent.diagnosis.candidate import Candidate, HeldOutScore, Where
 from agent.diagnosis.evidence import Null, null_gains
 from agent.diagnosis.excess import (
     closed_excess,
+    exact_but_for_more,
     joint_energy,
     largest_torque,
     noticed,
@@ -28,10 +29,10 @@ from agent.diagnosis.refinement import refined
 from agent.diagnosis.rivals import (
     as_good,
     equals_by_definition,
-    fades_for_certain,
     gain_at_best,
     gain_by_form,
     may_follow_position,
+    only_steps,
     special_case_as_good,
     trusted,
 )
@@ -104,7 +105,8 @@ class Search:
             return self._nothing(nothing, steps, closed)
         finding = self._verdict(fit, closed, steps)
         likely = finding.probability[0] > self.limits.least_probability
-        return finding if likely else self._nothing(nothing, steps, closed)
+        alone = not finding.rivals[0] and exact_but_for_more(self.limits, base, finding.fit, finding.causes[0])
+        return finding if likely and not alone else self._nothing(nothing, steps, closed)
 
     def _clearly_less(self, error: float) -> float:
         """By so much less has another start to leave than an `error`, to be the better one."""
@@ -147,9 +149,8 @@ class Search:
         else:
             pool = [c for c in self.pool if c.place not in taken] + new
         tried = fit.score(fit.promising(pool, _SCORED))
-        fading = [s for s in tried if s.candidate.once and not s.candidate.effect.once and s.gain > self.least]
-        only_steps = [s for s in fading if not fades_for_certain(self.limits, fit, s)]
-        best = best_by_place([s for s in tried if s not in only_steps])
+        steps = [s for s in tried if s.gain > self.least and only_steps(self.limits, fit, s)]
+        best = best_by_place([s for s in tried if s not in steps])
         if fixed:
             self._progress(f"what {len(self.tried)} forms gain by chance")
             self.null = null_gains(fit, self.tried, self.limits)

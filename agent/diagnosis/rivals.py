@@ -103,12 +103,14 @@ def may_follow_position(limits: DecisionLimits, fit: Fit, score: HeldOutScore, e
     return any(law.gain >= (1 - limits.equal_gain) * score.gain for law in laws)
 
 
-def fades_for_certain(limits: DecisionLimits, fit: Fit, score: HeldOutScore) -> bool:
-    """Whether what fades within one log does better than its simpler forms with parameters of each log's own.
+def only_steps(limits: DecisionLimits, fit: Fit, score: HeldOutScore) -> bool:
+    """Whether something fades within one log, and its simpler forms with parameters of each log's own do as well.
 
     Held out by short segments it could stand for anything that this log has and the others have not.
     """
     fading = score.candidate
+    if not fading.once or fading.effect.once:
+        return False
     reversal = {key: value for key, value in fading.settings.items() if key == "reversal_travel"}
     wanted = [
         (CATALOGUE[limit], fading.joints, {**settings, **reversal})
@@ -128,7 +130,7 @@ def fades_for_certain(limits: DecisionLimits, fit: Fit, score: HeldOutScore) -> 
         )
         for plain in fit.candidates(wanted)
     ]
-    return all(score.gain - other.gain >= limits.equal_gain * score.gain for other in fit.score(steps))
+    return any(score.gain - other.gain < limits.equal_gain * score.gain for other in fit.score(steps))
 
 
 def equals_by_definition(
