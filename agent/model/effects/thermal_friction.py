@@ -64,8 +64,12 @@ class ThermalFriction(FrictionLevel):
             *found,
             *({"time_constant": fraction * session, "session": 1.0} for fraction in (0.1, 0.3, 0.8, 2.0)),
             *({"way": fraction * whole, "session": 1.0} for fraction in (0.03, 0.1, 0.3, 1.0)),
-            *({"time_constant": fraction * start, "session": 1.0, _STARTS: 1.0} for fraction in _OF_START),
-            *({"way": fraction * each[first], "session": 1.0, _STARTS: 1.0} for fraction in _OF_START),
+            *(
+                {name: fraction * whole_log, "session": 1.0, _STARTS: 1.0}
+                for name, whole_log, least in (("time_constant", start, _SHORTEST), ("way", each[first], _LEAST_WAY))
+                for fraction in _OF_START
+                if fraction * whole_log > least
+            ),
         ]
 
     def happens_once(self, settings: Mapping[str, float]) -> bool:
