@@ -66,6 +66,8 @@ def held_torque(dataset: Dataset) -> HeldTorque | None:
     limits, fit = dataset.limits, dataset.fit
     excess = (dataset.residual / fit.sigma) ** 2 - 1
     whole = float(np.sum(np.maximum(excess.sum(axis=0), 0.0)))
+    if whole <= 0:
+        return None
     predicted = [s.low_pass(s.predicted) + known_effects(dataset.model, s) for s in fit.signals]
     largest: HeldTorque | None = None
     for joint, name in enumerate(dataset.robot.joint_names):

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from agent.diagnosis import Diagnosis, diagnose
+from agent.diagnosis.dataset import assemble
+from agent.diagnosis.held_torque import held_torque
 from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
 from agent.recording import read_log
@@ -131,3 +133,16 @@ def test_of_a_real_arm_a_torque_that_is_made_to_hold_is_said(shared_data, joint)
     found = diagnose(arm, [replace(log, effort=effort)], given)
     assert found.answer.verdict == "unknown"
     assert _said(found)[0].startswith(f"the torque of {arm.joint_names[joint]} stands still")
+
+
+def test_a_torque_that_stands_still_where_no_joint_has_a_gap_is_let_be(robot, model):
+    """Some energy over the background is there, and less than nothing on every joint as a whole."""
+    logs = []
+    for seed in MOVES:
+        q, torque = _torque(robot, seed)
+        logs.append(_recorded(robot, seed, q, _holding(torque, seed)))
+    dataset = assemble(robot, model, logs, None)
+    assert held_torque(dataset) is not None
+    wide = dataset.fit.with_chosen(sigma=5 * dataset.fit.sigma)  # of a model that errs by 1 % of nominal everywhere
+    some = np.where(np.abs(dataset.residual) > 10 * dataset.fit.sigma, 2.5, 0.0) * wide.sigma
+    assert held_torque(replace(dataset, fit=wide, residual=some)) is None
