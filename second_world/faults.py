@@ -12,7 +12,7 @@ from second_world.arms import Arm
 
 #: Effects that no catalogue has a form for.
 OUTSIDE = ("crosstalk", "shaking_floor", "holding_sensor", "clipped_torque")
-#: Effects that only the bristle law has: the engine's own dry friction has no level that changes.
+#: Effects that the engine's own dry friction has no law for: what they change of a bristle's is added to it.
 _BRISTLES = ("stribeck", "asymmetric_friction", "load_dependent_friction", "thermal_friction", "presliding")
 
 
@@ -28,9 +28,11 @@ class Push:
 
 @dataclass
 class RecorderFaults:
-    """Neutral until told otherwise; arrays are (n,), one entry a joint."""
+    """Neutral until told otherwise; arrays are (n,), one entry a joint. `bristles`: whose friction is not the engine's;
+    `changed`: whose friction law an effect changes."""
 
     bristles: np.ndarray
+    changed: np.ndarray
     by_direction: np.ndarray
     viscous_by_direction: np.ndarray
     rise: np.ndarray
@@ -67,6 +69,7 @@ def build_in(arm: Arm, effects: Sequence[Mapping[str, Any]]) -> RecorderFaults:
     zero, one, never = np.zeros(n), np.ones(n), np.full(n, np.inf)
     faults = RecorderFaults(
         np.full(n, not arm.by_engine),
+        np.zeros(n, dtype=bool),
         *(zero.copy(), zero.copy(), zero.copy(), one.copy(), zero.copy()),
         *(never.copy(), zero.copy(), zero.copy(), zero.copy(), one.copy(), zero.copy(), one.copy()),
         *(one.copy(), zero.copy(), zero.copy(), never.copy()),
@@ -75,7 +78,7 @@ def build_in(arm: Arm, effects: Sequence[Mapping[str, Any]]) -> RecorderFaults:
         name, values = effect["effect"], effect["parameters"]
         joints = [arm.joint_names.index(joint) for joint in effect["joints"]]
         if name in _BRISTLES:
-            faults.bristles[joints] = True
+            faults.changed[joints] = True
         law = _LAWS.get(name)
         if law is None:
             raise ValueError(f"second world: no law for the effect {name!r}")
@@ -99,7 +102,7 @@ def _friction_change(arm: Arm, faults: RecorderFaults, joints: list[int], values
 
 
 def _viscous_nonlinearity(arm: Arm, faults: RecorderFaults, joints: list[int], values: Mapping[str, Any]) -> None:
-    faults.bristles[joints[0]] = True
+    faults.changed[joints[0]] = True
     arm.viscous[joints[0]] += values["added"]
     faults.thin_speed[joints[0]], faults.thin_power[joints[0]] = values["speed"], values["power"]
 

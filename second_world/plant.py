@@ -2,7 +2,8 @@
 
 Friction is a bristle torque z of its own per joint (LuGre, Canudas de Wit et al., IEEE TAC 1995), advanced exactly over
 a step of constant speed, z ← z + (1 − exp(−σ|v|Δt/g)) (g sign v − z), or on every second machine the engine's own
-dry friction (a constraint) and damping.
+dry friction (a constraint) and damping. There an effect adds what it changes of the bristle law, so that nothing else
+about a reversal is another one.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ class MujocoPlant:
         shaft = faults.bristles.copy()
         if arm.wrist:
             shaft[arm.wrist[1]] &= arm.coulomb[arm.wrist[1]] > 1e-3
-        self._bristles = shaft
+        self._known = shaft | faults.changed
+        self._engine = faults.changed & ~shaft
         self._model = mujoco.MjModel.from_xml_string(mujoco_text(arm, shaft))
         self._data = mujoco.MjData(self._model)
         index = [self._model.joint(name).id for name in arm.joint_names]
@@ -59,7 +61,7 @@ class MujocoPlant:
         qdd_ref = np.gradient(qd_ref, _STEP, axis=0)
         samples, n = q_ref.shape
         position, velocity, torque = (np.empty((samples, n)) for _ in range(3))
-        z, z_long, hose = np.zeros(n), np.zeros(n), np.zeros(n)
+        z, z_long, z_plain, hose = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
         carried, friction = np.zeros(n), np.zeros(n)
         for k in range(samples):
             q, v = data.qpos[motor], data.qvel[motor]
@@ -73,7 +75,9 @@ class MujocoPlant:
             position[k], velocity[k], torque[k] = seen, v, drive
             carried += 0.1 * (np.abs(drive - friction) - carried)  # by the gear, over 10 ms
             friction, z, z_long = self._friction(v, carried, z, z_long)
-            data.qfrc_applied[motor] = drive - friction - self._other(q, v, k * _STEP, hose)
+            z_plain = self._bristle(v, self._arm.coulomb, z_plain)
+            by_engine = np.where(self._engine, z_plain + self._arm.viscous * v, 0.0)
+            data.qfrc_applied[motor] = drive - friction + by_engine - self._other(q, v, k * _STEP, hose)
             for push in faults.pushes:
                 x = (k / samples - push.start) / push.duration
                 rise = min(x, 1 - x) * push.duration * samples * _STEP / 0.05  # over 50 ms
@@ -94,11 +98,16 @@ class MujocoPlant:
         level = arm.coulomb * (1 + faults.cold_coulomb * cold) * (1 + faults.by_direction * sign)
         level = level + faults.rise * np.exp(-speed / faults.rise_speed) + faults.load * load
         short = level * (1 - faults.long_share)
-        z = z - np.expm1(-arm.coulomb / arm.travel * speed * _STEP / short) * (short * sign - z)
+        z = self._bristle(v, short, z)
         z_long = z_long - np.expm1(-speed * _STEP / faults.long_travel) * (level * faults.long_share * sign - z_long)
         viscous = arm.viscous * v * (1 + faults.cold_viscous * cold) * (1 + faults.viscous_by_direction * sign)
         viscous = viscous / (1 + (speed / faults.thin_speed) ** 2) ** faults.thin_power
-        return np.where(self._bristles, z + z_long + viscous, 0.0), z, z_long
+        return np.where(self._known, z + z_long + viscous, 0.0), z, z_long
+
+    def _bristle(self, v: np.ndarray, level: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """(n,) torque of bristles that slide at a level (n,), one step on."""
+        moved = self._arm.coulomb / self._arm.travel * np.abs(v) * _STEP
+        return z - np.expm1(-moved / level) * (level * np.sign(v) - z)
 
     def _other(self, q: np.ndarray, v: np.ndarray, t: float, hose: np.ndarray) -> np.ndarray:
         """Torque (n,) that springs, hoses, ripple and a shaking floor take."""

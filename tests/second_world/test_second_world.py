@@ -84,6 +84,31 @@ def test_what_gives_way_in_a_gear_or_couples_the_wrist_shows_in_the_torque(effec
     assert 0.002 < largest_change(*told, arm.torque) < 1.0
 
 
+@pytest.mark.parametrize("by_engine", [True, False])
+@pytest.mark.parametrize(
+    ("effect", "none", "some"),
+    [
+        ("stribeck", {"rise": 0.0, "speed": 0.1}, {"rise": 8.0, "speed": 0.1}),
+        ("asymmetric_friction", {"coulomb": 0, "viscous": 0}, {"coulomb": 0.5, "viscous": 0.5}),
+        ("viscous_nonlinearity", {"added": 0.0, "speed": 9e9, "power": 0}, {"added": 9.0, "speed": 0.2, "power": 0.2}),
+        ("load_dependent_friction", {"coefficient": 0.0}, {"coefficient": 0.2}),
+        ("presliding", {"share": 0.0, "travel": 0.02}, {"share": 0.8, "travel": 0.05}),
+        ("thermal_friction", {"coulomb": 0, "viscous": 0, "way": 1}, {"coulomb": 1.0, "viscous": 0.5, "way": 3.0}),
+    ],
+)
+def test_an_effect_of_friction_changes_nothing_but_its_own(effect, none, some, by_engine) -> None:
+    """Whoever makes the friction: one of no size leaves every reversal as it was."""
+    told = []
+    for parameters in ({}, none, some):
+        arm = draw_arm(0)
+        arm.by_engine = by_engine
+        effects = [{"effect": effect, "joints": ["joint_2"], "parameters": parameters}] if parameters else []
+        told.append(simulate(arm, build_in(arm, effects), 0, draw_motions(1, arm.range, arm.speed, 1.0))[1])
+    without, nothing, something = told
+    assert largest_change(nothing, without, arm.torque) < 1e-9
+    assert 0.003 < largest_change(something, without, arm.torque) < 0.3
+
+
 def test_a_recorder_rounds_stamps_late_and_loses_rows_and_the_description_is_a_placeholder(tmp_path: Path) -> None:
     machine = next(m for m in range(8) if recorder(m) == "as recorded")
     job = {"machine": machine, "motion": 3, "effects": [], "folder": str(tmp_path), "cycle": 1.0}
