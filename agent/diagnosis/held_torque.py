@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.diagnosis.dataset import Dataset, known_effects
+from agent.diagnosis.fit import Fit
 from agent.model import SERVO_STIFFNESS
 
 _WINDOWS = (0.05, 0.1, 0.2, 0.4, 0.8)  # s
@@ -61,14 +62,25 @@ class HeldTorque:
         )
 
 
-def held_torque(dataset: Dataset) -> HeldTorque | None:
-    """The joint whose torque stands still where most of the gap is; None where none does, or there is hardly a gap."""
+def held_torque(dataset: Dataset, found: Fit) -> HeldTorque | None:
+    """The joint whose torque stands still where most of the gap is; None where none does, or there is hardly a gap.
+
+    It should change where the model and the effects `found` say so: a coupled axis may leave a motor at one speed. What
+    happens once does not count, as a push can be fitted to any torque that is held once.
+    """
     limits, fit = dataset.limits, dataset.fit
     excess = (dataset.residual / fit.sigma) ** 2 - 1
     whole = float(np.sum(np.maximum(excess.sum(axis=0), 0.0)))
     if whole <= 0:
         return None
-    predicted = [s.low_pass(s.predicted) + known_effects(dataset.model, s) for s in fit.signals]
+    effects = np.zeros_like(dataset.residual)
+    for cause, values in zip(found.chosen, found.values, strict=True):
+        for joint, block in ({} if cause.once else cause.blocks).items():
+            effects[:, joint] += block @ values * fit.sigma[:, joint]
+    predicted = [
+        s.low_pass(s.predicted) + known_effects(dataset.model, s) + more
+        for s, more in zip(fit.signals, np.split(effects, fit.cuts), strict=True)
+    ]
     largest: HeldTorque | None = None
     for joint, name in enumerate(dataset.robot.joint_names):
         background = float(fit.sigma[:, joint].min())

@@ -50,7 +50,7 @@ def diagnose(
         dataset = assemble(robot, model, logs, cutoff, limits)
         search = Search(dataset.fit, without, dataset.given, progress, limits)
         finding = search.run()
-        if (held := held_torque(dataset)) is not None:
+        if (held := held_torque(dataset, finding.fit)) is not None:
             finding = finding.without_causes("unknown", dataset.fit)
         finding, gap = judge(dataset, finding, dataset.fit)
     motion = motion_gap(logs, limits)

@@ -23,10 +23,13 @@ NOISE = 0.4  # N·m
 MOVES = (11, 12, 13)
 
 
-def _torque(robot: RobotDescription, seed: int, more: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def _torque(
+    robot: RobotDescription, seed: int, more: np.ndarray | float = 0.0, slower: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Positions (S, 2) [rad] and joint torque (S, 2) [N·m] without noise; `more` is added to viscous friction."""
     rigid, _, _ = rigid_bodies(robot)
-    q, qd, qdd = _multisine(2, np.arange(0, 16, 1 / RATE), seed)
+    q, qd, qdd = _multisine(2, np.arange(0, 16, 1 / (slower * RATE)), seed)
+    qd, qdd = qd / slower, qdd / slower**2
     bodies = rigid.projection @ np.concatenate([rigid.dynamics.standard_parameters(), np.full(2, 1e-4)])
     return q, rigid.torque(q, qd, qdd, bodies) + 5 * np.sign(qd) + (4 + more) * qd
 
@@ -110,6 +113,18 @@ def test_what_the_arm_does_is_not_the_sensors(robot, model):
     assert not _said(found)
 
 
+def test_a_torque_that_hardly_changes_as_friction_is_gone_is_not_the_sensors(robot, model):
+    """By the model it goes up and down with the friction; without any, on an upright axis, nothing is left of it."""
+    logs = []
+    for seed in MOVES:
+        q, torque = _torque(robot, seed, np.array([-4.0, 0.0]), slower=3.0)
+        torque[:, 0] -= 4.8 * np.sign(np.gradient(q[:, 0]))
+        logs.append(_recorded(robot, seed, q, torque))
+    found = diagnose(robot, logs, model)
+    assert [(cause.effect, cause.joints) for cause in found.answer.causes] == [("friction_change", ("joint_1",))]
+    assert not _said(found)
+
+
 def test_without_a_gap_nothing_is_said(robot, model):
     found = diagnose(robot, [_recorded(robot, seed, *_torque(robot, seed)) for seed in MOVES], model)
     assert found.answer.verdict == "no_gap"
@@ -142,7 +157,7 @@ def test_a_torque_that_stands_still_where_no_joint_has_a_gap_is_let_be(robot, mo
         q, torque = _torque(robot, seed)
         logs.append(_recorded(robot, seed, q, _holding(torque, seed)))
     dataset = assemble(robot, model, logs, None)
-    assert held_torque(dataset) is not None
+    assert held_torque(dataset, dataset.fit) is not None
     wide = dataset.fit.with_chosen(sigma=5 * dataset.fit.sigma)  # of a model that errs by 1 % of nominal everywhere
     some = np.where(np.abs(dataset.residual) > 10 * dataset.fit.sigma, 2.5, 0.0) * wide.sigma
-    assert held_torque(replace(dataset, fit=wide, residual=some)) is None
+    assert held_torque(replace(dataset, fit=wide, residual=some), wide) is None
