@@ -16,6 +16,7 @@ _STARTS = 0.05  # s
 _EDGE = 0.15  # of the duration, at either end
 _USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of the other windows of a length, and how far above it a contact is
 _SHARP = 100.0  # the same of one that may come back with the cycle beside one that does not
+_FROM_START = 20.0  # the same of one that begins with the log, where nothing before it is quiet
 _CLEARANCE = 2.0  # durations before and after, where no window comes near it
 _BORDER = 0.3  # s from where a motion's samples begin: what there is before tells whether that is quiet
 _AGAIN = 0.2  # s that what comes back with the cycle may be early or late
@@ -186,8 +187,7 @@ class _Windows:
 
     def best(self, taken: Sequence[_Push]) -> _Push | None:
         """The strongest window beside those taken."""
-        bare = self.starts < self.starts[0] + _BORDER
-        gain = np.where(self._shared(taken) | bare | ~self.whole, -np.inf, self.gain)
+        gain = np.where(self._shared(taken) | ~self.whole, -np.inf, self.gain)
         at = int(np.argmax(gain))
         if not np.isfinite(gain[at]):
             return None
@@ -198,7 +198,7 @@ class _Windows:
         step = max(_STARTS, push.duration / _EDGE_PARTS)
         moved = step * np.arange(-_EDGE_STEPS, _EDGE_STEPS + 1)
         starts, ends = (part.ravel() for part in np.meshgrid(push.start + moved, push.start + push.duration + moved))
-        free = (starts >= self.starts[0] + _BORDER) & (ends <= self.sums.time[-1])
+        free = (starts >= self.starts[0] + (0 if self.bare(push) else _BORDER)) & (ends <= self.sums.time[-1])
         free &= ends - starts >= _DURATIONS[0] - 1e-9
         for other in taken:
             free &= (other.log != self.log) | (starts >= other.start + other.duration) | (ends <= other.start)
@@ -208,6 +208,10 @@ class _Windows:
         gain = self.sums.gains(starts, ends)
         at = int(np.argmax(gain))
         return _Push(float(gain[at]), self.link, self.log, float(starts[at]), float(ends[at] - starts[at]))
+
+    def bare(self, push: _Push) -> bool:
+        """Whether a push begins where the samples do, so that nothing before it tells whether that is quiet."""
+        return push.log == self.log and push.start < self.starts[0] + _BORDER
 
     def beside(self, taken: Sequence[_Push]) -> np.ndarray:
         """Gains of the windows that share no time with those taken."""
@@ -277,7 +281,12 @@ def _strongest(windows: Sequence[_Windows]) -> list[_Push]:
         # where the strongest of a length shares no time with it, it stays the strongest
         best = [w.best(taken) if one and last.meets(one) else one for one, w in zip(best, windows, strict=True)]
     found = [(push, *_beside(push, taken, windows)) for push in taken]
-    alone = [p for p, around, again in found if p.gain > max(_STANDS_OUT * around, _ALONE * again)]
+    bare = [push for push in taken if any(w.bare(push) for w in windows)]
+    alone = [
+        push
+        for push, around, again in found
+        if push.gain > max((_FROM_START if push in bare else _STANDS_OUT) * around, _ALONE * again)
+    ]
     # beside a push that does not come back, one that does and has nothing like it around it is a push as well
     return [p for p, around, _ in found if p in alone or (alone and p.gain > _SHARP * around)]
 

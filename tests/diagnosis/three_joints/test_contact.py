@@ -79,6 +79,16 @@ def test_pushes_are_found_on_their_link_with_force_and_times(arm, model, free, t
         assert np.linalg.norm(force - FORCE) < 0.25 * np.linalg.norm(FORCE)
 
 
+def test_a_push_that_was_there_when_the_log_began(arm, model, free):
+    """Nothing before it is quiet, so it has to be far over what is after it."""
+    found = forces(best(arm, model, [pushed(arm, free[0], "link_3", [(-1.0, 1.6)]), free[1]]))
+    ((start, end, link, log, force),) = found
+    assert start < 0.4
+    assert end == pytest.approx(1.6, abs=0.2)
+    assert (link, log) == (2, 0)
+    assert np.linalg.norm(force - FORCE) < 0.25 * np.linalg.norm(FORCE)
+
+
 def test_several_long_pushes_in_every_log(arm, model, free):
     """One of them meets the place of another in the next cycle; all bend the model's numbers if these may move."""
     times = [(1.0, 3.0), (6.6, 8.6)]
