@@ -29,6 +29,7 @@ _UNITS = {
     "gap": "rad", "travel": "rad", "way": "rad", "low": "rad", "high": "rad", "middle": "rad", "reach": "rad",
     "reversal_travel": "rad", "reversal_level": "N·m",
     "order": "1/rad",
+    "at": "m",
     "delay": "s", "shift": "s", "blend": "s", "start": "s", "end": "s", "duration": "s", "time": "s",
 }  # fmt: skip
 _ROUNDING = 1e-9  # of a parameter: it is the same in every fold

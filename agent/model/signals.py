@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -230,16 +230,27 @@ class MotionSignals:
         """(S, n, 10 n) regressor of the links' standard parameters."""
         return self.reference.links.regressor(self.q, self.qd, self.qdd)
 
-    def pushed(self, link: int, rows: np.ndarray) -> np.ndarray:
-        """(K, 3, n) Jacobian of the far end of a link (from 0), in the base frame, at the rows (S,) bool; K of them."""
+    def pushed(self, link: int, rows: np.ndarray, place: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)) -> np.ndarray:
+        """(K, 3, n) Jacobian in the base frame, at the rows (S,) bool, K of them, of a `place` (3,) [m] on a link (from
+        0), counted from its far end in its frame."""
         screws, ends, known = self._screws
         if np.any(new := rows & ~known):
             screws[new], ends[new] = self.reference.links.joint_screws(self.q[new])
             known |= new
         screws, point = screws[rows], ends[rows, link]
+        if np.any(place):
+            point = point + self._turned(link, rows) @ np.asarray(place)
         jacobian = screws[:, :3] + np.cross(screws[:, 3:], point[:, :, None], axis=1)
         jacobian[:, :, link + 1 :] = 0
         return jacobian
+
+    def _turned(self, link: int, rows: np.ndarray) -> np.ndarray:
+        """(K, 3, 3) rotation of a link (from 0) in the base frame; those asked for last are remembered."""
+        key, known = (link, rows.tobytes()), self.__dict__.setdefault("_rotations", {})
+        if key not in known:
+            known.clear()
+            known[key] = self.reference.links.link_rotations(self.q[rows], link)
+        return known[key]
 
     @cached_property
     def _screws(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

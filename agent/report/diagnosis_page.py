@@ -114,8 +114,11 @@ def _push_rows(diagnosis: Diagnosis) -> Iterator[tuple[str, ...]]:
         pushes = sum(key.startswith("link") for key in parameters)
         for push in range(1, pushes + 1):
             end = "" if push == 1 else f"_{push}"
-            shown = (parameter_text(diagnosis, number, key + end) for key in _OF_PUSH.values())
-            yield str(push), *shown, diagnosis.dataset.logs[int(parameters[f"log{end}"])].name
+            link, *shown = (parameter_text(diagnosis, number, key + end) for key in _OF_PUSH.values())
+            place = [parameters.get(f"at_{axis}{end}") for axis in "xyz"]
+            if None not in place:
+                link += f" at ({', '.join(f'{value:.2f}' for value in place)}) m from its far end"
+            yield str(push), link, *shown, diagnosis.dataset.logs[int(parameters[f"log{end}"])].name
 
 
 def _about_cause(cause: Mapping[str, Any], result: Mapping[str, Any]) -> Iterator[str]:

@@ -224,6 +224,20 @@ class Dynamics:
             ends[k, -1] = pin.updateFramePlacement(self._model, self._data, self._tip).translation
         return screws, ends
 
+    @property
+    def link_lengths(self) -> np.ndarray:
+        """(n,) [m] from the joint that moves a link to its far end, see `joint_screws`."""
+        between = [self._model.jointPlacements[k].translation for k in range(2, self.dof + 1)]
+        return np.linalg.norm([*between, self._model.frames[self._tip].placement.translation], axis=1)
+
+    def link_rotations(self, q: np.ndarray, link: int) -> np.ndarray:
+        """(S, 3, 3) rotation in the base frame of the link that a joint (from 0) moves."""
+        rotations = np.empty((len(q), 3, 3))
+        for k in range(len(q)):
+            pin.forwardKinematics(self._model, self._data, q[k])
+            rotations[k] = self._data.oMi[link + 1].rotation
+        return rotations
+
     def link_poses(self, q: np.ndarray, link: str) -> np.ndarray:
         """(S, 4, 4) pose of a URDF link's frame in the base frame."""
         frame = frame_id(self._model, link)

@@ -2,33 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from agent.model.effects.contact_place import place_of
+from agent.model.effects.contact_windows import PushedWindow, Windows, strongest
 from agent.model.effects.effect import Columns, Effect, FitContext
 from agent.model.signals import MotionSignals, NominalModel
 
-_DURATIONS = (0.2, 0.3, 0.4, 0.55, 0.75, 1.0, 1.35, 1.8, 2.4, 3.2, 4.2, 6.0, 8.5, 12.0)  # s
-_STARTS = 0.05  # s
 _EDGE = 0.15  # of the duration, at either end
-_USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of the other windows of a length, and how far above it a contact is
-_SHARP = 100.0  # the same of one that may come back with the cycle beside one that does not
-_FROM_START = 20.0  # the same of one that begins with the log, where nothing before it is quiet
-_CLEARANCE = 2.0  # durations before and after, where no window comes near it
-_BORDER = 0.3  # s from where a motion's samples begin: what there is before tells whether that is quiet
-_AGAIN = 0.2  # s that what comes back with the cycle may be early or late
-_ALONE = 2.0  # times the window at the same place of another cycle
-_MAX_PUSHES, _LEAST_GAIN_RATIO = 6, 0.02  # pushes, and part of the strongest one's gain that another has
-_EDGE_STEPS, _EDGE_PARTS = 8, 40  # by which either end of a push is moved to fit, of so many parts of its length each
-_WHOLE = 0.2  # of a push's gain a second, that parts in its middle have too: else it is two with a pause between
 _LINKS = 3  # tried as the one that all pushes are on
 
 
 class Contact(Effect):
-    """τ = −J_lᵀ F over one segment of time or several, F constant but for its edges, at the far end of link l."""
+    """τ = −J_lᵀ F over one segment of time or several, F constant but for its edges, at one place of link l each.
+
+    That is its far end, unless another place of the link leaves less.
+    """
 
     name = "contact"
     family = "load"
@@ -46,21 +37,19 @@ class Contact(Effect):
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         """Where three force components leave least: the strongest windows that do not overlap, fewest first.
 
-        All on the link that explains most, or each on its own. A model's own error and what drifts make windows too: a
-        contact stands out from the other segments of its length, those before and after it above all, and does not come
-        back at the same place of the next cycle.
+        All on the link that explains most, or each on its own; and each at the far end of its link, or where it fits.
+        A model's own error and what drifts make windows too: a contact stands out from the other segments of its
+        length, those before and after it above all, and does not come back at the same place of the next cycle.
         """
         dof = context.reference.robot.dof
-        windows = [
-            window
-            for link in range(dof)
-            for part in zip(context.signals, context.residuals_as_given, context.sigmas, strict=True)
-            for window in _Windows.of(link, *part)
-        ]
-        found = [_strongest([w for w in windows if w.link == link]) for link in range(dof)]
+        motions = list(zip(context.signals, context.residuals_as_given, context.sigmas, strict=True))
+        windows = [window for link in range(dof) for part in motions for window in Windows.of(link, *part)]
+        found = [strongest([w for w in windows if w.link == link]) for link in range(dof)]
         found = sorted(found, key=lambda pushes: -sum(push.gain for push in pushes))[:_LINKS]
-        tried = [pushes[:count] for pushes in (*found, _strongest(windows)) for count in range(1, len(pushes) + 1)]
-        return list({str(entry): entry for entry in map(_settings, tried)}.values())
+        sets = [pushes for pushes in (*found, strongest(windows)) if pushes]
+        tried = [_settings(pushes[:count]) for pushes in sets for count in range(1, len(pushes) + 1)]
+        tried += [_settings(pushes, [place_of(push, motions) for push in pushes]) for pushes in sets]
+        return list({str(entry): entry for entry in tried}.values())
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         return tuple(f"force_{axis}_{number}" for number in _numbers(settings) for axis in "xyz")
@@ -77,7 +66,8 @@ class Contact(Effect):
             since = signals.time - start + 0.5 * (duration - lasting)
             window = np.clip(np.minimum(since, duration - since) / (_EDGE * duration), 0, 1)
             inside = window > 0
-            pushed = np.swapaxes(signals.pushed(int(link) - 1, inside), 1, 2)
+            at = [settings.get(f"{axis}_{number}", 0.0) for axis in "xyz"]
+            pushed = np.swapaxes(signals.pushed(int(link) - 1, inside, at), 1, 2)
             block[inside, :, 3 * place : 3 * place + 3] = -pushed * window[inside, None, None]
         return {joint: block[:, joint] for joint in range(n)}
 
@@ -91,236 +81,25 @@ class Contact(Effect):
     def reported(
         self, reference: NominalModel, settings: Mapping[str, float], values: Mapping[str, float]
     ) -> dict[str, float]:
-        """Of each push the link (counted from 1), force [N, base frame], log (from 0), start and end [s]."""
+        """Of each push the link (counted from 1), force [N, base frame], log (from 0), start and end [s]; and where on
+        the link [m, its frame, from the far end], if elsewhere."""
         found: dict[str, float] = {}
         for number in _numbers(settings):
             start = settings[f"start_{number}"]
             of_push = {"link": settings[f"link_{number}"]}
             of_push |= {f"force_{axis}": values[f"force_{axis}_{number}"] for axis in "xyz"}
             of_push |= {"log": settings[f"log_{number}"], "start": start, "end": start + settings[f"duration_{number}"]}
+            of_push |= {f"at_{axis}": settings[f"{axis}_{number}"] for axis in "xyz" if f"{axis}_{number}" in settings}
             found |= {key if number == 1 else f"{key}_{number}": value for key, value in of_push.items()}
         return found
 
 
-@dataclass(frozen=True)
-class _Push:
-    """A window in which a force on a link would take `gain` away."""
-
-    gain: float
-    link: int
-    log: int
-    start: float
-    duration: float
-
-    def meets(self, other: _Push) -> bool:
-        """Whether another push shares time with it."""
-        return bool(self.overlaps(other.log, np.array(other.start), other.duration))
-
-    def only_meets(self, other: _Push, late: float) -> bool:
-        """Whether it shares time with another `late` [s], neither end with that one's."""
-        start, end = other.start + late, other.start + other.duration + late
-        apart = abs(self.start - start), abs(self.start + self.duration - end)
-        shared = self.start < end and self.start + self.duration > start
-        return shared and min(apart) > max(_AGAIN, other.duration / _EDGE_PARTS)
-
-    def overlaps(self, log: int, starts: np.ndarray, duration: float) -> np.ndarray:
-        """(K,) bool: which windows of a log it shares time with."""
-        return (log == self.log) & (starts < self.start + self.duration) & (starts + duration > self.start)
-
-
-@dataclass(frozen=True, eq=False)
-class _Sums:
-    """Running sums over the rows of one motion, time (S',) [s]: moments (S', 3, 3) of the columns of a force, and with
-    the error (S', 3)."""
-
-    time: np.ndarray
-    gram: np.ndarray
-    side: np.ndarray
-
-    def gains(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """(K,) what a constant force takes away from `starts` to `ends` (K,) [s]."""
-        first = np.searchsorted(self.time, starts)
-        last = np.minimum(np.searchsorted(self.time, ends), len(self.time) - 1)
-        moments = self.gram[last] - self.gram[first]
-        moments += 1e-6 * np.trace(moments, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
-        pull = self.side[last] - self.side[first]
-        return np.asarray(np.einsum("ka,ka->k", pull, np.linalg.solve(moments, pull[:, :, None])[:, :, 0]))
-
-
-@dataclass(frozen=True, eq=False)
-class _Windows:
-    """All windows of a length in one motion: starts (K,) [s], gain (K,) of a force on a link, from its `sums`; `again`
-    (K,) is the largest gain at the same place of another cycle; `whole` (K,): no pause in the middle of it."""
-
-    link: int
-    log: int
-    duration: float
-    starts: np.ndarray
-    gain: np.ndarray
-    whole: np.ndarray
-    cycle_starts: Sequence[float]
-    sums: _Sums
-
-    @classmethod
-    def of(cls, link: int, signals: MotionSignals, residual: np.ndarray, sigma: np.ndarray) -> Iterator[_Windows]:
-        """Of every length, from running sums over the rows: moments of the force's columns, and with the error."""
-        rows = np.zeros(len(signals.time), dtype=bool)
-        rows[signals.kept] = True
-        columns = -signals.pushed(link, rows) / sigma[:, None]
-        gram = np.cumsum(np.einsum("san,sbn->sab", columns, columns), axis=0)
-        side = np.cumsum(np.einsum("san,sn->sa", columns, residual / sigma), axis=0)
-        time = signals.time[signals.kept]
-        sums = _Sums(time, gram, side)
-        gains: dict[float, np.ndarray] = {}
-        for duration in _DURATIONS:
-            starts = np.arange(time[0], time[-1] - duration, _STARTS)
-            if len(starts) == 0:
-                return
-            gain = gains[duration] = sums.gains(starts, starts + duration)
-            whole = _whole(duration, gains)
-            yield cls(link, signals.log_index, duration, starts, gain, whole, signals.cycle_starts, sums)
-
-    @cached_property
-    def strongest(self) -> _Push | None:
-        """The strongest window."""
-        return self.best([])
-
-    def best(self, taken: Sequence[_Push]) -> _Push | None:
-        """The strongest window beside those taken."""
-        gain = np.where(self._shared(taken) | ~self.whole, -np.inf, self.gain)
-        at = int(np.argmax(gain))
-        if not np.isfinite(gain[at]):
-            return None
-        return _Push(float(gain[at]), self.link, self.log, float(self.starts[at]), self.duration)
-
-    def fitted(self, push: _Push, taken: Sequence[_Push]) -> _Push:
-        """A push of these windows with both ends where it gains most: what it leaves out would be seen beside it."""
-        step = max(_STARTS, push.duration / _EDGE_PARTS)
-        moved = step * np.arange(-_EDGE_STEPS, _EDGE_STEPS + 1)
-        starts, ends = (part.ravel() for part in np.meshgrid(push.start + moved, push.start + push.duration + moved))
-        free = (starts >= self.starts[0] + (0 if self.bare(push) else _BORDER)) & (ends <= self.sums.time[-1])
-        free &= ends - starts >= _DURATIONS[0] - 1e-9
-        for other in taken:
-            free &= (other.log != self.log) | (starts >= other.start + other.duration) | (ends <= other.start)
-        if not free.any():
-            return push
-        starts, ends = starts[free], ends[free]
-        gain = self.sums.gains(starts, ends)
-        at = int(np.argmax(gain))
-        return _Push(float(gain[at]), self.link, self.log, float(starts[at]), float(ends[at] - starts[at]))
-
-    def bare(self, push: _Push) -> bool:
-        """Whether a push begins where the samples do, so that nothing before it tells whether that is quiet."""
-        return push.log == self.log and push.start < self.starts[0] + _BORDER
-
-    def beside(self, taken: Sequence[_Push]) -> np.ndarray:
-        """Gains of the windows that share no time with those taken."""
-        return self.gain[~self._shared(taken)]
-
-    def near(self, push: _Push, taken: Sequence[_Push]) -> float:
-        """Largest gain of the windows right before and after a push that share no time with those taken."""
-        reach = (1 + _CLEARANCE) * push.duration
-        around = (np.abs(self.starts - push.start) <= reach) & ~self._shared(taken)
-        return float(self.gain[around].max(initial=0.0))
-
-    def beside_edges(self, push: _Push) -> float:
-        """Largest gain a second of the windows that end just before a push or begin just after it."""
-        before, after = push.start - self.duration - self.starts, self.starts - push.start - push.duration
-        close = [(gap >= _STARTS) & (gap <= _BORDER) for gap in (before, after)]
-        return float(self.gain[close[0] | close[1]].max(initial=0.0)) / self.duration
-
-    def again(self, push: _Push, taken: Sequence[_Push]) -> float:
-        """Largest gain at the same place, give or take half a step, of another cycle; nought where there is none.
-
-        Another push that only meets that place, neither end at its own, is no repetition.
-        """
-        edges = np.asarray(self.cycle_starts, dtype=float)
-        here = int(np.searchsorted(edges, push.start + 1e-9)) - 1
-        if len(edges) < 2 or here < 0:
-            return 0.0
-        others = [other for other in taken if other.log == self.log and other is not push]
-        late = np.delete(edges, here) - edges[here]
-        places = [push.start + by for by in late if not any(other.only_meets(push, by) for other in others)]
-        return max(
-            (float(self.gain[np.abs(self.starts - at) < 2 * _STARTS].max(initial=0.0)) for at in places), default=0
-        )
-
-    def _shared(self, taken: Sequence[_Push]) -> np.ndarray:
-        shared = np.zeros(len(self.starts), dtype=bool)
-        for push in taken:
-            shared |= push.overlaps(self.log, self.starts, self.duration)
-        return shared
-
-
-def _whole(duration: float, gains: Mapping[float, np.ndarray]) -> np.ndarray:
-    """(K,) bool: which windows of a length pull in their middle as well, from the `gains` of shorter ones."""
-    gain = gains[duration]
-    part = max((length for length in gains if length <= duration / 3), default=None)
-    if part is None:
-        return np.ones(len(gain), dtype=bool)
-    least = np.full(len(gain), np.inf)
-    for centre in (0.3, 0.5, 0.7):
-        at = np.arange(len(gain)) + round((centre * duration - 0.5 * part) / _STARTS)
-        least = np.minimum(least, gains[part][np.minimum(at, len(gains[part]) - 1)])
-    return least / part >= _WHOLE * gain / duration
-
-
-def _strongest(windows: Sequence[_Windows]) -> list[_Push]:
-    """The strongest windows that do not overlap, as far as they stand out; strongest first."""
-    taken: list[_Push] = []
-    best = [w.strongest for w in windows]
-    while len(taken) < _MAX_PUSHES:
-        candidates = [(push, w) for push, w in zip(best, windows, strict=True) if push is not None]
-        if not candidates:
-            break
-        push, of_length = max(candidates, key=lambda pair: pair[0].gain)
-        if taken and push.gain < _LEAST_GAIN_RATIO * taken[0].gain:
-            break
-        last = of_length.fitted(push, taken)
-        taken.append(last)
-        # where the strongest of a length shares no time with it, it stays the strongest
-        best = [w.best(taken) if one and last.meets(one) else one for one, w in zip(best, windows, strict=True)]
-    found = [(push, *_beside(push, taken, windows)) for push in taken]
-    bare = [push for push in taken if any(w.bare(push) for w in windows)]
-    alone = [
-        push
-        for push, around, again in found
-        if push.gain > max((_FROM_START if push in bare else _STANDS_OUT) * around, _ALONE * again)
-    ]
-    # beside a push that does not come back, one that does and has nothing like it around it is a push as well
-    return [p for p, around, _ in found if p in alone or (alone and p.gain > _SHARP * around)]
-
-
-def _beside(push: _Push, taken: Sequence[_Push], windows: Sequence[_Windows]) -> tuple[float, float]:
-    """Gain that is usual or near a push, and the one that comes back at its place of another cycle."""
-    of_link = [w for w in windows if w.link == push.link]
-    here = [w for w in of_link if w.log == push.log]
-    as_long = min((w.duration for w in here), key=lambda duration: abs(duration - push.duration))
-    scale = push.duration / as_long
-    usual = _usual(push, taken, of_link)
-    again = scale * max((w.again(push, taken) for w in here if w.duration == as_long), default=0.0)
-    near = scale * max((w.near(push, taken) for w in here if w.duration == as_long), default=0.0)
-    shortest = [w for w in of_link if w.duration == _DURATIONS[0] and w.log == push.log]
-    return max(usual, near, push.duration * max((w.beside_edges(push) for w in shortest), default=0.0)), again
-
-
-def _usual(push: _Push, taken: Sequence[_Push], windows: Sequence[_Windows]) -> float:
-    """Gain of a segment as long as a push where none is, from shorter ones where the pushes leave no room for it.
-
-    Infinite where they leave room for none: what is there from the first sample to the last is no event.
-    """
-    for duration in (length for length in reversed(_DURATIONS) if length <= push.duration):
-        parts = [w.beside(taken) for w in windows if w.duration == duration]
-        others = np.concatenate([np.zeros(0), *parts])
-        if len(others):
-            return float(np.quantile(others, _USUAL)) * push.duration / duration
-    return np.inf
-
-
-def _settings(pushes: Sequence[_Push]) -> dict[str, float]:
+def _settings(pushes: Sequence[PushedWindow], places: Sequence[np.ndarray | None] = ()) -> dict[str, float]:
     entries: dict[str, float] = {}
     for number, push in enumerate(pushes, start=1):
         of_push = {"log": push.log, "link": push.link + 1, "start": push.start, "duration": push.duration}
+        if places and (place := places[number - 1]) is not None:
+            of_push |= dict(zip("xyz", place.tolist(), strict=True))
         entries |= {f"{key}_{number}": float(value) for key, value in of_push.items()}
     return entries
 

@@ -28,12 +28,12 @@ def free(arm):
     return [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))]
 
 
-def pushed(arm, log, end: str, times, share: float = 1.0):
-    """The log with a `share` of a force on a point during `times` [s]; `end` is the link that begins there."""
-    dynamics, step = Dynamics(arm), 1e-6
+def pushed(arm, log, end: str, times, share: float = 1.0, at=(0.0, 0.0, 0.0)):
+    """The log with a `share` of a force during `times` [s] at a place [m] from where the link `end` begins."""
+    dynamics, step, place = Dynamics(arm), 1e-6, np.append(at, 1.0)
     jacobian = np.stack(
         [
-            (dynamics.link_poses(log.position + d, end) - dynamics.link_poses(log.position - d, end))[:, :3, 3]
+            ((dynamics.link_poses(log.position + d, end) - dynamics.link_poses(log.position - d, end)) @ place)[:, :3]
             / (2 * step)
             for d in step * np.eye(arm.dof)
         ],
@@ -77,6 +77,20 @@ def test_pushes_are_found_on_their_link_with_force_and_times(arm, model, free, t
         assert (start, end) == pytest.approx(expected, abs=0.2)
         assert (link, log) == (2, 0)
         assert np.linalg.norm(force - FORCE) < 0.25 * np.linalg.norm(FORCE)
+
+
+def test_a_push_in_the_middle_of_a_link_is_found_there(arm, model, free):
+    """`link_3` begins at the third joint, which feels a force elsewhere on it, and at its far end another one."""
+    place, times = (0.1, 0.0, 0.1), [(1.2, 2.0), (6.9, 7.5)]
+    logs = [pushed(arm, free[0], "link_3", times, at=place), free[1]]
+    found = best(arm, model, logs)
+    for (start, end, link, log, force), expected in zip(forces(found), times, strict=True):
+        assert (start, end) == pytest.approx(expected, abs=0.2)
+        assert (link, log) == (3, 0)
+        assert np.linalg.norm(force - FORCE) < 0.35 * np.linalg.norm(FORCE), "three joints, for force and place"
+    (cause,) = diagnose(arm, logs, model).result["causes"]
+    assert (cause["effect"], cause["parameters"]["link"]) == ("contact", 3)
+    assert cause["closure"] > 0.97
 
 
 def test_a_push_that_was_there_when_the_log_began(arm, model, free):
