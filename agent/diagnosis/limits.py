@@ -77,7 +77,7 @@ class DecisionLimits:
     )
     further_effect: float = _limit(0.35, "energy still unexplained", "that every further effect must explain", TUNED)
     in_band_gain: float = _limit(
-        0.5, "gain", "of an effect in fast torque, where measured torque goes with the prediction that has it", "chosen"
+        0.4, "gain", "of an effect in fast torque, where measured torque goes with the prediction that has it", "chosen"
     )
     gain_beside: float = _limit(
         0.05, "excess energy of its joints", "that an effect must explain beside another on one of them", "chosen"
