@@ -31,6 +31,7 @@ _INTERVAL = (5, 95)  # per cent
 _UNLOADED = 0.1  # of a joint's torque, that holding its load makes at most
 #: What is left, as the last step.
 REMAINDER = "remainder"
+OWN_PARAMETERS = "the model's own parameters"
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +151,9 @@ def _released(dataset: Dataset, groups: Sequence[Group]) -> Fit:
 def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tuple[WaterfallStep, ...]:
     """What each released group, then each effect, closes of the held-out gap: alone, and in the order found.
 
+    Of a model that nothing is released of, what its own parameters take away comes first: they may move as far as
+    their stored uncertainty allows, also on joints where no effect is.
+
     `gap` is that of the simulator as given, with everything found; empty where there is nothing to close.
     """
     if gap.closure is None:
@@ -159,6 +163,8 @@ def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tu
     alone = [_released(dataset, [group]).out_of_fold() for group in found.groups]
     texts = [group.text(names) for group in found.groups]
     last = fits[-1] if fits else dataset.fit
+    if not fits and _closes(gap, last) >= dataset.limits.least_share:
+        fits, alone, texts = [last], [last.out_of_fold()], [OWN_PARAMETERS]
     for k, candidate in enumerate(finding.causes):
         fits.append(last.with_chosen(finding.causes[: k + 1]))
         alone.append(dataset.fit.with_chosen((candidate,)).out_of_fold(candidate.once))
@@ -190,6 +196,12 @@ def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tu
         )
         for k, text in enumerate([*texts, REMAINDER])
     )
+
+
+def _closes(gap: HeldOutGap, fit: Fit) -> float:
+    """Part of the squared error that a fit takes away."""
+    left = gap.beyond(fit.out_of_fold()) / gap.unit
+    return 1 - float(np.nansum(left**2) / np.nansum((gap.raw / gap.unit) ** 2))
 
 
 def _energy(rows: np.ndarray, block: np.ndarray) -> np.ndarray:

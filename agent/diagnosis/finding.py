@@ -30,7 +30,7 @@ class Finding:
     it where there is nothing (see `evidence`), `margin_ratio[k]` how many margins the best place outside its class
     falls behind. `least` is the gain that a cause has to have, and `null_gain` the one that the whole search exceeds in
     one of a hundred cases where there is nothing. `runners` are the next best places beside the first cause: they equal
-    it where it turns out to close too little.
+    it where it turns out to close too little. `matters`: whether without any cause there is a gap that has to be said.
     """
 
     verdict: str
@@ -44,6 +44,7 @@ class Finding:
     least: float
     null_gain: float
     runners: tuple[tuple[str, tuple[int, ...]], ...] = ()
+    matters: bool = True
     limits: DecisionLimits = LIMITS
 
     def with_uncertain_form(self) -> Finding:

@@ -159,6 +159,7 @@ class DecisionLimits:
         0.01, "RMS torque", "expected of a simulator's file, however little its numbers moved leave", "chosen"
     )
     clipped_share: float = _limit(0.002, "samples", "at exactly the largest torque before it looks clipped", "chosen")
+    clipped_often: float = _limit(3.0, "times", "as many there as at any of the three values below it", "chosen")
     least_travel: float = _limit(3e-3, "rad or m", "that a joint travels in one log, or it never moves", "chosen")
 
     # Segments of time

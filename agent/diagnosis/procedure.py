@@ -106,7 +106,7 @@ class Search:
         finding = self._verdict(fit, closed, steps)
         likely = finding.probability[0] > self.limits.least_probability
         alone = not finding.rivals[0] and exact_but_for_more(self.limits, base, finding.fit, finding.causes[0])
-        return finding if likely and not alone else self._nothing(nothing, steps, closed)
+        return replace(finding, matters=matters) if likely and not alone else self._nothing(nothing, steps, closed)
 
     def _clearly_less(self, error: float) -> float:
         """By so much less has another start to leave than an `error`, to be the better one."""
@@ -258,7 +258,7 @@ class Search:
 
     def _further(self, fit: Fit, score: HeldOutScore) -> float:
         """Gain from which on an effect counts beside those chosen: a misfit on another joint does not hide it."""
-        joints = list(score.candidate.blocks)
+        joints = list(score.candidate.joints or score.candidate.blocks)
         least = max(2 * self.least, self.limits.further_effect * self._excess(fit, joints))
         if any(set(joints) & set(c.blocks) for c in fit.chosen):
             least = max(least, self.limits.gain_beside * self._excess(self.fit, joints))
@@ -319,8 +319,8 @@ class Search:
                     level.append(score.candidate.place)
                 elif short > margin:
                     behind = min(behind, short / margin)
-                    if score.gain > self.limits.runner_up_gain * lost:
-                        runners.append(score.candidate.place)
+                    if score.candidate.once <= candidate.once and score.gain > self.limits.runner_up_gain * lost:
+                        runners.append(score.candidate.place)  # what comes back is no string of pushes
             known = [place for place in equals if place[0] in self.allowed]
             beside = tuple(dict.fromkeys([*known, *level]))[:2]
             ranked.append((lost, candidate, beside, behind, bool(equals), tuple(runners[:2])))

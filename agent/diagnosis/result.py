@@ -34,7 +34,8 @@ from agent.diagnosis.verdict import causes_of, settle, with_path
 from agent.model import CATALOGUE, Effect, servo_stiffness
 from agent.robot import error_units
 
-_WHEN_UNKNOWN = "slow single-joint ramps both ways on the joints named, then the same at full speed, each twice"
+_WHEN_UNKNOWN = "slow single-joint ramps both ways on {joints}, then the same at full speed, each twice"
+_MUCH = 0.3  # of the gap of the joint that has most: a joint that is worth a motion of its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +111,7 @@ def build(
                 verdict, causes = kept
     elif causes and finding.causes:
         steps = waterfall(ReleasedSimulator(dataset, dataset, ()), finding, gap)
+    where = _where(dataset, gap)
     answer = DiagnosisResult(
         verdict,
         TorqueGap(
@@ -121,10 +123,10 @@ def build(
         ),
         _path_gap(motion),
         closure,
-        _where(dataset, gap),
+        where,
         causes,
         tuple(not_testable(dataset, search)),
-        next_experiment(causes, verdict) if held is None else NextExperiment((), held.motion),
+        next_experiment(causes, verdict, where) if held is None else NextExperiment((), held.motion),
         _folds(dataset),
         (*(() if held is None else (held.text,)), *warnings),
         steps,
@@ -218,7 +220,15 @@ def not_testable(dataset: Dataset, search: Search) -> list[NotTestable]:
             if size > 1:
                 result.append(NotTestable(name, where, _why_small(effect, size, dataset.given, search.moved)))
     if all(log.planned_position is None or log.reference_position is None for log in dataset.logs):
-        why = "the logs lack planned or executed set-points"
+        lacking = [
+            name
+            for name, of_logs in (
+                ("planned", [log.planned_position for log in dataset.logs]),
+                ("executed", [log.reference_position for log in dataset.logs]),
+            )
+            if all(rows is None for rows in of_logs)
+        ]
+        why = f"the logs lack {' and '.join(lacking) or 'planned beside executed'} set-points"
         result += [NotTestable(name, None, why) for name in _of_path()]
     return result
 
@@ -227,18 +237,22 @@ def _why_small(effect: Effect, size: float, given: bool, moved: bool) -> str:
     """`size` in practical sizes: the smallest that would be found."""
     if not given:
         return "no model was given: the fit to these logs absorbs it"
-    found = "none of any size" if size * effect.practical > 5 else f"from {100 * size * effect.practical:.1f} % on"
+    found = f"it would be found from {100 * size * effect.practical:.1f} % of nominal torque on"
+    if size * effect.practical > 5:
+        found = "none of any size would be found"
     beside = ", and beside the numbers of the simulator that were moved," if moved else ""
     return (
-        f"on these motions{beside} it would be found {found} of nominal torque (1 % false alarms, 80 % power), and it "
+        f"on these motions{beside} {found} (1 % false alarms, 80 % power), and it "
         f"matters from {100 * effect.practical:.1f} % on"
     )
 
 
-def next_experiment(causes: Sequence[Cause], verdict: str) -> NextExperiment | None:
-    """A motion that would tell the first cause from what equals it; None where nothing is open."""
+def next_experiment(causes: Sequence[Cause], verdict: str, where: Sequence[JointShare]) -> NextExperiment | None:
+    """A motion that would tell the first cause from what equals it, or more of the joints `where` most of the gap is;
+    None where nothing is open."""
     if verdict == "unknown":
-        return NextExperiment((), _WHEN_UNKNOWN)
+        joints = [entry.joint for entry in where if entry.share > _MUCH * where[0].share]
+        return NextExperiment((), _WHEN_UNKNOWN.format(joints=", ".join(joints)))
     if verdict != "ambiguous" or not causes:
         return None
     pair = (causes[0].effect, *(entry.effect for entry in causes[0].equivalent_to[:1]))

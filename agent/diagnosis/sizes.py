@@ -25,7 +25,7 @@ _UNITS = {
     "rise": "N·m", "level": "N·m", "coulomb": "N·m", "viscous": "N·m·s/rad", "bend": "N·m",
     "cosine": "N·m", "sine": "N·m", "constant": "N·m", "torque": "N·m", "hysteresis": "N·m",
     "stiffness": "N·m/rad", "quadratic": "N·m/rad²", "cubic": "N·m/rad³",
-    "damping": "N·m·s/rad", "speed": "rad/s", "force": "N", "tilt": "rad",
+    "speed": "rad/s", "force": "N", "tilt": "rad",
     "gap": "rad", "travel": "rad", "way": "rad", "low": "rad", "high": "rad", "middle": "rad", "reach": "rad",
     "reversal_travel": "rad", "reversal_level": "N·m",
     "order": "1/rad",

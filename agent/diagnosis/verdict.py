@@ -46,7 +46,8 @@ def judge(dataset: Dataset, finding: Finding, plain: Fit, unit: np.ndarray | Non
         causes = causes_of(dataset, finding, gap)
         verdict, kept = settle(finding.verdict, causes, gap.closure, dataset.limits)
         if not kept or gap.hardly_closed:
-            finding = finding.without_causes(abstained(verdict != "no_gap" and not gap.small), plain)
+            matters = verdict != "no_gap" and finding.matters and not gap.small
+            finding = finding.without_causes(abstained(matters), plain)
         elif len(kept) < len(causes):
             finding = finding.only([k for k, cause in enumerate(causes) if cause in kept], plain)
         else:
@@ -58,7 +59,7 @@ def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Caus
     fit, joints = finding.fit, dataset.robot.joint_names
     taken_out = [fit.out_of_fold(fit.once, number) for number in range(len(finding.causes))]
     parts = zip(finding.causes, taken_out, fit.values, finding.rivals, finding.probability, strict=True)
-    by_joint = dataset.model.method == SIMULATOR
+    by_joint = dataset.model.method == SIMULATOR or len(finding.causes) > 1
     return tuple(
         Cause(
             candidate.effect.name,
@@ -96,7 +97,7 @@ def with_path(
 def has_size(cause: Cause, limits: DecisionLimits = LIMITS) -> bool:
     """Whether a cause has parameters, finite and not all zero, and closes a part of its gap by itself.
 
-    Of a simulator, whose file is wrong in many ways, it may be small beside others, and not on its own joints.
+    It may be small beside others, and not on its own joints.
     """
     values = cause.parameters.values()
     if cause.closure is None or not isfinite(cause.closure):

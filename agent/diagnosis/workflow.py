@@ -102,10 +102,13 @@ def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool, limits:
         yield "no model was given: only what a model fitted to these logs cannot absorb is seen as a gap"
     for log in (log for log in logs if SERVO_STIFFNESS not in log.metadata):
         assert log.effort is not None
-        largest = np.abs(log.effort).max(axis=0)
-        clipped = np.mean(np.abs(log.effort) >= largest * (1 - 1e-9), axis=0)
-        for joint, share in enumerate(clipped):
-            if share > limits.clipped_share and largest[joint] > 0 and len(np.unique(log.effort[:, joint])) > 50:
+        for joint, torque in enumerate(np.abs(log.effort).T):
+            # the levels below are as frequent where torque is in coarse steps and only turns there
+            levels, counts = np.unique(torque[torque < torque.max() * (1 - 1e-9)], return_counts=True)
+            at_largest = len(torque) - counts.sum()
+            share = at_largest / len(torque)
+            often = share > limits.clipped_share and at_largest > limits.clipped_often * counts[-3:].max(initial=0)
+            if often and len(levels) > 50:
                 yield (
                     f"{log.name}: the torque of {robot.joint_names[joint]} stays at its largest value for "
                     f"{100 * share:.1f} % of the time: it looks clipped, and what happens there is not seen"

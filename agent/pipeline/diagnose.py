@@ -218,6 +218,11 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
     described = robot is not None or simulator is None
     if reference is not None and (robot is None or reference.method == SIMULATOR):
         robot = reference.robot  # of the file, with the drives of the description
+    if robot is not None and reference is not None and robot.name != reference.robot.name:
+        console.warn(
+            f"{question.model} is a model of {reference.robot.name}, and --robot names {robot.name}, whose nominal "
+            "torques errors are shares of: leave --robot out, or name a model of that arm"
+        )
     if robot is None:
         raise InputError("diagnose: name the robot (--robot R), or a model that says what the arm is (--model MODEL)")
     if question.next_recipe is not None:
@@ -297,13 +302,13 @@ def _check(question: GapQuestion, logs: Sequence[Path]) -> None:
 def _write_model(found: Diagnosis, out: Path, console: Console) -> None:
     """The model with the effects found; what cannot be part of a model is said."""
     from agent.diagnosis import extended_model
+    from agent.model import CATALOGUE
 
     model = extended_model(found)
     left_out = [c["effect"] for c in found.result["causes"] if c["effect"] not in {e.effect for e in model.effects}]
-    if left_out:
-        console.warn(
-            f"{out}: {' and '.join(left_out)} is left out of the model: it happens once, or in the set-points only"
-        )
+    for name in left_out:
+        why = "it happens once" if CATALOGUE[name].once else "it is in the set-points only"
+        console.warn(f"{out}: {name} is left out of the model: {why}")
     if not found.finding.causes:
         console.warn(f"{out}: no effect was found, so nothing is added to the model")
     if len(model.effects) == len(found.dataset.model.effects):

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from agent.core import Console
 from agent.core.errors import InputError
 from agent.diagnosis import diagnose
 from agent.model import CATALOGUE
+from agent.pipeline import GapQuestion, diagnose_files
 from agent.pipeline.printed_diagnosis import diagnosis_text
 from agent.report.diagnosis_page import diagnosis_report
 
@@ -84,9 +87,10 @@ def test_the_page_and_the_text_name_the_cause(diagnosed):
     text = diagnosis_text(diagnosed(1).result)
     assert "stribeck on joint_2" in text
     steps = diagnosed(1).result["waterfall"]
-    assert [entry["step"] for entry in steps] == ["stribeck of joint_2", "remainder"]
+    assert [entry["step"] for entry in steps] == ["the model's own parameters", "stribeck of joint_2", "remainder"]
     assert sum(entry["closes"] for entry in steps) == pytest.approx(1)
-    assert steps[0]["closes"] == pytest.approx(diagnosed(1).result["closure"])
+    assert steps[0]["closes"] + steps[1]["closes"] == pytest.approx(diagnosed(1).result["closure"])
+    assert steps[0]["closes"] < 0.3, "it is not for them that the gap is closed"
     assert re.search(r"stribeck of joint_2 .*####", text)
     assert "waterfall-picture" in page
     assert "waterfall" not in diagnosed(0).result
@@ -143,6 +147,23 @@ def test_bad_input_is_said_plainly(arm, baseline, runs):
     short = [replace(runs(0)[0], segments=((0, 60),))]
     with pytest.raises(InputError, match="longest segment"):
         diagnose(arm, short, baseline)
+
+
+def test_a_model_of_another_arm_is_mentioned(baseline, tmp_path, capsys):
+    """Many arms have joints of the same names: the other one's nominal torques would be what errors are shares of."""
+    baseline.save(tmp_path / "model.json")
+    ur10e = str(Path(__file__).parents[2] / "recipes/examples/ur10e/robot.yaml")
+    with pytest.raises(InputError, match="no such file"):
+        diagnose_files(ur10e, [tmp_path / "log.mcap"], GapQuestion(tmp_path / "model.json"), Console())
+    assert f"is a model of {baseline.robot.name}, and --robot names ur10e" in capsys.readouterr().err
+
+
+def test_torque_in_coarse_steps_is_not_clipped(arm, baseline, runs):
+    """Around its peak it stays at one step for some samples, as long as at the steps below."""
+    log = runs(0)[2]
+    step = 0.01 * np.abs(log.effort).max(axis=0)
+    warnings = diagnose(arm, [replace(log, effort=np.round(log.effort / step) * step)], baseline).warnings
+    assert not any("clipped" in text for text in warnings)
 
 
 def test_clipped_torque_and_a_still_joint_are_mentioned(arm, baseline, runs):

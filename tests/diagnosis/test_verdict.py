@@ -10,7 +10,7 @@ import numpy as np
 from hypothesis import given, strategies as st
 
 from agent.diagnosis import verdict as rules
-from agent.diagnosis.answer import Cause, DiagnosisResult, EffectPlace, PathGap, TorqueGap
+from agent.diagnosis.answer import Cause, DiagnosisResult, EffectPlace, JointShare, PathGap, TorqueGap
 from agent.diagnosis.finding import Finding, class_probability
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.result import next_experiment
@@ -36,7 +36,7 @@ causes = st.builds(
 
 def keeps_its_promises(verdict, named, closure) -> bool:
     """The answer, as JSON has it, by docs/diagnosis.md."""
-    next_one = next_experiment(named, verdict)
+    next_one = next_experiment(named, verdict, [JointShare("joint_1", 1.0, (0.9, 1.0), ())])
     gap = TorqueGap(("joint_2",), ("nominal",), (1.0,), (0.5,), None)
     answer = DiagnosisResult(verdict, gap, PathGap(), closure, (), named, (), next_one, (), ())
     told = json.loads(json.dumps({**answer.to_dict(), "closure": None}, allow_nan=False))
@@ -139,6 +139,21 @@ def test_what_a_search_found_comes_to_an_answer_that_keeps_its_promises(verdict,
         judged, gap = judge(dataset, finding, _Fit())  # type: ignore[arg-type]
         named = told(dataset, judged, gap)
     assert keeps_its_promises(judged.verdict, named, gap.closure)
+
+
+@given(hardly=st.booleans(), matters=st.booleans(), small=st.booleans())
+def test_where_nothing_is_left_to_name_a_gap_is_said_only_if_it_matters(hardly, matters, small):
+    """A push that the search took for one closes nothing: on a healthy arm that is no gap, not an unknown one."""
+    push = SimpleNamespace(place=("contact", ()))
+    steps = (SimpleNamespace(scores=()),)
+    finding = Finding("explained", _Fit((push,)), (push,), ((),), (0.0,), (1.0,), 0.9, steps, 0.0, 0.0, matters=matters)  # type: ignore[arg-type]
+    gap = SimpleNamespace(closure=0.0, hardly_closed=hardly, small=small)
+    cause = Cause("contact", (), 0.01, 0.9, {"force_x": 1.0})
+    told = lambda dataset, finding, gap: (cause,) * len(finding.causes)  # noqa: E731
+    with patch.object(rules, "held_out_gap", lambda *_: gap), patch.object(rules, "causes_of", told):
+        judged, _ = judge(SimpleNamespace(limits=LIMITS), finding, _Fit())  # type: ignore[arg-type]
+    assert judged.verdict == ("unknown" if matters and not small else "no_gap")
+    assert judged.causes == ()
 
 
 @given(st.floats(0, 1e6), st.floats(-0.5, 1), st.floats(-0.5, 1))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import savgol_filter
 
+from agent.diagnosis import diagnose
 from agent.diagnosis.dataset import assemble
 from agent.diagnosis.isolability import best_by_place
 from agent.model import CATALOGUE, IdentifiedModel
@@ -45,6 +46,27 @@ def left(arm, model, healthy) -> Callable[[str, Law], float]:
         return (fit.error() - best.gain - 3 * background) / (fit.error() - 3 * background)
 
     return measure
+
+
+def test_a_small_effect_of_one_joint_is_named_beside_a_far_larger_one_of_another(arm, model, healthy):
+    """The spring takes all but a hundredth of the gap; on the first joint there is nothing but viscous friction."""
+    size = [np.std(healthy[0].effort[:, joint]) for joint in range(2)]
+    spring, more = 2.0 * size[1], 0.1 * size[0] / np.std(healthy[0].velocity[:, 0])
+    logs = []
+    for log in healthy:
+        effort = log.effort.copy()
+        effort[:, 1] += spring * np.sin(log.position[:, 1] - 0.3)
+        effort[:, 0] += more * log.velocity[:, 0]
+        logs.append(replace(log, effort=effort))
+    found = diagnose(arm, logs, model).answer
+    causes = {(cause.effect, cause.joints): cause for cause in found.causes}
+    assert set(causes) == {("gravity_spring", ("joint_2",)), ("friction_change", ("joint_1",))}
+    small = causes["friction_change", ("joint_1",)]
+    assert small.closure is not None
+    assert small.closure < 0.03
+    assert small.closure_of_joints is not None
+    assert small.closure_of_joints > 0.9
+    assert small.parameters["viscous_change"] == pytest.approx(more, rel=0.1)
 
 
 def _with(model: IdentifiedModel, logs: Sequence[Log], law: Law) -> list[Log]:
