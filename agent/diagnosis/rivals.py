@@ -43,14 +43,12 @@ def trusted(limits: DecisionLimits, cause: Candidate, other: Where, alike: float
     """The share of a gain by which a cause has to be better than another place; `alike` that of unlike forms.
 
     Two laws of position that equal each other by definition are trusted to a tenth of their torque: a spring between
-    pivots is neither a sine nor a straight line. A straight line, which alone of them has no settings, is any law on
-    little motion, so it is trusted less.
+    pivots is neither a sine nor a straight line.
     """
     effect, rival = cause.effect, CATALOGUE[other[0]]
     same = other[1] == cause.joints and rival.name in effect.structurally_equivalent
     laws = all("position" in one.shapes and not one.exact for one in (effect, rival))
-    share = limits.equal_shape_gain if cause.settings else limits.equal_gain
-    return max(alike, share) if same and laws else alike
+    return max(alike, limits.equal_shape_gain) if same and laws else alike
 
 
 def gain_at_best(limits: DecisionLimits, score: HeldOutScore, best: Places, other: Where) -> float:

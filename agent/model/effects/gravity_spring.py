@@ -14,11 +14,15 @@ _STRONGEST = 10.0  # nominal torque: what a joint could not be built against
 
 
 class GravitySpring(Effect):
-    """τ = a cos q + b sin q, or with the second harmonic, which a spring between two pivots has as well."""
+    """τ = a cos q + b sin q, or with the second harmonic, which a spring between two pivots has as well; or a + b q.
+
+    The straight line is a torsion spring, a spring on a slide, or any on little motion. A hose that neither hardens nor
+    rubs is the same.
+    """
 
     name = "gravity_spring"
     family = "load"
-    formula = "Σ a_h · cos(h q) + b_h · sin(h q), h = 1 or 1, 2"
+    formula = "Σ a_h · cos(h q) + b_h · sin(h q), h = 1 or 1, 2; or a + b · q"
     source = "two pivots and a spring: Klimchik, Wu, Caro, Dumas, Furet, Pashkevich, arXiv:1311.6674 (2013)"
     signature = "residual that is a smooth function of the joint's own angle, like a pendulum's"
     confused_with = ("dress_pack", "inertial_mismatch", "torque_offset")
@@ -28,19 +32,21 @@ class GravitySpring(Effect):
     needs_travel = 0.2
     shapes = ("position",)
     experiment = WHOLE_RANGE
-    why_absent = "a prismatic joint"
     special_cases = ("torque_offset",)
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
-        if context.reference.robot.joints[joints[0]].prismatic:
-            return []
-        return [{"harmonics": 1.0}, {"harmonics": 2.0}]
+        slides = context.reference.robot.joints[joints[0]].prismatic
+        return [{}] if slides else [{"harmonics": 1.0}, {"harmonics": 2.0}, {}]
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
+        if "harmonics" not in settings:
+            return ("constant", "stiffness")
         return tuple(f"{part}_{h}" for h in range(1, int(settings["harmonics"]) + 1) for part in ("cosine", "sine"))
 
     def columns(self, signals: MotionSignals, joints: tuple[int, ...], settings: Mapping[str, float]) -> Columns:
         q = signals.q[:, joints[0]]
+        if "harmonics" not in settings:
+            return {joints[0]: np.column_stack([np.ones(len(q)), q])}
         parts = [f(h * q) for h in range(1, int(settings["harmonics"]) + 1) for f in (np.cos, np.sin)]
         return {joints[0]: np.column_stack(parts)}
 
@@ -51,7 +57,8 @@ class GravitySpring(Effect):
         settings: Mapping[str, float],
         values: Mapping[str, float],
     ) -> bool:
-        return float(np.linalg.norm(list(values.values()))) < _STRONGEST * float(reference.scale[joints[0]])
+        swing = [value for name, value in values.items() if name != "constant"]  # about where it is at rest
+        return float(np.linalg.norm(swing)) < _STRONGEST * float(reference.scale[joints[0]])
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
-        return 2 * int(settings["harmonics"])
+        return len(self.names(settings))

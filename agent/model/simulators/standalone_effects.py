@@ -149,7 +149,7 @@ class Effects:
         return _harmonics(p, p["order"] * q)
 
     def _gravity_spring(self, state: Any, j: int, p: Any, q: Array, *_: Array) -> Array:
-        return _harmonics(p, q)
+        return _harmonics(p, q) if "harmonics" in p else p["constant"] + p["stiffness"] * q
 
     def _dress_pack(self, state: Any, j: int, p: Any, q: Array, *_: Array) -> Array:
         if "curve" in p:

@@ -16,7 +16,7 @@ from agent.model import CATALOGUE, IdentifiedModel
 from agent.model.friction_terms import dahl
 from agent.recording.log import Log
 from fake_controller.plant import Plant
-from tests.small_arms import record
+from tests.small_arms import learn, make_arm, record
 
 JOINT = 2
 #: (positions (S,), torque of the bodies (S,), way gone before (float)) -> torque (S,) of the law
@@ -67,6 +67,30 @@ def test_a_small_effect_of_one_joint_is_named_beside_a_far_larger_one_of_another
     assert small.closure_of_joints is not None
     assert small.closure_of_joints > 0.9
     assert small.parameters["viscous_change"] == pytest.approx(more, rel=0.1)
+
+
+def test_a_torsion_spring_is_a_spring_that_a_hose_may_equal(arm, model, healthy):
+    """A hose that neither hardens nor rubs is the same straight line."""
+    stiffness = 0.5 * np.std(healthy[0].effort[:, JOINT])
+    found = diagnose(arm, _with(model, healthy, lambda q, load, gone: stiffness * (q - 0.4)), model).answer
+    (cause,) = found.causes
+    assert (found.verdict, cause.effect, cause.joints) == ("ambiguous", "gravity_spring", ("joint_3",))
+    assert [place.effect for place in cause.equivalent_to] == ["dress_pack"]
+    assert cause.parameters["stiffness"] == pytest.approx(stiffness, rel=0.05)
+    assert cause.parameters["constant"] == pytest.approx(-0.4 * stiffness, rel=0.2)
+
+
+def test_on_a_slide_too():
+    arm = make_arm("RPR")
+    model, plant = learn(arm), Plant(arm, seed=3)
+    logs = []
+    for name, seed in (("a", 21), ("b", 22)):
+        log = record(plant, name, seed)
+        effort = log.effort.copy()
+        effort[:, 1] += np.std(effort[:, 1]) * log.position[:, 1]
+        logs.append(replace(log, effort=effort))
+    found = diagnose(arm, logs, model).answer
+    assert [(cause.effect, cause.joints) for cause in found.causes] == [("gravity_spring", ("joint_2",))]
 
 
 def _with(model: IdentifiedModel, logs: Sequence[Log], law: Law) -> list[Log]:
