@@ -117,7 +117,7 @@ def _push_rows(diagnosis: Diagnosis) -> Iterator[tuple[str, ...]]:
             link, *shown = (parameter_text(diagnosis, number, key + end) for key in _OF_PUSH.values())
             place = [parameters.get(f"at_{axis}{end}") for axis in "xyz"]
             if None not in place:
-                link += f" at ({', '.join(f'{value:.2f}' for value in place)}) m from its far end"
+                link += f" at ({', '.join(f'{round(value, 2) + 0.0:.2f}' for value in place)}) m from its far end"
             yield str(push), link, *shown, diagnosis.dataset.logs[int(parameters[f"log{end}"])].name
 
 
