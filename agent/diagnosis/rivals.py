@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
 from agent.diagnosis.candidate import Candidate, HeldOutScore, Where
+from agent.diagnosis.excess import possible_together
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.isolability import complexity, plausible, structurally_equivalent
 from agent.diagnosis.limits import DecisionLimits
@@ -162,4 +164,22 @@ def equals_by_definition(
             mine = min(simplest(cause.place, enough), complexity(cause))
             if simplest(place, min(enough, score.gain)) <= mine + 1:
                 found.append(place)
-    return found
+    beside = [place for place, gain in _beside_friction(fit, forms, cause) if gain >= lost - margins.get(place, 0.0)]
+    return list(dict.fromkeys([*found, *beside]))
+
+
+def _beside_friction(fit: Fit, forms: Sequence[Candidate], cause: Candidate) -> Iterator[tuple[Where, float]]:
+    """Of a hose that rubs, the places of what equals it without rubbing, and what those gain where the joint rubs more.
+
+    Inner friction that turns around at once is the joint's as well.
+    """
+    effect = cause.effect
+    levels = set(effect.simpler(cause.settings, fit.reference.robot)) - set(effect.special_cases)
+    if "position" not in effect.shapes:
+        return
+    of_joint = [form for form in forms if form.joints == cause.joints]
+    laws = [form for form in of_joint if form.effect.name in effect.structurally_equivalent]
+    for law, level in product(laws, [form for form in of_joint if form.effect.name in levels]):
+        pair = fit.with_chosen((*fit.chosen, law, level))
+        if possible_together(pair):
+            yield law.place, fit.error() - pair.error()

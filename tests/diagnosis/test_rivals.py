@@ -83,7 +83,8 @@ def test_a_curve_through_anything_is_no_evidence_for_a_hose(line, equal):
     spring = score(SPRING, 1000.0, harmonics=1.0)
     forms = {SPRING: [spring], HOSE: [score(HOSE, 1000.0, **CURVE), score(HOSE, line, **LINE)]}
     fit = SimpleNamespace(
-        score=lambda some: [one for found in forms.values() for one in found if one.candidate in some]
+        score=lambda some: [one for found in forms.values() for one in found if one.candidate in some],
+        reference=SimpleNamespace(robot=None),
     )
     tried = [one.candidate for found in forms.values() for one in found]
     known = places(spring, forms[HOSE][0])

@@ -80,6 +80,19 @@ def test_a_torsion_spring_is_a_spring_that_a_hose_may_equal(arm, model, healthy)
     assert cause.parameters["constant"] == pytest.approx(-0.4 * stiffness, rel=0.2)
 
 
+def test_a_hose_that_rubs_may_be_a_spring_of_a_joint_that_rubs_more(arm, model, healthy):
+    """Inner friction that turns around at once is the joint's as well."""
+    size = np.std(healthy[0].effort[:, JOINT])
+
+    def law(q, load, gone):
+        return size * np.sin(q - 0.4) + 0.5 * size * dahl(q, np.array([1e-3]))[:, 0]
+
+    found = diagnose(arm, _with(model, healthy, law), model).answer
+    named = {(place.effect, place.joints) for cause in found.causes for place in (cause, *cause.equivalent_to)}
+    assert ("gravity_spring", ("joint_3",)) in named
+    assert all(joints == ("joint_3",) for _, joints in named)
+
+
 def test_on_a_slide_too():
     arm = make_arm("RPR")
     model, plant = learn(arm), Plant(arm, seed=3)
