@@ -1,8 +1,8 @@
 """Structure that an arm has beyond bodies and friction, as part of an estimated model.
 
 Counterbalances, springs, hoses and the like are effects of the catalogue. One is added where the diagnosis of the very
-logs, without a given model, calls it `explained`, and where motion held out is predicted clearly better with it than by
-the model without.
+logs, without a given model, calls it `explained`, or `ambiguous` with nothing but another law of the same joint's
+position, and where motion held out is predicted clearly better with it than by the model without.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from agent.diagnosis.extension import extended_model
+from agent.diagnosis.result import Diagnosis
 from agent.diagnosis.workflow import diagnose
 from agent.model import IdentifiedModel
 from agent.recording import Log
@@ -30,7 +31,7 @@ def with_structure(
         InputError: logs too short for parts of them to be held out.
     """
     found = diagnose(robot, logs, None, model.cutoff, progress=progress)
-    if found.answer.verdict != "explained":
+    if found.answer.verdict != "explained" and not _by_any_name(found):
         reason = f"the diagnosis of these logs without a given model says {found.answer.verdict}, not explained"
         return _noted(model, f"no effect of the catalogue is added: {reason}.")
     extended = extended_model(found)
@@ -49,8 +50,20 @@ def with_structure(
     )
     return _noted(
         changed,
-        f"{names} is part of the model: explained by the diagnosis, {figure} (root mean square over joints). Standard "
+        f"{names} is part of the model: found by the diagnosis, {figure} (root mean square over joints). Standard "
         "deviations are those of the bodies and friction, fitted before.",
+    )
+
+
+def _by_any_name(found: Diagnosis) -> bool:
+    """Whether what equals the causes predicts as they do: a straight line over position is a spring or a hose."""
+    if found.answer.verdict != "ambiguous":
+        return False
+    causes = zip(found.finding.causes, found.finding.rivals, strict=True)
+    return all(
+        "position" in cause.effect.shapes and joints == cause.joints and name in cause.effect.structurally_equivalent
+        for cause, rivals in causes
+        for name, joints in rivals
     )
 
 

@@ -32,8 +32,8 @@ def _both(spring: float) -> tuple[IdentifiedModel, IdentifiedModel]:
 
 def test_a_spring_becomes_part_of_the_model(tmp_path):
     rigid, model = _both(60.0)
-    assert [(effect.effect, effect.joints) for effect in model.effects] == [("dress_pack", ("joint_2",))]
-    assert any(note.startswith("Structure: dress_pack on joint_2 is part") for note in model.notes)
+    assert [(effect.effect, effect.joints) for effect in model.effects] == [("gravity_spring", ("joint_2",))]
+    assert any(note.startswith("Structure: gravity_spring on joint_2 is part") for note in model.notes)
     model.save(tmp_path / "model.json")
     errors = [
         validate(m, [_recorded(3, 60.0)], 10).overall.relative_error_all_joints
