@@ -29,7 +29,9 @@ CASES = {
     ),
     "base_tilt": entry("base_tilt", tilt_1=0.05, tilt_2=-0.03),
     "encoder_offset": entry("encoder_offset", "lift", offset=0.04),
-    "spring": entry("dress_pack", "lift", constant=0.4, stiffness=2.5),
+    "spring": entry("gravity_spring", "lift", constant=0.4, stiffness=2.5),
+    "straight hose": entry("dress_pack", "lift", constant=0.4, stiffness=2.5),
+    "spring that pushes": entry("gravity_spring", "lift", constant=0.4, stiffness=-40),
     "stribeck": entry("stribeck", "pan", speed=0.2, shape=2, rise=1.5),
     "stribeck, with its reversal": entry(
         "stribeck", "pan", speed=0.2, shape=2, rise=1.5, reversal_travel=0.02, reversal_level=1.5

@@ -183,7 +183,7 @@ def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, o
     size = np.abs(values) + 1e-3 * np.abs(values).max(initial=1e-6)
     springs = tuple(
         ModelEffect(
-            "dress_pack",
+            "gravity_spring",
             (robot.joint_names[k],),
             {"constant": float(-arm.stiffness[k] * arm.rest[k]), "stiffness": float(arm.stiffness[k])},
         )

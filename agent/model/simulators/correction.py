@@ -121,11 +121,7 @@ def correct(
         elif entry.effect == "encoder_offset":
             arm = _turned(arm, joints[0], values["offset"])
             released.offsets[joints[0]] = values["offset"]
-        elif (
-            entry.effect == "dress_pack"
-            and set(values) == {"constant", "stiffness"}
-            and _springs(arm, joints[0], values)
-        ):
+        elif set(values) == {"constant", "stiffness"} and _springs(arm, joints[0], values):  # by either name
             stiffness, rest = _springs(arm, joints[0], values) or (0.0, 0.0)
             arm = replace(
                 arm, stiffness=_put(arm.stiffness, joints[0], stiffness), rest=_put(arm.rest, joints[0], rest)
