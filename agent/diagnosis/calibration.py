@@ -20,7 +20,7 @@ from agent.diagnosis.candidate import Candidate
 from agent.diagnosis.dataset import Dataset, precision_of
 from agent.diagnosis.finding import Finding, class_probability
 from agent.diagnosis.fit import Fit
-from agent.diagnosis.gap import HeldOutGap
+from agent.diagnosis.gap import HeldOutGap, rms
 from agent.model import CATALOGUE, IdentifiedModel, NominalModel
 from agent.robot import ParameterLayout
 
@@ -163,7 +163,8 @@ def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tu
     alone = [_released(dataset, [group]).out_of_fold() for group in found.groups]
     texts = [group.text(names) for group in found.groups]
     last = fits[-1] if fits else dataset.fit
-    if not fits and _closes(gap, last) >= dataset.limits.least_share:
+    own = replace(gap, after=rms(gap.beyond(last.out_of_fold())) / gap.unit)
+    if not fits and own.absorbed >= dataset.limits.least_share:
         fits, alone, texts = [last], [last.out_of_fold()], [OWN_PARAMETERS]
     for k, candidate in enumerate(finding.causes):
         fits.append(last.with_chosen(finding.causes[: k + 1]))
@@ -196,12 +197,6 @@ def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tu
         )
         for k, text in enumerate([*texts, REMAINDER])
     )
-
-
-def _closes(gap: HeldOutGap, fit: Fit) -> float:
-    """Part of the squared error that a fit takes away."""
-    left = gap.beyond(fit.out_of_fold()) / gap.unit
-    return 1 - float(np.nansum(left**2) / np.nansum((gap.raw / gap.unit) ** 2))
 
 
 def _energy(rows: np.ndarray, block: np.ndarray) -> np.ndarray:

@@ -146,7 +146,8 @@ def equals_by_definition(
 ) -> list[Where]:
     """Places that equal a cause by definition and do as well, with one parameter more than its simplest form at most.
 
-    A curve through anything imitates whatever is there: that it can is no evidence for it (Occam's razor).
+    A curve through anything imitates whatever is there: that it can is no evidence for it (Occam's razor). A hose that
+    rubs is equalled by a spring too, if the joint may rub more beside that.
 
     Args:
         fit: without the cause, which loses `lost`; forms: all that were tried; margins: by so much does each place have
@@ -169,9 +170,8 @@ def equals_by_definition(
 
 
 def _beside_friction(fit: Fit, forms: Sequence[Candidate], cause: Candidate) -> Iterator[tuple[Where, float]]:
-    """Of a hose that rubs, the places of what equals it without rubbing, and what those gain where the joint rubs more.
-
-    Inner friction that turns around at once is the joint's as well.
+    """Of a law of position that rubs, the places of what equals it without rubbing, and what each gains (Σ e² / σ²)
+    with a simpler law of the joint's friction beside it: inner friction that turns around at once is the joint's too.
     """
     effect = cause.effect
     levels = set(effect.simpler(cause.settings, fit.reference.robot)) - set(effect.special_cases)

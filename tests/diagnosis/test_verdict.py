@@ -149,7 +149,10 @@ def test_where_nothing_is_left_to_name_a_gap_is_said_only_if_it_matters(hardly, 
     finding = Finding("explained", _Fit((push,)), (push,), ((),), (0.0,), (1.0,), 0.9, steps, 0.0, 0.0, matters=matters)  # type: ignore[arg-type]
     gap = SimpleNamespace(closure=0.0, hardly_closed=hardly, small=small)
     cause = Cause("contact", (), 0.01, 0.9, {"force_x": 1.0})
-    told = lambda dataset, finding, gap: (cause,) * len(finding.causes)  # noqa: E731
+
+    def told(dataset, finding, gap):
+        return (cause,) * len(finding.causes)
+
     with patch.object(rules, "held_out_gap", lambda *_: gap), patch.object(rules, "causes_of", told):
         judged, _ = judge(SimpleNamespace(limits=LIMITS), finding, _Fit())  # type: ignore[arg-type]
     assert judged.verdict == ("unknown" if matters and not small else "no_gap")

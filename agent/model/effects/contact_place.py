@@ -18,7 +18,7 @@ def place_of(push: PushedWindow, motions: Sequence[tuple[MotionSignals, np.ndarr
     """(3,) [m] from the far end of a push's link, in the link's frame; None where that would be off the link.
 
     The torque J(p)ᵀ F of a force F at a place p of the link is linear in F for a place, and in p for a force; so each
-    is fitted in turns, which never leaves more. It starts at the far end.
+    is fitted in turns (alternating least squares), which never leaves more. It starts at the far end.
 
     Args:
         motions: of every motion its signals, and the error and background (S', n) of the rows that are kept.
