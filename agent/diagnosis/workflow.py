@@ -15,6 +15,7 @@ from agent.diagnosis.procedure import Search
 from agent.diagnosis.result import Diagnosis, build
 from agent.diagnosis.simulator import search_simulator
 from agent.diagnosis.verdict import judge
+from agent.estimation import beyond_fit
 from agent.model import CATALOGUE, SERVO_STIFFNESS, SIMULATOR, IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
@@ -54,7 +55,8 @@ def diagnose(
             finding = finding.without_causes("unknown", dataset.fit)
         finding, gap = judge(dataset, finding, dataset.fit)
     motion = motion_gap(logs, limits)
-    warnings = (*twice, *_warnings(robot, logs, model is not None, limits), *_path_warnings(motion))
+    beyond = beyond_fit(dataset.model, [(s.q[s.kept], s.qd[s.kept]) for s in dataset.fit.signals])
+    warnings = (*twice, *_warnings(robot, logs, model is not None, limits), *beyond, *_path_warnings(motion))
     return build(dataset, finding, gap, search, motion, warnings, calibrated, held)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.estimation.fitted_range import fitted_range
 from agent.estimation.friction_selection import paper_terms
 from agent.estimation.moments import Moments, observed_standstill_speed
 from agent.estimation.observation import Observation
@@ -58,7 +59,7 @@ def build_model(
         group_rmse=_group_rmse(moments, found),
         standstill_speed=observed_standstill_speed(observation),
         prior=parameter_prior(problem, found),
-        provenance={**_provenance(observation, logs), "link_prior": problem.links},
+        provenance={**_provenance(observation, logs), "link_prior": problem.links, "range": fitted_range(observation)},
     )
     return replace(model, notes=tuple(_notes(model, problem, found, times, len(logs))))
 

@@ -213,15 +213,18 @@ def validate_files(
     model_path: Path, paths: list[Path], cutoff: float | None, console: Console, allow_mixed: bool = False
 ) -> Validation:
     """Prediction of logs by a model."""
+    from agent.estimation import beyond_fit
     from agent.model import IdentifiedModel
-    from agent.validation import validate
+    from agent.validation import predict_log, summary
 
     model = IdentifiedModel.load(model_path)
     logs = read_logs(paths, model.robot, console)
     check_one_machine(logs, model, allow_mixed)
-    result = validate(model, logs, cutoff)
+    predictions = [predict_log(model, log, cutoff) for log in logs]
+    result = summary(predictions)
     say_used(logs, result.cutoff_hz, model.order, console)
-    for comment in _comments(model, logs, result):
+    beyond = beyond_fit(model, [(each.position, each.velocity) for each in predictions])
+    for comment in (*_comments(model, logs, result), *beyond):
         console.warn(comment)
     return result
 

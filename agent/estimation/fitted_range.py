@@ -1,0 +1,65 @@
+"""The range of angles and speeds that a model was fitted on, and motions that leave it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from agent.estimation.observation import Observation
+from agent.model import IdentifiedModel
+
+_FASTER = 1.15  # times the highest speed of the fit: its friction there is a guess
+_SLOW = 0.02  # of a joint's highest speed at all: up to that no motion is fast
+_FURTHER = 0.25  # of the angles of the fit, beyond them: gravity is known there, what depends on the angle is not
+_LEAST = 0.1  # rad or m; less further hardly matters
+_OFTEN = 0.01  # of the samples
+
+
+def fitted_range(observation: Observation) -> dict[str, Any]:
+    """Of all rows of the fit and each joint: its lowest and highest position and its highest speed (SI), for a model's
+    provenance."""
+    motions = [segment.motion for segment in observation.segments]
+    q = np.concatenate([motion.q[motion.kept] for motion in motions])
+    qd = np.concatenate([motion.qd[motion.kept] for motion in motions])
+    return {
+        "lowest": q.min(axis=0).tolist(),
+        "highest": q.max(axis=0).tolist(),
+        "fastest": np.abs(qd).max(axis=0).tolist(),
+    }
+
+
+def beyond_fit(model: IdentifiedModel, motions: Sequence[tuple[np.ndarray, np.ndarray]]) -> Iterator[str]:
+    """What to know of motions, each positions and speeds (S, n) (SI), that leave the range of a model's fit for more
+    than a moment; nothing where the model does not say what its fit was."""
+    known = model.provenance.get("range")
+    if known is None:
+        return
+    lowest, highest, fastest = (np.array(known[key]) for key in ("lowest", "highest", "fastest"))
+    q, speed = np.concatenate([q for q, _ in motions]), np.abs(np.concatenate([qd for _, qd in motions]))
+    joints = [(joint.name, joint.prismatic) for joint in model.robot.joints]
+    often = np.mean(speed > np.maximum(_FASTER * fastest, _SLOW * model.robot.max_velocity), axis=0) > _OFTEN
+    if often.any():
+        each = [
+            f"{name} at up to {speed[:, k].max():.3g} {'m' if slide else 'rad'}/s, fitted up to {fastest[k]:.3g}"
+            for k, (name, slide) in enumerate(joints)
+            if often[k]
+        ]
+        yield (
+            f"these logs go faster than the motions that the model was fitted to ({'; '.join(each)}): friction beyond "
+            "that is a guess, and so is what differs there"
+        )
+    far = np.maximum(_FURTHER * (highest - lowest), _LEAST)
+    often = np.mean((q < lowest - far) | (q > highest + far), axis=0) > _OFTEN
+    if often.any():
+        each = [
+            f"{name} between {q[:, k].min():.3g} and {q[:, k].max():.3g} {'m' if slide else 'rad'}, fitted between "
+            f"{lowest[k]:.3g} and {highest[k]:.3g}"
+            for k, (name, slide) in enumerate(joints)
+            if often[k]
+        ]
+        yield (
+            f"these logs go where the model was never fitted ({'; '.join(each)}): it is a local one, and what depends "
+            "on the posture is unknown to it there"
+        )
