@@ -20,8 +20,8 @@ class EffectPlace:
 @dataclass(frozen=True)
 class Cause:
     """A named effect: what it closes by itself (None: nothing to close), of its class the probability, parameters (SI),
-    what these data cannot tell from it, and what it closes of what all else leaves on its own joints (None: not judged
-    by that)."""
+    what these data cannot tell from it, what it closes of what all else leaves on its own joints (None: not judged
+    by that), and whether these slide: N and m stand for N·m and rad then."""
 
     effect: str
     joints: tuple[str, ...]
@@ -30,6 +30,7 @@ class Cause:
     parameters: Mapping[str, float]
     equivalent_to: tuple[EffectPlace, ...] = ()
     closure_of_joints: float | None = None
+    slides: bool = False
 
 
 @dataclass(frozen=True)
@@ -129,11 +130,13 @@ class DiagnosisResult:
     def to_dict(self) -> dict[str, Any]:
         """Plain data, ready for JSON."""
         data = {"schema": SCHEMA, **_plain(self)}
-        for cause in data["causes"]:
-            if cause["closure_of_joints"] is None:
-                del cause["closure_of_joints"]
-        usual = {"waterfall": [], "torque_of": "motors"}
-        return {key: value for key, value in data.items() if key not in usual or value != usual[key]}
+        data["causes"] = [_unless(cause, {"closure_of_joints": None, "slides": False}) for cause in data["causes"]]
+        return _unless(data, {"waterfall": [], "torque_of": "motors"})
+
+
+def _unless(data: Mapping[str, Any], usual: Mapping[str, Any]) -> dict[str, Any]:
+    """Without the keys that are as usual."""
+    return {key: value for key, value in data.items() if key not in usual or value != usual[key]}
 
 
 def _plain(value: Any) -> Any:

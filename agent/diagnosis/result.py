@@ -111,6 +111,8 @@ def build(
                 verdict, causes = kept
     elif causes and finding.causes:
         steps = waterfall(ReleasedSimulator(dataset, dataset, ()), finding, gap)
+    sliding = {joint.name for joint in robot.joints if joint.prismatic}
+    causes = tuple(replace(cause, slides=bool(cause.joints) and sliding.issuperset(cause.joints)) for cause in causes)
     where = _where(dataset, gap)
     answer = DiagnosisResult(
         verdict,

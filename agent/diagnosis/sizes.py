@@ -45,10 +45,10 @@ def unit_of(effect: str, parameter: str) -> str:
 
 
 def size_text(
-    effect: str, parameter: str, value: float, interval: tuple[float, float] | None, slides: bool = False
+    cause: Mapping[str, Any], parameter: str, value: float, interval: tuple[float, float] | None = None
 ) -> str:
-    """A parameter's value, its interval and unit; `slides`: of a prismatic joint."""
-    unit = unit_of(effect, parameter)
+    """A value of a cause's parameter, its interval and unit."""
+    unit, slides = unit_of(cause["effect"], parameter), cause.get("slides", False)
     half = float("nan") if interval is None else (interval[1] - interval[0]) / 2
     if unit == "%":
         value, half = 100 * value, 100 * half

@@ -23,9 +23,7 @@ def diagnosis_text(result: dict[str, Any]) -> str:
             sizes += [[]] if not sizes or key.startswith("link_") else []  # a line for every push of a contact
             value = cause["parameters"][key]
             log = key.split("_")[0] == "log"
-            sizes[-1].append(
-                f"in log {value + 1:g}" if log else f"{key} {size_text(cause['effect'], key, value, None)}"
-            )
+            sizes[-1].append(f"in log {value + 1:g}" if log else f"{key} {size_text(cause, key, value)}")
         lines += [f"    {'  '.join(line)}" for line in sizes]
         for other in cause["equivalent_to"]:
             lines.append(f"    as good: {other['effect']} on {', '.join(other['joints']) or 'the whole arm'}")

@@ -84,7 +84,7 @@ def sized(diagnosis: Diagnosis, number: int = 0) -> str:
     cause, known = causes[number], intervals(diagnosis.finding)
     swing = amplitude(cause["parameters"], known[number] if number < len(known) else {})
     if key in ("cosine_1", "sine_1") and swing is not None:
-        return f"amplitude {size_text(cause['effect'], key, *swing, _slides(diagnosis, cause))}"
+        return f"amplitude {size_text(cause, key, *swing)}"
     return f"{key.rstrip('0123456789').replace('_', ' ').strip()} {parameter_text(diagnosis, number, key)}"
 
 
@@ -96,12 +96,7 @@ def parameter_text(diagnosis: Diagnosis, number: int, key: str) -> str:
     value, about = float(cause["parameters"][key]), ""
     if interval is None and not value.is_integer() and not CATALOGUE[cause["effect"]].once:
         value, about = float(f"{value:.2g}"), "about "
-    return about + size_text(cause["effect"], key, value, interval, _slides(diagnosis, cause))
-
-
-def _slides(diagnosis: Diagnosis, cause: Mapping[str, Any]) -> bool:
-    joints = {joint.name: joint.prismatic for joint in diagnosis.dataset.robot.joints}
-    return bool(cause["joints"]) and all(joints[joint] for joint in cause["joints"])
+    return about + size_text(cause, key, value, interval)
 
 
 def sentence(text: str) -> str:

@@ -79,7 +79,7 @@ def _cause(cause: dict[str, Any]) -> str:
 
 
 def _size(cause: dict[str, Any], key: str) -> str:
-    return f"{key} {size_text(cause['effect'], key, cause['parameters'][key], None)}"
+    return f"{key} {size_text(cause, key, cause['parameters'][key])}"
 
 
 def _percent(value: float | None) -> str:

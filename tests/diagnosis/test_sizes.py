@@ -29,12 +29,12 @@ def test_figures_have_their_units():
     assert plus_minus(4.0032, 0.0213) == "4.003 ± 0.021"
     assert plus_minus(133_269.5, 2114.0) == "133300 ± 2100"
     assert plus_minus(-0.001, 0.24) == "0.00 ± 0.24"
-    assert size_text("payload", "mass", 4.0, (3.98, 4.02)) == "4.000 ± 0.020 kg"
-    assert size_text("time_delay", "delay", 0.009, None) == "9 ms"
-    assert size_text("encoder_offset", "offset", 0.01, (0.009, 0.011)) == "10.0 ± 1.0 mrad"
-    assert size_text("torque_offset", "offset", 2.0, None) == "2 N·m"
-    assert size_text("torque_offset", "offset", 2.0, None, slides=True) == "2 N"
-    assert size_text("torque_constant", "scale_error", 0.05, None) == "5 %"
+    assert size_text({"effect": "payload"}, "mass", 4.0, (3.98, 4.02)) == "4.000 ± 0.020 kg"
+    assert size_text({"effect": "time_delay"}, "delay", 0.009, None) == "9 ms"
+    assert size_text({"effect": "encoder_offset"}, "offset", 0.01, (0.009, 0.011)) == "10.0 ± 1.0 mrad"
+    assert size_text({"effect": "torque_offset"}, "offset", 2.0, None) == "2 N·m"
+    assert size_text({"effect": "torque_offset", "slides": True}, "offset", 2.0, None) == "2 N"
+    assert size_text({"effect": "torque_constant"}, "scale_error", 0.05, None) == "5 %"
     assert unit_of("contact", "force_x_2") == "N"
 
 
@@ -52,8 +52,8 @@ def test_the_leading_figure_and_what_is_not_told():
 
 
 def test_a_change_has_its_sign_and_a_sum_of_harmonics_its_amplitude():
-    assert size_text("friction_change", "coulomb_change", 32.4, (32.2, 32.6)) == "+32.40 ± 0.20 N·m"
-    assert size_text("joint_elasticity", "stiffness", 197_612.0, None) == "197600 N·m/rad"
+    assert size_text({"effect": "friction_change"}, "coulomb_change", 32.4, (32.2, 32.6)) == "+32.40 ± 0.20 N·m"
+    assert size_text({"effect": "joint_elasticity"}, "stiffness", 197_612.0, None) == "197600 N·m/rad"
     spring = {"harmonics": 2.0, "cosine_1": 3.0, "sine_1": -4.0}
     assert amplitude(spring, {}) == (5.0, None)
     size, interval = amplitude(spring, {"cosine_1": (2.0, 4.0), "sine_1": (-5.0, -3.0)})

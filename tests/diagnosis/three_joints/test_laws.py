@@ -14,6 +14,7 @@ from agent.diagnosis.dataset import assemble
 from agent.diagnosis.isolability import best_by_place
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.model.friction_terms import dahl
+from agent.pipeline.printed_diagnosis import diagnosis_text
 from agent.recording.log import Log
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record
@@ -104,6 +105,9 @@ def test_on_a_slide_too():
         logs.append(replace(log, effort=effort))
     found = diagnose(arm, logs, model).answer
     assert [(cause.effect, cause.joints) for cause in found.causes] == [("gravity_spring", ("joint_2",))]
+    (line,) = (line for line in diagnosis_text(found.to_dict()).splitlines() if "stiffness" in line)
+    assert " N/m" in line
+    assert "N·m" not in line
 
 
 def _with(model: IdentifiedModel, logs: Sequence[Log], law: Law) -> list[Log]:
