@@ -36,7 +36,7 @@ class GravitySpring(Effect):
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         slides = context.reference.robot.joints[joints[0]].prismatic
-        return [{}] if slides else [{"harmonics": 1.0}, {"harmonics": 2.0}, {}]
+        return [{}] if slides else [*({"harmonics": float(h)} for h in (1, 2, 3)), {}]
 
     def names(self, settings: Mapping[str, float]) -> tuple[str, ...]:
         if "harmonics" not in settings:

@@ -18,7 +18,9 @@ class LoadDependentFriction(FrictionLevel):
 
     Teeth rub in proportion to the load, preloaded rollers and flexsplines with another power of it; a film of oil under
     load rubs more the faster it is sheared (`sheared`); and a gear that is driven by its load loses another part of it
-    than one that drives (`driven`): a s |τ| + b τ is (a + b) |τ| one way and (a − b) |τ| the other.
+    than one that drives (`driven`): a s |τ| + b τ is (a + b) |τ| one way and (a − b) |τ| the other. What a gear
+    transmits turns the links and not its own rotor, which is most of what a small axis carries (`links`); where a rotor
+    could not be told from the links, it is the torque of both.
     """
 
     name = "load_dependent_friction"
@@ -34,7 +36,7 @@ class LoadDependentFriction(FrictionLevel):
     shapes = ("speed",)
     special_cases = ("friction_change",)
     units = MappingProxyType({"load": "N·m"})
-    not_reported = ("sheared", "driven")
+    not_reported = ("sheared", "driven", "links")
 
     def settings(self, context: FitContext, joints: tuple[int, ...]) -> list[dict[str, float]]:
         nominal = float(context.reference.scale[joints[0]])
@@ -43,6 +45,8 @@ class LoadDependentFriction(FrictionLevel):
             *({"power": power, "load": nominal} for power in (0.5, 2.0)),
             {"sheared": 1.0},
             {"driven": 1.0},
+            {"links": 1.0},
+            {"links": 1.0, "driven": 1.0},
         ]
 
     def simpler(self, settings: Mapping[str, float], robot: RobotDescription) -> tuple[str, ...]:
@@ -54,7 +58,8 @@ class LoadDependentFriction(FrictionLevel):
 
     def level_columns(self, signals: MotionSignals, axle: int, settings: Mapping[str, float]) -> tuple[np.ndarray, ...]:
         assert signals.axles.load is not None
-        load, slide = signals.axles.load[:, axle], signals.direction(axle)
+        loads = signals.link_load @ signals.reference.from_joints if "links" in settings else signals.axles.load
+        load, slide = loads[:, axle], signals.direction(axle)
         nominal = settings.get("load", 1.0)
         columns = [slide * nominal * (np.abs(load) / nominal) ** settings.get("power", 1.0)]
         if "sheared" in settings:
@@ -67,4 +72,4 @@ class LoadDependentFriction(FrictionLevel):
         return abs(values.get("driven_coefficient", 0.0)) <= abs(values["coefficient"])
 
     def level_parameters(self, settings: Mapping[str, float]) -> int:
-        return 1 + bool(settings)
+        return 1 + bool(settings.keys() - {"links"})
