@@ -76,6 +76,12 @@ class Finding:
         return replace(self, verdict=verdict, fit=fit, causes=(), rivals=(), p_value=(), margin_ratio=())
 
     @property
+    def likely(self) -> bool:
+        """Whether the first cause may be named. One that happens once, and is put where it gains, has to be surer."""
+        once = self.causes[0].effect.once
+        return self.probability[0] > (self.limits.sure_probability if once else self.limits.least_probability)
+
+    @property
     def probability(self) -> tuple[float, ...]:
         """Of each cause's class."""
         return tuple(class_probability(margin_ratio, self.closed, self.limits) for margin_ratio in self.margin_ratio)

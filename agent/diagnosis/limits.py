@@ -109,6 +109,9 @@ class DecisionLimits:
     least_probability: float = _limit(
         0.5, "probability", "of the first cause's class: what is rather wrong than right is not named", "derived"
     )
+    sure_probability: float = _limit(
+        0.6, "probability", "of the first cause's class, or it is not explained; what happens once is not named", TUNED
+    )
     probability: tuple[float, float, float] = _limit(
         (-1.0, 0.35, 0.43),
         "logistic",
@@ -160,6 +163,9 @@ class DecisionLimits:
     )
     clipped_share: float = _limit(0.002, "samples", "at exactly the largest torque before it looks clipped", "chosen")
     clipped_often: float = _limit(3.0, "times", "as many there as at any of the three values below it", "chosen")
+    weak_model: float = _limit(
+        0.12, "torque", "that the model gets wrong by itself, from where on it is said", "chosen"
+    )
     least_travel: float = _limit(3e-3, "rad or m", "that a joint travels in one log, or it never moves", "chosen")
 
     # Segments of time

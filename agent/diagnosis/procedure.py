@@ -32,6 +32,7 @@ from agent.diagnosis.rivals import (
     gain_at_best,
     gain_by_form,
     may_follow_position,
+    offset_and_friction_as_good,
     only_steps,
     special_case_as_good,
     trusted,
@@ -104,9 +105,10 @@ class Search:
         if closed < self.limits.explained:
             return self._nothing(nothing, steps, closed)
         finding = self._verdict(fit, closed, steps)
-        likely = finding.probability[0] > self.limits.least_probability
         alone = not finding.rivals[0] and exact_but_for_more(self.limits, base, finding.fit, finding.causes[0])
-        return replace(finding, matters=matters) if likely and not alone else self._nothing(nothing, steps, closed)
+        return (
+            replace(finding, matters=matters) if finding.likely and not alone else self._nothing(nothing, steps, closed)
+        )
 
     def _clearly_less(self, error: float) -> float:
         """By so much less has another start to leave than an `error`, to be the better one."""
@@ -174,25 +176,23 @@ class Search:
         result = []
         over, clear = over_background(fit), noticed(self.limits, self._at_rest, fit)
         for place, score in best.items():
-            name = place[0]
-            effect = score.candidate.effect
+            name, effect = place[0], score.candidate.effect
             if name not in self.allowed or not plausible(score) or score.gain < self.least:
                 continue
-            if largest_torque(fit, score) < self.limits.practical_torque:
-                continue
-            if not self._over(score, over, clear):
+            if largest_torque(fit, score) < self.limits.practical_torque or not self._over(score, over, clear):
                 continue
             limits = effect.simpler(score.candidate.settings, fit.reference.robot)
             simpler = [limit for limit in limits if not (effect.rivals_special_cases and limit in self.allowed)]
             if any(special_case_as_good(self.limits, self.rows, score, limit, best) for limit in simpler):
                 continue
+            if offset_and_friction_as_good(self.limits, fit, score, self.tried):
+                continue
             if effect.fast_torque and gain_in_band(fit, score) < self.limits.in_band_gain:
                 continue  # it takes noise out of the prediction
             if put_elsewhere(fit, score) > self.least:
                 continue  # what it explains is on one joint, and its torque on others is not there
-            if effect.once and may_follow_position(self.limits, fit, score, self.excursions):
-                continue
-            result.append(score)
+            if not (effect.once and may_follow_position(self.limits, fit, score, self.excursions)):
+                result.append(score)
         return tuple(sorted(result, key=lambda s: -s.gain))
 
     def _over(self, score: HeldOutScore, over: np.ndarray, clear: np.ndarray) -> bool:

@@ -91,6 +91,26 @@ def special_case_as_good(limits: DecisionLimits, rows: float, score: HeldOutScor
     )
 
 
+def offset_and_friction_as_good(
+    limits: DecisionLimits, fit: Fit, score: HeldOutScore, forms: Sequence[Candidate]
+) -> bool:
+    """Whether a form of a joint with several parameters is no more than a torque offset and another level of friction.
+
+    A hose that rubs and does not pull is both by another name, and so is a gear with another loss each way under a
+    load that hardly changes.
+    """
+    law = score.candidate
+    shifts = [name for name, effect in CATALOGUE.items() if effect.shifts]
+    basic = [[form for form in forms if form.place == (name, law.joints)] for name in shifts]
+    simpler = {*law.effect.special_cases, *law.effect.simpler(law.settings, fit.reference.robot)}
+    itself = law.effect.shifts or law.effect.rivals_special_cases
+    if itself or len(law.names) < len(shifts) or simpler.isdisjoint(shifts):
+        return False
+    left = fit.with_chosen((*fit.chosen, law)).error()
+    pairs = (pair for pair in product(*basic) if sum(len(form.names) for form in pair) <= len(law.names))
+    return any(fit.with_chosen((*fit.chosen, *pair)).error() - left < limits.equal_gain * score.gain for pair in pairs)
+
+
 def may_follow_position(limits: DecisionLimits, fit: Fit, score: HeldOutScore, excursions: Excursions) -> bool:
     """Whether a law of position takes away as much, on a joint that travels too little for it to be named."""
     wanted = [

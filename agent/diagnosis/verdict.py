@@ -41,7 +41,9 @@ def judge(dataset: Dataset, finding: Finding, plain: Fit, unit: np.ndarray | Non
         gap = held_out_gap(dataset, finding.fit, unit)
         if not finding.causes:
             return finding, gap
-        if finding.verdict == "explained" and gap.closure is not None and gap.closure < dataset.limits.explained:
+        little = gap.closure is not None and gap.closure < dataset.limits.explained
+        unsure = finding.probability[0] < dataset.limits.sure_probability
+        if finding.verdict == "explained" and (little or unsure):
             finding = finding.with_uncertain_form()
         causes = causes_of(dataset, finding, gap)
         verdict, kept = settle(finding.verdict, causes, gap.closure, dataset.limits)
@@ -59,7 +61,8 @@ def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Caus
     fit, joints = finding.fit, dataset.robot.joint_names
     taken_out = [fit.out_of_fold(fit.once, number) for number in range(len(finding.causes))]
     parts = zip(finding.causes, taken_out, fit.values, finding.rivals, finding.probability, strict=True)
-    by_joint = dataset.model.method == SIMULATOR or len(finding.causes) > 1
+    # parts of one motion are too much alike to bear out what hardly closes anything
+    by_joint = dataset.model.method == SIMULATOR or (len(finding.causes) > 1 and len(dataset.logs) > 1)
     return tuple(
         Cause(
             candidate.effect.name,

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from agent.core import InputError, keep_freed_memory
-from agent.diagnosis.dataset import assemble
+from agent.diagnosis.dataset import Dataset, assemble
 from agent.diagnosis.held_torque import HeldTorque, held_torque
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.motion_gap import MotionGap, motion_gap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.result import Diagnosis, build
 from agent.diagnosis.simulator import search_simulator
+from agent.diagnosis.stored_uncertainty import held_to_uncertainty
 from agent.diagnosis.verdict import judge
 from agent.estimation import beyond_fit
 from agent.model import CATALOGUE, SERVO_STIFFNESS, SIMULATOR, IdentifiedModel
@@ -54,9 +56,16 @@ def diagnose(
         if (held := held_torque(dataset, finding.fit)) is not None:
             finding = finding.without_causes("unknown", dataset.fit)
         finding, gap = judge(dataset, finding, dataset.fit)
+        if held is None and not finding.causes and dataset.given and gap.absorbed > limits.least_closure:
+            fit = held_to_uncertainty(dataset.fit)
+            if fit is not None:  # what its own parameters took away is a gap all the same
+                dataset = replace(dataset, fit=fit)
+                search = Search(fit, without, dataset.given, progress, limits)
+                finding, gap = judge(dataset, search.run(), fit)
     motion = motion_gap(logs, limits)
     beyond = beyond_fit(dataset.model, [(s.q[s.kept], s.qd[s.kept]) for s in dataset.fit.signals])
-    warnings = (*twice, *_warnings(robot, logs, model is not None, limits), *beyond, *_path_warnings(motion))
+    said = (*_warnings(robot, logs, model is not None, limits), *_of_model(dataset), *beyond, *_path_warnings(motion))
+    warnings = (*twice, *said)
     return build(dataset, finding, gap, search, motion, warnings, calibrated, held)
 
 
@@ -94,6 +103,18 @@ def _distinct(logs: Sequence[Log]) -> tuple[list[Log], list[str]]:
 
 def _samples(log: Log) -> tuple[bytes, bytes]:
     return log.position.tobytes(), b"" if log.effort is None else log.effort.tobytes()
+
+
+def _of_model(dataset: Dataset) -> Iterator[str]:
+    """How wrong the model is by itself, where that is much: what is smaller does not show beside it."""
+    torque = np.concatenate([log.effort for log in dataset.logs if log.effort is not None])
+    error = dataset.model.held_out_rmse
+    share = float(np.linalg.norm(error) / np.sqrt(np.mean(torque**2, axis=0).sum()))
+    if dataset.model.method != SIMULATOR and share > dataset.limits.weak_model:
+        yield (
+            f"the model errs by {100 * share:.0f} % of the torque on motions that it was fitted to, held out: no gap "
+            "means none beside that, and what is smaller does not show"
+        )
 
 
 def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool, limits: DecisionLimits) -> Iterator[str]:

@@ -38,6 +38,8 @@ _SIGNIFICANT = 5.0  # standard deviations of that push, and
 _SAMPLES_PER_PARAMETER = 4.0  # independent samples for each parameter: a short log tells no mistake from chance
 _MAX_LAG = 0.2  # rad or m that a joint that is asked to go does not stay behind, however weak its servo
 _MOVING = 1e-2  # rad or m that a joint travels to count as moving
+_SLOW, _NOISE = 0.005, 0.1  # of a joint's highest speed, and of a velocity's square: below and above it none goes
+_ONE_WAY = 0.02  # of the time in motion that a joint goes the other way: less tells no friction from an offset
 _NOTHING = 1e-12  # N·m or N by which no torque changes that is one
 
 
@@ -118,8 +120,17 @@ def _stuck(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
             continue
         if any(_travel(asked[:, k]) > _MAX_LAG for asked in set_points):
             yield f"{name} is stuck, or its position is not recorded: it never changes while its set-points move"
-        elif any(_travel(_path(log, k)) > _MAX_LAG for log in logs if log.velocity is not None):
+        elif any(_goes(robot, log, k) and _travel(_path(log, k)) > _MAX_LAG for log in logs):
             yield f"{name} is stuck, or its position is not recorded: it never changes while its velocity says it moves"
+
+
+def _goes(robot: RobotDescription, log: Log, joint: int) -> bool:
+    """Whether a velocity is that of a motion: neither noise, which changes from sample to sample, nor a bias of it."""
+    if log.velocity is None:
+        return False
+    speed = log.velocity[:, joint]
+    slowest = _SLOW * robot.max_velocity[joint]
+    return bool(np.mean(np.diff(speed) ** 2) < _NOISE * np.mean(speed**2) and np.abs(speed).max() > slowest)
 
 
 def _path(log: Log, joint: int) -> np.ndarray:
@@ -313,7 +324,9 @@ def _push(robot: RobotDescription, s: FitSamples, columns: np.ndarray, rigid: _R
     for k in range(n):
         speed = max(float(np.sqrt(np.mean(s.qd[:, k] ** 2))), 1e-12)
         rub = np.mean(columns[:, k] * s.qd[:, k, None], axis=0) / speed
-        push[k, bodies : bodies + 2 * n] = -rub[bodies : bodies + 2 * n]
+        moving = s.direction[:, k][np.abs(s.direction[:, k]) > 0.5]
+        if len(moving) and min(np.mean(moving > 0), np.mean(moving < 0)) > _ONE_WAY:
+            push[k, bodies : bodies + 2 * n] = -rub[bodies : bodies + 2 * n]
         inertia = (rigid(some, 0 * some, np.tile(np.eye(n)[k], (len(some), 1))) - at_rest)[:, k]
         push[k, :bodies] = -np.mean(inertia, axis=0) * np.sqrt(np.mean(s.qdd[:, k] ** 2))
     return push

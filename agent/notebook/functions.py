@@ -131,7 +131,7 @@ def diagnose(
     description, reference = load_robot(robot), None if model is None else _model(model)
     given = read_logs(logs, description)
     check_one_machine(given, reference, allow_mixed, payload_counts=True)
-    check_plausible(description, given, force, quiet())
+    check_plausible(description, given, force, quiet(), model=reference)
     return GapDiagnosis(search(description, given, reference, cutoff, without))
 
 

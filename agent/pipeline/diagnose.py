@@ -237,7 +237,7 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
     if simulator is not None:
         simulator, logs, said = with_servo_torque(simulator, logs)
     if not said:
-        check_plausible(robot, logs, question.force, console, described=described)
+        check_plausible(robot, logs, question.force, console, described=described, model=reference)
     console.step("searching for what model and robot disagree in")
     found = diagnose(robot, logs, reference, question.cutoff, question.without, console.progress)
     found = replace(found, answer=replace(found.answer, warnings=(*said, *found.answer.warnings)))

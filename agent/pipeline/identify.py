@@ -90,10 +90,13 @@ def check_plausible(
     console: Console,
     advice: str = "Nothing is written; mend it, or go on with --force",
     described: bool = True,
+    model: IdentifiedModel | None = None,
 ) -> None:
     """Refuse logs that no motion of this robot can have made, with what to do; with `force` only say so.
 
-    `described`: the robot's name is that of a description, and not what somebody called a simulator.
+    `described`: the robot's name is that of a description, and not what somebody called a simulator. What a `model`
+    predicts needs no other reason: on a few seconds, or while somebody pushes, a refit with a mistake in it may do
+    better.
 
     Raises:
         RejectedError: with the likeliest reason first.
@@ -101,6 +104,10 @@ def check_plausible(
     from agent.estimation import plausibility_warnings
 
     found = plausibility_warnings(robot, logs)
+    if found and model is not None:
+        from agent.validation import predicts
+
+        found = [] if predicts(model, logs) else found
     others = sorted({log.metadata.get("robot", "") for log in logs} - {"", robot.name}) if described else []
     named = [f"the logs say that they are of robot {' and '.join(others)}, not of {robot.name}"] if others else []
     if found and not force:

@@ -81,7 +81,7 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
     if entries.window is not None:
         inside = ~(time < entries.window.start) & ~(time >= entries.window.stop)
         if not (inside & np.isfinite(time)).any():
-            span = f"{np.nanmin(time):g} s to {np.nanmax(time):g} s" if np.isfinite(time).any() else "nowhere"
+            span = f"{np.nanmin(time):.15g} s to {np.nanmax(time):.15g} s" if np.isfinite(time).any() else "nowhere"
             mapping.fault("window", f"no row is in it; the rows go from {span}")
     whole, torn = np.isfinite(time), np.zeros(rows, bool)
     for name, array in present.items():

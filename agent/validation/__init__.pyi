@@ -5,6 +5,7 @@ from .torque import (
     Validation as Validation,
     pooled_rmse as pooled_rmse,
     predict_log as predict_log,
+    predicts as predicts,
     summary as summary,
     validate as validate,
 )

@@ -9,13 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import finite
+from agent.core import InputError, finite
 from agent.estimation import FilterSettings, Motion, check_log, motions, resolve_cutoff
 from agent.model import IdentifiedModel
 from agent.recording import Log
 
 SCHEMA = "validation/1"
 _MOVING = 1e-3  # of a joint's highest speed by the robot description
+_TRAVELS = 0.01  # rad or m, from where on a joint says something of its channels
+_PREDICTED = 0.35  # of how a joint's torque varies: the median error of a model that predicts it
+_USUAL = 2.0  # times its held-out error, as motions differ
 
 
 @dataclass(frozen=True)
@@ -167,6 +170,25 @@ def predict_log(model: IdentifiedModel, log: Log, cutoff: float | None = None) -
         moving=np.concatenate(moving),
         _motions=segments,
     )
+
+
+def predicts(model: IdentifiedModel, logs: Sequence[Log]) -> bool:
+    """Whether a model predicts the torque of every joint that moves, most of the time, as well as it usually does or
+    far better than not at all: no channel of such logs can be mistaken, whatever else there may be at times.
+
+    A channel that is flipped, swapped or of another unit errs by about as much as its torque varies, all along.
+    """
+    try:
+        found = [predict_log(model, log) for log in logs]
+    except InputError:
+        return False
+    position, measured, error = (
+        np.concatenate([getattr(each, part) for each in found]) for part in ("position", "measured", "error")
+    )
+    moves = np.ptp(position, axis=0) > _TRAVELS
+    typical, varies = np.median(np.abs(error), axis=0), np.std(measured, axis=0)
+    most = np.maximum(_PREDICTED * varies, _USUAL * model.held_out_rmse)
+    return bool(moves.any() and np.all((typical < most)[moves]))
 
 
 def validate(model: IdentifiedModel, logs: Sequence[Log], cutoff: float | None = None) -> Validation:

@@ -65,7 +65,8 @@ class Effect(ABC):
 
     `special_cases` are the simpler forms that it turns into at the border of its parameters: it has to do better than
     they do to be named, unless `rivals_special_cases` says that they are as free and so rivals.
-    One that is `exact` is so by definition: nothing of its form may be a little different on a real arm.
+    One that is `exact` is so by definition: nothing of its form may be a little different on a real arm. One that
+    `shifts` does so by itself: an offset and another level of friction, together, come before a form that is no more.
     `structurally_equivalent` are forms that equal it by definition unless the data tell them apart: where they do as
     well it is not named with confidence, in the catalogue or not. `shapes` are what its torque is a curve over (speed,
     position, twist, mass): a second effect with such a shape on the same joint would only imitate a third.
@@ -106,6 +107,7 @@ class Effect(ABC):
     special_cases: ClassVar[tuple[str, ...]] = ()
     rivals_special_cases: ClassVar[bool] = False
     exact: ClassVar[bool] = False
+    shifts: ClassVar[bool] = False
     structurally_equivalent: ClassVar[tuple[str, ...]] = ()
     complexity_penalty: ClassVar[int] = 0
     once: ClassVar[bool] = False

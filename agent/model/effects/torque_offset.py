@@ -25,6 +25,7 @@ class TorqueOffset(Effect):
     phrase = "the measured torque is shifted by a constant"
     look_at = "zero of the current sensor of this drive, read with the drives off; a constant force such as a hose"
     shapes = ("position",)
+    shifts = True
     exact = True
     experiment = RAMPS_AND_STANDSTILLS
     moves_arm = False
