@@ -20,6 +20,7 @@ _BORDER = 0.3  # s from where a motion's samples begin: what there is before tel
 _AGAIN = 0.2  # s that what comes back with the cycle may be early or late
 _ALONE = 2.0  # times the window at the same place of another cycle
 _MAX_PUSHES, _LEAST_GAIN_RATIO = 30, 0.02  # pushes, and part of the strongest one's gain that another has
+_FEW, _RARE = 6, 0.15  # pushes that may last, and part of the time that more of them may have: else it is none
 _EDGE_STEPS, _EDGE_PARTS = 8, 40  # by which either end of a push is moved to fit, of so many parts of its length each
 _PARTS, _PART = np.linspace(0.13, 0.7, 10), 1 / 6  # of a push, where parts of it begin that are judged for a pause
 _PAUSE, _SHOWS = 0.5, 0.1  # of the force, missing there, and of the push's usual gain, that it would have to be
@@ -195,6 +196,7 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
     """The strongest windows that do not overlap, as far as they stand out; strongest first."""
     taken: list[PushedWindow] = []
     best = [w.strongest for w in windows]
+    lasting = sum({w.log: float(np.ptp(w.starts)) for w in windows}.values())
     while len(taken) < _MAX_PUSHES:
         candidates = [(push, w) for push, w in zip(best, windows, strict=True) if push is not None]
         if not candidates:
@@ -203,6 +205,8 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
         if taken and push.gain < _LEAST_GAIN_RATIO * taken[0].gain:
             break
         last = of_length.fitted(push, taken)
+        if len(taken) >= _FEW and sum(one.duration for one in (*taken, last)) > _RARE * lasting:
+            break  # windows enough would follow any torque
         taken.append(last)
         # where the strongest of a length shares no time with it, it stays the strongest
         best = [w.best(taken) if one and last.meets(one) else one for one, w in zip(best, windows, strict=True)]

@@ -58,7 +58,7 @@ def best(arm, model, logs):
 
 def forces(found):
     """Of each push by its start: link, log, start, end, and force."""
-    ends = [""] + [f"_{number}" for number in range(2, 10)]
+    ends = [""] + [f"_{number}" for number in range(2, 40)]
     return sorted(
         (
             *(found[f"{key}{suffix}"] for key in ("start", "end", "link", "log")),
@@ -77,6 +77,14 @@ def test_pushes_are_found_on_their_link_with_force_and_times(arm, model, free, t
         assert (start, end) == pytest.approx(expected, abs=0.2)
         assert (link, log) == (2, 0)
         assert np.linalg.norm(force - FORCE) < 0.25 * np.linalg.norm(FORCE)
+
+
+def test_many_pushes_are_found(arm, model):
+    """As on an arm that was hit eighteen times in a minute and a half."""
+    plant, times = Plant(arm, seed=3), [(1.2, 2.0), (6.9, 7.5)]
+    logs = [record(plant, f"{seed}", seed) for seed in range(21, 26)]
+    found = forces(best(arm, model, [pushed(arm, log, "link_3", times) for log in logs[:4]] + logs[4:]))
+    assert {(log, round(start)) for start, _, _, log, _ in found} == {(log, at) for log in range(4) for at in (1, 7)}
 
 
 def test_a_push_in_the_middle_of_a_link_is_found_there(arm, model, free):

@@ -94,6 +94,55 @@ def test_a_hose_that_rubs_may_be_a_spring_of_a_joint_that_rubs_more(arm, model, 
     assert all(joints == ("joint_3",) for _, joints in named)
 
 
+def test_an_offset_and_more_friction_are_no_hose(arm, model, healthy):
+    """A hose that does not pull and rubs would be the same torque by another name."""
+    size = np.std(healthy[0].effort[:, JOINT])
+    law = _with(model, healthy, lambda q, load, gone: 0.4 * size + 0.3 * size * _slide(q))
+    found = diagnose(arm, law, model).answer
+    assert {(cause.effect, cause.joints) for cause in found.causes} == {
+        ("torque_offset", ("joint_3",)),
+        ("friction_change", ("joint_3",)),
+    }
+    assert not [place for cause in found.causes for place in cause.equivalent_to if place.effect == "dress_pack"]
+
+
+def test_a_spring_between_two_pivots_keeps_its_name(arm, model, healthy):
+    """The lever is long beside the anchor, so that its law is far from a sine."""
+    size = np.std(healthy[0].effort[:, JOINT])
+
+    def law(q, load, gone):
+        angle = q - 0.4
+        length = np.sqrt(1 + 0.5**2 - 2 * 0.5 * np.cos(angle))
+        return size * np.sin(angle) / length
+
+    found = diagnose(arm, _with(model, healthy, law), model).answer
+    named = {(place.effect, place.joints) for cause in found.causes for place in (cause, *cause.equivalent_to)}
+    assert ("gravity_spring", ("joint_3",)) in named
+    assert found.closure is not None
+    assert found.closure > 0.97
+
+
+def test_friction_grows_with_what_the_links_carry_and_not_with_what_turns_the_rotor(arm, model, healthy):
+    """A small axis spends most of its torque on its own rotor, and its gear transmits none of that."""
+    joints = tuple(replace(joint, rotor_inertia=0.02) for joint in arm.joints)
+    arm = replace(arm, joints=joints)
+    model = learn(arm)
+    plant = Plant(arm, seed=3)
+    logs = [record(plant, name, seed) for name, seed in (("a", 21), ("b", 22))]
+    fit = assemble(arm, model, logs, None).fit
+    carried = [signals.link_load[:, JOINT] for signals in fit.signals]
+    assert np.std(np.concatenate(carried)) < 0.5 * np.std(np.concatenate([s.rigid[:, JOINT] for s in fit.signals]))
+    altered = []
+    for log, signals, load in zip(logs, fit.signals, carried, strict=True):
+        more = np.interp(log.t, signals.time, 0.5 * np.abs(load) * signals.direction(JOINT))
+        effort = log.effort.copy()
+        effort[:, JOINT] += more
+        altered.append(replace(log, effort=effort))
+    (cause,) = diagnose(arm, altered, model).answer.causes
+    assert (cause.effect, cause.joints) == ("load_dependent_friction", ("joint_3",))
+    assert cause.parameters["coefficient"] == pytest.approx(0.5, rel=0.15)
+
+
 def test_on_a_slide_too():
     arm = make_arm("RPR")
     model, plant = learn(arm), Plant(arm, seed=3)
