@@ -105,7 +105,7 @@ def _in_time(dataset: Dataset) -> Iterator[tuple[str, np.ndarray]]:
             first = dataset.time[here].min()
             starts, what = [first + k * (last - first) / 3 for k in range(3)], "third"
         for k, (start, end) in enumerate(zip(starts, [*starts[1:], np.inf], strict=True)):
-            yield f"log {log.name} {what} {k + 1}", here & (dataset.time >= start) & (dataset.time < end)
+            yield f"{what} {k + 1} of {log.name}", here & (dataset.time >= start) & (dataset.time < end)
 
 
 def _block_numbers(dataset: Dataset) -> np.ndarray:

@@ -22,6 +22,7 @@ from agent.recording import Log, machines_of
 _BAD_CONDITION = 1000.0
 _NOTABLE_STANDSTILL = 0.05
 _TOO_FAST = 2.0  # times a joint's highest speed by the robot description
+_SLIDES, _BACK = 0.05, 0.02  # of its highest speed a joint slides; of its sliding, less than that is not both ways
 _NAMED = 8  # parameters of directions that are not in the data
 _RESTING = 1e-4  # s, in which a joint at its highest speed moves as far as one that rests may
 
@@ -163,6 +164,15 @@ def _doubts(observation: Observation) -> Iterator[str]:
         yield (
             f"These joints never move: {names}. Their friction and inertia are not in the data; if they did move, "
             "their positions were not recorded."
+        )
+    qd = np.concatenate([segment.motion.qd[segment.motion.kept] for segment in observation.segments])
+    least = _SLIDES * np.abs(qd).max(axis=0)
+    forth, back = np.sum(qd > least, axis=0), np.sum(qd < -least, axis=0)
+    one_way = np.minimum(forth, back) < _BACK * (forth + back)
+    for k in np.flatnonzero(one_way & (travelled > _RESTING * robot.max_velocity)):
+        yield (
+            f"{robot.joint_names[k]} goes one way only: its friction and an offset of its torque are the same there; "
+            "run it both ways"
         )
     times = extremes[:, 2].max(axis=0) / robot.max_velocity
     for k in np.flatnonzero(times > _TOO_FAST):

@@ -16,6 +16,8 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from agent.core import InputError, load_document
 from agent.robot.urdf_checks import check_urdf
 
+_NAMED_ENDS = 8  # links of a message
+
 
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -281,7 +283,11 @@ def _load_file(path: Path) -> RobotDescription:
     elements = {joint.get("name"): joint for joint in root.findall("joint")}
     links = {link.get("name") for link in root.findall("link")}
     if entry.tip_frame not in links and entry.tip_frame not in elements:
-        raise InputError(f"{path}: tip_frame: the URDF has no link {entry.tip_frame!r}")
+        inner = {parent.get("link") for parent in root.iterfind("joint/parent")}
+        ends = ", ".join(sorted(str(link) for link in links - inner)[:_NAMED_ENDS])
+        raise InputError(
+            f"{path}: tip_frame: the URDF has no link {entry.tip_frame!r}; those at the end of a branch are {ends}"
+        )
     for link in entry.bodies:
         if link not in links:
             raise InputError(f"{path}: bodies.{link}: the URDF has no such link")

@@ -11,8 +11,9 @@ import pytest
 
 from agent.core.console import Console
 from agent.core.errors import InputError, RejectedError
+from agent.estimation import estimate
 from agent.estimation.plausible import plausibility_warnings
-from agent.pipeline.identify import estimate_files, validate_files
+from agent.pipeline.identify import check_plausible, estimate_files, validate_files
 from agent.recording import read_log, write_log
 from agent.robot import load_robot
 from fake_controller.plant import Plant
@@ -289,3 +290,56 @@ def test_an_absurd_error_has_a_comment(healthy, shared_data, tmp_path, capsys):
     capsys.readouterr()
     validate_files(out, [tmp_path / "right.mcap"], None, quiet)
     assert "predicting no torque at all would be better" in capsys.readouterr().err
+
+
+def test_of_a_sweep_that_goes_one_way_friction_is_said_to_be_an_offset_too():
+    """Nor can it be said to drive the joint on."""
+    robot = make_arm("R")
+    log = record(Plant(robot, seed=3), "sweep", 21)
+    time = log.t
+    begins = np.clip(time / 0.5, 0, 1)
+    speed = begins * (0.4 + 0.1 * np.sin(2 * np.pi * time / 7.0))
+    position = np.cumsum(speed) * (time[1] - time[0]) - 2.0
+    rng = np.random.default_rng(5)
+    torque = 3.0 - 1.5 * begins + 0.5 * speed + 0.02 * rng.normal(size=len(time))  # at rest stiction holds any of it
+    sweep = replace(
+        log,
+        position=position[:, None],
+        velocity=speed[:, None],
+        effort=torque[:, None],
+        reference_position=None,
+        cycle_starts=(),
+    )
+    assert not [text for text in plausibility_warnings(robot, [sweep]) if "opposite signs" in text]
+    found = estimate(robot, [sweep])
+    assert any("goes one way only" in note for note in found.notes)
+    both_ways = estimate(robot, [log])
+    assert not any("goes one way only" in note for note in both_ways.notes)
+
+
+def test_a_joint_that_stands_while_its_velocity_is_noise_is_not_stuck(healthy):
+    robot, log = healthy
+    rng = np.random.default_rng(1)
+    position, velocity = log.position.copy(), np.gradient(log.position, log.t, axis=0)
+    position[:, 5] = position[0, 5]
+    velocity[:, 5] = 0.02 * np.round(rng.normal(1.0, 1.5, len(log.t)))  # counts about a bias: 0.4 rad in 20 s
+    still = replace(log, position=position, velocity=velocity, reference_position=None)
+    assert not [text for text in plausibility_warnings(robot, [still]) if "is stuck, or" in text]
+
+
+def test_what_a_model_predicts_is_not_refused(healthy, shared_data, monkeypatch):
+    """On a few seconds a refit with a mistake in it may do better; logs that the model predicts have none."""
+    robot, log = healthy
+    model = estimate(
+        robot, [read_log(shared_data / f"gap-dev/baseline/{name}.mcap", robot) for name in ("excite", "moves")]
+    )
+    monkeypatch.setattr(
+        "agent.estimation.plausibility_warnings", lambda robot, logs: ["joint_1 and joint_5 look swapped"]
+    )
+    quiet = Console(-1)
+    with pytest.raises(RejectedError, match="look swapped"):
+        check_plausible(robot, [log], False, quiet)
+    check_plausible(robot, [log], False, quiet, model=model)
+    mistaken = replace(log, effort=turned(log.effort))
+    with pytest.raises(RejectedError, match="look swapped"):
+        check_plausible(robot, [mistaken], False, quiet, model=model)

@@ -46,6 +46,11 @@ def test_it_is_read(described):
     assert described("name: pair", "name: Zelle 3_b").name == "Zelle 3_b"
 
 
+def test_a_tip_that_is_no_link_is_refused_with_those_that_could_be(described):
+    with pytest.raises(InputError, match=r"no link 'tool0'; those at the end of a branch are finger$"):
+        described("tip_frame: tip", "tip_frame: tool0")
+
+
 @pytest.mark.parametrize("name", ["../../x", "a/b", ".hidden", "''", "x" * 65, '"a\\nb"'])
 def test_a_name_that_is_no_file_name_is_refused(described, name):
     with pytest.raises(InputError, match=r"robot\.yaml:2: name: .*files are named after the robot"):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from agent.diagnosis import diagnose
@@ -38,3 +41,14 @@ def test_it_survives_the_model_s_file_and_is_not_guessed(model, logs, tmp_path):
     assert len(list(beyond_fit(loaded, motions))) == 2
     del loaded.provenance["range"]
     assert not list(beyond_fit(loaded, motions))
+
+
+def test_how_wrong_the_model_is_by_itself_is_said_where_that_is_much(arm, model, logs):
+    assert not [text for text in diagnose(arm, logs[USUAL], model).warnings if "the model errs by" in text]
+    size = np.sqrt(np.mean(logs[USUAL][0].effort ** 2, axis=0))
+    (said,) = (
+        text
+        for text in diagnose(arm, logs[USUAL], replace(model, held_out_rmse=0.4 * size)).warnings
+        if "the model errs by" in text
+    )
+    assert "no gap means none beside that" in said
