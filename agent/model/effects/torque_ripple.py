@@ -26,6 +26,7 @@ class TorqueRipple(Effect):
     phrase = "the torque ripples with the angle of motor or gear"
     look_at = "motor orders: cogging, current sensor offsets; gear orders: damaged teeth, wave generator"
     why_absent = "the joint turns too little to see a period"
+    refined = ("order",)
     residual_driven = True
     fast_torque = True
 
@@ -51,7 +52,7 @@ class TorqueRipple(Effect):
         speed = np.sort(np.concatenate(speeds))
         cutoff = context.reference.model.cutoff
         passing = np.searchsorted(speed, 2 * np.pi * 0.9 * cutoff / np.maximum(order, 1e-9))
-        gain = np.where((order > max(_LOWEST, 6 * np.pi / (high - low))) & (order < highest), power, 0)
+        gain = np.where((order > max(_LOWEST, 4 * np.pi / (high - low))) & (order < highest), power, 0)
         gain = gain / np.maximum(passing, 20)
         found = []
         for _ in range(_PEAKS):

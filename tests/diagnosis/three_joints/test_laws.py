@@ -106,6 +106,18 @@ def test_an_offset_and_more_friction_are_no_hose(arm, model, healthy):
     assert not [place for cause in found.causes for place in cause.equivalent_to if place.effect == "dress_pack"]
 
 
+def test_a_ripple_of_few_periods_is_no_hose(arm, model, healthy):
+    """A curve through six positions follows two and a half periods; their order is between two lines of a spectrum."""
+    size = np.std(healthy[0].effort[:, JOINT])
+    travel = np.ptp(np.concatenate([log.position[:, JOINT] for log in healthy]))
+    order = max(2.5 * 2 * np.pi / travel, 9.0)
+    assert order * travel < 3 * 2 * np.pi
+    altered = _with(model, healthy, lambda q, load, gone: 0.5 * size * np.cos(order * q - 0.7))
+    (cause,) = diagnose(arm, altered, model).answer.causes
+    assert (cause.effect, cause.joints) == ("torque_ripple", ("joint_3",))
+    assert cause.parameters["order"] == pytest.approx(order, rel=0.02)
+
+
 def test_a_spring_between_two_pivots_keeps_its_name(arm, model, healthy):
     """The lever is long beside the anchor, so that its law is far from a sine."""
     size = np.std(healthy[0].effort[:, JOINT])
