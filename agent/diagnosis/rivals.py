@@ -167,7 +167,8 @@ def equals_by_definition(
     """Places that equal a cause by definition and do as well, with one parameter more than its simplest form at most.
 
     A curve through anything imitates whatever is there: that it can is no evidence for it (Occam's razor). A hose that
-    rubs is equalled by a spring too, if the joint may rub more beside that.
+    rubs is equalled by a spring too, if the joint may rub more beside that; and so is a spring by a hose, where more
+    friction was found beside it.
 
     Args:
         fit: without the cause, which loses `lost`; forms: all that were tried; margins: by so much does each place have
@@ -186,6 +187,9 @@ def equals_by_definition(
             if simplest(place, min(enough, score.gain)) <= mine + 1:
                 found.append(place)
     beside = [place for place, gain in _beside_friction(fit, forms, cause) if gain >= lost - margins.get(place, 0.0)]
+    rubs = any(c.joints == cause.joints and c.effect.shifts and "speed" in c.effect.shapes for c in fit.chosen)
+    if rubs and "position" in cause.effect.shapes:
+        beside += [(name, cause.joints) for name in cause.effect.structurally_equivalent]
     return list(dict.fromkeys([*found, *beside]))
 
 

@@ -94,6 +94,16 @@ def test_a_hose_that_rubs_may_be_a_spring_of_a_joint_that_rubs_more(arm, model, 
     assert all(joints == ("joint_3",) for _, joints in named)
 
 
+def test_a_spring_beside_more_friction_may_be_a_hose_that_rubs(arm, model, healthy):
+    """No form of a hose follows every one, so it is said whether one of them does as well or not."""
+    size = np.std(healthy[0].effort[:, JOINT])
+    altered = _with(model, healthy, lambda q, load, gone: size * np.sin(q - 0.4) + 0.4 * size * _slide(q))
+    found = diagnose(arm, altered, model).answer
+    named = {place.effect for cause in found.causes for place in (cause, *cause.equivalent_to)}
+    assert {"gravity_spring", "dress_pack"} <= named
+    assert found.verdict == "ambiguous"
+
+
 def test_an_offset_and_more_friction_are_no_hose(arm, model, healthy):
     """A hose that does not pull and rubs would be the same torque by another name."""
     size = np.std(healthy[0].effort[:, JOINT])
