@@ -85,6 +85,7 @@ def test_a_curve_through_anything_is_no_evidence_for_a_hose(line, equal):
     fit = SimpleNamespace(
         score=lambda some: [one for found in forms.values() for one in found if one.candidate in some],
         reference=SimpleNamespace(robot=None),
+        chosen=(),
     )
     tried = [one.candidate for found in forms.values() for one in found]
     known = places(spring, forms[HOSE][0])
