@@ -196,7 +196,8 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
     """The strongest windows that do not overlap, as far as they stand out; strongest first."""
     taken: list[PushedWindow] = []
     best = [w.strongest for w in windows]
-    lasting = sum({w.log: float(np.ptp(w.starts)) for w in windows}.values())
+    spans = [(w.log, float(np.ptp(w.starts)) + w.duration) for w in windows if len(w.starts)]
+    lasting = sum(max(span for log, span in spans if log == one) for one in {log for log, _ in spans})
     while len(taken) < _MAX_PUSHES:
         candidates = [(push, w) for push, w in zip(best, windows, strict=True) if push is not None]
         if not candidates:
