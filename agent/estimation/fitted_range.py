@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -38,28 +38,29 @@ def beyond_fit(model: IdentifiedModel, motions: Sequence[tuple[np.ndarray, np.nd
         return
     lowest, highest, fastest = (np.array(known[key]) for key in ("lowest", "highest", "fastest"))
     q, speed = np.concatenate([q for q, _ in motions]), np.abs(np.concatenate([qd for _, qd in motions]))
-    joints = [(joint.name, joint.prismatic) for joint in model.robot.joints]
-    often = np.mean(speed > np.maximum(_FASTER * fastest, _SLOW * model.robot.max_velocity), axis=0) > _OFTEN
-    if often.any():
-        each = [
-            f"{name} at up to {speed[:, k].max():.3g} {'m' if slide else 'rad'}/s, fitted up to {fastest[k]:.3g}"
-            for k, (name, slide) in enumerate(joints)
-            if often[k]
-        ]
+    units = ["m" if joint.prismatic else "rad" for joint in model.robot.joints]
+
+    def of_joints(beyond: np.ndarray, text: Callable[[int], str]) -> str:
+        often = np.flatnonzero(np.mean(beyond, axis=0) > _OFTEN).tolist()
+        return "; ".join(f"{model.robot.joint_names[k]} {text(k)}" for k in often)
+
+    faster = speed > np.maximum(_FASTER * fastest, _SLOW * model.robot.max_velocity)
+    if said := of_joints(
+        faster, lambda k: f"at up to {speed[:, k].max():.3g} {units[k]}/s, fitted up to {fastest[k]:.3g}"
+    ):
         yield (
-            f"these logs go faster than the motions that the model was fitted to ({'; '.join(each)}): friction beyond "
-            "that is a guess, and so is what differs there"
+            f"these logs go faster than the motions that the model was fitted to ({said}): friction beyond that is a "
+            "guess, and so is what differs there"
         )
     far = np.maximum(_FURTHER * (highest - lowest), _LEAST)
-    often = np.mean((q < lowest - far) | (q > highest + far), axis=0) > _OFTEN
-    if often.any():
-        each = [
-            f"{name} between {q[:, k].min():.3g} and {q[:, k].max():.3g} {'m' if slide else 'rad'}, fitted between "
-            f"{lowest[k]:.3g} and {highest[k]:.3g}"
-            for k, (name, slide) in enumerate(joints)
-            if often[k]
-        ]
+    if said := of_joints(
+        (q < lowest - far) | (q > highest + far),
+        lambda k: (
+            f"between {q[:, k].min():.3g} and {q[:, k].max():.3g} {units[k]}, fitted between {lowest[k]:.3g} and "
+            f"{highest[k]:.3g}"
+        ),
+    ):
         yield (
-            f"these logs go where the model was never fitted ({'; '.join(each)}): it is a local one, and what depends "
-            "on the posture is unknown to it there"
+            f"these logs go where the model was never fitted ({said}): it is a local one, and what depends on the "
+            "posture is unknown to it there"
         )

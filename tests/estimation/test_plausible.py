@@ -297,7 +297,7 @@ def test_of_a_sweep_that_goes_one_way_friction_is_said_to_be_an_offset_too():
     robot = make_arm("R")
     log = record(Plant(robot, seed=3), "sweep", 21)
     time = log.t
-    begins = np.clip(time / 0.5, 0, 1)
+    begins = np.clip((time - 3.0) / 0.5, 0, 1)
     speed = begins * (0.4 + 0.1 * np.sin(2 * np.pi * time / 7.0))
     position = np.cumsum(speed) * (time[1] - time[0]) - 2.0
     rng = np.random.default_rng(5)

@@ -51,7 +51,12 @@ def test_parameters_stay_where_a_thousandth_of_models_are_not(arm, model, health
 
 
 def test_what_the_parameters_would_take_away_is_a_gap_all_the_same(arm, model, healthy):
-    """The model is more certain than that: a body or a spring is heavier by dozens of its standard deviations."""
-    loose = replace(model, covariance=9 * model.covariance)
-    found = diagnose(arm, heavier(healthy, 1, 0.3 * np.std(healthy[0].effort[:, 1])), loose).answer
+    """Many rows would have the parameters take a spring that is dozens of their standard deviations away."""
+    wider = replace(model, covariance=300 * model.covariance)
+    size = 0.15 * np.std(healthy[0].effort[:, 1])
+    sprung = [
+        replace(log, effort=log.effort + size * np.sin(log.position[:, [1]]) * (np.arange(3) == 1)) for log in healthy
+    ]
+    found = diagnose(arm, sprung, wider).answer
     assert found.verdict != "no_gap"
+    assert "joint_2" in found.causes[0].joints
