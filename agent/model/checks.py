@@ -48,6 +48,25 @@ def check_model(model: RigidFrictionModel) -> None:
         raise ValueError("the filter has a cut-off above 0 Hz and an order of 1 to 20")
     for term in model.terms:
         _check_term(term)
+    _check_provenance(model.provenance, n)
+
+
+def _check_provenance(provenance: object, n: int) -> None:
+    """What later commands read of where a model came from; the rest is for people."""
+    if not isinstance(provenance, dict):
+        raise ValueError("provenance is a table")
+    logs = provenance.get("logs", [])
+    if not isinstance(logs, list) or not all(isinstance(entry, dict) for entry in logs):
+        raise ValueError("provenance.logs is a list of tables")
+    for key in ("serial", "tool"):
+        if not isinstance(provenance.get(key, []), list):
+            raise ValueError(f"provenance.{key} is a list")
+    if "range" not in provenance:
+        return
+    for key in ("lowest", "highest", "fastest"):
+        array = np.array(provenance["range"][key], dtype=float)
+        if array.shape != (n,) or not np.isfinite(array).all():
+            raise ValueError(f"provenance.range.{key} is {n} finite numbers, one a joint")
 
 
 def check_robot(robot: RobotDescription) -> None:

@@ -100,6 +100,11 @@ def test_a_model_that_lacks_a_part_says_so(model, tmp_path, key):
         (lambda data: data["robot"].update(name="../../x"), "files are named after the robot"),
         (lambda data: data["robot"].update(gravity=[1.0]), "gravity is three numbers"),
         (lambda data: data["robot"].update(motor_coupling=[[1.0]]), "motor_coupling is"),
+        (lambda data: data.update(provenance=[]), "provenance is a table"),
+        (lambda data: data["provenance"].update(logs=["a.mcap"]), r"provenance\.logs is a list of tables"),
+        (lambda data: data["provenance"].update(tool="gripper"), r"provenance\.tool is a list"),
+        (lambda data: data["provenance"].update(range={"lowest": [0.0]}), r"range\.lowest is \d finite numbers"),
+        (lambda data: data["provenance"].update(range={}), "lowest"),
     ],
 )
 def test_a_model_with_parts_that_do_not_fit_says_which(model, tmp_path, damage, message):
