@@ -192,6 +192,18 @@ def test_samples_that_are_missing_near_to_each_other_are_found(seed):
     np.testing.assert_array_equal(number, true)
 
 
+@pytest.mark.parametrize("seed", [0, 1, 8, 10])
+def test_missing_samples_are_found_where_joints_turn_back_within_a_few_dozen_rows(seed):
+    """At 1.5 rad/s and 90 rad/s²."""
+    rng = np.random.default_rng(seed)
+    true = np.flatnonzero(rng.random(4000) >= 0.03)
+    true = true - true[0]
+    way = 1.5 / 500 * np.cumsum(np.tanh(6 * np.sin(2 * np.pi * np.arange(4000) / 300)))
+    position = np.round(way[true, None] * np.array([1.0, -0.6, 0.3]), 4)
+    place = np.maximum.accumulate(true + rng.exponential(0.2, len(true)))
+    np.testing.assert_array_equal(settled(sample_numbers(place / 500, 500.0), place, position), true)
+
+
 def test_a_missing_sample_is_found_where_the_stamps_are_six_rows_off():
     """Beside another one, which a wrong guess would otherwise be moved to."""
     rng = np.random.default_rng(4)

@@ -16,8 +16,9 @@ _FINE = 16  # parts of a period that stamps are counted in
 _NOISE = 4.0  # times what samples of any phase would have: by chance one rate in a million has as much
 #: Rows by which the place of a missing sample may be wrong, rows that tell, and rounds over all of them.
 _DOUBT, _AROUND, _ROUNDS = 4, 9, 2
+_DEGREE = 5
 _FAR = 8  # rows by which it may be wrong where the rows around stay rough
-_ROUGH = 10.0  # mean squared distance from the cubic, in noise: more is no noise
+_ROUGH = 10.0  # mean squared distance from the quintic, in noise: more is no noise
 
 
 def grid_rate(stamps: np.ndarray, rate: float) -> float:
@@ -73,7 +74,8 @@ def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.n
     """(S,) the numbers with each missing sample where positions (S, n) are smoothest and stamps least off.
 
     `place` (S,) are the stamps in periods. Jitter leaves open by a few rows where a sample is missing; positions are
-    near a cubic of nine rows to either side, by how far, follows from the rows that lie in one piece. Two missing
+    near a quintic of nine rows to either side (an arm that starts at 50 rad/s² is not near a cubic, and one with a
+    sample in a wrong place is nearer), by how far, follows from the rows that lie in one piece. Two missing
     samples so near to each other hide each other's place: where moving one leaves the rows rough, both are moved, or
     one of them further.
     """
@@ -117,10 +119,9 @@ def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.n
 
 
 def _costs(trials: np.ndarray, rows: np.ndarray, stamps: np.ndarray, spread: float) -> np.ndarray:
-    """(T,) of numbers (T, S): squared distance of rows (S, n) from a cubic, and of stamps (S,) from even ones."""
+    """(T,) of numbers (T, S): squared distance of rows (S, n) from a quintic, and of stamps (S,) from even ones."""
     away = (trials - trials[:, [trials.shape[1] // 2]]) / _AROUND
-    squared = away * away
-    basis = np.linalg.qr(np.stack([squared * away, squared, away, np.ones_like(away)], axis=2))[0]
+    basis = np.linalg.qr(away[:, :, None] ** np.arange(_DEGREE, -1, -1))[0]
     rough = np.sum(rows**2) - np.sum((np.swapaxes(basis, 1, 2) @ rows) ** 2, axis=(1, 2))
     return rough + np.var(trials - stamps, axis=1) * len(rows) / spread**2
 
