@@ -210,6 +210,7 @@ def diagnose(
     ] = None,
     next_recipe: opt.NextRecipe = None,
     load: opt.KnownLoad = None,
+    drives_off: opt.DrivesOff = None,
     until_sure: opt.UntilSure = False,
     budget: opt.Budget = "10 min",
     runs: opt.RunsFolder = Path("logs"),
@@ -221,7 +222,7 @@ def diagnose(
 
     left_out = tuple(without or ())
     question = GapQuestion(
-        model, joint_map, cutoff, left_out, report, out, allow_mixed, force, next_recipe, next_payload=load
+        model, joint_map, cutoff, left_out, report, out, allow_mixed, force, next_recipe, load, drives_off
     )
     console = opt.console_for(messages)
     if record is not None:

@@ -44,6 +44,10 @@ KnownLoad = Annotated[
     str | None,
     typer.Option("--payload", metavar="LOAD", help="known mass at the flange: 'MASS, X, Y, Z' of its centre"),
 ]
+DrivesOff = Annotated[
+    Path | None,
+    typer.Option("--drives-off", metavar="LOG", help="the arm at rest on its brakes: tells an offset from friction"),
+]
 UntilSure = Annotated[bool, typer.Option("--until-sure", help="with --record: further motions until it is settled")]
 Budget = Annotated[str, typer.Option("--budget", metavar="TIME", help="of motion for --until-sure, as '10 min'")]
 

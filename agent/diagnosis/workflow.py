@@ -9,6 +9,7 @@ import numpy as np
 
 from agent.core import InputError, keep_freed_memory
 from agent.diagnosis.dataset import Dataset, assemble
+from agent.diagnosis.drives_off import channel_zero, with_channel_zero
 from agent.diagnosis.held_torque import HeldTorque, held_torque
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.motion_gap import MotionGap, motion_gap
@@ -31,16 +32,21 @@ def diagnose(
     without: Sequence[str] = (),
     progress: Callable[[str], None] = lambda text: None,
     limits: DecisionLimits = LIMITS,
+    drives_off: Log | None = None,
 ) -> Diagnosis:
     """Diagnose logs against a model, or against one fitted to them; `progress` is called with how far it has come.
 
+    `drives_off` is a log of the arm at rest on its brakes: the zero of its torque channels.
+
     Raises:
-        InputError: no logs, an unknown effect in `without`, or logs that cannot be used (see `assemble`).
+        InputError: no logs, an unknown effect in `without`, logs that cannot be used (see `assemble`), or a log with
+            the drives off that has no zero (see `channel_zero`) or is beside the file of a simulator.
     """
     keep_freed_memory()
     if not logs:
         raise InputError("no logs were given, so there is nothing to diagnose")
     check_effects(without)
+    zero = None if drives_off is None else channel_zero(robot, drives_off, model)
     logs, twice = _distinct(logs)
     calibrated = None
     held: HeldTorque | None = None
@@ -62,10 +68,14 @@ def diagnose(
                 dataset = replace(dataset, fit=fit)
                 search = Search(fit, without, dataset.given, progress, limits)
                 finding, gap = judge(dataset, search.run(), fit)
+    of_zero: tuple[str, ...] = ()
+    if zero is not None:
+        finding, of_zero = with_channel_zero(dataset, finding, zero)
+        finding, gap = judge(dataset, finding, dataset.fit)
     motion = motion_gap(logs, limits)
     beyond = beyond_fit(dataset.model, [(s.q[s.kept], s.qd[s.kept]) for s in dataset.fit.signals])
     said = (*_warnings(robot, logs, model is not None, limits), *_of_model(dataset), *beyond, *_path_warnings(motion))
-    warnings = (*twice, *said)
+    warnings = (*twice, *of_zero, *said)
     return build(dataset, finding, gap, search, motion, warnings, calibrated, held)
 
 

@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from shutil import copyfile
 from typing import TYPE_CHECKING, Any
 
 from agent.core import Console, InputError
@@ -17,10 +18,12 @@ if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
     from agent.model import IdentifiedModel, Simulator
     from agent.pipeline.until_sure import Found, Rounds
+    from agent.recording import Log
 
 
 #: The model that was the simulator, as a run folder keeps it: the file that was named may be another one later.
 _SIMULATOR = "simulator.json"
+_DRIVES_OFF = "drives_off.mcap"
 #: Slow motions beside the excitation loop: enough to hold one out, few enough to wait for.
 _VALIDATION_MOTIONS = 3
 
@@ -34,6 +37,7 @@ class GapQuestion:
     format); None: neither. `allow_mixed`: logs and
     model may be of several machines or tools; `force`: go on although a log is implausible. `next_recipe`: where the
     motion that tells more may lie; then `out` is the folder for it, and `next_payload` a known mass for it.
+    `drives_off` is a log of the arm at rest with its drives off.
     """
 
     model: Path | None = None
@@ -46,6 +50,7 @@ class GapQuestion:
     force: bool = False
     next_recipe: Path | None = None
     next_payload: str | None = None
+    drives_off: Path | None = None
 
 
 def diagnose_files(
@@ -86,6 +91,7 @@ def diagnose_recording(
     loaded = load_recipe(recipe)
     _check(question, [])
     reference, simulator = _simulator(loaded.robot, [], question, console)
+    _at_rest(loaded.robot, reference, question, console)
     few = min(loaded.validate.motions, _VALIDATION_MOTIONS)
     loaded = replace(loaded, validate=loaded.validate.model_copy(update={"motions": few}))
     with robot_lock(loaded.controller.driver, loaded.controller.address):
@@ -95,6 +101,8 @@ def diagnose_recording(
         if reference is not None:
             run.write_text(_SIMULATOR, json.dumps(reference.to_dict(), allow_nan=False))
             question = replace(question, model=run.file(_SIMULATOR), joint_map=None)
+        if question.drives_off is not None:
+            question = replace(question, drives_off=Path(copyfile(question.drives_off, run.file(_DRIVES_OFF))))
         console.say(f"run {run.path}")
         with step(run, "plan", console):
             plan = planning.plan_once(loaded, run, console)
@@ -142,8 +150,8 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
     from agent.report import diagnosis_report
 
     asked = json.loads((run / "state.json").read_text(encoding="utf-8"))["question"]
-    model = run / _SIMULATOR
-    question = GapQuestion(model if model.exists() else None, cutoff=asked["cutoff"], without=tuple(asked["without"]))
+    kept = [path if path.exists() else None for path in (run / _SIMULATOR, run / _DRIVES_OFF)]
+    question = GapQuestion(kept[0], cutoff=asked["cutoff"], without=tuple(asked["without"]), drives_off=kept[1])
     parts = ("validation_[0-9][0-9].mcap", "experiment_[0-9][0-9].mcap")
     logs = [run / "excitation.mcap", *(log for part in parts for log in sorted(run.glob(part)))]
     found, simulated, _ = _find(robot, logs, question, console)
@@ -239,11 +247,29 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
     if not said:
         check_plausible(robot, logs, question.force, console, described=described, model=reference)
     console.step("searching for what model and robot disagree in")
-    found = diagnose(robot, logs, reference, question.cutoff, question.without, console.progress)
+    at_rest = _at_rest(robot, reference, question, console)
+    found = diagnose(robot, logs, reference, question.cutoff, question.without, console.progress, drives_off=at_rest)
     found = replace(found, answer=replace(found.answer, warnings=(*said, *found.answer.warnings)))
     say_used(logs, found.dataset.cutoff, found.dataset.model.order, console)
     console.step("simulating with and without it")
     return found, simulate(found), simulator
+
+
+def _at_rest(
+    robot: RobotDescription, reference: IdentifiedModel | None, question: GapQuestion, console: Console
+) -> Log | None:
+    """The log with the drives off, which has a zero; None where none is named.
+
+    Raises:
+        InputError: it cannot be read, or has none.
+    """
+    from agent.diagnosis import channel_zero
+
+    if question.drives_off is None:
+        return None
+    (log,) = read_logs([question.drives_off], robot, console)
+    channel_zero(robot, log, reference)
+    return log
 
 
 def _simulator(
@@ -278,7 +304,7 @@ def _check(question: GapQuestion, logs: Sequence[Path]) -> None:
     from agent.diagnosis import check_effects
 
     check_effects(question.without)
-    inputs = [*logs, *(path for path in (question.model, question.joint_map) if path)]
+    inputs = [*logs, *(path for path in (question.model, question.joint_map, question.drives_off) if path)]
     if question.next_payload is not None:
         from agent.model import payload_of
 

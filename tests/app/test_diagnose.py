@@ -5,11 +5,24 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from agent.model import IdentifiedModel
+from agent.recording import Log, write_log
+from agent.robot import load_robot
 
 DELAY = 0.008  # s
+
+
+def write_zero(path: Path) -> Path:
+    """A log of the arm on its brakes, its drives off."""
+    robot = load_robot("comau_ns16")
+    time, shape = np.arange(1000) / 500, (1000, robot.dof)
+    effort = np.random.default_rng(1).normal(size=shape)
+    log = Log(path, robot.joint_names, time, np.zeros(shape), None, effort, None, None, 500.0, 0.0, ((0, 1000),))
+    write_log(path, log)
+    return path
 
 
 def test_a_recipe_is_recorded_then_diagnosed(start_controller, write_recipe, run_agent, only_run, tmp_path: Path):
@@ -17,7 +30,8 @@ def test_a_recipe_is_recorded_then_diagnosed(start_controller, write_recipe, run
     effects.write_text(json.dumps([{"effect": "time_delay", "parameters": {"delay": DELAY}}]))
     controller = start_controller("--clock", "fast", "--effects", str(effects))
     recipe = write_recipe(controller.address, speed="0.3 m/s")
-    run = run_agent("diagnose", "--record", recipe, "--json", "-o", "model.json")
+    zero = write_zero(tmp_path / "zero.mcap")
+    run = run_agent("diagnose", "--record", recipe, "--json", "-o", "model.json", "--drives-off", zero)
     assert run.returncode == 0, run.stderr
     assert "filtering" in run.stderr, "it says how far it has come"
     result = json.loads(run.stdout)
@@ -35,9 +49,12 @@ def test_a_recipe_is_recorded_then_diagnosed(start_controller, write_recipe, run
     assert json.loads((folder / "state.json").read_text())["status"] == "finished"
     page = folder / "report.html"
     assert "time delay" in page.read_text(encoding="utf-8")
+    assert "drives off settles nothing" in page.read_text(encoding="utf-8")
     page.unlink()
+    zero.unlink()
     assert run_agent("report", folder).returncode == 0
     assert "time delay" in page.read_text(encoding="utf-8"), "made again from the run's own files"
+    assert "drives off settles nothing" in page.read_text(encoding="utf-8")
     assert [entry.effect for entry in IdentifiedModel.load(tmp_path / "model.json").effects] == ["time_delay"]
 
 
@@ -52,6 +69,7 @@ def test_nothing_moves_where_the_question_makes_no_sense(controller, write_recip
         (["--record", recipe, "--model", "absent.json"], "no such model file"),
         (["--record", recipe, "--report", "nowhere/page.html"], "there is no folder"),
         (["--record", recipe, "--report", "both.json", "-o", "both.json"], "name two files"),
+        (["--record", recipe, "--drives-off", "absent.mcap"], "absent.mcap"),
         (["--robot", "comau_ns16", "some.mcap", "--until-sure"], "name the recipe to record"),
         (["--record", recipe, "--until-sure", "--budget", "10"], "10 min"),
         (["--record", recipe, "--until-sure", "--budget", "2 s"], "of motion are allowed"),

@@ -16,7 +16,7 @@ class SeparatingMotion:
 RAMPS_AND_STANDSTILLS = SeparatingMotion(
     10,
     "single-joint ramps both ways at several constant speeds, up to the highest; then the measured torque with the "
-    "drives off, where only an offset stays",
+    "drives off, where only an offset stays (--drives-off)",
 )
 SLOW_REVERSALS = SeparatingMotion(
     20, "slow reversals of growing travel on this joint, then constant speeds from 1 to 20 % of the highest"

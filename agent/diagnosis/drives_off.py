@@ -1,0 +1,144 @@
+"""Torque with the drives off: it is the channel's own, and tells an offset of it from friction that equals one.
+
+A motor without current makes no torque, so what its channel shows then is its zero. An offset that a diagnosis found is
+there as well, alone or with the one that the model had before; friction by direction, a spring or a hose is not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agent.core import InputError
+from agent.diagnosis.candidate import Candidate, Where
+from agent.diagnosis.dataset import Dataset
+from agent.diagnosis.finding import Finding
+from agent.diagnosis.verdict import named
+from agent.model import CATALOGUE, SIMULATOR, IdentifiedModel
+from agent.recording import Log
+from agent.robot import RobotDescription
+
+_STANDS = 0.01  # rad or m: brakes give
+_LEAST = 1.0  # s
+_BLOCKS = 8  # whose means scatter as far as slow noise has it
+_CERTAIN = 3.0  # standard errors
+_NEAR, _FAR = 0.25, 0.5  # of the offset found: so near to what one story says, and so far from what the other does
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelZero:
+    """`torque` (n,) [N·m] of a log with the drives off and its standard `error` (n,), both NaN where the channel is off
+    too."""
+
+    torque: np.ndarray
+    error: np.ndarray
+
+
+def channel_zero(robot: RobotDescription, log: Log, model: IdentifiedModel | None) -> ChannelZero:
+    """The zero of every torque channel, from a log that was recorded with the drives off.
+
+    Raises:
+        InputError: the log has no torque, is short, or is of an arm that moves, or the model is a simulator's file.
+    """
+    if model is not None and model.method == SIMULATOR:
+        raise InputError(
+            f"{log.name}: a log with the drives off tells what an offset beside an estimated model may be; beside the "
+            "file of a simulator leave it out"
+        )
+    if log.effort is None:
+        raise InputError(f"{log.name}: has no torque, so it does not say what the channels show with the drives off")
+    if log.t[-1] - log.t[0] < _LEAST:
+        raise InputError(
+            f"{log.name}: {log.t[-1] - log.t[0]:.2g} s with the drives off are too short, record {_LEAST:g} s at least"
+        )
+    for joint, travel in zip(robot.joints, np.ptp(log.position, axis=0), strict=True):
+        if travel > _STANDS:
+            unit = "m" if joint.prismatic else "rad"
+            raise InputError(
+                f"{log.name}: {joint.name} moves by {travel:.2g} {unit}: with the drives off the brakes hold an arm"
+            )
+    means = np.array([block.mean(axis=0) for block in np.array_split(log.effort, _BLOCKS)])
+    off = np.ptp(log.effort, axis=0) == 0
+    torque, error = means.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(_BLOCKS)
+    return ChannelZero(np.where(off, np.nan, torque), np.where(off, np.nan, error))
+
+
+def with_channel_zero(dataset: Dataset, finding: Finding, zero: ChannelZero) -> tuple[Finding, tuple[str, ...]]:
+    """The finding where the zeros of the channels settle what equals an offset of one, and what they say."""
+    said = []
+    for number in range(len(finding.causes)):
+        place = _offset_of(finding, number)
+        if place is not None:
+            finding, text = _settled(dataset, finding, number, place, zero)
+            said.append(text)
+    nothing = (
+        "nothing that was found may be an offset of a torque channel, so the log with the drives off settles nothing"
+    )
+    return finding, tuple(said or [nothing])
+
+
+def _offset_of(finding: Finding, number: int) -> Where | None:
+    """The place in a cause's class that is an offset of the torque channel."""
+    places = (finding.causes[number].place, *finding.rivals[number])
+    return next((place for place in places if CATALOGUE[place[0]].adds_to_report), None)
+
+
+def _settled(dataset: Dataset, finding: Finding, number: int, place: Where, zero: ChannelZero) -> tuple[Finding, str]:
+    """What the zero of one channel leaves of a class that has its offset in it, and what it says."""
+    (joint,) = place[1]
+    name, unit = dataset.robot.joint_names[joint], "N" if dataset.robot.joints[joint].prismatic else "N·m"
+    if np.isnan(zero.torque[joint]):
+        return (
+            finding,
+            f"the torque channel of {name} is off with its drive, so it does not tell an offset from friction",
+        )
+    others = tuple(cause for k, cause in enumerate(finding.causes) if k != number)
+    (offset,) = dataset.fit.candidates([(CATALOGUE[place[0]], place[1], {})])
+    size = float(dataset.fit.with_chosen((*others, offset)).values[-1][0])
+    before = _known_offset(dataset.model, joint)
+    seen, slack = float(zero.torque[joint]), _CERTAIN * float(zero.error[joint])
+    of_channel, of_arm = min(abs(seen - size), abs(seen - size - before)), min(abs(seen), abs(seen - before))
+    what = f"with the drives off the torque of {name} is {seen:.3g} {unit}, where {size:.3g} {unit} were found"
+    near, far = _NEAR * abs(size) + slack, _FAR * abs(size)
+    if of_channel <= near and of_arm >= far:
+        return _only(dataset, finding, number, offset, ()), f"{what}: an offset of its channel, and nothing of the arm"
+    if of_arm <= near and of_channel >= far:
+        left = _without(dataset, finding, number, place)
+        return left or finding, f"{what}: its channel has no such offset" + (
+            "" if left else ", and nothing in the catalogue that is none does as well"
+        )
+    return finding, f"{what}: that does not tell an offset from friction, and both may be there"
+
+
+def _known_offset(model: IdentifiedModel, joint: int) -> float:
+    """What the model has of it already [N·m], an offset of the channel or not."""
+    friction = model.values[len(model.independent) :]
+    return float(
+        sum(
+            value
+            for term, value in zip(model.terms, friction, strict=True)
+            if (term.axle, term.form) == (joint, "offset")
+        )
+    )
+
+
+def _without(dataset: Dataset, finding: Finding, number: int, place: Where) -> Finding | None:
+    """The finding without an offset in a class: where it was the cause, its first equal is; None without one."""
+    rivals = tuple(rival for rival in finding.rivals[number] if rival != place)
+    if finding.causes[number].place != place:
+        return _only(dataset, finding, number, finding.causes[number], rivals)
+    step = finding.steps[min(number, len(finding.steps) - 1)]
+    forms = {score.candidate.place: score.candidate for score in reversed(step.scores)}
+    for k, rival in enumerate(rivals):
+        if rival in forms:
+            return _only(dataset, finding, number, forms[rival], rivals[:k] + rivals[k + 1 :])
+    return None
+
+
+def _only(dataset: Dataset, finding: Finding, number: int, cause: Candidate, rivals: tuple[Where, ...]) -> Finding:
+    """The finding with another cause in place of one, by number, and what equals it."""
+    causes = tuple(cause if k == number else other for k, other in enumerate(finding.causes))
+    equals = tuple(rivals if k == number else other for k, other in enumerate(finding.rivals))
+    fit = dataset.fit.with_chosen(causes)
+    return replace(finding, fit=fit, causes=causes, rivals=equals, verdict=named(bool(equals[0])))

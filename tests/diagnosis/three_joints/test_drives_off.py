@@ -1,0 +1,116 @@
+"""A log with the drives off tells an offset of a torque channel from friction by direction, its equal in motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.core.errors import InputError
+from agent.diagnosis import diagnose
+from fake_controller.plant import Plant
+from tests.small_arms import record
+
+JOINT = 1
+OFFSET = 6.0
+
+
+@pytest.fixture(scope="module")
+def logs(arm, model):
+    """Two motions, the torque of one joint shifted while it slides: one-sided friction, or an offset of its channel."""
+    plant = Plant(arm, seed=3)
+    healthy = [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))]
+    shift = OFFSET * (np.arange(arm.dof) == JOINT)
+    return [replace(log, effort=log.effort + shift) for log in healthy]
+
+
+def at_rest(log, torque, seconds=4.0):
+    """A log of the arm on its brakes whose channels show `torque` (n,) and noise."""
+    count = round(seconds * log.sample_rate)
+    rng = np.random.default_rng(2)
+    position = np.tile(log.position[0], (count, 1))
+    return replace(
+        log,
+        t=np.arange(count) / log.sample_rate,
+        position=position,
+        velocity=0 * position,
+        effort=torque + 0.05 * rng.normal(size=position.shape),
+        reference_position=None,
+        segments=((0, count),),
+        cycle_starts=(),
+    )
+
+
+def known_before(model, logs, known):
+    """A model that took so much for an offset already, and logs of the arm that had it then."""
+    here = [term.name for term in model.terms].index(f"offset_{JOINT + 1}") + len(model.independent)
+    values = model.values + known * (np.arange(len(model.values)) == here)
+    more = known * (np.arange(model.robot.dof) == JOINT)
+    return replace(model, values=values), [replace(log, effort=log.effort + more) for log in logs]
+
+
+def test_without_it_the_two_are_one_class(arm, model, logs):
+    (cause,) = diagnose(arm, logs, model).answer.causes
+    assert {cause.effect, *(place.effect for place in cause.equivalent_to)} >= {"torque_offset", "asymmetric_friction"}
+
+
+@pytest.mark.parametrize(("known", "shown"), [(0.0, OFFSET), (20.0, OFFSET), (20.0, OFFSET + 20.0)])
+def test_what_is_there_with_the_drives_off_is_an_offset(arm, model, logs, known, shown):
+    """With what the model took for one before, or without: that may have been friction."""
+    model, logs = known_before(model, logs, known)
+    zero = at_rest(logs[0], shown * (np.arange(arm.dof) == JOINT))
+    found = diagnose(arm, logs, model, drives_off=zero).answer
+    (cause,) = found.causes
+    assert found.verdict == "explained"
+    assert (cause.effect, cause.joints, cause.equivalent_to) == ("torque_offset", ("joint_2",), ())
+    assert cause.parameters["offset"] == pytest.approx(OFFSET, rel=0.1)
+    assert any("an offset of its channel" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize(("known", "shown"), [(0.0, 0.0), (20.0, 0.0), (20.0, 20.0)])
+def test_what_is_not_there_with_the_drives_off_is_of_the_arm(arm, model, logs, known, shown):
+    model, logs = known_before(model, logs, known)
+    zero = at_rest(logs[0], shown * (np.arange(arm.dof) == JOINT))
+    found = diagnose(arm, logs, model, drives_off=zero).answer
+    (cause,) = found.causes
+    places = {cause.effect, *(place.effect for place in cause.equivalent_to)}
+    assert "torque_offset" not in places
+    assert "asymmetric_friction" in places
+    assert any("its channel has no such offset" in text for text in found.warnings)
+
+
+def test_half_of_it_settles_nothing(arm, model, logs):
+    plain = diagnose(arm, logs, model).answer
+    shown = 0.5 * OFFSET * (np.arange(arm.dof) == JOINT)
+    found = diagnose(arm, logs, model, drives_off=at_rest(logs[0], shown)).answer
+    assert found.causes == plain.causes
+    assert any("both may be there" in text for text in found.warnings)
+
+
+def test_a_channel_that_is_switched_off_with_the_drive_says_nothing(arm, model, logs):
+    dead = replace(at_rest(logs[0], 0.0), effort=np.zeros((2000, arm.dof)))
+    found = diagnose(arm, logs, model, drives_off=dead).answer
+    assert found.verdict == "ambiguous"
+    assert any("is off with its drive" in text for text in found.warnings)
+
+
+def test_of_a_healthy_arm_it_settles_nothing(arm, model, logs):
+    plant = Plant(arm, seed=3)
+    healthy = [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))]
+    found = diagnose(arm, healthy, model, drives_off=at_rest(healthy[0], np.zeros(arm.dof))).answer
+    assert found.verdict == "no_gap"
+    assert any("settles nothing" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda log: replace(log, effort=None), "has no torque"),
+        (lambda log: replace(log, position=log.position + 0.1 * log.t[:, None]), r"joint_1 moves by 0\.4 rad"),
+        (lambda log: replace(log, t=0.1 * log.t), r"0\.4 s with the drives off are too short"),
+    ],
+)
+def test_a_log_that_has_no_zero_is_refused(arm, model, logs, change, message):
+    with pytest.raises(InputError, match=message):
+        diagnose(arm, logs, model, drives_off=change(at_rest(logs[0], np.zeros(arm.dof))))
