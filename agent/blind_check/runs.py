@@ -92,6 +92,6 @@ def record_motions(
                 log = folder / f"{name}.mcap"
                 log.unlink(missing_ok=True)  # of a check that was stopped in the middle of it
                 program, chains = plan_statements(recipe, text, f"{name}.pdl", link.position())
-                link.run(program, text, log, name, chains, sum(chain.duration for chain in chains))
+                link.run(program, text, log, name, chains)
                 logs.append(log)
     return logs

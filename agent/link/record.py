@@ -96,7 +96,6 @@ class RobotLink:
         log: Path,
         motion: str,
         chains: Sequence[Trajectory],
-        total: float,
         place: MotionOfMany = MotionOfMany(),
     ) -> Recording:
         """Upload, check, start once, and record until the program ends.
@@ -105,17 +104,16 @@ class RobotLink:
 
         Args:
             chains: what we planned from stop to stop, in order: written to the log beside the set-points.
-            total: expected duration [s], for the progress line.
             place: of this motion among those of the run, for the progress line.
 
         Raises:
             ControllerError, SafetyError, InputError: not ready to move, not allowed, or stopped while moving.
             DriverError: the link failed; what was received is in the log.
         """
-        program = self._planned(name, text, chains)
+        program = self.planned(name, text, chains)
         if self._guard.needs_slow_run(program):
             program = self._run_slowly(program, log)
-        return self._record(program, log, motion, total, place)
+        return self._record(program, log, motion, place)
 
     def _run_slowly(self, program: PlannedProgram, log: Path) -> PlannedProgram:
         """Run the slow version; returns the program planned anew, from where the arm stands now."""
@@ -136,13 +134,14 @@ class RobotLink:
             f"{program.name} is new to serial {self.identity.serial}: first at no more than {FIRST_SPEED:g} m/s, "
             f"{slow.duration:.0f} s of motion; watch it"
         )
-        self._record(slow, _free(log.with_suffix(".first_run.mcap")), "first_run", slow.duration)
+        self._record(slow, _free(log.with_suffix(".first_run.mcap")), "first_run")
         name, chains = plan_statements(recipe, program.text, program.name, self.position())
         for chain in {id(chain): chain for chain in chains}.values():
             check_cell(recipe, chain)
-        return self._planned(name, program.text, chains)
+        return self.planned(name, program.text, chains)
 
-    def _planned(self, name: str, text: str, chains: Sequence[Trajectory]) -> PlannedProgram:
+    def planned(self, name: str, text: str, chains: Sequence[Trajectory]) -> PlannedProgram:
+        """A program as it would be run, with what was planned of it from stop to stop."""
         from agent.motion import left_open, parse_program
 
         statements = list(parse_program(text, name, self._recipe.robot).run())
@@ -159,11 +158,11 @@ class RobotLink:
         return replace(program, points=via_points(program, robot, tool), frames={"$TOOL": tool_frame(tool)})
 
     def _record(
-        self, program: PlannedProgram, log: Path, motion: str, total: float, place: MotionOfMany = MotionOfMany()
+        self, program: PlannedProgram, log: Path, motion: str, place: MotionOfMany = MotionOfMany()
     ) -> Recording:
         from agent.recording import LogWriter
 
-        guard, robot = self._guard, self._recipe.robot
+        guard, robot, total = self._guard, self._recipe.robot, program.duration
         guard.send(program)
         aligner = Aligner(program.chains, self.identity.period)
         limits = {"watch_only": self.identity.watch_only} if self.identity.watch_only else {}
@@ -291,10 +290,9 @@ def record_program_file(
         for chain in chains:
             check_cell(recipe, chain)
             check_load(limits, chain)
-        total = sum(chain.duration for chain in chains)
-        if total == 0:
+        if not chains:
             raise InputError(f"{program}: the program moves nothing, so there is nothing to record; add a MOVE")
-        recording = link.run(name, text, log, program.stem, chains, total)
+        recording = link.run(name, text, log, program.stem, chains)
     report_losses(recording, console)
     return recording
 

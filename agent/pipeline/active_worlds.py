@@ -105,7 +105,7 @@ class ControllerMachines:
                 for name, text in job.texts.items():
                     program, chains = checked_chains(there, text, f"{name}.pdl", link.position())
                     log = job.folder / f"{name}.mcap"
-                    link.run(program, text, log, name, chains, sum(chain.duration for chain in chains))
+                    link.run(program, text, log, name, chains)
                     if name not in job.keep:
                         log.unlink()
 

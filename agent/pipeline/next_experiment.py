@@ -48,8 +48,8 @@ class NextMotion:
 
     @property
     def duration(self) -> float:
-        """[s] from the first piece's start on."""
-        return float(sum(chain.duration for chain in self.chains))
+        """[s] from the first piece's start on, rests included."""
+        return _duration(self.text, self.chains, self.robot)
 
     def to_dict(self, program: str) -> dict[str, Any]:
         """`next_experiment` of a diagnosis: what is separated, how, and the probability of the right answer."""
@@ -135,7 +135,16 @@ def run_otherwise(pick: Pick, recipe: Recipe, seconds: float, name: str, seed: i
     if runs.motion is None:
         return None
     text, chains = runs.motion
-    return text, float(sum(chain.duration for chain in chains))
+    return text, _duration(text, chains, recipe.robot)
+
+
+def _duration(text: str, chains: Sequence[Trajectory], robot: RobotDescription) -> float:
+    """[s] of a program's motion and of its rests."""
+    from agent.motion import parse_program
+    from agent.safety import pauses
+
+    rests = pauses(parse_program(text, "program.pdl", robot).run())
+    return float(sum(chain.duration for chain in chains)) + rests
 
 
 def write_next(motion: NextMotion, folder: Path) -> dict[str, Any]:

@@ -35,7 +35,7 @@ def record_plan(recipe: Recipe, plan: Plan, run: RunFolder, console: Console, lo
                 _set_aside(run.file(name))
                 left -= total
                 place = MotionOfMany(f"motion {list(motions).index(name) + 1} of {len(motions)}, ", left)
-                recording = link.run(motion.name, text, run.file(name), motion.kind, chains, total, place)
+                recording = link.run(motion.name, text, run.file(name), motion.kind, chains, place)
                 done[name] = _keep(run, console, name, recording)
     return [done[name] for name in motions]
 
@@ -60,9 +60,8 @@ def record_program(
         ControllerError, SafetyError, DriverError: not ready to move, or stopped while moving.
     """
     name, chains = checked_chains(recipe, text, path, link.position())
-    total = float(sum(chain.duration for chain in chains))
-    console.step(f"recording {what}, {total:.0f} s of motion")
-    return _keep(run, console, log, link.run(name, text, run.file(log), motion, chains, total))
+    console.step(f"recording {what}, {link.planned(name, text, chains).duration:.0f} s of motion")
+    return _keep(run, console, log, link.run(name, text, run.file(log), motion, chains))
 
 
 def _keep(run: RunFolder, console: Console, name: str, recording: Recording) -> Recording:

@@ -66,13 +66,13 @@ class PlannedProgram:
 
     @property
     def duration(self) -> float:
-        """Seconds of motion."""
-        return float(sum(chain.duration for chain in self.chains))
+        """Seconds of motion, and of the rests that the program asks for."""
+        return float(sum(chain.duration for chain in self.chains)) + self.pauses
 
     @property
     def longest(self) -> float:
         """Seconds after which the motion must be over, all stops included."""
-        return SLOWER * self.duration + self.pauses + SETTLING * len(self.chains) + WAITING
+        return SLOWER * (self.duration - self.pauses) + self.pauses + SETTLING * len(self.chains) + WAITING
 
     @property
     def speed(self) -> float:

@@ -11,6 +11,7 @@ import pytest
 from agent.core import sha256_text, write_atomically
 from agent.core.console import Console
 from agent.model import CATALOGUE
+from agent.motion import Delay, write_program
 from agent.pipeline import until_sure as module
 from agent.pipeline.next_experiment import NextMotion, _other_test
 from agent.pipeline.until_sure import until_sure
@@ -18,6 +19,7 @@ from agent.recipe import load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS
 from agent.report.page import Page, render
 from agent.report.rounds_section import rounds_sections
+from agent.robot import load_robot
 from agent.runs.folder import RunFolder
 from agent.safety.authorisation import Authorisation, AuthorisationDocument
 from agent.safety.first_run import FIRST_SPEED
@@ -155,6 +157,13 @@ def test_a_motion_helps_that_tells_one_of_two_of_which_the_other_can_always_be_i
     expected += [SimpleNamespace(before_if=(1.0, 0.0), after_if=(1.0, 0.1))]
     experiment = SimpleNamespace(expected=expected)
     assert NextMotion(experiment, "", (), None).helps() is helps  # type: ignore[arg-type]
+
+
+def test_a_motion_takes_as_long_as_its_rests_and_its_moves():
+    robot = load_robot("comau_ns16")
+    text = write_program("experiment", [Delay(4.0), Delay(2.5)], robot)
+    chains = (SimpleNamespace(duration=3.0),)
+    assert NextMotion(SimpleNamespace(), text, chains, robot).duration == pytest.approx(9.5)  # type: ignore[arg-type]
 
 
 def test_where_no_motion_helps_it_says_where_to_look_for_either():

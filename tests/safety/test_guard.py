@@ -209,6 +209,14 @@ def test_an_authorisation_covers_what_it_says_and_nothing_else(bench, change, sa
     assert bench.controller.starts == 0
 
 
+def test_rests_that_a_program_asks_for_count_in_what_is_authorised(bench, program, authorisation):
+    chosen = replace(program(0.8), pauses=90.0)
+    bench.checked.add("NS16-7", chosen.checksum)
+    with pytest.raises(InputError, match=r"takes 9\d s, 60 s are allowed"):
+        bench.run(chosen, bench.open(yes=False, authorisation=authorisation(chosen, duration=60.0)))
+    assert bench.controller.starts == 0
+
+
 def test_an_authorisation_ends_at_the_end_of_its_day(program, authorisation):
     word = authorisation(program(), expires=date(2027, 3, 31))
     facts = ("comau_ns16", "NS16-7", program().checksum, 0.5, 10.0)
