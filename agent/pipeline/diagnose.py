@@ -152,11 +152,13 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
     asked = json.loads((run / "state.json").read_text(encoding="utf-8"))["question"]
     kept = [path if path.exists() else None for path in (run / _SIMULATOR, run / _DRIVES_OFF)]
     question = GapQuestion(kept[0], cutoff=asked["cutoff"], without=tuple(asked["without"]), drives_off=kept[1])
-    parts = ("validation_[0-9][0-9].mcap", "experiment_[0-9][0-9].mcap")
-    logs = [run / "excitation.mcap", *(log for part in parts for log in sorted(run.glob(part)))]
+    recorded = json.loads((run / "result.json").read_text(encoding="utf-8"))
+    # the log of a round that was cut short is none of the result's
+    further = [Path(one["program"]).stem for one in recorded.get("rounds", ()) if "verdict" in one]
+    validation = sorted(run.glob("validation_[0-9][0-9].mcap"))
+    logs = [run / "excitation.mcap", *validation, *(run / f"{name}.mcap" for name in further)]
     found, simulated, _ = _find(robot, logs, question, console)
     steps = after_diagnosis(found.result, source, logs, question.model)
-    recorded = json.loads((run / "result.json").read_text(encoding="utf-8"))
     rounds = {key: recorded[key] for key in ("rounds", "rounds_end") if key in recorded}
     return diagnosis_report(found, simulated, recorded.get("forward"), steps, rounds)
 

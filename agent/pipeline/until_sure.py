@@ -71,8 +71,8 @@ def until_sure(
 ) -> Rounds:
     """Record further motions into the run folder as `experiment_01.mcap`, … until what is open is settled.
 
-    Whatever cuts a motion short, a lost link as much as Ctrl-C, is in what is returned, after a controlled stop: what
-    was found until then is not lost.
+    Whatever cuts a round short, a lost link as much as Ctrl-C or a log that cannot be, is in what is returned, after a
+    controlled stop: what was found until then is not lost.
 
     Args:
         find: the diagnosis of logs; all earlier ones count in every round.
@@ -80,7 +80,7 @@ def until_sure(
         allowed: a person's word, where nobody is there; motions are then as slow as a first run.
 
     Raises:
-        AgentError: logs that cannot be diagnosed, or a recipe that leaves no room.
+        AgentError: first logs that cannot be diagnosed, or a recipe that leaves no room.
     """
     from agent.recording import PARTS, PLANNED_PARTS
 
@@ -111,12 +111,12 @@ def until_sure(
             with open_link(recipe, console, yes, runs, word, facts={PARTS: PLANNED_PARTS}) as link:
                 log = f"{name}.mcap"
                 recording = record_program(link, run, recipe, console, motion.text, program, "experiment", log, name)
+            moved += recording.duration
+            rounds.last = find([*logs, *rounds.logs, recording.path])
+            rounds.logs.append(recording.path)
         except BaseException as error:
             rounds.end, rounds.cut_short = f"cut short: {str(error) or type(error).__name__}", error
             return rounds
-        moved += recording.duration
-        rounds.logs.append(recording.path)
-        rounds.last = find([*logs, *rounds.logs])
     console.say(rounds.end)
     return rounds
 

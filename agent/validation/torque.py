@@ -176,19 +176,22 @@ def predicts(model: IdentifiedModel, logs: Sequence[Log]) -> bool:
     """Whether a model predicts the torque of every joint that moves, most of the time, as well as it usually does or
     far better than not at all: no channel of such logs can be mistaken, whatever else there may be at times.
 
-    A channel that is flipped, swapped or of another unit errs by about as much as its torque varies, all along.
+    A channel that is flipped, swapped or of another unit errs by about as much as its torque varies, all along. While a
+    joint stands its torque is anything within stiction, and says nothing of that.
     """
     try:
         found = [predict_log(model, log) for log in logs]
     except InputError:
         return False
-    position, measured, error = (
-        np.concatenate([getattr(each, part) for each in found]) for part in ("position", "measured", "error")
+    position, velocity, measured, error = (
+        np.concatenate([getattr(each, part) for each in found])
+        for part in ("position", "velocity", "measured", "error")
     )
-    moves = np.ptp(position, axis=0) > _TRAVELS
-    typical, varies = np.median(np.abs(error), axis=0), np.std(measured, axis=0)
-    most = np.maximum(_PREDICTED * varies, _USUAL * model.held_out_rmse)
-    return bool(moves.any() and np.all((typical < most)[moves]))
+    moving = np.abs(velocity) > _MOVING * model.robot.max_velocity
+    moves = (np.ptp(position, axis=0) > _TRAVELS) & moving.any(axis=0)
+    most = np.maximum(_PREDICTED * np.std(measured, axis=0), _USUAL * model.held_out_rmse)
+    typical = np.array([np.median(np.abs(error[moving[:, k], k])) for k in np.flatnonzero(moves)])
+    return bool(moves.any() and np.all(typical < most[moves]))
 
 
 def validate(model: IdentifiedModel, logs: Sequence[Log], cutoff: float | None = None) -> Validation:

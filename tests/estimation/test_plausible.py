@@ -327,6 +327,23 @@ def test_a_joint_that_stands_while_its_velocity_is_noise_is_not_stuck(healthy):
     assert not [text for text in plausibility_warnings(robot, [still]) if "is stuck, or" in text]
 
 
+def standing(log):
+    """The arm at rest for three times as long, where stiction holds as much torque as it likes."""
+    count = 3 * len(log.t)
+    held = log.effort[-1] + 2 * np.std(log.effort, axis=0)
+    return replace(
+        log,
+        t=np.arange(count) / log.sample_rate,
+        position=np.tile(log.position[-1], (count, 1)),
+        velocity=np.zeros((count, log.position.shape[1])),
+        effort=held + 0.01 * np.std(log.effort) * np.random.default_rng(1).normal(size=(count, log.position.shape[1])),
+        reference_position=None,
+        planned_position=None,
+        segments=((0, count),),
+        cycle_starts=(),
+    )
+
+
 def test_what_a_model_predicts_is_not_refused(healthy, shared_data, monkeypatch):
     """On a few seconds a refit with a mistake in it may do better; logs that the model predicts have none."""
     robot, log = healthy
@@ -340,6 +357,7 @@ def test_what_a_model_predicts_is_not_refused(healthy, shared_data, monkeypatch)
     with pytest.raises(RejectedError, match="look swapped"):
         check_plausible(robot, [log], False, quiet)
     check_plausible(robot, [log], False, quiet, model=model)
+    check_plausible(robot, [log, standing(log)], False, quiet, model=model)
     mistaken = replace(log, effort=turned(log.effort))
     with pytest.raises(RejectedError, match="look swapped"):
         check_plausible(robot, [mistaken], False, quiet, model=model)

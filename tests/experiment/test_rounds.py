@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from agent.core import sha256_text, write_atomically
+from agent.core import RejectedError, sha256_text, write_atomically
 from agent.core.console import Console
 from agent.model import CATALOGUE
 from agent.motion import Delay, write_program
@@ -64,6 +64,8 @@ def ask(tmp_path: Path, monkeypatch):
         def find(logs):
             seen.append(len(logs))
             verdict = next(answers)
+            if isinstance(verdict, BaseException):
+                raise verdict
             causes = [CAUSE] if verdict in ("explained", "ambiguous") else []
             return SimpleNamespace(result={"verdict": verdict, "causes": causes}), [], None
 
@@ -100,6 +102,17 @@ def test_rounds_end_when_it_is_settled_and_all_logs_count(ask):
     assert found.asked[-1]["causes"] == [CAUSE]
     assert found.end == "settled: explained"
     assert found.cut_short is None
+
+
+def test_a_log_that_is_refused_ends_the_rounds_with_what_was_found(ask):
+    refused = RejectedError("experiment_02.mcap: joint_5 looks flipped")
+    found, seen = ask(["ambiguous", "ambiguous", refused], ["one", "two"])
+    assert seen == [1, 2, 3]
+    assert found.last[0].result["verdict"] == "ambiguous"
+    assert found.cut_short is refused
+    assert found.end == "cut short: experiment_02.mcap: joint_5 looks flipped"
+    assert [path.name for path in found.logs] == ["one.mcap"]
+    assert ["verdict" in one for one in found.asked] == [True, False]
 
 
 def test_rounds_end_with_the_budget_or_where_no_motion_helps(ask):
