@@ -18,7 +18,7 @@ import numpy as np
 from agent.core import InputError
 from agent.estimation.filtering import FilterSettings, motions, resolve_cutoff
 from agent.estimation.gravity_check import described_gravity_doubts, gravity_directions, gravity_text
-from agent.estimation.range_check import degrees_doubt, slide_doubts, swap_in_range
+from agent.estimation.range_check import slide_doubts, swap_in_range, unit_doubt
 from agent.estimation.rigid_fit import FOLDS, Bodies, FitSamples, HeldOutFit, overfitted, solved
 from agent.estimation.strength_check import too_heavy, too_strong
 from agent.estimation.velocity_check import velocity_doubts
@@ -68,7 +68,7 @@ def plausibility_warnings(robot: RobotDescription, logs: Sequence[Log]) -> list[
     logs = [log for log in logs if log.effort is not None]
     if not logs:
         return []  # that there is no torque is said where it is needed
-    found = list(_signals(robot, logs)) or list(velocity_doubts(logs)) or list(_stuck(robot, logs))
+    found = list(_signals(robot, logs)) or list(velocity_doubts(robot, logs)) or list(_stuck(robot, logs))
     found = found or list(slide_doubts(robot, logs))
     samples = None if found else _samples(logs)
     found = found if samples is None else list(_mechanics(robot, samples))
@@ -86,8 +86,9 @@ def _signals(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
     dead = moving & (strongest.max(axis=0) - weakest.min(axis=0) <= _NOTHING)
     if dead.any():
         yield f"the torque of {', '.join(names[dead])} never changes while it moves: its channel is dead"
-    if degrees := degrees_doubt(robot, logs, turning & moving):
-        yield degrees
+    for which, unit, looks in ((turning, "rad", "degrees"), (~turning, "m", "mm")):
+        if doubt := unit_doubt(robot, logs, which & moving, unit, looks):
+            yield doubt
     if doubt := too_strong(robot, turning, moving, strong):
         yield doubt
     unsigned = unsigned_torque(logs)

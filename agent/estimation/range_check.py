@@ -1,4 +1,4 @@
-"""Positions against the ranges and speeds that the description gives: degrees, and slides that are turning joints."""
+"""Positions against the ranges and speeds that the description gives: degrees, mm, slides that are turning joints."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from agent.recording import Log
 from agent.robot import RobotDescription
 
-_TOO_FAR = 5.0  # times the joint's range
-_TOO_FAST = 10.0  # times its highest speed
+_TOO_FAR = {"degrees": 5.0, "mm": 100.0}  # times the joint's range: a tenth of what the unit makes of it, at most
+_TOO_FAST = {"degrees": 10.0, "mm": 100.0}  # times its highest speed
 _BEYOND = 0.2  # of its range, by which a slide comes out of it that is none
 _WITHIN = 0.02  # likewise, where it is still taken to be inside
 
@@ -52,8 +52,9 @@ def _beyond(robot: RobotDescription, low: np.ndarray, high: np.ndarray) -> np.nd
     return np.asarray(np.maximum(np.maximum(lower - low, high - upper), 0.0) / width)
 
 
-def degrees_doubt(robot: RobotDescription, logs: Sequence[Log], moving: np.ndarray) -> str | None:
-    """Whether the joints that are `moving` (n,) bool go or run so far beyond the description that rad are degrees."""
+def unit_doubt(robot: RobotDescription, logs: Sequence[Log], moving: np.ndarray, unit: str, looks: str) -> str | None:
+    """Whether the joints that are `moving` (n,) bool, all slides or none, go or run so far beyond the description that
+    what is taken for their `unit` looks like another."""
     if not moving.any():
         return None
     furthest = np.max([np.abs(log.position).max(axis=0) for log in logs], axis=0)
@@ -70,10 +71,10 @@ def degrees_doubt(robot: RobotDescription, logs: Sequence[Log], moving: np.ndarr
     far = (furthest / ranges)[moving]
     fast = (np.max(speeds, axis=0) / robot.max_velocity)[moving] if speeds else np.zeros(1)
     known = far[np.isfinite(far)]
-    if (len(known) and np.median(known) > _TOO_FAR) or np.median(fast) > _TOO_FAST:
+    if (len(known) and np.median(known) > _TOO_FAR[looks]) or np.median(fast) > _TOO_FAST[looks]:
         k = int(np.flatnonzero(moving)[np.argmax(fast)])
         return (
-            f"positions look like degrees: {robot.joint_names[k]} comes to {furthest[k]:.4g} rad and moves at "
+            f"positions look like {looks}: {robot.joint_names[k]} comes to {furthest[k]:.4g} {unit} and moves at "
             f"{np.max(fast):.3g} times its highest speed"
         )
     return None

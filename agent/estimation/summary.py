@@ -143,12 +143,16 @@ def _described_links(model: IdentifiedModel, problem: Problem) -> Iterator[str]:
         np.sqrt(np.mean(rigid.torque(q, still, still, base) ** 2, axis=0)) for base in (model.base_values, described)
     )
     rows = [
-        f"{name} {a:.3g} and {b:.3g}" for name, a, b in zip(model.robot.joint_names, ours, theirs, strict=True) if a > 0
+        f"{joint.name} {a:.3g} and {b:.3g} {'N' if joint.prismatic else 'N·m'}"
+        for joint, a, b in zip(model.robot.joints, ours, theirs, strict=True)
+        if a > 0
     ]
+    weight = (
+        f" Gravity torque, root mean square over these postures, by this fit and by the description: {', '.join(rows)}."
+    )
     yield (
         "The link inertials of the description are left out of the prior: they predict segments held out no better and "
-        "do not make these torques likelier. Gravity torque, root mean square over these postures, by this fit and "
-        f"by the description [N·m]: {', '.join(rows)}."
+        f"do not make these torques likelier.{weight if rows else ''}"
     )
 
 

@@ -7,13 +7,16 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from agent.recording import Log
+from agent.robot import RobotDescription
 
 _RATES = (0.7, 1.4)  # velocity over derivative of position: between them filters and lag
+_DEGREE = 180 / np.pi
 _MOVING = 1e-2  # rad or m that a joint travels to count as moving
 
 
-def velocity_doubts(logs: Sequence[Log]) -> Iterator[str]:
+def velocity_doubts(robot: RobotDescription, logs: Sequence[Log]) -> Iterator[str]:
     """Which joints' velocity is not the derivative of their position, and the likeliest reason."""
+    slides = {joint.name for joint in robot.joints if joint.prismatic}
     for log in logs:
         if log.velocity is None:
             continue
@@ -27,11 +30,17 @@ def velocity_doubts(logs: Sequence[Log]) -> Iterator[str]:
             why = "the stamps, or the rate it was made with, are wrong"
             if ratio < 0:
                 why = "one of the two is flipped"
-            elif 40 < ratio < 80:
+            elif slides.isdisjoint(wrong) and _DEGREE / 1.4 < ratio < 1.4 * _DEGREE:
                 why = "is its unit deg/s?"
+            elif slides.isdisjoint(wrong) and _DEGREE / 1.4 < 1 / ratio < 1.4 * _DEGREE:
+                why = "is the position in degrees?"
+            elif slides.issuperset(wrong) and 700 < ratio < 1400:
+                why = "is its unit mm/s?"
+            elif slides.issuperset(wrong) and 700 < 1 / ratio < 1400:
+                why = "is the position in mm?"
+            where = f"{log.name}: " if len(logs) > 1 else ""
             yield (
-                f"{log.name}: the velocity of {', '.join(wrong)} is {ratio:.3g} times the derivative of its position: "
-                f"{why}"
+                f"{where}the velocity of {', '.join(wrong)} is {ratio:.3g} times the derivative of its position: {why}"
             )
             return
 

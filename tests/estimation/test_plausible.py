@@ -70,6 +70,27 @@ def test_what_cannot_be_is_said(healthy, reason):
     assert re.search(reason, found[0]), found
 
 
+IN_MM = {
+    r"look like mm: joint_1 comes to .* m and": lambda log: {"position": 1000 * log.position, "velocity": None},
+    r"0\.001 times the derivative of its position: is the position in mm": lambda log: {
+        "position": 20 * log.position,  # slow
+        "velocity": 0.02 * np.gradient(log.position, log.t, axis=0),
+    },
+    r"1e\+03 times the derivative of its position: is its unit mm/s": lambda log: {
+        "velocity": 1000 * np.gradient(log.position, log.t, axis=0)
+    },
+}
+
+
+@pytest.mark.parametrize("reason", IN_MM)
+def test_a_slide_in_mm_is_said(reason):
+    robot = make_arm("P")
+    log = record(Plant(robot, seed=3), "slide", 21)
+    assert not plausibility_warnings(robot, [log])
+    found = plausibility_warnings(robot, [replace(log, **IN_MM[reason](log), reference_position=None)])
+    assert any(re.search(reason, text) for text in found), found
+
+
 def test_gravity_in_another_direction_is_named(healthy):
     robot, log = healthy
     (found,) = plausibility_warnings(replace(robot, gravity=(9.80665, 0.0, 0.0)), [log])
