@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ElementTree
+
 import numpy as np
 
+from agent.core import InputError
 from agent.model.friction_terms import FORMS, FrictionTerm
 from agent.model.rigid_friction import RigidFrictionModel
-from agent.robot import ParameterLayout, RobotDescription
+from agent.robot import ParameterLayout, RobotDescription, check_urdf
 
 _REVERSING = ("coulomb", "stribeck", "load")
 
@@ -80,6 +83,10 @@ def check_robot(robot: RobotDescription) -> None:
         raise ValueError(f"motor_coupling is {n} rows of {n} numbers")
     if not np.isfinite(robot.gear_ratios).all() or np.any(robot.gear_ratios == 0):
         raise ValueError("gear ratios are finite and not 0")
+    try:
+        check_urdf("robot.urdf", ElementTree.fromstring(robot.urdf), robot.joint_names)
+    except (ElementTree.ParseError, InputError) as error:
+        raise ValueError(str(error)) from None
 
 
 def _check_term(term: FrictionTerm) -> None:

@@ -19,18 +19,21 @@ _NUMBERS = {
     "mass": ("value",),
     "inertia": ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"),
 }
+#: Of these, what is three numbers; all others are one.
+_THREE = ("xyz", "rpy")
 #: Of these, what no body has below zero.
 _NOT_NEGATIVE = {"mass": ("value",), "inertia": ("ixx", "iyy", "izz")}
 
 
-def check_urdf(path: Path, root: Element, joints: Sequence[str]) -> None:
-    """Check a URDF of which the description lists these joints.
+def check_urdf(path: Path | str, root: Element, joints: Sequence[str]) -> None:
+    """Check a URDF, from `path` or of that name, of which the description lists these joints.
 
     Raises:
-        InputError: numbers that are none, masses below zero, names that stand twice, several roots, joints that follow
-            one another (mimic).
+        InputError: numbers that are none, too many or too few, inertials that lack some, masses below zero, names that
+            stand twice, several roots, joints that follow one another (mimic).
     """
     _check_numbers(path, root)
+    _check_inertials(path, root)
     for kind in ("link", "joint"):
         twice = [name for name, count in Counter(e.get("name") for e in root.findall(kind)).items() if count > 1]
         if twice:
@@ -45,12 +48,13 @@ def check_urdf(path: Path, root: Element, joints: Sequence[str]) -> None:
             )
 
 
-def _check_numbers(path: Path, root: Element) -> None:
-    # The URDF library only prints what it cannot read and goes on without that inertia.
+def _check_numbers(path: Path | str, root: Element) -> None:
     for owner in (*root.findall("link"), *root.findall("joint")):
         for element in owner.iter():
             for key in _NUMBERS.get(element.tag, ()):
-                text = element.get(key, "0")
+                text = element.get(key)
+                if text is None:
+                    continue
                 try:
                     values = [float(word) for word in text.split()]
                 except ValueError:
@@ -58,11 +62,28 @@ def _check_numbers(path: Path, root: Element) -> None:
                 place = f"{owner.tag} {owner.get('name')!r}: {element.tag} {key}"
                 if not np.isfinite(values).all():
                     raise InputError(f"{path}: {place}: finite numbers are expected, not {text!r}")
-                if key in _NOT_NEGATIVE.get(element.tag, ()) and min(values, default=0.0) < 0:
+                if len(values) != (3 if key in _THREE else 1):
+                    wanted = "three numbers" if key in _THREE else "one number"
+                    raise InputError(f"{path}: {place} is {wanted}, not {text!r}")
+                if key in _NOT_NEGATIVE.get(element.tag, ()) and min(values) < 0:
                     raise InputError(f"{path}: {place}: {text} is below zero; no body is like that")
 
 
-def _check_tree(path: Path, root: Element) -> None:
+def _check_inertials(path: Path | str, root: Element) -> None:
+    # The URDF library only prints what it misses, and goes on without mass and inertia of that link.
+    inertials = [(link.get("name"), inertial) for link in root.findall("link") for inertial in link.findall("inertial")]
+    for link, inertial in inertials:
+        for tag in ("mass", "inertia"):
+            element = inertial.find(tag)
+            missing = [key for key in _NUMBERS[tag] if element is None or element.get(key) is None]
+            if missing:
+                raise InputError(
+                    f"{path}: link {link!r}: {tag} {', '.join(missing)} is missing; an inertial has a mass "
+                    "and all six numbers of its inertia, zeros too"
+                )
+
+
+def _check_tree(path: Path | str, root: Element) -> None:
     links = [link.get("name") for link in root.findall("link")]
     parent: dict[str | None, str | None] = {}
     for joint in root.findall("joint"):

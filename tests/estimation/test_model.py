@@ -100,6 +100,11 @@ def test_a_model_that_lacks_a_part_says_so(model, tmp_path, key):
         (lambda data: data["robot"].update(name="../../x"), "files are named after the robot"),
         (lambda data: data["robot"].update(gravity=[1.0]), "gravity is three numbers"),
         (lambda data: data["robot"].update(motor_coupling=[[1.0]]), "motor_coupling is"),
+        (
+            lambda data: data["robot"].update(urdf=re.sub(' ixx="[^"]*"', "", data["robot"]["urdf"], count=1)),
+            r"robot\.urdf: link 'link_1': inertia ixx is missing",
+        ),
+        (lambda data: data["robot"].update(urdf="<robot"), "unclosed token"),
         (lambda data: data.update(provenance=[]), "provenance is a table"),
         (lambda data: data["provenance"].update(logs=["a.mcap"]), r"provenance\.logs is a list of tables"),
         (lambda data: data["provenance"].update(tool="gripper"), r"provenance\.tool is a list"),
