@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from agent.core import Dimension, InputError, find_faults, line_of, parse_quantity, read_yaml, without_faults
 from agent.motion import MotionSettings
 from agent.recipe.quantities import BARE_ANGLE, BARE_PLACE
+from agent.recipe.ranges import range_faults
 from agent.recipe.schema import (
     ControllerSection,
     EstimateSection,
@@ -123,7 +124,7 @@ def examine_recipe(path: Path | str) -> tuple[Recipe | None, list[str]]:
         return None, lines
     wrong = list(_contradictions(path, document, robot))
     lines += [f"{path}:{line_of(data, key)}: {'.'.join(key)}: {message}" for key, message in wrong]
-    if any(key[:2] in (("motion", "via_points"), ("cell", "joint_ranges")) for key, _ in wrong):
+    if any(key[:2] in (("robot",), ("motion", "via_points"), ("cell", "joint_ranges")) for key, _ in wrong):
         return None, lines
     return _recipe(path, document, robot), lines
 
@@ -155,6 +156,8 @@ def _contradictions(
     from drivers.errors import ConfigurationError
     from drivers.registry import available, create
 
+    for fault in range_faults(robot, document.cell.joint_ranges):
+        yield ("robot",), f"{document.robot}: {fault}"
     limits = robot.cartesian_limits
     speeds = {("motion", "speed"): document.motion.speed, ("validate", "speed"): document.validate_.speed}
     for key, speed in speeds.items():

@@ -98,7 +98,7 @@ class _RobotFile(_Strict):
 class Joint:
     """One movable joint. Joint side unless said otherwise; N·m, rad (N, m on a prismatic joint).
 
-    `lower` and `upper` come from the URDF, infinite on a continuous joint.
+    `lower` and `upper` come from the URDF, infinite on a continuous joint and where they are missing.
     """
 
     name: str
@@ -320,9 +320,8 @@ def _joint(path: Path, entry: _JointEntry, elements: dict[str | None, ElementTre
         movable = [str(n) for n, e in elements.items() if e.get("type") in ("revolute", "continuous", "prismatic")]
         raise InputError(f"{path}: joints: {entry.name!r} is not a movable joint of the URDF ({', '.join(movable)})")
     limit = element.find("limit")
-    bounded = kind != "continuous" and limit is not None and limit.get("lower") is not None
-    lower = float(limit.get("lower", "-inf")) if bounded and limit is not None else -np.inf
-    upper = float(limit.get("upper", "inf")) if bounded and limit is not None else np.inf
+    ends = {} if kind == "continuous" or limit is None else limit.attrib
+    lower, upper = float(ends.get("lower", "-inf")), float(ends.get("upper", "inf"))
     if not lower < upper:
         raise InputError(f"{path}: joints: {entry.name}: the URDF's limits are {lower} to {upper}: an empty range")
     return Joint(**entry.__dict__, prismatic=kind == "prismatic", lower=lower, upper=upper)

@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, example, given, settings, strategies as st
 from agent.core.errors import InputError
 from agent.core.units import Dimension
 from agent.recipe import examine_recipe, load_recipe
+from agent.robot import load_robot
 from tests.recipe.recipes import FULL, MINIMAL, POINTS, TUBE, faults_of, load_text, with_via_points
 
 
@@ -230,3 +231,54 @@ def test_percentages_of_the_fly_statement_are_whole(recipe_file: Path, key: str)
     assert "not a whole percent" in fault
     fine = load_text(recipe_file, text.replace("33.3 %", "57 %")).motion.settings  # 0.57 is a little less than that
     assert {"percent": fine.fly_percent, "stress": fine.stress_percent}[key] == pytest.approx(57.0)
+
+
+ARM = """<robot name="two"><link name="base"/><link name="middle"/><link name="tip"/>
+<joint name="turn" type="revolute"><parent link="base"/><child link="middle"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" velocity="2" effort="9"/></joint>
+<joint name="slide" type="prismatic"><parent link="middle"/><child link="tip"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" velocity="1" effort="9"/></joint></robot>"""
+JOINTS = "[{name: turn, max_velocity: 2, max_acceleration: 5}, {name: slide, max_velocity: 1, max_acceleration: 5}]"
+TURN = 'lower="-3" upper="3" '
+
+
+def _with_arm(folder: Path, urdf: str, cell: str = "") -> Path:
+    (folder / "two.urdf").write_text(urdf, encoding="utf-8")
+    (folder / "two.yaml").write_text(f"name: two\nurdf: two.urdf\ntip_frame: tip\njoints: {JOINTS}\n", encoding="utf-8")
+    path = folder / "recipe.yaml"
+    path.write_text(MINIMAL.replace("robot: comau_ns16", "robot: two.yaml") + cell, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (f'<limit {TURN}velocity="2" effort="9"/>', "", "joint 'turn' is revolute, .* no lower and no upper limit"),
+        (TURN, "", "joint 'turn' is revolute, .* no lower and no upper limit"),
+        ('lower="-3" ', "", "joint 'turn' is revolute, .* no lower limit"),
+        ('upper="1" ', "", r"joint 'slide' is prismatic, .* no upper limit.*\(m\) or a range into cell\.joint_ranges$"),
+        (TURN, 'lower="-170" upper="170" ', "joint 'turn': a range of -170 to 170 rad.*looks like degrees"),
+        (TURN, 'lower="-90" upper="25" ', "joint 'turn': a range of -90 to 25 rad.*looks like degrees"),
+    ],
+)
+def test_no_arm_is_moved_whose_limits_are_missing_or_in_degrees(tmp_path: Path, old, new, message) -> None:
+    assert old in ARM
+    path = _with_arm(tmp_path, ARM.replace(old, new))
+    recipe, faults = examine_recipe(path)
+    assert recipe is None
+    assert len(faults) == 1
+    assert re.search(rf"recipe\.yaml:1: robot: two\.yaml: {message}", faults[0])
+    assert load_robot(tmp_path / "two.yaml").dof == 2  # logs of it can be read all the same
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "cell"),
+    [
+        (TURN, "", "cell: {joint_ranges: {turn: [-90 deg, 90 deg]}}\n"),
+        (TURN, 'lower="-170" upper="170" ', "cell: {joint_ranges: {turn: [-90 deg, 90 deg]}}\n"),
+        ("revolute", "continuous", ""),
+        (TURN, 'lower="-47.2" upper="47.2" ', ""),  # seven turns and a half to either side, as wrists have
+    ],
+)
+def test_ranges_that_are_given_elsewhere_or_are_endless_by_type_are_none_to_miss(tmp_path, old, new, cell) -> None:
+    assert load_recipe(_with_arm(tmp_path, ARM.replace(old, new), cell)).robot.name == "two"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from agent.core.errors import InputError
@@ -81,6 +82,14 @@ def test_a_name_that_is_no_file_name_is_refused(described, name):
 def test_a_urdf_that_is_no_serial_arm_is_refused(described, old, new, message):
     with pytest.raises(InputError, match=rf"pair\.urdf: .*{message}"):
         described(old, new)
+
+
+@pytest.mark.parametrize(
+    ("given", "ends"), [('lower="-3"', (-3, np.inf)), ('upper="3"', (-np.inf, 3)), ("", (-np.inf, np.inf))]
+)
+def test_an_end_of_a_range_that_is_given_is_kept_and_one_that_is_not_is_open(described, given, ends):
+    turn = described('lower="-3" upper="3"', given).joints[0]
+    assert (turn.lower, turn.upper) == ends
 
 
 @pytest.mark.parametrize("value", [".nan", ".inf", "5e-324", "1e-300", "1e308", "0", "-1"])
