@@ -115,6 +115,18 @@ def test_turns_are_taken_into_limits(make_arm: Callable) -> None:
         kinematics.solve(outside, np.array([1.5, 0.3]))
 
 
+@pytest.mark.parametrize(("turn", "beyond"), [(2.1, 0.1), (-2.3, 0.3), (2.1 + 2 * np.pi, 0.1)])
+def test_by_how_much_a_limit_is_broken_is_said_of_the_nearest_turn(
+    make_arm: Callable, turn: float, beyond: float
+) -> None:
+    robot = make_arm([("R", (0, 0, 0), (0, 0, 0), (0, 0, 1)), ("P", (0.5, 0, 0), (0, 0, 0), (0, 0, 1))], limit=2.0)
+    kinematics = kinematics_for(robot)
+    pose = kinematics.forward(np.array([[turn, 0.1]]))[0]
+    with pytest.raises(KinematicsError, match=rf"the best one that of j1 by {beyond:.3g} rad") as refused:
+        kinematics.solve(pose, np.zeros(2))
+    assert refused.value.excess == pytest.approx(beyond)
+
+
 def test_such_an_arm_has_no_configuration_flags(arms: dict[str, RobotDescription]) -> None:
     kinematics = kinematics_for(arms["scara"])
     q = np.array([0.4, 0.5, 0.2, -0.3])

@@ -189,7 +189,9 @@ class Kinematics(ABC):
             return error
 
     def _refuse_limits(self, pose: np.ndarray, candidates: np.ndarray) -> NoReturn:
-        beyond = np.maximum(candidates - self.upper, self.lower - candidates)
+        # A turn that brings a joint below its upper limit may take it far below the lower one.
+        turns = np.stack([candidates, self.nearest_turn(candidates, self.middle)])
+        beyond = np.maximum(turns - self.upper, self.lower - turns).min(axis=0)
         best = beyond[beyond.max(axis=1).argmin()]
         joint = int(best.argmax())
         raise KinematicsError(
