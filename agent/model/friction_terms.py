@@ -46,6 +46,7 @@ class Reversal:
     kind "speed": s = tanh(w / scale), scale a speed [rad/s], or sign(w) with scale 0; friction follows the speed.
     kind "travel": ds = (1 - s sign(dx)) dx / scale, scale a travel [rad]: presliding, in which the contact gives way
     like a spring before it slides, so that friction after a stop is what it was before (Dahl, AIAA J. 14, 1976).
+    On a slide metres stand for radians.
     """
 
     kind: str = "speed"
@@ -55,15 +56,19 @@ class Reversal:
         """(S,) s at speeds (S,); of a travel, once it is left behind."""
         return np.tanh(speed / self.scale) if self.kind == "speed" and self.scale else np.sign(speed)
 
-    def __str__(self) -> str:
+    def text(self, way: str) -> str:
+        """In words; `way` is the unit of the axle's travel."""
         if self.scale == 0:
             return "sign"
-        return f"reversal within {self.scale:.3g} rad" + ("/s" if self.kind == "speed" else "")
+        return f"reversal within {self.scale:.3g} {way}" + ("/s" if self.kind == "speed" else "")
 
 
 @dataclass(frozen=True)
 class FrictionTerm:
-    """One column: `axle` from 0, `form` of the table above; `reversal` and `fading` [rad/s] where the form has one."""
+    """One column: `axle` from 0, `form` of the table above; `reversal` and `fading` [rad/s] where the form has one.
+
+    On a slide metres stand for radians.
+    """
 
     axle: int
     form: str
@@ -81,14 +86,19 @@ class FrictionTerm:
             return "-"
         power = FORMS[self.form][1]
         exponent = "²" if power == 2 else ""
-        force, way = ("N", "m") if prismatic else ("N·m", "rad")
+        force, way = ("N" if prismatic else "N·m"), _way(prismatic)
         return force if power == 0 else f"{force}·s{exponent}/{way}{exponent}"
 
-    def meaning(self, joint: str) -> str:
+    def meaning(self, joint: str, prismatic: bool) -> str:
         """In words."""
-        details = [str(self.reversal)] if self.reversal else []
-        details += [f"fading over {self.fading:.3g} rad/s"] if self.fading else []
+        way = _way(prismatic)
+        details = [self.reversal.text(way)] if self.reversal else []
+        details += [f"fading over {self.fading:.3g} {way}/s"] if self.fading else []
         return f"{self.form.replace('_', ' ')} friction of {joint}" + (f" ({', '.join(details)})" if details else "")
+
+
+def _way(prismatic: bool) -> str:
+    return "m" if prismatic else "rad"
 
 
 @dataclass(frozen=True, eq=False)

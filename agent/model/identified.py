@@ -76,7 +76,8 @@ class IdentifiedModel(RigidFrictionModel):
         return term.unit(self.robot.joints[term.axle].prismatic)
 
     def _term_meaning(self, term: FrictionTerm) -> str:
-        return term.meaning(self.robot.joint_names[term.axle])
+        joint = self.robot.joints[term.axle]
+        return term.meaning(joint.name, joint.prismatic)
 
     def rows(self) -> list[tuple[str, ...]]:
         """Table of parameters like the paper's Table I, and what was held of them before the data; header first."""

@@ -11,7 +11,7 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.estimation import EstimationSettings, estimate
-from agent.model import IdentifiedModel, ModelEffect
+from agent.model import FrictionTerm, IdentifiedModel, ModelEffect, Reversal
 from agent.robot.bodies import rigid_bodies
 
 
@@ -141,6 +141,15 @@ def test_the_table_names_units_and_meanings(model):
     assert by_name["f1_2"][4] == "N·m·s/rad"
     assert "joint_3" in by_name["f0_3"][5]
     assert "condition number" in model.text()
+
+
+@pytest.mark.parametrize(("axle", "way"), [(0, "m"), (1, "rad")])
+def test_the_table_gives_what_friction_travels_in_the_units_of_its_joint(model, axle, way):
+    term = FrictionTerm(axle, "stribeck", Reversal("travel", 1.34e-5), 0.003)
+    k = next(k for k, other in enumerate(model.terms) if other.axle == axle)
+    table = replace(model, terms=(*model.terms[:k], term, *model.terms[k + 1 :])).rows()
+    meaning = table[1 + len(model.independent) + k][5]
+    assert meaning.endswith(f"(reversal within 1.34e-05 {way}, fading over 0.003 {way}/s)")
 
 
 def test_the_table_says_what_came_from_the_data_and_what_from_the_prior(arm, multisine, make_log):
