@@ -63,18 +63,19 @@ def main(arguments: list[str] | None = None) -> int:
     except ValueError as error:
         print(f"fake controller: {options.scenario}: {error}; choose another --driver", file=sys.stderr)
         return 2
+    ready = None
     try:
         if options.ready_file is not None:
-            write_atomically(options.ready_file, server.address + "\n")
+            ready = write_atomically(options.ready_file, server.address + "\n")
         print(f"fake controller: {controller.robot.name} at {server.address}, clock {options.clock}", flush=True)
         done.wait()
-    except OSError as error:
-        print(f"fake controller: {options.ready_file}: {error.strerror}", file=sys.stderr)
+    except AgentError as error:
+        print(f"fake controller: --ready-file {error}", file=sys.stderr)
         return 2
     finally:
         server.close()
-        if options.ready_file is not None:
-            options.ready_file.unlink(missing_ok=True)  # nobody is to take it for the next one's
+        if ready is not None:
+            ready.unlink(missing_ok=True)  # nobody is to take it for the next one's
     if controller.motions_started:
         print(f"fake controller: {controller.history()}", flush=True)
     return 0
@@ -149,7 +150,7 @@ def _parser() -> argparse.ArgumentParser:
         help="cnr_comau's samples come from a loop of so many ms, as from the published C5G Open node: uneven stamps, "
         "snapshots repeated and left out, no velocities; without it every sample comes once",
     )
-    parser.add_argument("--seed", type=int, help="of the arm's true parameters and its noise; 0 if none is given")
+    parser.add_argument("--seed", type=_seed, help="of the arm's true parameters and its noise; 0 if none is given")
     parser.add_argument("--clock", choices=("fast", "real"), help="as fast as it goes, or real time (if none is given)")
     parser.add_argument(
         "--watchdog",
@@ -184,6 +185,12 @@ def _between(number: Callable[[str], float], low: float, high: float, what: str)
 
 
 _port = _between(int, 0, 65535, "port")
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is no seed; a whole number from 0 on is")
+    return int(text)
 
 
 def _broker(text: str) -> tuple[str, float]:

@@ -131,9 +131,8 @@ def record(
     from agent.link import record_program_file
     from agent.recipe import load_recipe
 
-    log = out or program.with_suffix(".mcap")
     console = opt.console_for(messages)
-    recorded = record_program_file(load_recipe(recipe), program, log, console, yes=yes, payload=load)
+    recorded = record_program_file(load_recipe(recipe), program, out, console, yes=yes, payload=load)
     print(recorded.path)
 
 

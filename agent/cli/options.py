@@ -31,7 +31,7 @@ Structure = Annotated[
 Without = Annotated[
     list[str] | None, typer.Option("--without", metavar="EFFECT", help="leave an effect out of the catalogue")
 ]
-Seed = Annotated[int, typer.Option("--seed", metavar="S", help="of everything that is drawn")]
+Seed = Annotated[int, typer.Option("--seed", metavar="S", min=0, help="of everything that is drawn")]
 Page = Annotated[Path | None, typer.Option("--report", metavar="OUT.html", help="page to write")]
 RunName = Annotated[str | None, typer.Argument(metavar="[RUN]", help="run folder, or its name")]
 ModelFile = Annotated[Path, typer.Option("--model", metavar="MODEL", help="model file")]

@@ -257,13 +257,13 @@ def open_link(
 def record_program_file(
     recipe: Recipe,
     program: Path,
-    log: Path,
+    log: Path | None,
     console: Console,
     yes: bool,
     runs: Path = Path("logs"),
     payload: str | None = None,
 ) -> Recording:
-    """Run a PDL2 program that somebody wrote, and record it; `runs` as in `open_link`.
+    """Run a PDL2 program that somebody wrote, and record it (None: beside it, as .mcap); `runs` as in `open_link`.
 
     `payload` is a mass that is mounted at the flange on purpose, which the log says then.
 
@@ -276,6 +276,9 @@ def record_program_file(
     from agent.link.planned import check_cell, check_load, plan_statements, torque_limits
     from agent.model import known_payload
 
+    if program.is_dir():
+        raise InputError(f"{program}: is a folder; name the PDL2 program to run with --program")
+    log = log or program.with_suffix(".mcap")
     if log.exists():
         raise InputError(f"{log}: exists already; name another log with -o")
     try:

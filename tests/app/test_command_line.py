@@ -11,6 +11,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -48,6 +50,22 @@ def test_unknown_command_is_usage(run_agent):
     assert run.returncode == 2
     assert "calibrat" in run.stderr
     assert "Traceback" not in run.stderr
+
+
+@pytest.mark.parametrize(
+    "command", [("blind-check", "--cases", "3", "-o", "out"), ("fleet", "simulate", "-n", "1", "-o", "out")]
+)
+def test_a_seed_is_not_negative(run_agent, tmp_path: Path, command: tuple[str, ...]):
+    run = run_agent(*command, "--seed", "-1")
+    assert run.returncode == 2
+    assert "'--seed': Input should be greater than or equal to 0" in run.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_is_no_program(run_agent, write_recipe):
+    run = run_agent("record", write_recipe("127.0.0.1:1"), "--program", ".")
+    assert run.returncode == 2
+    assert run.stderr == "agent: .: is a folder; name the PDL2 program to run with --program\n"
 
 
 def test_a_recipe_is_not_written_where_there_is_no_folder(run_agent):

@@ -71,6 +71,18 @@ def test_an_unknown_robot():
         assert "no_such_robot" in running.stderr.read()
 
 
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [("--seed", "no seed; a whole number from 0 on is"), ("--ready-file", "nowhere/ready: cannot be written")],
+)
+def test_an_option_that_cannot_be_used(tmp_path, option, said):
+    value = "-1" if option == "--seed" else str(tmp_path / "nowhere" / "ready")
+    with process("--port", "0", "--clock", "fast", option, value) as running:
+        assert running.wait(60) == 2
+        assert said in (errors := running.stderr.read())
+        assert "Traceback" not in errors
+
+
 def test_a_link_whose_samples_need_a_broker(broker):
     with process("--driver", "cnr_comau", "--port", "0", "--clock", "fast", "--broker", "127.0.0.1:1") as running:
         assert running.wait(60) == 2
