@@ -211,7 +211,7 @@ def diagnose(
     load: opt.KnownLoad = None,
     drives_off: opt.DrivesOff = None,
     until_sure: opt.UntilSure = False,
-    budget: opt.Budget = "10 min",
+    budget: opt.Budget = None,
     runs: opt.RunsFolder = Path("logs"),
     yes: opt.Yes = False,
     messages: opt.Messages = None,
@@ -224,12 +224,14 @@ def diagnose(
         model, joint_map, cutoff, left_out, report, out, allow_mixed, force, next_recipe, load, drives_off
     )
     console = opt.console_for(messages)
+    if budget is not None and not until_sure:
+        raise InputError("diagnose: --budget is of the further motions of --until-sure: give that too, or leave it out")
     if record is not None:
         if logs or robot:
             raise InputError("diagnose: --record records its own logs of the recipe's robot: leave out LOG and --robot")
-        from agent.pipeline import budget_of
+        from agent.pipeline import BUDGET, budget_of
 
-        motion = budget_of(budget) if until_sure else None
+        motion = budget_of(budget or BUDGET) if until_sure else None
         result = diagnose_recording(record, question, console, runs, yes, motion)
     elif until_sure:
         raise InputError("diagnose: --until-sure moves the robot: name the recipe to record with --record RECIPE")

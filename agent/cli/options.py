@@ -49,7 +49,9 @@ DrivesOff = Annotated[
     typer.Option("--drives-off", metavar="LOG", help="the arm at rest on its brakes: tells an offset from friction"),
 ]
 UntilSure = Annotated[bool, typer.Option("--until-sure", help="with --record: further motions until it is settled")]
-Budget = Annotated[str, typer.Option("--budget", metavar="TIME", help="of motion for --until-sure, as '10 min'")]
+Budget = Annotated[
+    str | None, typer.Option("--budget", metavar="TIME", help="of motion for --until-sure; 10 min if absent")
+]
 
 
 Scheduler = Annotated[

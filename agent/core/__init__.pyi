@@ -21,6 +21,7 @@ from .errors import (
     BusyError as BusyError,
     ControllerError as ControllerError,
     InputError as InputError,
+    MismatchError as MismatchError,
     RejectedError as RejectedError,
     SafetyError as SafetyError,
 )

@@ -25,6 +25,10 @@ class ControllerError(AgentError):
     exit_code = 4
 
 
+class MismatchError(ControllerError):
+    """A controller that is not what the recipe says: another robot, other joints, another sampling rate."""
+
+
 class SafetyError(AgentError):
     """E-stop, drive fault, protective stop or a changed override while moving."""
 

@@ -3,11 +3,8 @@ from .calibrate import CalibrationOutcome as CalibrationOutcome, run_calibration
 from .check import check_recipe as check_recipe
 from .compare import compare_runs as compare_runs
 from .conditions import friction_levels as friction_levels, top_speed as top_speed, warm_up as warm_up
-from .diagnose import (
-    GapQuestion as GapQuestion,
-    diagnose_files as diagnose_files,
-    diagnose_recording as diagnose_recording,
-)
+from .diagnose import diagnose_files as diagnose_files, diagnose_recording as diagnose_recording
+from .gap_question import GapQuestion as GapQuestion
 from .identify import (
     check_one_machine as check_one_machine,
     check_output as check_output,
@@ -28,4 +25,4 @@ from .rebuilt_report import rebuild_report as rebuild_report
 from .recalibrate import run_recalibration as run_recalibration
 from .reports import write_index as write_index
 from .schedule import install as install, make_schedule as make_schedule, next_steps as next_steps
-from .until_sure import budget_of as budget_of
+from .until_sure import BUDGET as BUDGET, budget_of as budget_of

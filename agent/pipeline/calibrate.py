@@ -197,7 +197,7 @@ def step(run: RunFolder, name: str, console: Console) -> Iterator[None]:
         yield
     except BaseException as error:
         run.stopped(name, str(error) or type(error).__name__)
-        console.warn(going_on(run, name))
+        console.warn(going_on(run, name, error))
         raise
     if run.finished(name) is None:
         run.finish(name)

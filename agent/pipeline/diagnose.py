@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from shutil import copyfile
 from typing import TYPE_CHECKING, Any
 
 from agent.core import Console, InputError
-from agent.pipeline.corrected_simulator import check_simulator_out, run_forward, write_simulator
-from agent.pipeline.identify import check_one_machine, check_output, check_plausible, read_logs, say_used
+from agent.pipeline.corrected_simulator import run_forward, write_simulator
+from agent.pipeline.gap_question import GapQuestion
+from agent.pipeline.identify import check_one_machine, check_plausible, read_logs, say_used
 from agent.robot import RobotDescription, load_robot
 
 if TYPE_CHECKING:
@@ -26,31 +27,6 @@ _SIMULATOR = "simulator.json"
 _DRIVES_OFF = "drives_off.mcap"
 #: Slow motions beside the excitation loop: enough to hold one out, few enough to wait for.
 _VALIDATION_MOTIONS = 3
-
-
-@dataclass(frozen=True)
-class GapQuestion:
-    """What is asked of logs: against which model (None: one fitted to them), what is left out, what is written.
-
-    `model` is a model file, an MJCF or a URDF; `joint_map` says how joints of the latter two are called in the logs.
-    `report` is the page, `out` the file of the model with the effects found, or of the simulator corrected (its own
-    format); None: neither. `allow_mixed`: logs and
-    model may be of several machines or tools; `force`: go on although a log is implausible. `next_recipe`: where the
-    motion that tells more may lie; then `out` is the folder for it, and `next_payload` a known mass for it.
-    `drives_off` is a log of the arm at rest with its drives off.
-    """
-
-    model: Path | None = None
-    joint_map: Path | None = None
-    cutoff: float | None = None
-    without: tuple[str, ...] = ()
-    report: Path | None = None
-    out: Path | None = None
-    allow_mixed: bool = False
-    force: bool = False
-    next_recipe: Path | None = None
-    next_payload: str | None = None
-    drives_off: Path | None = None
 
 
 def diagnose_files(
@@ -84,12 +60,12 @@ def diagnose_recording(
     from agent.pipeline.ending import ending_text
     from agent.pipeline.record_plan import record_plan
     from agent.pipeline.reports import refresh_index
-    from agent.pipeline.until_sure import until_sure
+    from agent.pipeline.until_sure import options_of, until_sure
     from agent.recipe import load_recipe
     from agent.runs import RunFolder, approve, robot_lock
 
     loaded = load_recipe(recipe)
-    _check(question, [])
+    question.check([])
     reference, simulator = _simulator(loaded.robot, [], question, console)
     _at_rest(loaded.robot, reference, question, console)
     few = min(loaded.validate.motions, _VALIDATION_MOTIONS)
@@ -97,6 +73,7 @@ def diagnose_recording(
     with robot_lock(loaded.controller.driver, loaded.controller.address):
         run = RunFolder.create(runs, loaded.robot.name, loaded.path)
         run.note(kind="diagnose", question={"cutoff": question.cutoff, "without": question.without, "budget": budget})
+        run.note(options=[*question.options(), *options_of(budget)])
         approve(run, loaded)
         if reference is not None:
             run.write_text(_SIMULATOR, json.dumps(reference.to_dict(), allow_nan=False))
@@ -158,7 +135,7 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
     validation = sorted(run.glob("validation_[0-9][0-9].mcap"))
     logs = [run / "excitation.mcap", *validation, *(run / f"{name}.mcap" for name in further)]
     found, simulated, _ = _find(robot, logs, question, console)
-    steps = after_diagnosis(found.result, source, logs, question.model)
+    steps = after_diagnosis(found.result, source, logs, question)
     rounds = {key: recorded[key] for key in ("rounds", "rounds_end") if key in recorded}
     return diagnosis_report(found, simulated, recorded.get("forward"), steps, rounds)
 
@@ -177,7 +154,7 @@ def _diagnose(
     from agent.diagnosis import simulation_part
 
     if simulator is None:
-        _check(question, paths)
+        question.check(paths)
     found, simulated, read = _find(robot, paths, question, console) if rounds is None else rounds.last
     simulator = simulator or read
     for warning in found.warnings:
@@ -193,7 +170,7 @@ def _diagnose(
         from agent.pipeline.first_screen import after_diagnosis
         from agent.report import diagnosis_report
 
-        steps = after_diagnosis(found.result, source, paths, question.model)
+        steps = after_diagnosis(found.result, source, paths, question)
         page = diagnosis_report(found, simulated, result.get("forward"), steps, result)
         write_atomically(question.report, page)
     if question.out is not None and question.next_recipe is None:
@@ -295,36 +272,6 @@ def _simulator(
     for note in found.notes:
         console.warn(f"{question.model.name}: {note}")
     return found.model, found
-
-
-def _check(question: GapQuestion, logs: Sequence[Path]) -> None:
-    """What makes no sense is refused before the work, and before anything moves.
-
-    Raises:
-        InputError: an output that cannot be written or would overwrite an input, an unknown effect, or no model.
-    """
-    from agent.diagnosis import check_effects
-
-    check_effects(question.without)
-    inputs = [*logs, *(path for path in (question.model, question.joint_map, question.drives_off) if path)]
-    if question.next_payload is not None:
-        from agent.model import payload_of
-
-        if question.next_recipe is None:
-            raise InputError("diagnose: --payload is of the motion that --next plans: name its recipe with --next")
-        payload_of(question.next_payload)
-    if question.next_recipe is not None:
-        from agent.pipeline.next_experiment import check_next
-
-        check_next(question.next_recipe, question.out)
-    files = (question.report, None if question.next_recipe is not None else question.out)
-    for out in files:
-        if out is not None:
-            check_output(out, inputs)
-    if question.report is not None and question.report in files[1:]:
-        raise InputError(f"{question.out}: is both the page and the model; name two files")
-    if question.out is not None and question.next_recipe is None:
-        check_simulator_out(question.model, question.out, inputs)
 
 
 def _write_model(found: Diagnosis, out: Path, console: Console) -> None:

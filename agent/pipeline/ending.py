@@ -7,7 +7,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from agent.core import InputError
+from agent.core import InputError, MismatchError
 from agent.recipe import Recipe
 from agent.runs import RunFolder, current_model
 
@@ -69,24 +69,28 @@ def next_steps(
     if kind == "calibrate":
         folder = shlex.quote(str(run))
         logs_of = f"--model {folder}/model.json {folder}/validation_*.mcap"
-        return [(f"agent diagnose --robot {recipe.robot_source} {logs_of}", "says why")]
+        return [(f"agent diagnose --robot {shlex.quote(recipe.robot_source)} {logs_of}", "says why")]
     if kind == "recalibrate":
         return [(calibrate, "after what the report names is mended")]
     return [(f"agent history{where}", "lists what was found before"), (calibrate, "after a repair")]
 
 
-def going_on(run: RunFolder, step: str) -> str:
-    """What a run that stopped in a step has kept, and how it goes on."""
+def going_on(run: RunFolder, step: str, error: BaseException) -> str:
+    """What a run that an error stopped in a step has kept, and how it goes on.
+
+    The command is the one that started it, with the `options` that the run notes; how much is shown, and whether the
+    cell is clear (`--yes`), is for whoever starts it again. A calibration is gone on with, unless it was refused for
+    its recipe: with another one it is another run.
+    """
     motions = [name for name in run.state["steps"] if name.endswith(".mcap")]
     kept = f", {len(motions)} of its motions are recorded" if motions else ""
-    recipe = shlex.quote(os.path.relpath(run.state["recipe"]))
-    logs = run.path.parent
-    where = "" if logs == _LOGS else f" --logs {shlex.quote(str(logs))}"
-    budget = run.state.get("question", {}).get("budget")
-    rounds = "" if budget is None else f" --until-sure --budget '{budget:g} s'"
-    again = {
-        "calibrate": f"go on with: agent calibrate {recipe}{where} --resume {run.path.name}",
-        "recalibrate": f"start again with: agent recalibrate {recipe}{where}",
-        "diagnose": f"start again with: agent diagnose --record {recipe}{where}{rounds}",
-    }[run.state["kind"]]
+    kind, recipe, logs = run.state["kind"], os.path.relpath(run.state["recipe"]), run.path.parent
+    words = ["agent", kind, *(["--record"] if kind == "diagnose" else []), recipe]
+    words += [] if logs == _LOGS else ["--logs", str(logs)]
+    words += run.state.get("options", [])
+    refused = isinstance(error, InputError | MismatchError) and run.finished("plan") is None
+    if kind == "calibrate" and not refused:
+        again = f"go on with: {shlex.join([*words, '--resume', run.path.name])}"
+    else:
+        again = f"start again with: {shlex.join(words)}"
     return f"stopped in the step {step!r}; what was finished is kept in {run.path}{kept}; {again}"

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from agent.pipeline.ending import next_steps, whose
+from agent.pipeline.gap_question import GapQuestion
 from agent.recipe import Recipe
 from agent.report import About, NextStep
 
@@ -45,13 +47,13 @@ def identity(recipe: Recipe, result: dict[str, Any], run: str) -> list[tuple[str
 
 
 def after_diagnosis(
-    result: Mapping[str, Any], robot: str | None, logs: Sequence[Path], model: Path | None
+    result: Mapping[str, Any], robot: str | None, logs: Sequence[Path], question: GapQuestion
 ) -> list[NextStep]:
     """What may come after a diagnosis of these logs: commands that take what was found further."""
-    words = ["agent", "diagnose"]
-    words += ["--robot", shlex.quote(robot)] if robot else []
-    words += ["--model", shlex.quote(str(model))] if model else []
-    again = " ".join([*words, *(shlex.quote(str(log)) for log in logs)])
+    model = question.model
+    asked = replace(question, report=None, out=None, next_recipe=None, next_payload=None)
+    named = ["--robot", robot] if robot else []
+    again = shlex.join(["agent", "diagnose", *named, *asked.options(), *map(str, logs)])
     if result["verdict"] == "no_gap":
         return [NextStep("nothing to mend; the model can stay as it is.")]
     if not result["causes"]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
 
 from agent.core import Console, InputError, RejectedError
@@ -206,12 +207,19 @@ def check_output(out: Path, paths: Sequence[Path]) -> None:
     """Refuse a file that cannot be written, before the work: a fit takes time, and a log that is overwritten is lost.
 
     Raises:
-        InputError: a folder, a missing folder, or one of the inputs (`paths`).
+        InputError: a folder, a missing one or one that cannot be written to, or one of the inputs (`paths`).
     """
+    folder = out.absolute().parent
     if out.is_dir():
         raise InputError(f"{out}: is a folder; name the file to write")
-    if not out.absolute().parent.is_dir():
+    if not folder.is_dir():
         raise InputError(f"{out}: there is no folder {out.parent} to write it in")
+    if out.is_file() or not out.exists():  # a device or a pipe is written to as it is
+        try:
+            with TemporaryFile(dir=folder):
+                pass
+        except OSError as error:
+            raise InputError(f"{out}: cannot be written there: {error.strerror}; name another place") from None
     if out.exists() and any(path.exists() and path.samefile(out) for path in paths):
         raise InputError(f"{out}: is one of the logs or models that are read; name another file to write")
 

@@ -100,7 +100,8 @@ def run_recalibration(
             authorisation.check_problem(reference.loop.key)
         run = RunFolder.create(logs, recipe.robot.name, recipe.path)
         facts = {"reference": reference.run, "program": reference.loop.checksum, "serial": past.serial}
-        run.note(kind="recalibrate", **facts, **run_key(recipe))
+        options = [] if authorisation is None else ["--authorisation", str(authorisation.path)]
+        run.note(kind="recalibrate", options=options, **facts, **run_key(recipe))
         approve(run, recipe)
         console.say(f"run {run.path}")
         if not_judged := not_judged_text(recipe.robot, recipe.gate.normalised_rmse):

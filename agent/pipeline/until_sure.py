@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     #: A diagnosis, what it says in simulation, and the simulator's file that was read.
     Found = tuple[Diagnosis, list[Simulated], Simulator | None]
 
+#: Motion that is allowed where nobody says how much.
+BUDGET = "10 min"
 #: With less motion left than this [s] no further one is planned.
 _SHORTEST = 10.0
 _LONGEST = 4 * 3600.0
@@ -40,6 +42,11 @@ def budget_of(text: str) -> float:
     if not _SHORTEST <= seconds <= _LONGEST:
         raise InputError(f"--budget {text}: {_SHORTEST:g} s to {_LONGEST / 3600:g} h of motion are allowed")
     return seconds
+
+
+def options_of(budget: float | None) -> list[str]:
+    """The words of a command line that allow so much motion [s]; None: no further motion, no words."""
+    return [] if budget is None else ["--until-sure", "--budget", f"{budget:g} s"]
 
 
 @dataclass

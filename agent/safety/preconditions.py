@@ -7,7 +7,7 @@ from ipaddress import ip_address
 
 import numpy as np
 
-from agent.core import ControllerError, InputError, SafetyError
+from agent.core import ControllerError, InputError, MismatchError, SafetyError
 from agent.robot import RobotDescription
 from agent.safety.motion import PlannedProgram
 from drivers.protocol import Identity, Status
@@ -20,19 +20,19 @@ def check_identity(identity: Identity, robot: RobotDescription, address: str) ->
     """The controller at this address drives the robot of the recipe.
 
     Raises:
-        ControllerError: another robot, or other joints.
+        MismatchError: another robot, or other joints.
     """
     if identity.robot != robot.name:
-        raise ControllerError(
+        raise MismatchError(
             f"{address}: the controller drives {identity.robot!r} (serial {identity.serial}), the recipe is for "
             f"{robot.name!r}: check controller.address, or the recipe's robot"
         )
     if len(identity.joint_names) != robot.dof:
-        raise ControllerError(
+        raise MismatchError(
             f"{address}: the controller has {len(identity.joint_names)} joints, {robot.name} has {robot.dof}"
         )
     if tuple(identity.joint_names) != tuple(robot.joint_names):
-        raise ControllerError(
+        raise MismatchError(
             f"{address}: the controller calls its joints {', '.join(identity.joint_names)}, {robot.name} has "
             f"{', '.join(robot.joint_names)}, in that order: correct the robot description, or what the link reports"
         )
@@ -42,10 +42,10 @@ def check_period(identity: Identity, rate: float, address: str) -> None:
     """The controller samples at the recipe's rate [Hz].
 
     Raises:
-        ControllerError: it does not.
+        MismatchError: it does not.
     """
     if not abs(identity.period * rate - 1.0) <= 1e-6:
-        raise ControllerError(
+        raise MismatchError(
             f"{address}: the controller samples every {1000 * identity.period:g} ms, the recipe asks for {rate:g} Hz: "
             "change record.rate"
         )

@@ -130,6 +130,21 @@ def test_an_interrupted_run_stops_the_arm_and_says_where(
     assert "another recipe" in other.stderr
 
 
+def test_a_rate_that_the_controller_has_not_is_found_by_check_and_ends_the_run(controller, write_recipe, run_agent):
+    recipe = write_recipe(controller.address)
+    recipe.write_text(recipe.read_text(encoding="utf-8").replace("rate: 500 Hz", "rate: 1000 Hz"), encoding="utf-8")
+    checked = run_agent("check", recipe, "--json", "-q")
+    assert checked.returncode == 4
+    (problem,) = (entry for entry in json.loads(checked.stdout)["findings"] if not entry["ok"])
+    assert problem["subject"] == "controller"
+    assert "samples every 2 ms, the recipe asks for 1000 Hz: change record.rate" in problem["message"]
+    run = run_agent("calibrate", recipe)
+    assert run.returncode == 4
+    assert "change record.rate" in run.stderr
+    assert "start again with: agent calibrate recipe.yaml" in run.stderr
+    assert "--resume" not in run.stderr
+
+
 def test_a_stopped_run_goes_on(
     only_run, start_controller, write_recipe, start_agent, wait_for_motion, run_agent, tmp_path: Path
 ):

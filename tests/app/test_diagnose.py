@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +70,8 @@ def test_nothing_moves_where_the_question_makes_no_sense(controller, write_recip
         (["--record", recipe, "--without", "squeak"], "squeak"),
         (["--record", recipe, "--model", "absent.json"], "no such model file"),
         (["--record", recipe, "--report", "nowhere/page.html"], "there is no folder"),
+        (["--record", recipe, "--report", "/proc/page.html"], "/proc/page.html: cannot be written there"),
+        (["--record", recipe, "--budget", "5 min"], "of --until-sure: give that too"),
         (["--record", recipe, "--report", "both.json", "-o", "both.json"], "name two files"),
         (["--record", recipe, "--drives-off", "absent.mcap"], "absent.mcap"),
         (["--robot", "comau_ns16", "some.mcap", "--until-sure"], "name the recipe to record"),
@@ -82,6 +86,23 @@ def test_nothing_moves_where_the_question_makes_no_sense(controller, write_recip
         assert run.returncode == 2, (arguments, run.stderr)
         assert reason in run.stderr
     assert not (tmp_path / "logs").exists()
+
+
+def test_a_diagnosis_that_stopped_names_the_command_that_started_it(write_recipe, run_agent, tmp_path: Path):
+    options = ["--cutoff", "20.0", "--without", "stribeck", "--force", "--report", "the page.html"]
+    run = run_agent("diagnose", "--record", write_recipe("127.0.0.1:1"), *options, "--until-sure", "-q")
+    assert run.returncode == 4
+    words = shlex.split(run.stderr.partition("start again with: ")[2].splitlines()[0])
+    assert words[:4] == ["agent", "diagnose", "--record", "recipe.yaml"]
+    given = {
+        "--cutoff 20.0",
+        "--without stribeck",
+        "--force",
+        "--report the page.html",
+        "--until-sure",
+        "--budget 600 s",
+    }
+    assert set(re.split(r" (?=--)", " ".join(words[4:]))) == given
 
 
 @pytest.mark.verify

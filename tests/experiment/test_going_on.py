@@ -1,19 +1,108 @@
-"""What a diagnosis that was stopped between its rounds says to go on with."""
+"""What a run that was stopped says to go on with: the command that started it."""
 
 from __future__ import annotations
 
+import shlex
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
+import typer
 
+from agent.cli.app import app
+from agent.core import ControllerError, InputError, MismatchError
+from agent.pipeline import GapQuestion
 from agent.pipeline.ending import going_on
+from agent.pipeline.first_screen import after_diagnosis
+from agent.pipeline.until_sure import options_of
 from agent.runs.folder import RunFolder
 
+STOPPED = KeyboardInterrupt()
+ASKED = GapQuestion(
+    model=Path("it's a model.xml"),
+    joint_map=Path("map.yaml"),
+    cutoff=12.5,
+    without=("stribeck", "two words"),
+    report=Path("page.html"),
+    out=Path("out"),
+    allow_mixed=True,
+    force=True,
+    next_recipe=Path("next.yaml"),
+    next_payload="2 kg, 0 mm, 0 mm, -30 mm",
+    drives_off=Path("zero.mcap"),
+)
+#: Parameters of the command that the question does not have, and what the test's command line says of them.
+BESIDE = {"as_json": False, "yes": False, "messages": None, "robot": None}
 
-@pytest.mark.parametrize(("budget", "options"), [(None, ""), (600.0, " --until-sure --budget '600 s'")])
-def test_the_command_to_go_on_asks_the_same(tmp_path: Path, budget: float | None, options: str):
-    recipe = tmp_path / "job.yaml"
+
+@pytest.fixture
+def run(tmp_path: Path) -> RunFolder:
+    recipe = tmp_path / "my job.yaml"
     recipe.write_text("robot: comau_ns16\n", encoding="utf-8")
-    run = RunFolder.create(tmp_path / "logs", "comau_ns16", recipe)
-    run.note(kind="diagnose", question={"cutoff": None, "without": [], "budget": budget})
-    assert going_on(run, "rounds").endswith(f"job.yaml --logs {tmp_path / 'logs'}{options}")
+    return RunFolder.create(tmp_path / "logs", "comau_ns16", recipe)
+
+
+def read(command: str) -> dict[str, object]:
+    """What `agent diagnose` understands of a command line."""
+    words = shlex.split(command)
+    assert words[:2] == ["agent", "diagnose"]
+    diagnose = typer.main.get_command(app).commands["diagnose"]
+    return diagnose.make_context("diagnose", words[2:]).params
+
+
+def test_no_part_of_the_question_is_left_out():
+    assert all(getattr(ASKED, field.name) != field.default for field in fields(ASKED))
+
+
+def test_a_diagnosis_is_started_again_with_the_command_that_started_it(run: RunFolder, tmp_path: Path):
+    run.note(kind="diagnose", options=[*ASKED.options(), *options_of(600.0)])
+    said = going_on(run, "rounds", STOPPED)
+    found = read(said.partition("start again with: ")[2])
+    question = {
+        "logs": (),
+        "record": found["record"],
+        "runs": tmp_path / "logs",
+        "until_sure": True,
+        "budget": "600 s",
+        "load": ASKED.next_payload,
+        **{key: value for key, value in vars(ASKED).items() if key != "next_payload"},
+    }
+    assert {**found, "without": tuple(found["without"])} == {**BESIDE, **question}
+    assert found["record"].resolve() == tmp_path / "my job.yaml"
+
+
+def test_a_diagnosis_of_further_logs_asks_the_same_and_writes_nothing_over():
+    result = {"verdict": "ambiguous", "causes": [{"effect": "stribeck"}]}
+    (step,) = after_diagnosis(result, "my robot.yaml", [Path("a b.mcap")], ASKED)
+    found = read(step.command)
+    same = replace(ASKED, report=None, out=None, next_recipe=None, next_payload=None)
+    wanted = {**vars(same), "without": list(same.without)}
+    del wanted["next_payload"]
+    assert {key: found[key] for key in wanted} == wanted
+    assert found["load"] is None
+    assert (found["robot"], found["logs"]) == ("my robot.yaml", [Path("a b.mcap")])
+
+
+def test_a_recalibration_is_started_again_with_its_authorisation(run: RunFolder, tmp_path: Path):
+    run.note(kind="recalibrate", options=["--authorisation", "a person's word.yaml"])
+    words = shlex.split(going_on(run, "record", STOPPED).partition("start again with: ")[2])
+    assert words[3:] == ["--logs", str(tmp_path / "logs"), "--authorisation", "a person's word.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("error", "planned", "goes_on"),
+    [
+        (InputError("the sub-region is out of reach"), False, False),
+        (MismatchError("another sampling rate"), False, False),
+        (ControllerError("the drives are off"), False, True),
+        (InputError("nobody confirmed that the cell is clear"), True, True),
+        (STOPPED, False, True),
+    ],
+)
+def test_a_calibration_that_its_recipe_stopped_is_not_gone_on_with(run, error, planned: bool, goes_on: bool):
+    run.note(kind="calibrate")
+    if planned:
+        run.finish("plan")
+    said = going_on(run, "plan", error)
+    assert ("; go on with: agent calibrate " in said) is goes_on
+    assert ("--resume" in said) is goes_on

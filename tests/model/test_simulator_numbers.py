@@ -21,6 +21,7 @@ from agent.diagnosis.result import not_testable
 from agent.diagnosis.rollout import MujocoEngine
 from agent.diagnosis.simulator import Explanation, _possible, numbers_instead, with_expected_error
 from agent.model import CATALOGUE, load_simulator
+from agent.pipeline import GapQuestion
 from agent.pipeline.corrected_simulator import beyond_range
 from agent.pipeline.first_screen import after_diagnosis
 from agent.pipeline.identify import check_plausible
@@ -74,7 +75,7 @@ def test_a_simulator_may_be_called_otherwise_than_the_robot_of_the_logs(tmp_path
 @pytest.mark.parametrize(("model", "out"), [("arm.xml", "fixed.xml"), ("a/b.urdf", "fixed.urdf"), ("model.json", None)])
 def test_the_page_proposes_the_corrected_file_in_the_format_that_was_given(model, out):
     result = {"verdict": "explained", "causes": [{"effect": "stribeck"}]}
-    (step,) = after_diagnosis(result, None, [Path("a.mcap")], Path(model))
+    (step,) = after_diagnosis(result, None, [Path("a.mcap")], GapQuestion(Path(model)))
     assert step.command == f"agent diagnose --model {model} a.mcap -o {out or 'model_with_effects.json'}"
 
 

@@ -12,6 +12,7 @@ import pytest
 from agent.diagnosis import diagnose, intervals, simulate
 from agent.diagnosis.dataset import assemble
 from agent.model.effects import CATALOGUE
+from agent.pipeline import GapQuestion
 from agent.pipeline.first_screen import after_diagnosis
 from agent.report import diagnosis_report
 from agent.robot.dynamics import Dynamics
@@ -170,7 +171,7 @@ def test_the_page_lists_each_push_with_place_times_and_force(arm, model, free):
 
 def test_a_push_is_not_taken_into_the_model():
     result = {"verdict": "explained", "causes": [{"effect": "contact"}]}
-    (step,) = after_diagnosis(result, None, [Path("a.mcap")], Path("model.json"))
+    (step,) = after_diagnosis(result, None, [Path("a.mcap")], GapQuestion(Path("model.json")))
     assert "no part of the model" in step.what
     assert not step.command
 
