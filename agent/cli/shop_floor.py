@@ -81,6 +81,7 @@ def history(
 
     with open_history(logs) as past:
         runs = past.runs(robot, serial)
+        nothing = None if runs or past.damaged else past.why_none(robot, serial)
         current, lost = current_runs(logs)
         future = [f"{run.run}: dated in the future; the trends leave it out" for run in runs if run.in_future()]
         for warning in (*past.damaged, *lost, *future):
@@ -94,8 +95,8 @@ def history(
             print(json.dumps(data))
             return
     print(history_table(runs, current))
-    if not runs and not past.damaged:
-        print("no runs yet: `agent calibrate RECIPE` makes the first", file=sys.stderr)
+    if nothing is not None:
+        print(nothing, file=sys.stderr)
 
 
 @app.command()

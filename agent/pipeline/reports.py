@@ -92,10 +92,7 @@ def write_index(logs: Path, robot: str | None = None, serial: str | None = None)
     with open_history(logs) as history:
         runs = history.runs(robot, serial)
         if not runs:
-            which = "no runs yet; `agent calibrate RECIPE` makes one"
-            if robot is not None or serial is not None:
-                which = "no runs of that robot; `agent history` lists what there is"
-            raise InputError(f"{logs}: {which}")
+            raise InputError(f"{logs}: {history.why_none(robot, serial)}")
         watched = watch(runs)
         latest = {run for one in watched for trend in one.trends[:1] for run in trend.runs}
         parameters = history.parameters(latest)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from agent.core import AgentError, Console, InputError, read_json, sha256_file
 from agent.runs.folder import RunFolder, write_json
-from agent.runs.history import open_history
+from agent.runs.history import open_history, which_machine
 from agent.runs.past_run import read_run
 
 if TYPE_CHECKING:
@@ -132,6 +132,9 @@ def apply_previous(logs: Path, robot: str | None = None, serial: str | None = No
     ]
     if not places and damaged:
         raise InputError("; ".join(damaged))
+    if not places and found:
+        names = ", ".join(f"{about.robot} {about.serial}".strip() for about in found.values())
+        raise InputError(f"{logs / _FOLDER}: no model was applied of {which_machine(robot, serial)}; there is: {names}")
     if not places:
         raise InputError(f"{logs / _FOLDER}: no model was applied yet, so there is none to go back from")
     if len(places) > 1:

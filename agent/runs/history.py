@@ -60,6 +60,12 @@ class History:
         )
         return [PastRun(*(*row[:-1], json.loads(row[-1]))) for row in rows]
 
+    def why_none(self, robot: str | None, serial: str | None) -> str:
+        """What to say where `runs` of this robot and serial are none."""
+        if not (there := len(self.runs())):
+            return "no runs yet: `agent calibrate RECIPE` makes the first"
+        return f"none of the runs here ({there}) is of {which_machine(robot, serial)}; `agent history` lists them all"
+
     def parameters(self, runs: Iterable[str] | None = None) -> dict[str, list[PastParameter]]:
         """Parameters by run, of all or of some, in the model's order."""
         chosen = None if runs is None else set(runs)
@@ -207,6 +213,12 @@ def history_json(history: History, runs: Sequence[PastRun], current: Collection[
             for run in runs
         ],
     }
+
+
+def which_machine(robot: str | None, serial: str | None) -> str:
+    """A machine as it was asked for, in words."""
+    named = {"robot": robot, "serial": serial}
+    return ", ".join(f"{key} {value}" for key, value in named.items() if value is not None)
 
 
 def _refused(error: Exception) -> bool:

@@ -111,6 +111,16 @@ def test_two_robots_have_to_be_told_apart(write_runs):
         apply_previous(logs, serial="NS16-2")
 
 
+@pytest.mark.parametrize("machine", [{"robot": "nope"}, {"serial": "nope"}])
+def test_a_machine_without_a_model_is_said_to_be_just_that(write_runs, machine: dict[str, str]):
+    logs, runs = _three(write_runs)
+    apply_run(logs, runs[0])
+    with pytest.raises(
+        InputError, match=f"no model was applied of {next(iter(machine))} nope; there is: comau_ns16 NS16-1"
+    ):
+        apply_previous(logs, **machine)
+
+
 def test_nothing_applied_yet(tmp_path: Path):
     with pytest.raises(InputError, match="no model was applied yet"):
         apply_previous(tmp_path)

@@ -104,6 +104,25 @@ def _agent(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.parametrize(
+    ("filters", "said"),
+    [
+        (("--robot", "nope"), "none of the runs here (2) is of robot nope"),
+        (("--serial", "nope"), "none of the runs here (2) is of serial nope"),
+        (("--robot", "nope", "--serial", "7"), "is of robot nope, serial 7"),
+    ],
+)
+def test_a_filter_without_hits_is_no_empty_history(write_runs, filters: tuple[str, ...], said: str):
+    run = _agent("history", "--logs", str(write_runs(2)), *filters)
+    assert run.returncode == 0
+    assert said in run.stderr
+    assert "no runs yet" not in run.stderr
+
+
+def test_no_runs_yet(tmp_path: Path):
+    assert "no runs yet" in _agent("history", "--logs", str(tmp_path), "--robot", "nope").stderr
+
+
 def test_a_folder_that_is_not_there_is_said_plainly(tmp_path: Path):
     with pytest.raises(InputError, match="no runs are kept there"), open_history(tmp_path / "nothing"):
         pass
