@@ -12,10 +12,19 @@ import numpy as np
 
 from agent.core import Dimension, InputError, parse_quantity
 from agent.recording.log import ARRAYS, MACHINE, Log
-from agent.recording.mapping import CURRENT, Columns, EffortColumns, Mapping, PositionColumns, load_mapping, units_of
+from agent.recording.mapping import (
+    CURRENT,
+    USABLE,
+    Columns,
+    EffortColumns,
+    Mapping,
+    PositionColumns,
+    load_mapping,
+    units_of,
+)
 from agent.recording.mcap.log_file import nanoseconds, write_log
 from agent.recording.repair.limits import LIMITS, impossible
-from agent.recording.repair.stamps import put_in_order, spacing_of
+from agent.recording.repair.stamps import put_in_order, spacing_of, stand_still
 from agent.recording.resampling import resampled
 from agent.recording.scratch import Scratch
 from agent.recording.tables import ColumnTable, read_table
@@ -24,6 +33,8 @@ from agent.robot import RobotDescription
 _NANO = 1_000_000_000
 #: Columns whose lengths differ by more than this part do not belong together.
 _SAME_LENGTH = 0.01
+#: Characters of a field that are shown.
+_SHOWN = 40
 #: Latest time that a header stamp can hold [s].
 _LATEST = 2.0**31
 
@@ -102,7 +113,7 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
     present = {name: array[:rows][keep] for name, array in present.items()}
     stamp = nanoseconds(time[keep])
     measured = [present[name] for name in ("position", "effort") if name in present]
-    order = put_in_order(stamp, measured, str(output))
+    order = put_in_order(stamp, measured, source.clock)
     present = {name: array[order.rows] for name, array in present.items()}
     spacing = spacing_of(order.stamp, entries.rate)
     repairs = (*order.repairs, *spacing.repairs)
@@ -164,6 +175,7 @@ class _Source:
         self._robot = robot
         self._mapping = mapping
         self._tables = tables
+        self.clock = str(mapping.path)  # what says when a row was, for messages
 
     def time(self) -> np.ndarray:
         """(S,) [s]."""
@@ -178,9 +190,14 @@ class _Source:
         if entries.time.unit not in factor:
             self._mapping.fault("time.unit", f"{entries.time.unit!r} is no unit of time: {', '.join(factor)}")
         table = self._table("time", entries.time.file, [entries.time.column])
-        column = table.column(entries.time.column)
-        assert column is not None  # `_table` has looked
-        return column * factor[entries.time.unit]
+        (column,) = self._numbers("time.column", table, [entries.time.column])
+        time = column * factor[entries.time.unit]
+        known = time[np.isfinite(time)]
+        if len(known) >= 2 and stand_still(np.sort(np.rint(known * _NANO))):
+            what = f"column {entries.time.column} stands still at {known.min():.9g} s ({len(known)} rows)"
+            self._mapping.fault("time.column", f"{table.path}: {what}; name the column of time and its unit")
+        self.clock = str(table.path)
+        return time
 
     def position(self, key: str, columns: PositionColumns | None) -> np.ndarray | None:
         """(S, n), None without an entry. Side and offset of set-points are those of the positions unless given."""
@@ -220,9 +237,9 @@ class _Source:
         """(S, n) of the side that the columns are of, SI."""
         names = self._names(key, columns)
         table = self._table(key, columns.file, names)
-        found = [table.column(name) for name in names]
-        rows = min(len(column) for column in found if column is not None)
-        values = np.column_stack([column[:rows] for column in found if column is not None])
+        found = self._numbers(f"{key}.columns", table, names)
+        rows = min(map(len, found))
+        values = np.column_stack([column[:rows] for column in found])
         factors = []
         for joint, unit in zip(self._robot.joints, self._per_joint(f"{key}.unit", columns.unit, None), strict=True):
             allowed = units_of(quantity, joint.prismatic and side == "joint")
@@ -265,6 +282,20 @@ class _Source:
             columns_key, f"{table.path.name} has no column {', '.join(missing)}; it has {', '.join(table.columns)}"
         )
 
+    def _numbers(self, key: str, table: ColumnTable, names: Sequence[str | int]) -> list[np.ndarray]:
+        """Columns that `_table` has found, each (S,); one in which there are hardly numbers is refused by its name."""
+        found = []
+        for name in names:
+            column = table.column(name)
+            assert column is not None
+            if len(column) >= 2 > np.count_nonzero(np.isfinite(column)):
+                word = table.words.get(table.name(name) or "")
+                like = "" if word is None else f" ({word[:_SHOWN]!r} is none)"
+                what = f"{table.path}: column {name} is not of numbers{like}"
+                self._mapping.fault(key, f"{what}; numbers are written like 1234.5, times in seconds or another unit")
+            found.append(column)
+        return found
+
     def _scale(self, key: str, scale: float | str, table: ColumnTable) -> float:
         if not isinstance(scale, str):
             return scale
@@ -273,7 +304,10 @@ class _Source:
             self._mapping.fault(
                 f"{key}.scale", f"{table.path.name} has no constant {scale!r}; its constants are {known}"
             )
-        return table.constants[scale]
+        value = table.constants[scale]
+        if not np.isfinite(value) or value == 0:
+            self._mapping.fault(f"{key}.scale", f"{table.path.name}: {scale!r} is {value:g}; {USABLE}")
+        return value
 
     def _offsets(self, key: str, offset: float | str | list[float | str] | None) -> np.ndarray:
         """(n,) [rad, m]."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from agent.core import Dimension, InputError, Quantity, line_of, read_yaml, validate_document
 
@@ -32,6 +32,18 @@ def _one_or_list(what: str, *types: type) -> BeforeValidator:
     return BeforeValidator(check)
 
 
+#: What a factor has to be; a larger one is a slip of the keys.
+USABLE = "a finite number other than 0 is expected"
+_LARGEST = 1e100
+
+
+def _usable(value: Any) -> Any:
+    for item in value if isinstance(value, list) else [value]:
+        if isinstance(item, (int, float)) and not 0 < abs(item) < _LARGEST:
+            raise ValueError(f"{USABLE}, not {item}")
+    return value
+
+
 def _column(value: Any) -> Any:
     if not isinstance(value, (str, int)) or isinstance(value, bool):
         raise ValueError("a column is expected, by name or by number from 1")
@@ -42,9 +54,11 @@ Time = Annotated[float, Quantity(Dimension.TIME)]
 Frequency = Annotated[float, Quantity(Dimension.FREQUENCY)]
 _Names = Annotated[Any, _one_or_list("a column, by name or by number from 1,", str, int)]
 _Unit = Annotated[Any, _one_or_list('a unit such as "rad"', str)]
-_Scale = Annotated[Any, _one_or_list("a number or the name of a constant of the file", int, float, str)]
+_Scale = Annotated[
+    Any, _one_or_list("a number or the name of a constant of the file", int, float, str), AfterValidator(_usable)
+]
 _Offset = Annotated[Any, _one_or_list('an offset such as "90 deg"', int, float, str)]
-_Number = Annotated[Any, _one_or_list("a number", int, float)]
+_Number = Annotated[Any, _one_or_list("a number", int, float), AfterValidator(_usable)]
 
 
 class _MappingPart(BaseModel):
@@ -102,7 +116,7 @@ class ImportMap(_MappingPart):
     tool: str | None = None
     controller: str | None = None
     side: Side = "joint"
-    rate: Annotated[Frequency, Field(gt=0)] | None = None
+    rate: Annotated[Frequency, Field(gt=0, le=1e6)] | None = None
     time: TimeColumn | None = None
     position: PositionColumns
     velocity: Columns | None = None

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import csv
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +22,25 @@ _MAX_COLUMNS = 256
 class ColumnTable:
     """Columns (S,) by name, in the order of the file, NaN where a field is no number; constants by name.
 
-    A matrix (S, k) named q is columns q[1] to q[k]. Columns of a MAT file may differ in length.
+    A matrix (S, k) named q is columns q[1] to q[k]. Columns of a MAT file may differ in length. `words` has the first
+    field of a column that is no number, where there is one.
     """
 
     path: Path
     columns: dict[str, np.ndarray]
     constants: dict[str, float]
+    words: dict[str, str] = field(default_factory=dict)
+
+    def name(self, key: str | int) -> str | None:
+        """Of a column by name, or by number from 1; None if there is none."""
+        if isinstance(key, int):
+            return list(self.columns)[key - 1] if 1 <= key <= len(self.columns) else None
+        return key if key in self.columns else None
 
     def column(self, key: str | int) -> np.ndarray | None:
         """(S,) by name, or by number from 1; None if there is none."""
-        if isinstance(key, int):
-            names = list(self.columns)
-            return self.columns[names[key - 1]] if 1 <= key <= len(names) else None
-        return self.columns.get(key)
+        name = self.name(key)
+        return None if name is None else self.columns[name]
 
     def matrix(self, name: str) -> list[str]:
         """Names of the columns of a matrix, q[1], q[2], …; empty if there is none of that name."""
@@ -59,14 +68,20 @@ def read_table(path: Path) -> ColumnTable:
 
 
 def _read_text(path: Path) -> ColumnTable:
-    """Comma, semicolon, tab or blanks between the numbers; decimal commas where the comma separates nothing.
+    """Comma, semicolon, tab, | or blanks between the numbers, which may stand in double quotes; decimal commas where
+    the comma separates nothing.
 
     Names come from the first line above the numbers that has as many fields, a comment (#, %) among them.
     """
-    lines = [line for line in path.read_text(encoding="utf-8-sig", errors="replace").splitlines() if line.strip()]
+    content = path.read_bytes()
+    encoding = "utf-16" if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig"
+    lines = [line for line in content.decode(encoding, errors="replace").splitlines() if line.strip()]
     start = next((k for k, line in enumerate(lines) if _is_data(line)), None)
     if start is None:
-        raise InputError(f"{path}: no line of numbers in it")
+        raise InputError(
+            f"{path}: no line of numbers in it; export numbers like 1234.5 with commas, semicolons, tabs, | or blanks "
+            "between them, as UTF-8, or as UTF-16 with a byte order mark"
+        )
     separator = _separator(lines[start])
     width = len(_split(lines[start], separator))
     names = [f"column {k + 1}" for k in range(width)]
@@ -76,33 +91,44 @@ def _read_text(path: Path) -> ColumnTable:
             names = [field.strip("\"' ") for field in fields]
             break
     data = [line for line in lines[start:] if not _comment(line)]
-    if separator != ",":
-        data = [line.replace(",", ".") for line in data]
+    quoted = '"' if '"' in lines[start] else None
+    words: dict[int, str] = {}
     try:
-        values = np.loadtxt(data, delimiter=separator, ndmin=2, comments=None)
+        plain = data if separator == "," else [line.replace(",", ".") for line in data]
+        values = np.loadtxt(plain, delimiter=separator, ndmin=2, comments=None, quotechar=quoted)
     except ValueError:
-        values = _read_broken(data, separator, width)
+        values, words = _read_broken(data, separator, width)
     if len(set(names)) < width:
         raise InputError(f"{path}: column names stand twice: {', '.join(names)}; make them differ, or use numbers")
-    return ColumnTable(path, dict(zip(names, values.T, strict=True)), {})
+    columns = dict(zip(names, values.T, strict=True))
+    return ColumnTable(path, columns, {}, {names[place]: word for place, word in words.items()})
 
 
-def _read_broken(lines: list[str], separator: str | None, width: int) -> np.ndarray:
-    """(S, width) numbers, NaN where a field is none and in rows of another width."""
+def _read_broken(lines: list[str], separator: str | None, width: int) -> tuple[np.ndarray, dict[int, str]]:
+    """(S, width) numbers, NaN where a field is none and in rows of another width; the first such field by column."""
     values = np.full((len(lines), width), np.nan)
+    words: dict[int, str] = {}
     for row, line in zip(values, lines, strict=True):
         fields = _split(line, separator)
-        if len(fields) == width:
-            row[:] = [_number(field) for field in fields]
-    return values
+        if len(fields) != width:
+            continue
+        row[:] = [_number(field if separator == "," else field.replace(",", ".")) for field in fields]
+        for place in np.flatnonzero(np.isnan(row)).tolist():
+            if fields[place]:
+                words.setdefault(place, fields[place])
+    return values, words
 
 
 def _separator(line: str) -> str | None:
-    return next((mark for mark in (";", "\t", ",") if mark in line), None)
+    return next((mark for mark in (";", "\t", ",", "|") if mark in line), None)
 
 
 def _split(line: str, separator: str | None) -> list[str]:
-    return [field.strip() for field in line.split(separator)]
+    fields = line.split(separator)
+    if '"' in line:
+        with contextlib.suppress(csv.Error):  # a field of very many characters
+            fields = next(csv.reader([line], delimiter=separator or " ", skipinitialspace=True))
+    return [field.strip() for field in fields]
 
 
 def _comment(line: str) -> bool:

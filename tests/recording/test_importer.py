@@ -178,8 +178,11 @@ def test_broken_and_jittered_rows(convert, tmp_path, table):
         "% made by a logger\nt\ta\tb\n[s]\t[rad]\t[m]\n0\t1.5\t2\n0.01\t2.5\t3\n0.02\t3.5\t4\n",
         '"t","a","b"\r\n0,1.5,2\r\n0.01,2.5,3\r\n0.02,3.5,4\r\n',
         "\ufefft,a,b,state\n0,1.5,2,ok\n0.01,2.5,3,ok\n0.02,3.5,4,ok\n",
+        '"t";"a";"b"\n"0";"1,5";"2"\n"0,01";"2,5";"3"\n"0,02";"3,5";"4"\n',
+        '"t","a","b","state"\n"0","1.5","2","ok"\n"0.01","2.5","3","o,k"\n"0.02","3.5","4",""\n',
+        "t|a|b\n0|1.5|2\n0.01|2.5|3\n0.02|3.5|4\n",
     ],
-    ids=["decimal comma", "blanks", "tabs and units", "quotes", "text column"],
+    ids=["decimal comma", "blanks", "tabs and units", "quotes", "text column", "quoted", "quoted text", "bars"],
 )
 def test_kinds_of_text_tables(convert, tmp_path, text):
     (tmp_path / "data.csv").write_bytes(text.encode())
@@ -187,6 +190,40 @@ def test_kinds_of_text_tables(convert, tmp_path, text):
         log, _ = convert(f"time: {{column: t}}\nposition: {{columns: [{a}, {b}]}}\n", tmp_path / "data.csv")
         np.testing.assert_array_equal(log.position, [[1.5, 2], [2.5, 3], [3.5, 4]])
         assert log.sample_rate == pytest.approx(100)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig"])
+def test_tables_with_a_byte_order_mark(convert, tmp_path, encoding):
+    (tmp_path / "data.csv").write_text('"t, s",a,b\n0,1.5,2\n0.01,2.5,3\n0.02,3.5,4\n', encoding=encoding)
+    log, _ = convert("time: {column: 't, s'}\nposition: {columns: [a, b]}\n", tmp_path / "data.csv")
+    np.testing.assert_array_equal(log.position, [[1.5, 2], [2.5, 3], [3.5, 4]])
+
+
+@pytest.mark.parametrize(
+    ("rows", "complaint"),
+    [
+        (["1.0;{k};2"] * 300, r"map.yaml:1: time.column: .*data.csv: column t stands still at 1 s \(300 rows\)"),
+        (
+            ["2026-01-01T00:00:{k:02};1;2"] * 60,
+            r"time.column: .*data.csv: column t is not of numbers \('2026-01-01T00:00",
+        ),
+        (["{k};1,234.5;2"] * 9, r"map.yaml:2: position.columns: .*data.csv: column a is not of numbers \('1,234.5' is"),
+        (["{k};2;0x1F"] * 9, r"map.yaml:2: position.columns: .*data.csv: column 3 is not of numbers"),
+    ],
+)
+def test_the_column_that_cannot_be_used_is_named(convert, tmp_path, rows, complaint):
+    lines = [row.format(k=k) for k, row in enumerate(rows)]
+    (tmp_path / "data.csv").write_text("\n".join(["t;a;b", *lines]))
+    with pytest.raises(InputError, match=complaint):
+        convert("time: {column: t}\nposition: {columns: [a, 3]}\n", tmp_path / "data.csv")
+
+
+def test_a_clock_that_was_set_back_is_said_of_the_table(convert, tmp_path):
+    times = np.concatenate([np.arange(300), np.arange(300)]) / 100
+    rows = [f"{t},{k},{k}" for k, t in enumerate(times)]
+    (tmp_path / "data.csv").write_text("\n".join(["t,a,b", *rows]))
+    with pytest.raises(InputError, match=r"data.csv: the controller's clock was set back"):
+        convert("time: {column: t}\nposition: {columns: [a, b]}\n", tmp_path / "data.csv")
 
 
 def test_mat_files(convert, tmp_path):
@@ -198,6 +235,9 @@ def test_mat_files(convert, tmp_path):
     log, _ = convert(mapping, path)
     np.testing.assert_array_equal(log.position, q)
     np.testing.assert_array_equal(log.effort, q * [3, 1])
+    savemat(tmp_path / "zero.mat", {"q": q, "gain": 0.0})
+    with pytest.raises(InputError, match=r"position.scale: zero.mat: 'gain' is 0; a finite number other than 0"):
+        convert("rate: 50 Hz\nposition: {columns: q, scale: gain}\n", tmp_path / "zero.mat")
     log, _ = convert("rate: 50 Hz\nposition: {columns: ['log.q[2]', 'force[1]']}\n", path)
     np.testing.assert_array_equal(log.position, q[:, [1, 0]])
     path.write_bytes(b"MATLAB 5.0 MAT-file" + bytes(500))
@@ -258,6 +298,16 @@ def test_without_pyarrow_it_says_what_to_install(convert, tmp_path, monkeypatch)
         ),
         ("rate: 5\nposition: {columns: [q1, q2], offset: [1 s, 0]}\n", r"position.offset: turn: an angle"),
         ("rate: 5\nposition: {columns: [q1, q2], scale: gain}\n", r"position.scale: data.csv has no constant 'gain'"),
+        ("rate: 5\nposition: {columns: [q1, q2], scale: .nan}\n", r"map.yaml:2: position.scale: a finite number other"),
+        (
+            "rate: 5\nposition: {columns: [q1, q2], scale: [1, 0]}\n",
+            r"map.yaml:2: position.scale: a finite number other",
+        ),
+        (
+            f"rate: 5\nposition: {{columns: [q1, q2], scale: {'9' * 400}}}\n",
+            r"map.yaml:2: position.scale: a finite number other",
+        ),
+        ("rate: 1e12 Hz\nposition: {columns: [q1, q2]}\n", r"map.yaml:1: rate: .*less than or equal to 1000000"),
         ("rate: 5\nposition: {columns: [q1, q2], scale: [1, 2, 3]}\n", r"position.scale: 3 values for 2 joints"),
         ("rate: 5\nside: left\nposition: {columns: [q1, q2]}\n", r"map.yaml:2: side: .*'motor' or 'joint'"),
         ("rate: 5\nwindow: {from: 2 s, to: 1 s}\nposition: {columns: [q1, q2]}\n", r"map.yaml:2: window: from 2 s"),

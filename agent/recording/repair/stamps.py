@@ -83,7 +83,7 @@ def put_in_order(stamp: np.ndarray, values: Sequence[np.ndarray], name: str) -> 
         rows = rows[np.argsort(stamp[rows], kind="stable")]
     ordered = stamp[rows]
     same_stamp = np.diff(ordered) == 0
-    if len(rows) - same_stamp.sum() < max(2, 0.01 * len(rows)):
+    if stand_still(ordered):
         raise InputError(
             f"{name}: the stamps stand still at {ordered[0] / _NANO:.6f} s ({len(stamp)} samples): without "
             "header.stamp nothing can be differentiated; record again with controller time in it"
@@ -105,6 +105,11 @@ def put_in_order(stamp: np.ndarray, values: Sequence[np.ndarray], name: str) -> 
         repairs += _summed("samples share a stamp, spread evenly", (ordered[1:] - first) / _NANO, same_stamp)
         ordered = _spread(ordered)
     return Order(rows, ordered, tuple(repairs))
+
+
+def stand_still(stamp: np.ndarray) -> bool:
+    """Whether sorted stamps (S,) are all but the same."""
+    return bool(1 + np.count_nonzero(np.diff(stamp)) < max(2, 0.01 * len(stamp)))
 
 
 def spacing_of(stamp: np.ndarray, nominal_rate: float | None = None) -> Spacing:
