@@ -9,6 +9,7 @@ from .console import (
 )
 from .documents import (
     find_faults as find_faults,
+    first_fault as first_fault,
     line_of as line_of,
     load_document as load_document,
     read_json as read_json,

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from agent.core.errors import InputError
+from agent.core.units import kind_of
 from drivers.texts import hide_all, printable
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -173,12 +174,21 @@ def validate_document(path: Path, data: Any, model: type[Model]) -> Model:
 def find_faults(path: Path, data: Any, model: type[BaseModel]) -> dict[tuple[Any, ...], str]:
     """What is wrong with what `read_yaml` returned: a line for people by the location of each fault."""
     if not isinstance(data, dict):
-        return {(): f"{path}:1: a mapping of keys is expected, not {type(data).__name__}"}
+        return {(): f"{path}:1: a mapping of keys is expected, not {kind_of(data)}"}
     try:
         model.model_validate(data)
     except ValidationError as error:
         return {_location(fault): _describe(path, data, model, fault) for fault in error.errors()}
     return {}
+
+
+def first_fault(data: Any, model: type[BaseModel]) -> str | None:
+    """What is wrong first with plain data, as ``key: what is wrong``; None where nothing is."""
+    try:
+        model.model_validate(data)
+    except ValidationError as error:
+        return _described(model, error.errors()[0])
+    return None
 
 
 def without_faults(data: Any, faults: Iterable[tuple[Any, ...]]) -> Any:
@@ -223,6 +233,10 @@ def _in_order(location: tuple[Any, ...]) -> list[tuple[bool, Any]]:
 
 
 def _describe(path: Path, data: Any, model: type[BaseModel], fault: Any) -> str:
+    return f"{path}:{line_of(data, _location(fault))}: {_described(model, fault)}"
+
+
+def _described(model: type[BaseModel], fault: Any) -> str:
     location = _location(fault)
     message = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "extra_forbidden":
@@ -240,7 +254,7 @@ def _describe(path: Path, data: Any, model: type[BaseModel], fault: Any) -> str:
         if got and got not in message:
             message += f" (got {got})"
     key = printable(".".join(str(part) for part in location) or "document", _SHOWN)
-    return f"{path}:{line_of(data, location)}: {key}: {printable(hide_all(message), _SHOWN)}"
+    return f"{key}: {printable(hide_all(message), _SHOWN)}"
 
 
 def _shown(value: Any) -> str:

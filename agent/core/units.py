@@ -119,7 +119,7 @@ def _needs_unit(number: float, dimension: Dimension, bare: Bare) -> str:
 def _parse(value: Any, dimension: Dimension) -> float:
     expected = f"{dimension.description} is expected"
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        raise InputError(f"{expected}, not {_kind(value)}")
+        raise InputError(f"{expected}, not {kind_of(value)}")
     if isinstance(value, str):
         return _finite(_parse_text(value, dimension, expected), expected)
     try:
@@ -149,7 +149,8 @@ def _finite(number: float, expected: str) -> float:
     return number
 
 
-def _kind(value: Any) -> str:
+def kind_of(value: Any) -> str:
+    """What a value of a document is called."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):

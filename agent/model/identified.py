@@ -178,8 +178,11 @@ class IdentifiedModel(RigidFrictionModel):
         """Read a model file.
 
         Raises:
-            InputError: missing, not JSON, of another schema, or incomplete.
+            InputError: missing, not JSON, of another schema, or incomplete; names the key.
         """
+        from agent.core import first_fault
+        from agent.model.document import ModelDocument  # with pydantic
+
         path = Path(path)
         try:
             data = json.loads(path.read_text(encoding="utf-8"))
@@ -190,8 +193,14 @@ class IdentifiedModel(RigidFrictionModel):
         schema = data.get("schema") if isinstance(data, dict) else None
         if schema != SCHEMA:
             raise InputError(f"{path}: not a model file of schema {SCHEMA!r} (it says {schema!r})")
+        if fault := first_fault(data, ModelDocument):
+            raise InputError(f"{path}: this model file is incomplete or damaged: {fault}")
         try:
-            return cls.from_dict(data)
+            model = cls.from_dict(data)
+            _ = model.rigid  # its URDF can be used
+            return model
+        except InputError as error:
+            raise InputError(f"{path}: this model file is damaged: {error}") from None
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
             what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
             raise InputError(f"{path}: this model file is incomplete or damaged: {what}") from None
@@ -199,7 +208,7 @@ class IdentifiedModel(RigidFrictionModel):
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> IdentifiedModel:
         """The inverse of `to_dict`."""
-        robot = RobotDescription.from_dict(data["robot"])
+        robot = _robot(data["robot"])
         base, friction = data["base_parameters"], data["friction"]
         values = np.array([entry["value"] for entry in [*base, *friction]], dtype=float)
         condition = data["condition_number"]
@@ -221,7 +230,7 @@ class IdentifiedModel(RigidFrictionModel):
             values=values,
             covariance=np.array(data["covariance"], dtype=float),
             cutoff=float(data["filter"]["cutoff_hz"]),
-            order=int(data["filter"]["order"]),
+            order=data["filter"]["order"],
             method=data["method"],
             weights=np.array(data["weights"], dtype=float),
             residual_rmse=np.array(data["residual_rmse"], dtype=float),
@@ -248,6 +257,14 @@ def _prior(data: dict[str, Any] | None) -> ParameterPrior | None:
         return None
     keys = ("mean", "standard_deviation", "data_share")
     return ParameterPrior(*(np.array(data[key], dtype=float) for key in keys))
+
+
+def _robot(data: dict[str, Any]) -> RobotDescription:
+    try:
+        return RobotDescription.from_dict(data)
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise ValueError(f"robot: {what}") from None
 
 
 def _axle(robot: RobotDescription, joint: str) -> int:
