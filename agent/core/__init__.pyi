@@ -26,7 +26,7 @@ from .errors import (
     RejectedError as RejectedError,
     SafetyError as SafetyError,
 )
-from .figures import error_text as error_text, plus_minus as plus_minus
+from .figures import counted as counted, error_text as error_text, plus_minus as plus_minus
 from .files import (
     sha256_file as sha256_file,
     sha256_text as sha256_text,

@@ -14,6 +14,11 @@ def error_text(share: float | None, torque: float | None, unit: str = "N·m", di
     return "-"
 
 
+def counted(number: int, noun: str) -> str:
+    """So many of something, as "1 log" or "3 logs"."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 def plus_minus(value: float, half: float) -> str:
     """A value with half of its interval, to two digits of the latter: "4.003 ± 0.021"; four digits without one."""
     if not math.isfinite(half) or half <= 0:

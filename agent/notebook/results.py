@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core import Console, error_text
+from agent.core import Console, counted, error_text
 from agent.diagnosis import Diagnosis
 from agent.model import IdentifiedModel
 from agent.notebook.card import Shown, bars, lines
@@ -26,11 +26,11 @@ class Logs(Shown, tuple[Log, ...]):
     """Logs of one robot, in the order of their names."""
 
     def headline(self) -> str:
-        return f"{len(self)} log{'s' if len(self) != 1 else ''}, {sum(log.t[-1] for log in self):.1f} s"
+        return f"{counted(len(self), 'log')}, {sum(log.t[-1] for log in self):.1f} s"
 
     def text(self) -> str:
         rows = [
-            f"{log.name}: {len(log.t)} samples at {log.sample_rate:g} Hz, {len(log.joint_names)} joints"
+            f"{log.name}: {len(log.t)} samples at {log.sample_rate:g} Hz, {counted(len(log.joint_names), 'joint')}"
             + ("" if log.effort is not None else ", no torque")
             + "".join(f"; {repair}" for repair in log.repairs)
             for log in self
@@ -81,7 +81,7 @@ class TorqueValidation(Shown):
     def headline(self) -> str:
         error = summary(self.predictions).overall.relative_error_all_joints
         figure = "no torque to compare with" if error is None else f"torque predicted to {100 * error:.2f} %"
-        return f"{figure} over all joints, {len(self.predictions)} log{'s' if len(self.predictions) != 1 else ''}"
+        return f"{figure} over all joints, {counted(len(self.predictions), 'log')}"
 
     def text(self) -> str:
         return validation_text(summary(self.predictions))

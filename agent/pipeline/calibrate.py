@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from agent.core import Console, error_text, sha256_file
+from agent.core import Console, counted, error_text, sha256_file
 from agent.link import Recording, answering
 from agent.pipeline import planning
 from agent.pipeline.ending import current_run, ending_text, going_on
@@ -57,10 +57,10 @@ class CalibrationOutcome:
                 f"fitness             {result.search.fitness:.2f}  (log10 det(HᵀH/M), higher is better)",
                 f"condition number    {condition_text(result.estimation.condition_number)}  (below 100 is good)",
                 f"prediction error    {axes}",
-                f"                    {of}, {validation.motions} unseen motions at {validation.speed:g} m/s",
+                f"                    {of}, {counted(validation.motions, 'unseen motion')} at {validation.speed:g} m/s",
                 "result              "
                 + outcome_text(self.accepted, result.reason, not_judged, validation.joints)
-                + f"  (gate {100 * result.gate.normalised_rmse:.1f} % of nominal torque on every axis)",
+                + f"  (gate {100 * result.gate.normalised_rmse:g} % of nominal torque on every axis)",
                 f"report              {self.run / 'report.html'}",
                 self.ending,
                 "",

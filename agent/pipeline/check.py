@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import AgentError, Console, ControllerError
+from agent.core import AgentError, Console, ControllerError, counted
 from agent.recipe import Recipe, examine_recipe
 from agent.robot import not_judged_text
 
@@ -74,7 +74,7 @@ def check_recipe(path: Path, console: Console) -> Findings:
         ("controller", _controller),
     )
     if not faults:
-        complete = f"{path} is complete; robot {recipe.robot.name}, {recipe.robot.dof} joints"
+        complete = f"{path} is complete; robot {recipe.robot.name}, {counted(recipe.robot.dof, 'joint')}"
         findings.append(CheckedItem("recipe", complete))
     if not_judged := not_judged_text(recipe.robot, recipe.gate.normalised_rmse):
         findings.append(CheckedItem("gate", not_judged))

@@ -9,7 +9,7 @@ from pathlib import Path
 from shutil import copyfile
 from typing import TYPE_CHECKING, Any
 
-from agent.core import Console, InputError
+from agent.core import Console, InputError, counted
 from agent.pipeline.corrected_simulator import run_forward, write_simulator
 from agent.pipeline.gap_question import GapQuestion
 from agent.pipeline.identify import check_one_machine, check_plausible, read_logs, say_used
@@ -217,7 +217,7 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
         from agent.recipe import load_recipe
 
         check_joints(load_recipe(question.next_recipe), robot.joint_names)
-    console.step(f"reading {len(paths)} logs")
+    console.step(f"reading {counted(len(paths), 'log')}")
     logs = read_logs(list(paths), robot, console)
     check_one_machine(logs, reference, question.allow_mixed, payload_counts=True)
     said: tuple[str, ...] = ()

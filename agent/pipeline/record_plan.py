@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agent.core import Console, ControllerError, InputError, sha256_file
+from agent.core import Console, ControllerError, InputError, counted, sha256_file
 from agent.link import MotionOfMany, Recording, RobotLink, open_link, report_losses
 from agent.pipeline.planning import Plan, checked_chains, programs
 from agent.recipe import Recipe
@@ -29,7 +29,9 @@ def record_plan(recipe: Recipe, plan: Plan, run: RunFolder, console: Console, lo
                 _check_machine(run, link)
             run.note(serial=link.identity.serial)
             ready = programs(recipe, list(missing.values()), link.position())
-            console.step(f"recording {len(missing)} motions, {sum(total for *_, total in ready):.0f} s in all")
+            console.step(
+                f"recording {counted(len(missing), 'motion')}, {sum(total for *_, total in ready):.0f} s in all"
+            )
             left = sum(total for *_, total in ready)
             for (name, motion), (text, chains, total) in zip(missing.items(), ready, strict=True):
                 _set_aside(run.file(name))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import Dimension, InputError, parse_quantity
+from agent.core import Dimension, InputError, counted, parse_quantity
 from agent.recording.log import ARRAYS, MACHINE, Log
 from agent.recording.mapping import (
     CURRENT,
@@ -109,7 +109,7 @@ def _assemble(robot: RobotDescription, mapping: Mapping, source: _Source, output
     ):
         if broken.any():
             first = np.argmax(broken) + 1
-            notes.append(f"{np.count_nonzero(broken)} rows {kind}, dropped; the first is row {first}")
+            notes.append(f"{counted(int(np.count_nonzero(broken)), 'row')} {kind}, dropped; the first is row {first}")
     present = {name: array[:rows][keep] for name, array in present.items()}
     stamp = nanoseconds(time[keep])
     measured = [present[name] for name in ("position", "effort") if name in present]
@@ -142,7 +142,7 @@ def _common_rows(mapping: Mapping, time: np.ndarray, values: dict[str, np.ndarra
     if longest - rows > _SAME_LENGTH * longest:
         listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
         mapping.fault("position", f"columns of different length: {listed} rows; they are not of one recording")
-    return rows, [f"{longest - rows} last rows are in some columns only, dropped"] if longest > rows else []
+    return rows, [f"{counted(longest - rows, 'last row')} in some columns only, dropped"] if longest > rows else []
 
 
 def _decimated(log: Log, factor: int, notes: list[str]) -> Log:
@@ -260,7 +260,9 @@ class _Source:
             names = [*matrices[0]] if matrices else names
         if len(names) != n:
             joints = ", ".join(self._robot.joint_names)
-            self._mapping.fault(f"{key}.columns", f"{len(names)} columns for {n} joints ({joints})")
+            self._mapping.fault(
+                f"{key}.columns", f"{counted(len(names), 'column')} for {counted(n, 'joint')} ({joints})"
+            )
         return list(names)
 
     def _table(self, key: str, pattern: str | None, names: Sequence[str | int]) -> ColumnTable:
@@ -336,5 +338,7 @@ class _Source:
         if not isinstance(value, list):
             return [default if value is None else value] * n
         if len(value) != n:
-            self._mapping.fault(key, f"{len(value)} values for {n} joints; give one for all, or one a joint")
+            self._mapping.fault(
+                key, f"{counted(len(value), 'value')} for {counted(n, 'joint')}; give one for all, or one a joint"
+            )
         return value

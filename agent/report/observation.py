@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from agent.core import counted
 from agent.report.page import Section, Table
 from agent.report.plots import Panel, Plot, Series
 
@@ -43,7 +44,8 @@ def observation_section(model: IdentifiedModel, log: Log) -> Section:
 
 
 def _unidentifiable(found: Observability) -> str:
-    text = f"{found.combined} standard parameters of the links show in combinations alone, listed with the parameters."
+    what = counted(found.combined, "standard parameter")
+    text = f"In combinations alone: {what} of the links, listed with the parameters."
     if not found.never_acting:
         return text
     return f"{text} No motion of this arm shows {', '.join(found.never_acting)}."

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.core import counted
 from agent.report.common_sections import (
     conditions_section,
     current_sentence,
@@ -94,7 +95,7 @@ def _headline(result: dict[str, Any]) -> str:
     left_out = ", ".join(gate.get("not_judged", []))
     return (
         f"{'Accepted' if result['accepted'] else 'Rejected'}: the worst axis, {axis}, predicts unseen motions in the "
-        f"sub-region to {100 * worst:.2f} % of its nominal torque; the gate is {100 * gate['normalised_rmse']:.1f} %."
+        f"sub-region to {100 * worst:.2f} % of its nominal torque; the gate is {100 * gate['normalised_rmse']:g} %."
         f"{f' Not judged, without nominal torque: {left_out}.' if left_out else ''}"
     )
 
@@ -137,7 +138,7 @@ def _validation(data: RunData) -> Section:
             data.nominal,
             names,
             gate,
-            f"Prediction error on {len(data.rmse)} unseen motions in the sub-region, per axis.",
+            f"Prediction error on {counted(len(data.rmse), 'unseen motion')} in the sub-region, per axis.",
         ),
         torque_plot(data.prediction, "Torque on one unseen motion, the one in the middle of the field."),
     )

@@ -238,7 +238,7 @@ def _warnings(runs: Sequence[PastRun], times: np.ndarray, trends: Sequence[Trend
             continue
         days = max(0.0, (gate - figures[-3:].mean()) / size * span)
         if days <= span:
-            text = f"{joint}: the prediction error grows and reaches the gate of {100 * gate:.1f} % in {_in(days)}"
+            text = f"{joint}: the prediction error grows and reaches the gate of {100 * gate:g} % in {_in(days)}"
             found.append(Warning(joint, days, text))
     for trend in trends:
         nominal = latest["conditions"]["nominal_torque"][latest["joints"].index(trend.joint)]

@@ -89,7 +89,9 @@ def test_a_gate_that_is_missed_is_exit_3_and_keeps_everything(
     assert json.loads(run.stdout)["accepted"] is False
     folder = only_run(tmp_path / "logs")
     assert json.loads((folder / "state.json").read_text(encoding="utf-8"))["status"] == "rejected"
-    assert (folder / "report.html").exists()
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "the gate is 0.001 %" in page
+    assert "on 1 unseen motion in the sub-region" in page
 
 
 @pytest.mark.parametrize(("kill", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -160,6 +162,8 @@ def test_a_stopped_run_goes_on(
     same = start_controller("--clock", "fast", "--port", port)
     run = run_agent("calibrate", recipe, "--resume", folder.name)
     assert run.returncode == 0, run.stderr
+    assert "of nominal torque, 1 unseen motion at " in run.stderr
+    assert "(gate 3 % of nominal torque on every axis)" in run.stderr
     assert "search" not in run.stderr.split("fitness")[0], "the plan was finished and is not searched again"
     assert (folder / "excitation.stopped1.mcap").exists()
     state = json.loads((folder / "state.json").read_text(encoding="utf-8"))

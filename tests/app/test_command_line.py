@@ -112,6 +112,13 @@ def test_recipe_faults_name_line_and_key(write_recipe, run_agent, tmp_path):
     assert not (tmp_path / "logs").exists()
 
 
+def test_a_list_is_no_recipe(run_agent, tmp_path: Path):
+    (tmp_path / "recipe.yaml").write_text("- robot: comau_ns16\n", encoding="utf-8")
+    run = run_agent("check", "recipe.yaml")
+    assert run.returncode == 2
+    assert "recipe.yaml:1: a mapping of keys is expected, not a list" in run.stdout + run.stderr
+
+
 def test_nobody_at_the_address_is_exit_4_and_the_run_says_where_it_stopped(
     only_run, write_recipe, run_agent, tmp_path: Path
 ):

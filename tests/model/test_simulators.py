@@ -74,7 +74,7 @@ def test_a_urdf_gives_its_bodies_damping_and_friction_with_the_drives_of_the_rob
 
 
 def test_a_file_with_fewer_joints_may_be_of_another_arm():
-    with pytest.raises(InputError, match=r"1 joints in the file, 2 in the logs: is it of this arm\? Say which"):
+    with pytest.raises(InputError, match=r"1 joint in the file, 2 in the logs: is it of this arm\? Say which"):
         matched(Path("arm.xml"), ["a"], ["pan", "lift"], "the logs", None)
 
 

@@ -145,7 +145,7 @@ def test_columns_of_several_files(convert, tmp_path, table):
     log, notes = convert(mapping, path, tmp_path / "other.csv")
     np.testing.assert_array_equal(log.position, values[:398, 1:3])
     np.testing.assert_array_equal(log.effort, values[:398, 5:7])
-    assert any("2 last rows are in some columns only" in note for note in notes)
+    assert any("2 last rows in some columns only" in note for note in notes)
     with pytest.raises(InputError, match=r"map.yaml:2: position.columns: data.csv, other.csv all have these columns"):
         convert("rate: 200 Hz\nposition: {columns: [q1, q2]}\n", path, tmp_path / "other.csv")
     np.savetxt(tmp_path / "short.csv", values[:300, 5:7], delimiter=",", header="a,b", comments="")
@@ -284,7 +284,7 @@ def test_without_pyarrow_it_says_what_to_install(convert, tmp_path, monkeypatch)
         ("rate: 5\nposition: {columns: {a: 1}}\n", r"map.yaml:2: position.columns: a column, by name or by number"),
         (
             "rate: 5\nposition: {columns: [q1]}\n",
-            r"map.yaml:2: position.columns: 1 columns for 2 joints \(turn, slide\)",
+            r"map.yaml:2: position.columns: 1 column for 2 joints \(turn, slide\)",
         ),
         (
             "rate: 5\nposition:\n  columns: [q1, q9]\n",

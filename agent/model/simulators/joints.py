@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from agent.core import InputError, load_document
+from agent.core import InputError, counted, load_document
 
 #: From so much on, names are so alike that they may mean one joint.
 _ALIKE = 0.6
@@ -61,7 +61,7 @@ def matched(
     if not found or (missing and names is None):
         left = [name for name in in_file if name not in found]
         example = ", ".join(f"{a}: {b}" for a, b in _proposed(left or ["joint_of_file"], missing))
-        counts = f"{len(in_file)} joints in the file, {len(wanted)} in {owner}"
+        counts = f"{counted(len(in_file), 'joint')} in the file, {len(wanted)} in {owner}"
         fewer = f" {counts}: is it of this arm?" if len(in_file) < len(wanted) else ""
         raise InputError(
             f"{path}: its joints don't match those of {owner}: matched {', '.join(found.values()) or 'none'}; only in "
