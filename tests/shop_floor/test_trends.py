@@ -56,7 +56,7 @@ def test_a_limit_that_comes_near_is_told_before_it_is_reached(write_runs):
     (warning,) = one.warnings
     assert warning.joint == "joint_2"
     assert 4 < warning.days < 16
-    assert "3.0 %" in warning.text
+    assert "the gate of 3 %" in warning.text
 
 
 def test_few_runs_say_nothing(write_runs):
