@@ -80,7 +80,9 @@ def check_robot(robot: RobotDescription) -> None:
         raise ValueError("gear ratios are finite and not 0")
     try:
         check_urdf("robot.urdf", ElementTree.fromstring(robot.urdf), robot.joint_names)
-    except (ElementTree.ParseError, InputError) as error:
+    except ElementTree.ParseError as error:
+        raise ValueError(f"robot.urdf: {error}") from None
+    except InputError as error:
         raise ValueError(str(error)) from None
 
 
