@@ -109,6 +109,7 @@ class BlindCheck:
                     continue
                 job, reason = self._record(case)
                 found = {"error": reason} if reason else diagnosing.ask(job)
+                answer.parent.mkdir(parents=True, exist_ok=True)  # without a model nothing is recorded into it
                 write_atomically(answer, json.dumps(found) + "\n")
         return True
 
