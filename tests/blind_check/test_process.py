@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from agent.blind_check import BlindCheck
-from agent.core import Console, InputError, LocalProcesses, available_cores, sha256_text
+from agent.core import Console, InputError, LocalProcesses, SafetyError, available_cores, sha256_text
 
 #: From here on the page is written by people.
 BY_HAND = "## Draws before this one"
@@ -84,6 +84,15 @@ def write_small_arm(folder: Path) -> Path:
     robot = folder / "robot.yaml"
     robot.write_text("\n".join(["name: bars", "urdf: bars.urdf", f"tip_frame: {parent}", "joints:", *joints, ""]))
     return robot
+
+
+def test_a_machine_of_which_no_model_can_be_made_does_not_end_the_check(tmp_path, monkeypatch):
+    def stopped(self, case):
+        raise SafetyError("the tool is 302 mm off")
+
+    monkeypatch.setattr(BlindCheck, "_make_model", stopped)
+    scores = BlindCheck(2, 1, tmp_path / "check").run(QUIET)
+    assert [case["outcome"] for case in scores["cases"]] == ["not recorded"] * 2
 
 
 @pytest.fixture(scope="module")
