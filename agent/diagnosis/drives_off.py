@@ -48,9 +48,10 @@ def channel_zero(robot: RobotDescription, log: Log, model: IdentifiedModel | Non
         )
     if log.effort is None:
         raise InputError(f"{log.name}: has no torque, so it does not say what the channels show with the drives off")
-    if log.t[-1] - log.t[0] < _LEAST:
+    if log.t[-1] - log.t[0] < _LEAST or len(log.t) < 2 * _BLOCKS:
         raise InputError(
-            f"{log.name}: {log.t[-1] - log.t[0]:.2g} s with the drives off are too short, record {_LEAST:g} s at least"
+            f"{log.name}: {log.t[-1] - log.t[0]:.2g} s with the drives off are too short, record {_LEAST:g} s "
+            f"and {2 * _BLOCKS} samples at least"
         )
     for joint, travel in zip(robot.joints, np.ptp(log.position, axis=0), strict=True):
         if travel > _STANDS:

@@ -219,14 +219,15 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
         check_joints(load_recipe(question.next_recipe), robot.joint_names)
     console.step(f"reading {counted(len(paths), 'log')}")
     logs = read_logs(list(paths), robot, console)
-    check_one_machine(logs, reference, question.allow_mixed, payload_counts=True)
+    at_rest = _at_rest(robot, reference, question, console)
+    of_machine = logs if at_rest is None else [*logs, at_rest]
+    check_one_machine(of_machine, reference, question.allow_mixed, payload_counts=True)
     said: tuple[str, ...] = ()
     if simulator is not None:
         simulator, logs, said = with_servo_torque(simulator, logs)
     if not said:
         check_plausible(robot, logs, question.force, console, described=described, model=reference)
     console.step("searching for what model and robot disagree in")
-    at_rest = _at_rest(robot, reference, question, console)
     found = diagnose(robot, logs, reference, question.cutoff, question.without, console.progress, drives_off=at_rest)
     found = replace(found, answer=replace(found.answer, warnings=(*said, *found.answer.warnings)))
     say_used(logs, found.dataset.cutoff, found.dataset.model.order, console)

@@ -17,12 +17,25 @@ from agent.robot import load_robot
 DELAY = 0.008  # s
 
 
-def write_zero(path: Path) -> Path:
+def write_zero(path: Path, **facts: str) -> Path:
     """A log of the arm on its brakes, its drives off."""
     robot = load_robot("comau_ns16")
     time, shape = np.arange(1000) / 500, (1000, robot.dof)
     effort = np.random.default_rng(1).normal(size=shape)
-    log = Log(path, robot.joint_names, time, np.zeros(shape), None, effort, None, None, 500.0, 0.0, ((0, 1000),))
+    log = Log(
+        path,
+        robot.joint_names,
+        time,
+        np.zeros(shape),
+        None,
+        effort,
+        None,
+        None,
+        500.0,
+        0.0,
+        ((0, 1000),),
+        metadata=facts,
+    )
     write_log(path, log)
     return path
 
@@ -58,6 +71,14 @@ def test_a_recipe_is_recorded_then_diagnosed(start_controller, write_recipe, run
     assert "time delay" in page.read_text(encoding="utf-8"), "made again from the run's own files"
     assert "drives off settles nothing" in page.read_text(encoding="utf-8")
     assert [entry.effect for entry in IdentifiedModel.load(tmp_path / "model.json").effects] == ["time_delay"]
+
+
+def test_a_log_with_the_drives_off_of_another_machine_is_refused(run_agent, tmp_path: Path):
+    zero = write_zero(tmp_path / "zero.mcap", serial="NS16-1")
+    other = write_zero(tmp_path / "other.mcap", serial="NS16-2")
+    run = run_agent("diagnose", "--robot", "comau_ns16", zero, "--drives-off", other)
+    assert run.returncode == 2
+    assert "not of one machine: serial NS16-1 (zero.mcap) and NS16-2 (other.mcap)" in run.stderr
 
 
 def test_nothing_moves_where_the_question_makes_no_sense(controller, write_recipe, run_agent, arm, tmp_path: Path):

@@ -109,6 +109,12 @@ def test_of_a_healthy_arm_it_settles_nothing(arm, model, logs):
         (lambda log: replace(log, effort=None), "has no torque"),
         (lambda log: replace(log, position=log.position + 0.1 * log.t[:, None]), r"joint_1 moves by 0\.4 rad"),
         (lambda log: replace(log, t=0.1 * log.t), r"0\.4 s with the drives off are too short"),
+        (
+            lambda log: replace(
+                log, t=log.t[::200], position=log.position[::200], velocity=None, effort=log.effort[::200]
+            ),
+            "16 samples at least",
+        ),
     ],
 )
 def test_a_log_that_has_no_zero_is_refused(arm, model, logs, change, message):
