@@ -141,10 +141,10 @@ def run_otherwise(pick: Pick, recipe: Recipe, seconds: float, name: str, seed: i
 def _duration(text: str, chains: Sequence[Trajectory], robot: RobotDescription) -> float:
     """[s] of a program's motion and of its rests."""
     from agent.motion import parse_program
-    from agent.safety import pauses
+    from agent.safety import PlannedProgram, pauses
 
     rests = pauses(parse_program(text, "program.pdl", robot).run())
-    return float(sum(chain.duration for chain in chains)) + rests
+    return PlannedProgram("program", text, tuple(chains), pauses=rests).duration
 
 
 def write_next(motion: NextMotion, folder: Path) -> dict[str, Any]:
