@@ -185,7 +185,7 @@ class Search:
             simpler = [limit for limit in limits if not (effect.rivals_special_cases and limit in self.allowed)]
             if any(special_case_as_good(self.limits, self.rows, score, limit, best) for limit in simpler):
                 continue
-            if offset_and_friction_as_good(self.limits, fit, score, self.tried):
+            if offset_and_friction_as_good(self.limits, fit, score, self.tried, best):
                 continue
             if effect.fast_torque and gain_in_band(fit, score) < self.limits.in_band_gain:
                 continue  # it takes noise out of the prediction

@@ -92,12 +92,13 @@ def special_case_as_good(limits: DecisionLimits, rows: float, score: HeldOutScor
 
 
 def offset_and_friction_as_good(
-    limits: DecisionLimits, fit: Fit, score: HeldOutScore, forms: Sequence[Candidate]
+    limits: DecisionLimits, fit: Fit, score: HeldOutScore, forms: Sequence[Candidate], places: Places
 ) -> bool:
     """Whether a form of a joint with several parameters is no more than a torque offset and another level of friction.
 
     A hose that rubs and does not pull is both by another name, and so is a gear with another loss each way under a
-    load that hardly changes.
+    load that hardly changes. A spring that hardly changes over its joint's travel is not: what it has beside a constant
+    has to be friction.
     """
     law = score.candidate
     shifts = [name for name, effect in CATALOGUE.items() if effect.shifts]
@@ -108,7 +109,10 @@ def offset_and_friction_as_good(
         return False
     left = fit.with_chosen((*fit.chosen, law)).error()
     pairs = (pair for pair in product(*basic) if sum(len(form.names) for form in pair) <= len(law.names))
-    return any(fit.with_chosen((*fit.chosen, *pair)).error() - left < limits.equal_gain * score.gain for pair in pairs)
+    least = limits.equal_gain_floor * float(fit.count.sum())
+    by_form = [gain_by_form(limits, score.gain, places, law.place, (name, law.joints)) for name in shifts]
+    as_good = max(least, limits.equal_gain * min(by_form))
+    return any(fit.with_chosen((*fit.chosen, *pair)).error() - left < as_good for pair in pairs)
 
 
 def may_follow_position(limits: DecisionLimits, fit: Fit, score: HeldOutScore, excursions: Excursions) -> bool:

@@ -81,6 +81,18 @@ def test_a_torsion_spring_is_a_spring_that_a_hose_may_equal(arm, model, healthy)
     assert cause.parameters["constant"] == pytest.approx(-0.4 * stiffness, rel=0.2)
 
 
+def test_a_spring_that_hardly_changes_is_no_offset(arm, model, healthy):
+    """About where it pulls most it is a constant but for a hundredth, and that is clear of what the model gets wrong."""
+    size = np.std(healthy[0].effort[:, JOINT])
+    travelled = np.concatenate([log.position[:, JOINT] for log in healthy])
+    middle, reach = travelled.mean(), np.ptp(travelled) / 2
+    altered = _with(model, healthy, lambda q, load, gone: 20 * size * np.cos(0.4 * (q - middle - 0.1) / reach))
+    (cause,) = diagnose(arm, altered, model).answer.causes
+    named = {place.effect for place in (cause, *cause.equivalent_to)}
+    assert "gravity_spring" in named
+    assert "torque_offset" not in named
+
+
 def test_a_hose_that_rubs_may_be_a_spring_of_a_joint_that_rubs_more(arm, model, healthy):
     """Inner friction that turns around at once is the joint's as well."""
     size = np.std(healthy[0].effort[:, JOINT])
