@@ -37,7 +37,7 @@ _JOINT_SPEEDS = (0.01, 0.05, 0.2, 1.0)
 #: Rests [s].
 _RESTS = (0.3, 1.0, 2.0)
 #: Largest turn of a joint to either side [rad, m], before it is cut to the sub-region.
-_TURNS = (0.05, 0.2, 0.6)
+_TURNS = (0.05, 0.2, 0.6, 2.0)
 #: Less than this [rad, m] is no reversal.
 _LEAST_TURN = 0.02
 #: Reversals grow to the largest turn in so many steps.

@@ -87,8 +87,7 @@ def plan_experiment(
         if (piece := pieces.draw()) is not None:
             pool.append((piece, outlook.told(piece.motion)))
     before_if = outlook.chances(outlook.nothing)
-    tried = [outlook.chances(told) for told in (_sum(outlook, pool), *(outlook.nothing + told for _, told in pool))]
-    at_best = np.max(tried, axis=0)  # more motion of the wrong kind only adds to the margin
+    at_best = _at_best(outlook, pool, (1 - _WAYS) * seconds)
     least_known = _KNOWN if np.any(before_if <= _KNOWN) else 1.0
     sides = (before_if <= least_known) & (at_best > np.maximum(before_if, _WITHIN_REACH))
     within_reach = sides.any(axis=1)
@@ -225,6 +224,22 @@ def _greedy(
         if outlook.chances(_sum(outlook, chosen))[sides].min() > _SURE:
             break
     return chosen
+
+
+def _at_best(outlook: Outlook, pool: Sequence[tuple[Piece, Told]], seconds: float) -> np.ndarray:
+    """(pairs, 2) right answers after all pieces, or after the best ones for each side: more motion of the wrong kind
+    only adds to the margin."""
+    alone = np.array([outlook.chances(outlook.nothing + told) for _, told in pool])
+    best = np.fmax(outlook.chances(_sum(outlook, pool)), np.fmax.reduce(alone, axis=0, initial=0.0))
+    for side in np.argwhere(np.isfinite(outlook.chances(outlook.nothing))):
+        together: list[tuple[Piece, Told]] = []
+        for number in np.argsort(-alone[(slice(None), *side)]) if pool else ():
+            if sum(piece.duration for piece, _ in together) + pool[number][0].duration <= seconds:
+                together.append(pool[number])
+                best = np.fmax(best, outlook.chances(_sum(outlook, together)))
+            if len(together) == _MOST_PIECES:
+                break
+    return best
 
 
 def _sum(outlook: Outlook, chosen: Sequence[tuple[Piece, Told]]) -> Told:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -219,8 +219,21 @@ def _hypothesis(found: Diagnosis, fit: Fit, place: Place) -> Hypothesis:
             if score.gain >= best.gain - least:
                 true.append(form)
     true = sorted(true, key=lambda form: complexity(form.candidate))[:_TRUE]
+    if true and (usual := as_usual(fit, true[0].candidate, true[0].values)) is not None:
+        ridge = fit.ridge(usual, np.maximum(_energy(fit, usual).diagonal(), 1e-9))
+        true = [Form(usual, *_fitted(fit, usual, ridge)[:2])]
     names = found.dataset.robot.joint_names
     return Hypothesis(effect.name, tuple(names[k] for k in place[1]), tuple(forms.values()), tuple(true))
+
+
+def as_usual(fit: Fit, shown: Candidate, values: np.ndarray) -> Candidate | None:
+    """The form that an effect has as a rule, where motions showed this one of it with such parameters (k,)."""
+    of_shown = dict(zip(shown.names, map(float, values), strict=True))
+    usual = shown.effect.usually(fit.reference, shown.joints, shown.settings, of_shown)
+    if usual is None:
+        return None
+    made = fit.candidates([(shown.effect, shown.joints, usual[0])])
+    return replace(made[0], prior=usual[1]) if made else None
 
 
 def _energy(fit: Fit, candidate: Candidate) -> np.ndarray:

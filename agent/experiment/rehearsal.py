@@ -32,7 +32,7 @@ from agent.diagnosis import (
     plausible,
 )
 from agent.experiment.motion import GridMotion, background_on
-from agent.experiment.questions import OpenPair, Place
+from agent.experiment.questions import OpenPair, Place, as_usual
 from agent.model import CATALOGUE, MotionSignals, NominalModel
 from agent.recording import PARTS, PLANNED_PARTS
 from agent.robot import Tool
@@ -126,10 +126,10 @@ class Rehearsal:
 
     def _forms(self, place: Place, fit: Fit) -> list[Candidate]:
         """The simplest of those that explain the logs as well as the best, of as many parameters the one that explains
-        most, each kept to about the size of the gap."""
+        most, each kept to about the size of the gap; or what the effect is as a rule."""
         effect, train = CATALOGUE[place[0]], self._of_logs
         inverse, alone = fit.solve(train)
-        best: dict[int, tuple[float, Candidate]] = {}
+        best: dict[int, tuple[float, Candidate, np.ndarray]] = {}
         for one in fit.candidates([(effect, place[1], settings) for settings in effect.settings(fit, place[1])]):
             form = self._restrained(one)
             ((_, (cross, own)),) = fit.moments([form])
@@ -140,9 +140,11 @@ class Rehearsal:
             )
             gain = float(side @ values) * fit.repeat
             if plausible(HeldOutScore(form, 0.0, 0.0, values)) and gain > best.get(complexity(form), (-np.inf,))[0]:
-                best[complexity(form)] = gain, form
-        least = max((gain for gain, _ in best.values()), default=0.0) - self._found.finding.least
-        return [form for _, (gain, form) in sorted(best.items()) if gain >= least][:_TRUE]
+                best[complexity(form)] = gain, form, values
+        least = max((gain for gain, *_ in best.values()), default=0.0) - self._found.finding.least
+        simplest = [(form, values) for _, (gain, form, values) in sorted(best.items()) if gain >= least][:_TRUE]
+        usual = as_usual(fit, *simplest[0]) if simplest else None
+        return [form for form, _ in simplest] if usual is None else [usual]
 
     def _restrained(self, form: Candidate) -> Candidate:
         """A form with a prior that keeps each of its parameters to about the torque that is to be explained."""

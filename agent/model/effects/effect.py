@@ -199,6 +199,17 @@ class Effect(ABC):
         """Whether they can be true of an effect on these joints of this arm, beside what its model has there."""
         return True
 
+    def usually(
+        self,
+        reference: NominalModel,
+        joints: tuple[int, ...],
+        settings: Mapping[str, float],
+        values: Mapping[str, float],
+    ) -> tuple[dict[str, float], np.ndarray] | None:
+        """What it is as a rule, where motions showed no more than one of its simpler forms: settings, and the precision
+        (k, k) to which their parameters are known before a motion shows them. None: what was shown."""
+        return None
+
     def reported(
         self, reference: NominalModel, settings: Mapping[str, float], values: Mapping[str, float]
     ) -> dict[str, float]:
@@ -222,11 +233,15 @@ def rubs(reference: NominalModel, axle: int, **changes: float) -> bool:
 
     A tenth of a level below nought is let be: levels are estimates. A level that the model does not have is not judged.
     """
-    model = reference.model
-    levels = {
-        term.form: model.values[k] for k, term in enumerate(model.terms, len(model.independent)) if term.axle == axle
-    }
+    levels = friction_levels(reference, axle)
     return all(levels[form] + change > -0.1 * abs(levels[form]) for form, change in changes.items() if form in levels)
+
+
+def friction_levels(reference: NominalModel, axle: int) -> dict[str, float]:
+    """Parameters of the model's friction on an axle by their form."""
+    model = reference.model
+    terms = enumerate(model.terms, len(model.independent))
+    return {term.form: float(model.values[k]) for k, term in terms if term.axle == axle}
 
 
 def highest_speed(context: FitContext, axle: int) -> float:
