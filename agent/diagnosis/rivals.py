@@ -188,13 +188,29 @@ def equals_by_definition(
         enough = lost - margins[place]
         if structurally_equivalent(cause, score) and gain_at_best(limits, score, places, cause.place) >= enough:
             mine = min(simplest(cause.place, enough), complexity(cause))
-            if simplest(place, min(enough, score.gain)) <= mine + 1:
+            plainly = simplest(place, lost - _by_curve(limits, fit, cause, lost, place, places)) > complexity(cause) + 1
+            if simplest(place, min(enough, score.gain)) <= mine + 1 and not plainly:
                 found.append(place)
     beside = [place for place, gain in _beside_friction(fit, forms, cause) if gain >= lost - margins.get(place, 0.0)]
     rubs = any(c.joints == cause.joints and c.effect.shifts and "speed" in c.effect.shapes for c in fit.chosen)
     if rubs and "position" in cause.effect.shapes:
         beside += [(name, cause.joints) for name in cause.effect.structurally_equivalent]
     return list(dict.fromkeys([*found, *beside]))
+
+
+def _by_curve(limits: DecisionLimits, fit: Fit, cause: Candidate, lost: float, place: Where, places: Places) -> float:
+    """By so much have the simple forms of a freer law of position to be worse than a plain law, to be none; infinite
+    for other laws.
+
+    A curve that is a sine's, without a parameter of its own for it, is evidence for the sine: a hose would have to bend
+    like one by chance. The constant that both have says nothing of it.
+    """
+    freer = CATALOGUE[place[0]].complexity_penalty > cause.effect.complexity_penalty
+    both = exact_in_both(cause.place, place)
+    if not freer or both is None or both not in places:
+        return float("inf")
+    least = limits.equal_gain_floor * float(fit.count.sum())
+    return max(least, limits.equal_shape_gain * max(lost - places[both].gain, 0.0))
 
 
 def _beside_friction(fit: Fit, forms: Sequence[Candidate], cause: Candidate) -> Iterator[tuple[Where, float]]:
