@@ -35,6 +35,7 @@ def active_scores(entries: Sequence[Entry]) -> dict[str, Any]:
         "no_motion": sum(not e["ways"].get("planned") for e in ambiguous),
         "wrong_names_first": _share(_outcome(e, e["first"]) == "wrong name" for e in done),
         "ways": {way: _way(way, done, ambiguous) for way in WAYS},
+        "smallest_sizes": {way: _smallest(way, done) for way in WAYS},
         "calibration": _calibration(asked),
         "planning_s": float(np.median([one["planning_s"] for one in planned])) if planned else None,
         "cases": [_line(e) for e in done],
@@ -47,6 +48,29 @@ def _way(way: str, done: Sequence[Entry], ambiguous: Sequence[Entry]) -> dict[st
         "right_after_two": _share(_outcome(e, _after(e, way, 2)) == "right" for e in ambiguous),
         "wrong_names": _share(_outcome(e, _after(e, way, 2)) == "wrong name" for e in done),
         "robot_s": float(sum(r["seconds"] for e in done for r in e["ways"].get(way, ()))),
+    }
+
+
+def _smallest(way: str, done: Sequence[Entry]) -> dict[str, Any]:
+    """Of places that the first motion of a run without a gap leaves weak, more than a practical size being needed
+    there, how the smallest size that would be found changes with one further motion; null was none of any size."""
+    pairs = [
+        (size, one["result"]["smallest"][place])
+        for e in done
+        for one in e["ways"].get(way, ())[:1]
+        if "smallest" in e["first"] and "smallest" in one["result"]
+        for place, size in e["first"]["smallest"].items()
+        if size is None or size > 1
+    ]
+    both = [after / before for before, after in pairs if before is not None and after is not None]
+    without = [after for before, after in pairs if before is None]
+    return {
+        "weak": len(pairs),
+        "had_a_size": len(both),
+        "of_before": float(np.exp(np.mean(np.log(both)))) if both else None,
+        "had_none": len(without),
+        "have_one": sum(after is not None for after in without),
+        "halved": sum(after is not None and (before is None or 2 * after <= before) for before, after in pairs),
     }
 
 
@@ -129,6 +153,13 @@ def active_text(scores: Mapping[str, Any]) -> str:
     for way, row in scores["ways"].items():
         one, two, wrong = (f"{row[k]['count']} of {row[k]['of']}" for k in _COLUMNS)
         lines.append(f"{way.replace('_', ' '):25} {one:>15} {two:>11} {wrong:>22} {row['robot_s']:>10.0f} s")
+    lines += ["", "smallest size that would be found, where nothing was and more than a practical one was needed"]
+    for way, row in scores["smallest_sizes"].items():
+        of_before = "" if row["of_before"] is None else f", {row['of_before']:.2f} of before on average"
+        lines.append(
+            f"{way.replace('_', ' '):25} halved for {row['halved']} of {row['weak']}{of_before}; "
+            f"of {row['had_none']} that had none {row['have_one']} have one"
+        )
     wrong = scores["wrong_names_first"]
     lines += ["", f"wrong names without further motions: {wrong['count']} of {wrong['of']}"]
     overall = scores["calibration"]["overall"]

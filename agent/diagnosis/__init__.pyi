@@ -41,6 +41,7 @@ from .sizes import (
     size_text as size_text,
 )
 from .structure import with_structure as with_structure
+from .testability import smallest_sizes as smallest_sizes
 from .trial import Trial as Trial
 from .verdict import judge as judge
 from .workflow import check_effects as check_effects, diagnose as diagnose

@@ -15,13 +15,11 @@ from agent.diagnosis.answer import (
     FoldNames,
     JointShare,
     NextExperiment,
-    NotTestable,
     PathGap,
     TorqueGap,
     WaterfallStep,
 )
 from agent.diagnosis.calibration import ReleasedSimulator, causes_of_steps, waterfall
-from agent.diagnosis.candidate import Candidate, Where
 from agent.diagnosis.dataset import Dataset
 from agent.diagnosis.evidence import share_intervals
 from agent.diagnosis.finding import Finding
@@ -30,8 +28,9 @@ from agent.diagnosis.held_torque import HeldTorque
 from agent.diagnosis.motion_gap import MotionGap
 from agent.diagnosis.procedure import Search
 from agent.diagnosis.regimes import regimes
+from agent.diagnosis.testability import effects_of_path, not_testable
 from agent.diagnosis.verdict import causes_of, settle, with_path
-from agent.model import CATALOGUE, Effect, servo_stiffness
+from agent.model import CATALOGUE, servo_stiffness
 from agent.robot import error_units
 
 _WHEN_UNKNOWN = "slow single-joint ramps both ways on {joints}, then the same at full speed, each twice"
@@ -87,7 +86,7 @@ def build(
         gap = gap.unclosed
     causes, verdict, closure = causes_of(dataset, finding, gap), finding.verdict, gap.closure
     if motion is not None and motion.described:
-        of_path = [name for name in _of_path() if name in search.allowed][:1]
+        of_path = [name for name in effects_of_path() if name in search.allowed][:1]
         verdict, closure = with_path(verdict, closure, motion.closure, bool(of_path))
         causes += tuple(_path_cause(name, motion) for name in of_path)
     verdict, causes = settle(verdict, causes, closure, dataset.limits)
@@ -152,11 +151,6 @@ def _left_by_numbers(dataset: Dataset, gap: HeldOutGap) -> str:
     )
 
 
-def _of_path() -> list[str]:
-    """Effects that show in the set-points and not in torque."""
-    return [name for name, effect in CATALOGUE.items() if effect.shows_in == "path"]
-
-
 def _path_cause(name: str, motion: MotionGap) -> Cause:
     parameters = {"rate": motion.rate, "shift": motion.shift, "blend": motion.blend}
     return Cause(name, (), motion.closure, motion.limits.path_probability, parameters)
@@ -190,63 +184,6 @@ def _path_gap(motion: MotionGap | None) -> PathGap:
         return PathGap()
     floor = None if motion.floor is None else _floats(motion.floor)
     return PathGap(_floats(motion.before), _floats(motion.after), floor)
-
-
-def not_testable(dataset: Dataset, search: Search) -> list[NotTestable]:
-    """Effects whose practical size would not be found on these motions, and why."""
-    robot = dataset.robot
-    names = robot.joint_names
-    assert search.null is not None
-    tried: dict[Where, list[Candidate]] = {}
-    for candidate in search.tried:
-        tried.setdefault(candidate.place, []).append(candidate)
-    result = []
-    for name, effect in CATALOGUE.items():
-        if name not in search.allowed or effect.shows_in == "path":
-            continue
-        for joints in effect.places(robot):
-            candidates = tried.get((name, joints), [])
-            where = ", ".join(names[j] for j in joints) or None
-            if not candidates:
-                why = search.excursions.lacking(effect, joints) or effect.why_absent
-                if why:
-                    result.append(NotTestable(name, where, why))
-                continue
-            candidates = [candidate for candidate in candidates if not candidate.once]
-            if not candidates:
-                continue
-            if search.moved:  # in its plainest form: links that were moved may do all that this does
-                fewest = min(effect.n_parameters(candidate.settings) for candidate in candidates)
-                candidates = [c for c in candidates if effect.n_parameters(c.settings) == fewest]
-            size = min(search.null.minimum_detectable_size(candidate, search.least) for candidate in candidates)
-            if size > 1:
-                result.append(NotTestable(name, where, _why_small(effect, size, dataset.given, search.moved)))
-    if all(log.planned_position is None or log.reference_position is None for log in dataset.logs):
-        lacking = [
-            name
-            for name, of_logs in (
-                ("planned", [log.planned_position for log in dataset.logs]),
-                ("executed", [log.reference_position for log in dataset.logs]),
-            )
-            if all(rows is None for rows in of_logs)
-        ]
-        why = f"the logs lack {' and '.join(lacking) or 'planned beside executed'} set-points"
-        result += [NotTestable(name, None, why) for name in _of_path()]
-    return result
-
-
-def _why_small(effect: Effect, size: float, given: bool, moved: bool) -> str:
-    """`size` in practical sizes: the smallest that would be found."""
-    if not given:
-        return "no model was given: the fit to these logs absorbs it"
-    found = f"it would be found from {100 * size * effect.practical:.1f} % of nominal torque on"
-    if size * effect.practical > 5:
-        found = "none of any size would be found"
-    beside = ", and beside the numbers of the simulator that were moved," if moved else ""
-    return (
-        f"on these motions{beside} {found} (1 % false alarms, 80 % power), and it "
-        f"matters from {100 * effect.practical:.1f} % on"
-    )
 
 
 def next_experiment(causes: Sequence[Cause], verdict: str, where: Sequence[JointShare]) -> NextExperiment | None:

@@ -6,7 +6,8 @@ is as warm as it would be. Diagnosis and planning are given logs, model and reci
 
 Every answer is kept in a file of its own, and a check that was stopped goes on with the next one. The first motions of
 all runs come first: they take seconds, and say where the dear rest is worth it. Then the runs that are ambiguous get a
-further motion of every way, those that are `unknown` after them, and second ones last.
+further motion of every way, the others that are not `explained` after them, and second ones last. Where nothing was
+found the question is what would have been: one further motion of every way, and the smallest sizes before and after it.
 """
 
 from __future__ import annotations
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
 _QUIET = Console(verbosity=-1)
 #: Further motions of a run.
 _ROUNDS = 2
-_SETTLED = ("explained", "no_gap")
 #: Of the sub-region's sides, where the first loop lies.
 _LOOK_PART = 0.25
 WORLDS = ("emulator", "mujoco")
@@ -113,12 +113,12 @@ class ActiveRun:
         from agent.blind_check import WAYS
 
         first = self._kept("first", self._begin)
-        for way in WAYS if first.get("verdict") not in (None, *_SETTLED) else ():
+        for way in WAYS if first.get("verdict") not in (None, "explained") else ():
             if way != "planned" and "result" not in self._read("planned1"):
                 break  # no robot time is spent on it
             last = first
             for number in range(1, rounds + 1):
-                if last.get("verdict") in _SETTLED:
+                if last["verdict"] == "explained" or (last["verdict"] == "no_gap" and number > 1):
                     break
                 said = self._kept(f"{way}{number}", partial(self._further, way, number))
                 if "result" not in said:
@@ -287,5 +287,12 @@ def _programs(recipe: Recipe, plan: Plan) -> dict[str, str]:
 
 
 def _said(found: Diagnosis) -> dict[str, Any]:
+    from agent.diagnosis import smallest_sizes
+
     keys = ("verdict", "causes", "closure")
-    return {key: found.result[key] for key in keys}
+    said = {key: found.result[key] for key in keys}
+    if said["verdict"] == "no_gap":
+        names = found.dataset.robot.joint_names
+        sizes = smallest_sizes(found.dataset).items()
+        said["smallest"] = {" ".join((effect, *(names[j] for j in joints))): size for (effect, joints), size in sizes}
+    return said

@@ -94,6 +94,28 @@ def test_a_curve_through_anything_is_no_evidence_for_a_hose(line, equal):
     assert (HOSE in found) is equal
 
 
+@pytest.mark.parametrize(
+    ("settings", "offset", "equal"),
+    [({"harmonics": 1.0}, 970.0, False), ({"harmonics": 1.0}, 0.0, True), ({"harmonics": 2.0}, 970.0, True)],
+)
+def test_a_curve_that_a_sine_has_without_a_parameter_for_it_is_no_hose(settings, offset, equal):
+    """What a straight line leaves of it is little beside the whole, but a sixth of what there is beside the constant.
+    A spring that takes as many parameters as a cubic has nothing ahead of it."""
+    spring = score(SPRING, 1000.0, **settings)
+    bent = {"middle": 0.0, "reach": 1.0}
+    forms = [spring, score(HOSE, 995.0, **LINE), score(HOSE, 1000.0, **bent)]
+    fit = SimpleNamespace(
+        score=lambda some: [one for one in forms if one.candidate in some],
+        reference=SimpleNamespace(robot=None),
+        chosen=(),
+        count=np.array([100.0]),
+    )
+    known = places(score(OFFSET, offset), *forms[:2])
+    tried = [one.candidate for one in forms]
+    found = equals_by_definition(LIMITS, fit, tried, spring.candidate, 1000.0, dict.fromkeys(known, 10.0), known)
+    assert (HOSE in found) is equal
+
+
 def test_of_a_spring_and_a_hose_the_simpler_one_is_not_trusted_further_either():
     """A hose that neither hardens nor rubs is a spring: its straight line gains what that one's does."""
     alike = LIMITS.indistinguishable_gain
