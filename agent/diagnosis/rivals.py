@@ -192,10 +192,20 @@ def equals_by_definition(
             if simplest(place, min(enough, score.gain)) <= mine + 1 and not plainly:
                 found.append(place)
     beside = [place for place, gain in _beside_friction(fit, forms, cause) if gain >= lost - margins.get(place, 0.0)]
+    beside += _while_it_slides(limits, cause, lost, places)
     rubs = any(c.joints == cause.joints and c.effect.shifts and "speed" in c.effect.shapes for c in fit.chosen)
     if rubs and "position" in cause.effect.shapes:
         beside += [(name, cause.joints) for name in cause.effect.structurally_equivalent]
     return list(dict.fromkeys([*found, *beside]))
+
+
+def _while_it_slides(limits: DecisionLimits, cause: Candidate, lost: float, places: Places) -> list[Where]:
+    """The exact form that a cause of one parameter is while its joint slides, if it does about as well: what is better
+    at rest is none the better, as stiction leaves the torque open there."""
+    if not cause.effect.rivals_special_cases or complexity(cause) > 1:
+        return []
+    exact = [(name, cause.joints) for name in cause.effect.special_cases if CATALOGUE[name].exact]
+    return [place for place in exact if place in places and lost - places[place].gain <= limits.equal_gain * lost]
 
 
 def _by_curve(limits: DecisionLimits, fit: Fit, cause: Candidate, lost: float, place: Where, places: Places) -> float:
