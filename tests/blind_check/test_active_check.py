@@ -26,7 +26,9 @@ BEGIN = ("excite",)
 @pytest.fixture
 def check(tmp_path: Path, monkeypatch):
     """Of three runs, whose first recordings are ambiguous, and that are settled by any second further motion."""
-    made = SimpleNamespace(ran=[], asked=[], read=[], fails="", refuses=(), first={}, folder=tmp_path / "check")
+    made = SimpleNamespace(
+        ran=[], asked=[], read=[], fails="", refuses=(), first={}, later=None, folder=tmp_path / "check"
+    )
 
     def record(self, job):
         assert not (made.folder / "key.json").exists(), "the key is closed while anything is recorded"
@@ -40,9 +42,12 @@ def check(tmp_path: Path, monkeypatch):
         assert all(log.exists() for log in logs), "no earlier motion's log is lost"
         made.read.append(len(logs))
         open_now = made.first.get(int(logs[0].parent.name), "ambiguous")
-        verdict = open_now if len(logs) < 3 else "explained"
+        verdict = (open_now if len(logs) < 3 else "explained") if made.later is None else made.later
         cause = {"effect": "stribeck", "joints": ["joint_2"], "equivalent_to": []}
-        return SimpleNamespace(result={"verdict": verdict, "causes": [cause], "closure": 0.9})
+        return SimpleNamespace(
+            result={"verdict": verdict, "causes": [cause], "closure": 0.9},
+            dataset=SimpleNamespace(robot=load_robot("comau_ns16"), logs=logs),
+        )
 
     def motion(self, way, found, seconds, name, seed):
         made.asked.append((self._case.number, way, name, seconds))
@@ -85,6 +90,16 @@ def test_what_is_ambiguous_comes_before_what_is_unknown_once_all_runs_have_their
     assert [entry[0] for entry in check.ran[:3]] == [0, 1, 2]
     assert [entry[0] for entry in check.asked] == [2] * 4 + [0] * 4 + [2] * 4 + [0] * 4
     assert [case["number"] for case in scores["cases"]] == [0, 1, 2]
+
+
+def test_where_nothing_is_found_one_motion_of_every_way_says_what_would_have_been(check, monkeypatch):
+    check.first, check.later = dict.fromkeys(range(3), "no_gap"), "no_gap"
+    sizes = {2: {("backlash", (1,)): float("inf")}, 3: {("backlash", (1,)): 0.5}}
+    monkeypatch.setattr("agent.diagnosis.smallest_sizes", lambda dataset: sizes[len(dataset.logs) + 1])
+    scores = check.whole.run(QUIET)
+    assert [name for _, _, name, _ in check.asked] == ["further1"] * 12
+    found = scores["smallest_sizes"]["d_optimal"]
+    assert (found["weak"], found["had_none"], found["have_one"], found["halved"]) == (3, 3, 3, 3)
 
 
 def test_no_time_is_spent_where_no_motion_would_tell(check):

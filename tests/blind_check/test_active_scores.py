@@ -82,6 +82,25 @@ def test_a_pair_of_which_nothing_was_predicted_for_the_truth_is_not_compared():
     assert calibration["overall"]["said"] == pytest.approx(0.9)
 
 
+def test_smallest_sizes_are_compared_where_the_first_motion_leaves_them_weak():
+    def healthy(**sizes):
+        return {**said("no_gap"), "smallest": sizes}
+
+    before = healthy(stribeck=4.0, payload=2.0, backlash=None, ripple=None, presliding=0.5)
+    after = healthy(stribeck=1.0, payload=1.5, backlash=0.2, ripple=None, presliding=0.4)
+    runs = [
+        run(0, before, {"planned": [after], "random": [before, after], "d_optimal": [WRONG]}, kind="none"),
+        run(1, OPEN, {"planned": [RIGHT]}),
+    ]
+    scores = active_scores(runs)
+    planned, repeated = (scores["smallest_sizes"][way] for way in ("planned", "random"))
+    assert planned["of_before"] == pytest.approx((0.25 * 0.75) ** 0.5)
+    assert (planned["weak"], planned["halved"], planned["had_none"], planned["have_one"]) == (4, 2, 2, 1)
+    assert (repeated["of_before"], repeated["halved"], repeated["have_one"]) == (1.0, 0, 0)
+    assert scores["smallest_sizes"]["d_optimal"]["weak"] == 0, "what names something has no size to find"
+    assert "0.43 of before on average" in active_text(scores)
+
+
 def test_nothing_recorded_is_said(scores):
     nothing = active_scores([{"number": 0, "kind": "one", "effects": [TRUE], "strength": 1.0, "error": "no link"}])
     assert nothing["calibration"]["overall"] is None

@@ -96,6 +96,23 @@ def test_a_curve_through_anything_is_no_evidence_for_a_hose(line, equal):
 
 @pytest.mark.parametrize(
     ("settings", "offset", "equal"),
+    [
+        ({"coulomb": 1.0}, 970.0, True),
+        ({"coulomb": 1.0}, 900.0, False),
+        ({"coulomb": 1.0, "viscous": 1.0}, 970.0, False),
+    ],
+)
+def test_what_friction_by_direction_has_over_an_offset_at_rest_is_no_evidence(settings, offset, equal):
+    one_sided = score(ONE_SIDED, 1000.0, **settings)
+    fit = SimpleNamespace(score=lambda some: [], reference=SimpleNamespace(robot=None), chosen=())
+    known = places(one_sided, score(OFFSET, offset))
+    margins = dict.fromkeys(known, 10.0)
+    found = equals_by_definition(LIMITS, fit, [], one_sided.candidate, 1000.0, margins, known)
+    assert (OFFSET in found) is equal
+
+
+@pytest.mark.parametrize(
+    ("settings", "offset", "equal"),
     [({"harmonics": 1.0}, 970.0, False), ({"harmonics": 1.0}, 0.0, True), ({"harmonics": 2.0}, 970.0, True)],
 )
 def test_a_curve_that_a_sine_has_without_a_parameter_for_it_is_no_hose(settings, offset, equal):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,9 +18,11 @@ from agent.experiment import as_drawn, d_optimal, open_pairs, pieces_otherwise, 
 from agent.experiment.motion import GridMotion, background_on
 from agent.experiment.outlook import Outlook
 from agent.experiment.pieces import Pieces
+from agent.experiment.plan import _at_best
 from agent.experiment.questions import Form, Hypothesis, OpenPair
 from agent.experiment.rehearsal import Rehearsal, Said
 from agent.model import CATALOGUE, MotionSignals
+from agent.model.effects.effect import friction_levels
 from agent.motion import ViaRegions
 from agent.motion.program import FlyTrajectory, FlyType, MotionSettings
 from agent.motion.regions import BoxRegion
@@ -184,6 +187,31 @@ def test_other_shapes_of_its_kind_are_asked_about_at_about_the_size_of_the_cause
         assert torque < 2 * usual
         assert np.all(np.linalg.eigvalsh(form.covariance) > 0)
     assert fit.chosen == ()
+
+
+def test_friction_by_direction_is_taken_to_differ_at_speed_too(arm, ambiguous):
+    """Slow logs show a constant only; as a rule as large a part of viscous friction differs as of the Coulomb level."""
+    pair = next(pair for pair in open_pairs(ambiguous) if set(pair.names) == SIDES)
+    (true,) = next(side for side in (pair.first, pair.second) if side.effect == "asymmetric_friction").truths
+    levels = friction_levels(ambiguous.dataset.fit.reference, 1)
+    assert true.candidate.names == ("coulomb_asymmetry", "viscous_asymmetry")
+    assert np.sqrt(true.covariance[1, 1]) < 1.01 * abs(true.values[0]) * levels["viscous"] / levels["coulomb"]
+    rehearsal = Rehearsal(ambiguous, [pair], [_wave(arm, [0.5, 0.5], 8.0)])
+    (form,) = rehearsal._forms(("asymmetric_friction", (1,)), rehearsal._dataset.fit)
+    assert form.names == true.candidate.names
+
+
+def test_pieces_that_only_together_tell_are_within_reach():
+    """Each is too short to pass the margin, and all there are together have too many rows."""
+    tells = {0: 0.0, 1: 0.2, 2: 0.9, 3: 0.4}
+    outlook = SimpleNamespace(
+        nothing=0, chances=lambda told: np.array([[tells.get(told, 0.0) if told < 10 else 0.1, np.nan]])
+    )
+    piece = SimpleNamespace(duration=10.0)
+    pool = [(piece, 1), (piece, 1), (piece, 10)]
+    assert _at_best(outlook, pool, 25.0)[0, 0] == 0.9
+    assert _at_best(outlook, pool, 15.0)[0, 0] == 0.2
+    assert _at_best(outlook, [], 15.0)[0, 0] == 0.0
 
 
 def test_a_form_whose_joint_does_not_travel_far_enough_is_not_told(arm, ambiguous):

@@ -82,7 +82,7 @@ def test_a_torsion_spring_is_a_spring_that_a_hose_may_equal(arm, model, healthy)
 
 
 def test_a_spring_that_hardly_changes_is_no_offset(arm, model, healthy):
-    """About where it pulls most it is a constant but for a hundredth, and that is clear of what the model gets wrong."""
+    """About where it pulls most it is a constant but for a hundredth, which is clear of what the model gets wrong."""
     size = np.std(healthy[0].effort[:, JOINT])
     travelled = np.concatenate([log.position[:, JOINT] for log in healthy])
     middle, reach = travelled.mean(), np.ptp(travelled) / 2
