@@ -88,7 +88,8 @@ def _offset_of(finding: Finding, number: int) -> Where | None:
 def _settled(dataset: Dataset, finding: Finding, number: int, place: Where, zero: ChannelZero) -> tuple[Finding, str]:
     """What the zero of one channel leaves of a class that has its offset in it, and what it says."""
     (joint,) = place[1]
-    name, unit = dataset.robot.joint_names[joint], "N" if dataset.robot.joints[joint].prismatic else "N·m"
+    slides = dataset.robot.joints[joint].prismatic
+    name, unit, travelled = dataset.robot.joint_names[joint], *(("N", "m") if slides else ("N·m", "rad"))
     if np.isnan(zero.torque[joint]):
         return (
             finding,
@@ -106,8 +107,10 @@ def _settled(dataset: Dataset, finding: Finding, number: int, place: Where, zero
         return _only(dataset, finding, number, offset, ()), f"{what}: an offset of its channel, and nothing of the arm"
     if of_arm <= near and of_channel >= far:
         left = _without(dataset, finding, number, place)
+        travel = max(float(np.ptp(signals.q[:, joint])) for signals in dataset.fit.signals)
+        also = f"; a spring or hose that pulls alike over the {travel:.2g} {travelled} travelled would look the same"
         return left or finding, f"{what}: its channel has no such offset" + (
-            "" if left else ", and nothing in the catalogue that is none does as well"
+            also if left else ", and nothing in the catalogue that is none does as well"
         )
     return finding, f"{what}: that does not tell an offset from friction, and both may be there"
 

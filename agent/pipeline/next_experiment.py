@@ -202,8 +202,12 @@ def _other_test(pairs: Sequence[OpenPair]) -> str:
     """What could still tell the most urgent pair apart, by the knowledge that its effects carry."""
     from agent.model import CATALOGUE
 
-    looks = [f"for {name}, {CATALOGUE[name].look_at}" for name in dict.fromkeys(pairs[0].names) if name in CATALOGUE]
-    return f"another posture, load or temperature may, or a look at the arm: {'; '.join(looks)}"
+    names = [name for name in dict.fromkeys(pairs[0].names) if name in CATALOGUE]
+    looks = [f"for {name}, {CATALOGUE[name].look_at}" for name in names]
+    of_channel = any(CATALOGUE[name].adds_to_report for name in names)
+    brakes = "with the drives off seconds of the arm on its brakes tell an offset (--drives-off LOG); "
+    other = f"another posture, load or temperature may, or a look at the arm: {'; '.join(looks)}"
+    return brakes + other if of_channel else other
 
 
 def _with_a_mass(found: Diagnosis, pairs: Sequence[OpenPair], problem: LoopProblem, seconds: float, seed: int) -> str:

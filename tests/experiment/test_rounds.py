@@ -184,6 +184,8 @@ def test_where_no_motion_helps_it_says_where_to_look_for_either():
     text = _other_test(pairs)  # type: ignore[arg-type]
     assert CATALOGUE["torque_offset"].look_at in text
     assert CATALOGUE["stribeck"].look_at not in text, "the most urgent pair"
+    assert "--drives-off" in text
+    assert "--drives-off" not in _other_test(pairs[1:]), "no motor's current is in it"  # type: ignore[arg-type]
 
 
 def test_the_page_has_question_motion_and_answer_of_every_round(ask):

@@ -77,7 +77,9 @@ def test_what_is_not_there_with_the_drives_off_is_of_the_arm(arm, model, logs, k
     places = {cause.effect, *(place.effect for place in cause.equivalent_to)}
     assert "torque_offset" not in places
     assert "asymmetric_friction" in places
-    assert any("its channel has no such offset" in text for text in found.warnings)
+    (text,) = [text for text in found.warnings if "its channel has no such offset" in text]
+    travel = max(np.ptp(log.position[:, JOINT]) for log in logs)
+    assert f"pulls alike over the {travel:.2g} rad travelled" in text
 
 
 def test_half_of_it_settles_nothing(arm, model, logs):
