@@ -7,23 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.diagnosis.band import gain_in_band
 from agent.diagnosis.candidate import Candidate, HeldOutScore, Where
 from agent.diagnosis.evidence import Null, null_gains
 from agent.diagnosis.excess import (
     closed_excess,
     exact_but_for_more,
     joint_energy,
-    largest_torque,
     noticed,
     over_background,
     possible_together,
-    put_elsewhere,
 )
 from agent.diagnosis.finding import Finding, Step
 from agent.diagnosis.fit import Fit
-from agent.diagnosis.isolability import best_by_place, complexity, imitates, plausible, structurally_equivalent
+from agent.diagnosis.isolability import best_by_place, complexity, imitates, structurally_equivalent
 from agent.diagnosis.limits import LIMITS, DecisionLimits
+from agent.diagnosis.nameable import Nameable
 from agent.diagnosis.needs import Excursions
 from agent.diagnosis.refinement import refined
 from agent.diagnosis.rivals import (
@@ -31,10 +29,7 @@ from agent.diagnosis.rivals import (
     equals_by_definition,
     gain_at_best,
     gain_by_form,
-    may_follow_position,
-    offset_and_friction_as_good,
     only_steps,
-    special_case_as_good,
     trusted,
 )
 from agent.diagnosis.standstill import at_rest
@@ -75,6 +70,7 @@ class Search:
         self._scanned: dict[frozenset[Candidate], Step] = {}
         self._at_rest = at_rest(fit.signals, limits)
         self.excursions = Excursions.of(fit.signals, limits)
+        self._nameable = Nameable(limits, self.allowed, self.given, self._at_rest, self.excursions)
 
     def run(self) -> Finding:
         """Search until nothing worth naming is left."""
@@ -166,41 +162,16 @@ class Search:
         """Search the nonlinear parameters of the leading places more finely."""
         least = 0.5 * self.limits.least_gain * self.rows
         over, clear = over_background(fit), noticed(self.limits, self._at_rest, fit)
-        large = [s for s in best.values() if s.gain > least and self._over(s, over, clear)]
+        large = [s for s in best.values() if s.gain > least and self._nameable.over(s, over, clear)]
         best, made = refined(fit, best, sorted(large, key=lambda s: -s.gain)[:6], self.limits)
         self.pool += [c for c in made if not c.effect.residual_driven]
         return best
 
     def _eligible(self, fit: Fit, best: dict[Where, HeldOutScore]) -> tuple[HeldOutScore, ...]:
         """Scores that could be named: plausible, allowed, large enough, and better than their own simpler limits."""
-        result = []
-        over, clear = over_background(fit), noticed(self.limits, self._at_rest, fit)
-        for place, score in best.items():
-            name, effect = place[0], score.candidate.effect
-            if name not in self.allowed or not plausible(score) or score.gain < self.least:
-                continue
-            if largest_torque(fit, score) < self.limits.practical_torque or not self._over(score, over, clear):
-                continue
-            limits = effect.simpler(score.candidate.settings, fit.reference.robot)
-            simpler = [limit for limit in limits if not (effect.rivals_special_cases and limit in self.allowed)]
-            if any(special_case_as_good(self.limits, self.rows, score, limit, best) for limit in simpler):
-                continue
-            if offset_and_friction_as_good(self.limits, fit, score, self.tried, best):
-                continue
-            if effect.fast_torque and gain_in_band(fit, score) < self.limits.in_band_gain:
-                continue  # it takes noise out of the prediction
-            if put_elsewhere(fit, score) > self.least:
-                continue  # what it explains is on one joint, and its torque on others is not there
-            if not (effect.once and may_follow_position(self.limits, fit, score, self.excursions)):
-                result.append(score)
+        possible = self._nameable.possible(fit, best.values(), self.least)
+        result = [score for score in possible if not self._nameable.limit_as_good(fit, score, best, self.tried)]
         return tuple(sorted(result, key=lambda s: -s.gain))
-
-    def _over(self, score: HeldOutScore, over: np.ndarray, clear: np.ndarray) -> bool:
-        """Whether an error over the background may be its own; a model fitted with it would look the same below."""
-        joints = list(score.candidate.blocks)
-        if not self.given or score.candidate.effect.once:
-            return True
-        return bool(np.any(clear[joints]) and np.sum(over[joints]) >= self.limits.own_excess * score.gain)
 
     def _starts(self, step: Step) -> list[Candidate]:
         """The simplest of the best, then the runners-up."""
@@ -322,7 +293,8 @@ class Search:
                     if score.candidate.once <= candidate.once and score.gain > self.limits.runner_up_gain * lost:
                         runners.append(score.candidate.place)  # what comes back is no string of pushes
             known = [place for place in equals if place[0] in self.allowed]
-            beside = tuple(dict.fromkeys([*known, *level]))[:2]
+            fuller = self._nameable.fuller(without, step, candidate, lost, self.least)
+            beside = tuple(dict.fromkeys([*known, *level, *fuller]))[:2]
             ranked.append((lost, candidate, beside, behind, bool(equals), tuple(runners[:2])))
         ranked.sort(key=lambda entry: -entry[0])
         causes = tuple(entry[1] for entry in ranked)
