@@ -30,15 +30,18 @@ def exact_in_both(first: Where, second: Where) -> Where | None:
 
 def gain_by_form(limits: DecisionLimits, gain: float, best: Places, first: Where, second: Where) -> float:
     """Of the gain of one of two places, without that of what they have in common, where one of them is exactly that or
-    explains no more: only beyond it a form errs. Of two that both explain more, both forms err in all they explain."""
+    explains no more, or the first is the plainer of two laws of position: only beyond it a form errs. Of others that
+    both explain more, both forms err in all they explain."""
     both = exact_in_both(first, second)
     if both is None or both not in best:
         return gain
     exact = max(best[both].gain, 0.0)
     no_more = (1 + limits.indistinguishable_gain) * exact
-    if both not in (first, second) and all(best[one].gain > no_more for one in (first, second) if one in best):
-        return gain
-    return gain - min(exact, gain)
+    one, other = CATALOGUE[first[0]], CATALOGUE[second[0]]
+    plainer = other.name in one.structurally_equivalent and one.complexity_penalty < other.complexity_penalty
+    if plainer or both in (first, second) or any(best[at].gain <= no_more for at in (first, second) if at in best):
+        return gain - min(exact, gain)
+    return gain
 
 
 def trusted(limits: DecisionLimits, cause: Candidate, other: Where, alike: float) -> float:
@@ -188,10 +191,14 @@ def equals_by_definition(
         enough = lost - margins[place]
         if structurally_equivalent(cause, score) and gain_at_best(limits, score, places, cause.place) >= enough:
             mine = min(simplest(cause.place, enough), complexity(cause))
-            plainly = simplest(place, lost - _by_curve(limits, fit, cause, lost, place, places)) > complexity(cause) + 1
-            if simplest(place, min(enough, score.gain)) <= mine + 1 and not plainly:
+            if simplest(place, min(enough, score.gain)) <= mine + 1:
                 found.append(place)
-    beside = [place for place, gain in _beside_friction(fit, forms, cause) if gain >= lost - margins.get(place, 0.0)]
+    sure = _margin_of_rubbing(limits, fit, forms, cause, lost, places)
+    beside = [
+        place
+        for place, gain in _beside_friction(fit, forms, cause)
+        if gain >= lost - min(sure, margins.get(place, 0.0))
+    ]
     beside += _while_it_slides(limits, cause, lost, places)
     rubs = any(c.joints == cause.joints and c.effect.shifts and "speed" in c.effect.shapes for c in fit.chosen)
     if rubs and "position" in cause.effect.shapes:
@@ -208,19 +215,24 @@ def _while_it_slides(limits: DecisionLimits, cause: Candidate, lost: float, plac
     return [place for place in exact if place in places and lost - places[place].gain <= limits.equal_gain * lost]
 
 
-def _by_curve(limits: DecisionLimits, fit: Fit, cause: Candidate, lost: float, place: Where, places: Places) -> float:
-    """By so much have the simple forms of a freer law of position to be worse than a plain law, to be none; infinite
-    for other laws.
+def _margin_of_rubbing(
+    limits: DecisionLimits, fit: Fit, forms: Sequence[Candidate], cause: Candidate, lost: float, places: Places
+) -> float:
+    """By so much has a law without rubbing, and friction of the joint beside it, to be worse than a cause that rubs;
+    infinite where its rubbing is not sure.
 
-    A curve that is a sine's, without a parameter of its own for it, is evidence for the sine: a hose would have to bend
-    like one by chance. The constant that both have says nothing of it.
+    How far the form of a pull is trusted says nothing of how it turns around.
     """
-    freer = CATALOGUE[place[0]].complexity_penalty > cause.effect.complexity_penalty
-    both = exact_in_both(cause.place, place)
-    if not freer or both is None or both not in places:
+    constant = next((name for name in cause.effect.special_cases if CATALOGUE[name].exact), None)
+    plain = [form for form in forms if form.place == cause.place and len(form.settings) < len(cause.settings)]
+    exact = places.get((constant, cause.joints)) if constant is not None else None
+    if exact is None or not plain:
         return float("inf")
-    least = limits.equal_gain_floor * float(fit.count.sum())
-    return max(least, limits.equal_shape_gain * max(lost - places[both].gain, 0.0))
+    margin = max(
+        limits.equal_gain_floor * float(fit.count.sum()), limits.equal_shape_gain * max(lost - exact.gain, 0.0)
+    )
+    without = max((score.gain for score in fit.score(plain)), default=0.0)
+    return margin if without < lost - margin else float("inf")
 
 
 def _beside_friction(fit: Fit, forms: Sequence[Candidate], cause: Candidate) -> Iterator[tuple[Where, float]]:
