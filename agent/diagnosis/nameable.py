@@ -67,6 +67,18 @@ class Nameable:
             special_case_as_good(self.limits, rows, score, limit, best) for limit in simpler
         ) or offset_and_friction_as_good(self.limits, fit, score, tried, best)
 
+    def repeats_better(self, fit: Fit, score: HeldOutScore, scores: Iterable[HeldOutScore]) -> bool:
+        """Whether the best form that repeats, held out alike, takes away more than one that happens once.
+
+        Where it may not be named, as it may be the model's own, what happens once is no better known.
+        """
+        repeated = [other for other in scores if plausible(other) and not other.candidate.once]
+        if not repeated:
+            return False
+        best = max(repeated, key=lambda other: other.gain)
+        left = (fit.with_chosen((*fit.chosen, one.candidate)).error(True) for one in (best, score))
+        return next(left) < next(left)
+
     def fuller(self, fit: Fit, step: Step, cause: Candidate, lost: float, least: float) -> list[Where]:
         """Laws that a cause, which loses `lost`, is a simple limit of, and that do better: too little to be named, as
         no form is trusted that far, but by too much to be ruled out."""

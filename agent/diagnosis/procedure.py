@@ -171,6 +171,8 @@ class Search:
         """Scores that could be named: plausible, allowed, large enough, and better than their own simpler limits."""
         possible = self._nameable.possible(fit, best.values(), self.least)
         result = [score for score in possible if not self._nameable.limit_as_good(fit, score, best, self.tried)]
+        if all(score.candidate.effect.once for score in result):
+            result = [score for score in result if not self._nameable.repeats_better(fit, score, best.values())]
         return tuple(sorted(result, key=lambda s: -s.gain))
 
     def _starts(self, step: Step) -> list[Candidate]:

@@ -218,13 +218,16 @@ def _while_it_slides(limits: DecisionLimits, cause: Candidate, lost: float, plac
 def _margin_of_rubbing(
     limits: DecisionLimits, fit: Fit, forms: Sequence[Candidate], cause: Candidate, lost: float, places: Places
 ) -> float:
-    """By so much has a law without rubbing, and friction of the joint beside it, to be worse than a cause that rubs;
-    infinite where its rubbing is not sure.
+    """By so much has a law without rubbing, and friction of the joint beside it, to be worse than a cause that rubs
+    and takes a way of its own to turn around; infinite where that is not sure.
 
     How far the form of a pull is trusted says nothing of how it turns around.
     """
     constant = next((name for name in cause.effect.special_cases if CATALOGUE[name].exact), None)
-    plain = [form for form in forms if form.place == cause.place and len(form.settings) < len(cause.settings)]
+    of_place = [form for form in forms if form.place == cause.place]
+    ways = [form.settings[way] for form in of_place for way in cause.effect.refined if way in form.settings]
+    at_once = min(ways, default=0.0)
+    plain = [form for form in of_place if all(form.settings.get(way, 0.0) <= at_once for way in cause.effect.refined)]
     exact = places.get((constant, cause.joints)) if constant is not None else None
     if exact is None or not plain:
         return float("inf")
