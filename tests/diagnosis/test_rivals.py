@@ -9,6 +9,7 @@ import pytest
 
 from agent.diagnosis.candidate import Candidate, HeldOutScore
 from agent.diagnosis.limits import LIMITS
+from agent.diagnosis.nameable import Nameable
 from agent.diagnosis.rivals import as_good, equals_by_definition, exact_in_both, gain_at_best, gain_by_form, trusted
 from agent.model import CATALOGUE
 
@@ -69,6 +70,20 @@ def test_a_curve_through_anything_needs_more_than_what_a_real_spring_has_beside_
     ripple = score(("torque_ripple", (1,)), gain, harmonics=2.0)
     assert not as_good(LIMITS, ripple, hose, 1.0, places(hose, ripple)), "of another kind as before"
     assert not as_good(LIMITS, score(HOSE, gain, **CURVE), score(SPRING, 1000.0, harmonics=2.0), 1.0, {})
+
+
+@pytest.mark.parametrize(("left", "better"), [(500.0, True), (700.0, False)])
+def test_what_happens_once_is_not_named_where_what_repeats_does_better_held_out_alike(left, better):
+    """A law of position that may be the model's own is not named; the pushes that follow it are no better known."""
+    push, spring = score(("contact", ()), 400.0), score(SPRING, 300.0, harmonics=1.0)
+    errors = {push.candidate: 600.0, spring.candidate: left}
+    fit = SimpleNamespace(
+        chosen=(),
+        with_chosen=lambda chosen: SimpleNamespace(error=lambda single: errors[chosen[-1]] if single else 0.0),
+    )
+    rules = Nameable(LIMITS, set(CATALOGUE), True, np.zeros((1, 1), dtype=bool), None)
+    assert rules.repeats_better(fit, push, [push, spring]) is better
+    assert not rules.repeats_better(fit, push, [push]), "nothing repeats"
 
 
 def test_friction_by_direction_is_as_good_as_the_offset_that_it_is_while_the_joint_slides():
