@@ -4,4 +4,5 @@ from .check import BlindCheck as BlindCheck
 from .key import key_text as key_text, open_key as open_key, seal as seal
 from .report import summary_text as summary_text
 from .runs import fake_controller as fake_controller
+from .scoring import class_of as class_of
 from .worlds import second_world as second_world

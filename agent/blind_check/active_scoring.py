@@ -47,6 +47,8 @@ def _way(way: str, done: Sequence[Entry], ambiguous: Sequence[Entry]) -> dict[st
         "right_after_one": _share(_outcome(e, _after(e, way, 1)) == "right" for e in ambiguous),
         "right_after_two": _share(_outcome(e, _after(e, way, 2)) == "right" for e in ambiguous),
         "wrong_names": _share(_outcome(e, _after(e, way, 2)) == "wrong name" for e in done),
+        "right_with_brakes": _share(_outcome(e, _with_brakes(e, way)) == "right" for e in ambiguous),
+        "wrong_with_brakes": _share(_outcome(e, _with_brakes(e, way)) == "wrong name" for e in done),
         "robot_s": float(sum(r["seconds"] for e in done for r in e["ways"].get(way, ()))),
     }
 
@@ -78,6 +80,11 @@ def _after(entry: Entry, way: str, rounds: int) -> Mapping[str, Any]:
     """The result after so many further motions; what was said before stands where there was none."""
     results = [entry["first"], *(one["result"] for one in entry["ways"].get(way, ())[:rounds])]
     return results[-1]
+
+
+def _with_brakes(entry: Entry, way: str) -> Mapping[str, Any]:
+    """The result after one further motion, and after seconds on the brakes where the first answer asks for them."""
+    return entry.get("brakes", {}).get(way) or _after(entry, way, 1)
 
 
 def _outcome(entry: Entry, result: Mapping[str, Any]) -> str:
@@ -153,6 +160,10 @@ def active_text(scores: Mapping[str, Any]) -> str:
     for way, row in scores["ways"].items():
         one, two, wrong = (f"{row[k]['count']} of {row[k]['of']}" for k in _COLUMNS)
         lines.append(f"{way.replace('_', ' '):25} {one:>15} {two:>11} {wrong:>22} {row['robot_s']:>10.0f} s")
+    lines += ["", "with seconds on the brakes where an offset of a torque channel is open, and one motion"]
+    for way, row in scores["ways"].items():
+        right, wrong = (f"{row[k]['count']} of {row[k]['of']}" for k in ("right_with_brakes", "wrong_with_brakes"))
+        lines.append(f"{way.replace('_', ' '):25} {right:>15} {'':>11} {wrong:>22}")
     lines += ["", "smallest size that would be found, where nothing was and more than a practical one was needed"]
     for way, row in scores["smallest_sizes"].items():
         of_before = "" if row["of_before"] is None else f", {row['of_before']:.2f} of before on average"

@@ -1,7 +1,7 @@
 from .candidate import Candidate as Candidate, HeldOutScore as HeldOutScore
 from .correction import corrected as corrected
 from .dataset import Dataset as Dataset, background_of as background_of, folds_of as folds_of
-from .drives_off import channel_zero as channel_zero
+from .drives_off import channel_zero as channel_zero, without_places as without_places
 from .evidence import drawn_change as drawn_change, practical_parameters as practical_parameters
 from .excess import joint_energy as joint_energy
 from .extension import extended_model as extended_model

@@ -6,6 +6,7 @@ there as well, alone or with the one that the model had before; friction by dire
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,9 @@ from agent.core import InputError
 from agent.diagnosis.candidate import Candidate, Where
 from agent.diagnosis.dataset import Dataset
 from agent.diagnosis.finding import Finding
-from agent.diagnosis.verdict import named
+from agent.diagnosis.isolability import best_by_place, plausible
+from agent.diagnosis.needs import Excursions
+from agent.diagnosis.verdict import abstained, named
 from agent.model import CATALOGUE, SIMULATOR, IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
@@ -65,13 +68,18 @@ def channel_zero(robot: RobotDescription, log: Log, model: IdentifiedModel | Non
     return ChannelZero(np.where(off, np.nan, torque), np.where(off, np.nan, error))
 
 
-def with_channel_zero(dataset: Dataset, finding: Finding, zero: ChannelZero) -> tuple[Finding, tuple[str, ...]]:
-    """The finding where the zeros of the channels settle what equals an offset of one, and what they say."""
+def with_channel_zero(
+    dataset: Dataset, finding: Finding, zero: ChannelZero, without: Collection[str] = ()
+) -> tuple[Finding, tuple[str, ...]]:
+    """The finding where the zeros of the channels settle what equals an offset of one, and what they say.
+
+    `without`: effects that are not to be named.
+    """
     said = []
     for number in range(len(finding.causes)):
         place = _offset_of(finding, number)
         if place is not None:
-            finding, text = _settled(dataset, finding, number, place, zero)
+            finding, text = _settled(dataset, finding, number, place, zero, without)
             said.append(text)
     nothing = (
         "nothing that was found may be an offset of a torque channel, so the log with the drives off settles nothing"
@@ -85,7 +93,9 @@ def _offset_of(finding: Finding, number: int) -> Where | None:
     return next((place for place in places if CATALOGUE[place[0]].adds_to_report), None)
 
 
-def _settled(dataset: Dataset, finding: Finding, number: int, place: Where, zero: ChannelZero) -> tuple[Finding, str]:
+def _settled(
+    dataset: Dataset, finding: Finding, number: int, place: Where, zero: ChannelZero, without: Collection[str]
+) -> tuple[Finding, str]:
     """What the zero of one channel leaves of a class that has its offset in it, and what it says."""
     (joint,) = place[1]
     slides = dataset.robot.joints[joint].prismatic
@@ -106,13 +116,25 @@ def _settled(dataset: Dataset, finding: Finding, number: int, place: Where, zero
     if of_channel <= near and of_arm >= far:
         return _only(dataset, finding, number, offset, ()), f"{what}: an offset of its channel, and nothing of the arm"
     if of_arm <= near and of_channel >= far:
-        left = _without(dataset, finding, number, place)
+        left = without_places(dataset, replace(finding, ruled_out=(*finding.ruled_out, place)), without)
         travel = max(float(np.ptp(signals.q[:, joint])) for signals in dataset.fit.signals)
         also = f"; a spring or hose that pulls alike over the {travel:.2g} {travelled} travelled would look the same"
-        return left or finding, f"{what}: its channel has no such offset" + (
-            also if left else ", and nothing in the catalogue that is none does as well"
-        )
+        more = also if len(left.causes) == len(finding.causes) else ", and nothing else in the catalogue does as well"
+        return left, f"{what}: its channel has no such offset{more}"
     return finding, f"{what}: that does not tell an offset from friction, and both may be there"
+
+
+def without_places(dataset: Dataset, finding: Finding, without: Collection[str] = ()) -> Finding:
+    """The finding where the places that another test ruled out are no causes and equal none.
+
+    What else may be the constant that an offset is stands in their place: also a law of position on a joint that
+    travels too little for it to be tried, of effects that are not in `without`. A cause that nothing equals is gone.
+    """
+    for place in finding.ruled_out:
+        number = next((k for k, c in enumerate(finding.causes) if place in (c.place, *finding.rivals[k])), None)
+        if number is not None:
+            finding = _without(dataset, finding, number, place, without)
+    return finding
 
 
 def _known_offset(model: IdentifiedModel, joint: int) -> float:
@@ -127,17 +149,36 @@ def _known_offset(model: IdentifiedModel, joint: int) -> float:
     )
 
 
-def _without(dataset: Dataset, finding: Finding, number: int, place: Where) -> Finding | None:
-    """The finding without an offset in a class: where it was the cause, its first equal is; None without one."""
-    rivals = tuple(rival for rival in finding.rivals[number] if rival != place)
+def _without(dataset: Dataset, finding: Finding, number: int, place: Where, without: Collection[str]) -> Finding:
+    """The finding without a place in a class: where it was the cause, its first equal is."""
+    untried = _untried(dataset, place, without)
+    rivals = tuple(dict.fromkeys(r for r in (*finding.rivals[number], *untried) if r != place))
     if finding.causes[number].place != place:
         return _only(dataset, finding, number, finding.causes[number], rivals)
     step = finding.steps[min(number, len(finding.steps) - 1)]
-    forms = {score.candidate.place: score.candidate for score in reversed(step.scores)}
+    others = [cause for k, cause in enumerate(finding.causes) if k != number]
+    made = dataset.fit.with_chosen(others).score(list(untried.values()))
+    forms = best_by_place([score for score in (*made, *step.scores) if plausible(score)])
     for k, rival in enumerate(rivals):
         if rival in forms:
-            return _only(dataset, finding, number, forms[rival], rivals[:k] + rivals[k + 1 :])
-    return None
+            return _only(dataset, finding, number, forms[rival].candidate, rivals[:k] + rivals[k + 1 :])
+    kept = [k for k in range(len(finding.causes)) if k != number]
+    return finding.only(kept, dataset.fit) if kept else finding.without_causes(abstained(True), dataset.fit)
+
+
+def _untried(dataset: Dataset, place: Where, without: Collection[str]) -> dict[Where, Candidate]:
+    """Laws of position that may be a constant, on a joint that travels too little for them to be tried."""
+    excursions, ((joint,), fit) = Excursions.of(dataset.fit.signals, dataset.limits), (place[1], dataset.fit)
+    laws = [
+        effect
+        for effect in CATALOGUE.values()
+        if "position" in effect.shapes and place[0] in effect.special_cases and effect.name not in without
+        if excursions.moved[joint] and excursions.travel[joint] < effect.needs_travel
+    ]
+    made = fit.candidates(
+        [(effect, place[1], settings) for effect in laws for settings in effect.settings(fit, place[1])]
+    )
+    return {form.place: form for form in reversed(made)}
 
 
 def _only(dataset: Dataset, finding: Finding, number: int, cause: Candidate, rivals: tuple[Where, ...]) -> Finding:

@@ -31,6 +31,7 @@ class Finding:
     falls behind. `least` is the gain that a cause has to have, and `null_gain` the one that the whole search exceeds in
     one of a hundred cases where there is nothing. `runners` are the next best places beside the first cause: they equal
     it where it turns out to close too little. `matters`: whether without any cause there is a gap that has to be said.
+    `ruled_out` are places that another test than motion excluded.
     """
 
     verdict: str
@@ -45,6 +46,7 @@ class Finding:
     null_gain: float
     runners: tuple[tuple[str, tuple[int, ...]], ...] = ()
     matters: bool = True
+    ruled_out: tuple[Where, ...] = ()
     limits: DecisionLimits = LIMITS
 
     def with_uncertain_form(self) -> Finding:

@@ -70,7 +70,7 @@ def diagnose(
                 finding, gap = judge(dataset, search.run(), fit)
     of_zero: tuple[str, ...] = ()
     if zero is not None:
-        finding, of_zero = with_channel_zero(dataset, finding, zero)
+        finding, of_zero = with_channel_zero(dataset, finding, zero, without)
         finding, gap = judge(dataset, finding, dataset.fit)
     motion = motion_gap(logs, limits)
     beyond = beyond_fit(dataset.model, [(s.q[s.kept], s.qd[s.kept]) for s in dataset.fit.signals])

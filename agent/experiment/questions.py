@@ -114,7 +114,7 @@ def _rivals(found: Diagnosis) -> Iterator[OpenPair]:
         mine = _hypothesis(found, fit, cause.place)
         near = _near(found, cause.place) if len(finding.causes) == 1 else []
         others = [_hypothesis(found, fit, place) for place in dict.fromkeys([*rivals, *near])]
-        known = {cause.place, *rivals, *near}
+        known = {cause.place, *rivals, *near, *finding.ruled_out}
         others += [_restrained(found, fit, place, cause) for place in _of_its_kind(found, cause) if place not in known]
         open_sides = [side for side in (mine, *others) if side.forms]
         for first, second in combinations(open_sides, 2):  # the truth may be none of those that are named
@@ -125,6 +125,7 @@ def _near(found: Diagnosis, cause: Place) -> list[Place]:
     """Places that explain nearly as much as the only cause, the best first."""
     best = best_by_place([s for s in found.finding.steps[0].scores if plausible(s) and not s.candidate.effect.once])
     least = _NEAR * best[cause].gain if cause in best else np.inf
+    best = {place: s for place, s in best.items() if place not in found.finding.ruled_out}
     others = sorted((s for place, s in best.items() if place != cause and s.gain > least), key=lambda s: -s.gain)
     return [score.candidate.place for score in others[:_NEAREST]]
 
@@ -162,6 +163,7 @@ def _leading(found: Diagnosis) -> Iterator[OpenPair]:
     if finding.verdict != "unknown":
         return
     scores = [s for s in finding.steps[0].scores if plausible(s) and s.gain > finding.least]
+    scores = [score for score in scores if score.candidate.place not in finding.ruled_out]
     leading = [_hypothesis(found, fit, score.candidate.place) for score in scores[:_LEADING]]
     for first, second in combinations([h for h in leading if h.forms], 2):
         yield OpenPair(first, second, fit, found.dataset.limits.equal_gain_floor)

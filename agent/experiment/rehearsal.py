@@ -30,6 +30,7 @@ from agent.diagnosis import (
     folds_of,
     judge,
     plausible,
+    without_places,
 )
 from agent.experiment.motion import GridMotion, background_on
 from agent.experiment.questions import OpenPair, Place, as_usual
@@ -109,6 +110,8 @@ class Rehearsal:
         dataset = replace(self._dataset, fit=fit, residual=left * fit.sigma)
         search = Search(fit, given=dataset.given, limits=dataset.limits, only=self._only)
         finding, _ = judge(dataset, search.run(), fit)
+        if ruled_out := self._found.finding.ruled_out:
+            finding, _ = judge(dataset, without_places(dataset, replace(finding, ruled_out=ruled_out)), fit)
         return said_by(finding)
 
     def _drawn(

@@ -4,6 +4,10 @@ Every way starts from the same first recording, a quick look by a loop in a part
 robot time, and is diagnosed with all logs before it. A way's motions run after the first one on the same machine, so it
 is as warm as it would be. Diagnosis and planning are given logs, model and recipe; the key is sealed before them.
 
+Where the first answer may be an offset of a torque channel, the tool asks for seconds of the arm on its brakes. So
+every way has a second answer there, after its first further motion, with them; the planned motion is planned anew for
+what they leave open. Nothing stands on brakes here: the log is noise about the zero of every channel.
+
 Every answer is kept in a file of its own, and a check that was stopped goes on with the next one. The first motions of
 all runs come first: they take seconds, and say where the dear rest is worth it. Then the runs that are ambiguous get a
 further motion of every way, the others that are not `explained` after them, and second ones last. Where nothing was
@@ -21,7 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.core import AgentError, Console, InputError, finite, write_atomically
-from agent.pipeline.active_worlds import ActiveWorld, ControllerMachines, Job, MujocoMachines
+from agent.pipeline.active_worlds import ActiveWorld, ControllerMachines, Job, MujocoMachines, on_brakes
 from agent.pipeline.next_experiment import LONGEST, NextMotion, plan_next, run_otherwise
 from agent.pipeline.planning import Plan, make_plan, program_text
 from agent.recipe import Recipe
@@ -96,7 +100,7 @@ class ActiveRun:
         self._folder = folder / "runs" / f"{case.number:04d}"
         #: Machines are numbered as they come: their seed would tell of the key.
         self._machine = folder / "machines" / f"{case.number // world.group:04d}"
-        self._found: dict[tuple[Path, ...], Diagnosis] = {}
+        self._found: dict[tuple[tuple[Path, ...], bool], Diagnosis] = {}
 
     @property
     def number(self) -> int:
@@ -124,6 +128,10 @@ class ActiveRun:
                 if "result" not in said:
                     break
                 last = said["result"]
+        if rounds and first.get("verdict") not in (None, "explained") and _may_be_of_channel(first):
+            self._kept("brakes", self._on_brakes)
+            for way in WAYS:
+                self._kept(f"{way}_brakes", partial(self._beside_brakes, way))
         self._found.clear()
 
     def entry(self) -> dict[str, Any]:
@@ -139,7 +147,9 @@ class ActiveRun:
             said = [self._read(f"{way}{number}") for number in range(1, _ROUNDS + 1)]
             ways[way] = [one for one in said if "result" in one]
             missing += [f"{way}: {one['error']}" for one in said if "error" in one]
-        return {**self._case.to_dict(), "first": first, "ways": ways, "missing": missing}
+        answers = {way: self._read(f"{way}_brakes") for way in WAYS}
+        beside = {way: answer["result"] for way, answer in answers.items() if "result" in answer}
+        return {**self._case.to_dict(), "first": first, "ways": ways, "brakes": beside, "missing": missing}
 
     def _read(self, name: str) -> dict[str, Any]:
         path = self._folder / f"{name}.json"
@@ -166,21 +176,48 @@ class ActiveRun:
         planned = self._read(f"planned{number}")
         seconds = planned["seconds"] if way != "planned" and "result" in planned else LONGEST
         before = {f"further{k}": self._folder / f"{way}{k}" for k in range(1, number)}
-        logs = [self._folder / f"{name}.mcap" for name in self._texts]
-        logs += [folder / f"{name}.mcap" for name, folder in before.items()]
-        found, name = self._diagnose(logs), f"further{number}"
-        started = time.process_time()
-        motion = self._motion(way, found, seconds, name, self._case.motion + number)
+        return self._moved(way, f"{way}{number}", before, seconds)
+
+    def _moved(
+        self, way: str, name: str, before: Mapping[str, Path], seconds: float, brakes: bool = False
+    ) -> dict[str, Any]:
+        """What is said after a way's next motion of at most so many `seconds`; empty where it has none.
+
+        `name` is that of the answer, `before` are the folders of its further motions until then, by name.
+        """
+        logs = [self._folder / f"{program}.mcap" for program in self._texts]
+        logs += [folder / f"{program}.mcap" for program, folder in before.items()]
+        found, number = self._diagnose(logs, brakes), len(before) + 1
+        started, program = time.process_time(), f"further{number}"
+        motion = self._motion(way, found, seconds, program, self._case.motion + number)
         if motion is None:
             return {}
         text, seconds, expected = motion
         planning = time.process_time() - started
         texts = self._texts | {there: (folder / "program.pdl").read_text() for there, folder in before.items()}
-        folder = self._folder / f"{way}{number}"
-        logs += self._record(self._case.effects, {**texts, name: text}, [name], folder)
+        folder = self._folder / name
+        logs += self._record(self._case.effects, {**texts, program: text}, [program], folder)
         write_atomically(folder / "program.pdl", text)
-        result = _said(self._diagnose(logs))
+        result = _said(self._diagnose(logs, brakes))
         return {"seconds": seconds, "planning_s": planning, "expected": expected, "result": result}
+
+    def _on_brakes(self) -> dict[str, Any]:
+        """What the first motions say with seconds on the brakes."""
+        return {"result": _said(self._diagnose([self._folder / f"{name}.mcap" for name in self._texts], True))}
+
+    def _beside_brakes(self, way: str) -> dict[str, Any]:
+        """What a way's first further motion says with seconds on the brakes before it."""
+        first = self._read("brakes")["result"]
+        planned = self._read("planned_brakes")
+        if first["verdict"] == "explained" or (way != "planned" and planned.get("seconds") is None):
+            return {"result": first}  # no robot time is spent
+        if way != "planned" and "result" in self._read(f"{way}1"):
+            logs = [self._folder / f"{name}.mcap" for name in self._texts] + [
+                self._folder / f"{way}1" / "further1.mcap"
+            ]
+            return {"result": _said(self._diagnose(logs, True))}
+        seconds = LONGEST if way == "planned" else planned["seconds"]
+        return self._moved(way, f"{way}_brakes", {}, seconds, True) or {"result": first}
 
     def _motion(
         self, way: str, found: Diagnosis, seconds: float, name: str, seed: int
@@ -250,19 +287,28 @@ class ActiveRun:
         self._world.run(Job(self._case, effects, recipe or self._recipe, texts, keep, folder))
         return [folder / f"{name}.mcap" for name in keep]
 
-    def _diagnose(self, logs: Sequence[Path]) -> Diagnosis:
-        """Remembered while this run is gone on with."""
+    def _diagnose(self, logs: Sequence[Path], brakes: bool = False) -> Diagnosis:
+        """Remembered while this run is gone on with; `brakes`: beside a log on the brakes."""
         from agent.diagnosis import diagnose
         from agent.model import IdentifiedModel
         from agent.recording import read_log
 
-        key = tuple(logs)
+        key = tuple(logs), brakes
         if key not in self._found:
             robot = self._recipe.robot
             # this controller's path is not quite what we planned, with an effect or without
             read = [replace(_as_recorded(read_log(log, robot)), planned_position=None) for log in logs]
-            self._found[key] = diagnose(robot, read, IdentifiedModel.load(self._model))
+            at_rest = on_brakes(read[0], self._case.effects) if brakes else None
+            self._found[key] = diagnose(robot, read, IdentifiedModel.load(self._model), drives_off=at_rest)
         return self._found[key]
+
+
+def _may_be_of_channel(said: Mapping[str, Any]) -> bool:
+    """Whether an answer has an offset of a torque channel in it."""
+    from agent.blind_check import class_of
+    from agent.model import CATALOGUE
+
+    return any(CATALOGUE[place["effect"]].adds_to_report for cause in said["causes"] for place in class_of(cause))
 
 
 def _as_recorded(log: Log) -> Log:

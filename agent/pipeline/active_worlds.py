@@ -21,6 +21,7 @@ from agent.robot import kinematics_for, load_robot
 
 if TYPE_CHECKING:
     from agent.blind_check import Case
+    from agent.recording import Log
 
 _QUIET = Console(verbosity=-1)
 _NOWHERE = "127.0.0.1:9"
@@ -34,6 +35,10 @@ _POSTURES = (
     (0.2, 0.6, 0.3, -1.3, 0.4, 0.9, 0.2),
     (0.2, -0.6, -1.0, 0.3, -0.8, 0.2),
 )
+
+
+#: Seconds on the brakes, and the noise of a torque channel there over what it shows in motion.
+_ON_BRAKES, _CHANNEL_NOISE = 4.0, 0.01
 
 
 @dataclass(frozen=True)
@@ -147,6 +152,31 @@ class MujocoMachines:
             path.unlink()
             if name not in job.keep:
                 (job.folder / f"{name}.mcap").unlink()
+
+
+def on_brakes(log: Log, effects: Sequence[Mapping[str, Any]]) -> Log:
+    """A log of the arm on its brakes where another ended, with an offset where one of the channels has one."""
+    from agent.model import CATALOGUE
+
+    assert log.effort is not None
+    count = round(_ON_BRAKES * log.sample_rate)
+    position = np.tile(log.position[-1], (count, 1))
+    zero = np.zeros(position.shape[1])
+    for effect in effects:
+        if effect["effect"] in CATALOGUE and CATALOGUE[effect["effect"]].adds_to_report:
+            zero[log.joint_names.index(effect["joints"][0])] += sum(effect["parameters"].values())
+    noise = _CHANNEL_NOISE * np.std(log.effort, axis=0) * np.random.default_rng(count).normal(size=position.shape)
+    return replace(
+        log,
+        t=np.arange(count) / log.sample_rate,
+        position=position,
+        velocity=0 * position,
+        effort=zero + noise,
+        reference_position=None,
+        planned_position=None,
+        segments=((0, count),),
+        cycle_starts=(),
+    )
 
 
 def _written(machine: Path, text: str) -> Recipe:

@@ -27,7 +27,16 @@ BEGIN = ("excite",)
 def check(tmp_path: Path, monkeypatch):
     """Of three runs, whose first recordings are ambiguous, and that are settled by any second further motion."""
     made = SimpleNamespace(
-        ran=[], asked=[], read=[], fails="", refuses=(), first={}, later=None, folder=tmp_path / "check"
+        ran=[],
+        asked=[],
+        read=[],
+        fails="",
+        refuses=(),
+        first={},
+        later=None,
+        folder=tmp_path / "check",
+        brakes={},
+        effect="stribeck",
     )
 
     def record(self, job):
@@ -38,12 +47,13 @@ def check(tmp_path: Path, monkeypatch):
         for name in job.keep:
             (job.folder / f"{name}.mcap").write_text("log")
 
-    def diagnose(self, logs):
+    def diagnose(self, logs, brakes=False):
         assert all(log.exists() for log in logs), "no earlier motion's log is lost"
-        made.read.append(len(logs))
-        open_now = made.first.get(int(logs[0].parent.name), "ambiguous")
-        verdict = (open_now if len(logs) < 3 else "explained") if made.later is None else made.later
-        cause = {"effect": "stribeck", "joints": ["joint_2"], "equivalent_to": []}
+        made.read.append((len(logs), brakes))
+        number = int(logs[0].parent.name)
+        open_now = made.brakes.get((number, len(logs))) if brakes else made.first.get(number, "ambiguous")
+        verdict = (open_now if brakes or len(logs) < 3 else "explained") if made.later is None else made.later
+        cause = {"effect": made.effect, "joints": ["joint_2"], "equivalent_to": []}
         return SimpleNamespace(
             result={"verdict": verdict, "causes": [cause], "closure": 0.9},
             dataset=SimpleNamespace(robot=load_robot("comau_ns16"), logs=logs),
@@ -100,6 +110,35 @@ def test_where_nothing_is_found_one_motion_of_every_way_says_what_would_have_bee
     assert [name for _, _, name, _ in check.asked] == ["further1"] * 12
     found = scores["smallest_sizes"]["d_optimal"]
     assert (found["weak"], found["had_none"], found["have_one"], found["halved"]) == (3, 3, 3, 3)
+
+
+def test_seconds_on_the_brakes_come_first_where_an_offset_is_open_and_the_motion_is_planned_for_what_they_leave(check):
+    check.effect = "torque_offset"
+    check.brakes = {
+        (0, 1): "explained",
+        (1, 1): "ambiguous",
+        (1, 2): "explained",
+        (2, 1): "ambiguous",
+        (2, 2): "unknown",
+    }
+    check.whole.run(QUIET)
+    planned = [number for number, way, name, _ in check.asked if (way, name) == ("planned", "further1")]
+    assert sorted(planned) == [0, 1, 1, 2, 2], "run 0 needs no other motion with them"
+    assert [entry[1] for entry in check.ran if entry[0] == 1 and entry[1].endswith("_brakes")] == ["planned_brakes"]
+    runs = check.folder / "runs"
+    said = {
+        (number, way): json.loads((runs / f"{number:04d}" / f"{way}_brakes.json").read_text())["result"]["verdict"]
+        for number in range(3)
+        for way in WAYS
+    }
+    assert {said[0, way] for way in WAYS} == {said[1, way] for way in WAYS} == {"explained"}
+    assert {said[2, way] for way in WAYS} == {"unknown"}
+
+
+def test_nothing_stands_on_its_brakes_where_no_offset_is_open(check):
+    check.whole.run(QUIET)
+    assert not any(brakes for _, brakes in check.read)
+    assert not list(check.folder.glob("runs/*/*brakes*"))
 
 
 def test_no_time_is_spent_where_no_motion_would_tell(check):

@@ -106,3 +106,16 @@ def test_nothing_recorded_is_said(scores):
     assert nothing["calibration"]["overall"] is None
     assert nothing["planning_s"] is None
     assert "1 runs" in active_text(nothing)
+
+
+def test_the_answer_with_seconds_on_the_brakes_counts_beside_the_motion_alone():
+    one, two = (run(number, OPEN, {"planned": [OPEN]}) for number in range(2))
+    one["brakes"] = {"planned": RIGHT, "random": WRONG}
+    scores = active_scores([one, two])
+    shares = {
+        way: tuple(scores["ways"][way][key]["count"] for key in ("right_with_brakes", "wrong_with_brakes"))
+        for way in WAYS
+    }
+    assert shares == {"planned": (1, 0), "loop_again": (0, 0), "random": (0, 1), "d_optimal": (0, 0)}
+    assert scores["ways"]["planned"]["right_after_one"]["count"] == 0
+    assert "with seconds on the brakes" in active_text(scores)
