@@ -75,7 +75,7 @@ def with_channel_zero(
 
     `without`: effects that are not to be named.
     """
-    said = []
+    finding, said = replace(finding, zero_known=True), []
     for number in range(len(finding.causes)):
         place = _offset_of(finding, number)
         if place is not None:

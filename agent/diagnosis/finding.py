@@ -31,7 +31,7 @@ class Finding:
     falls behind. `least` is the gain that a cause has to have, and `null_gain` the one that the whole search exceeds in
     one of a hundred cases where there is nothing. `runners` are the next best places beside the first cause: they equal
     it where it turns out to close too little. `matters`: whether without any cause there is a gap that has to be said.
-    `ruled_out` are places that another test than motion excluded.
+    `ruled_out` are places that another test than motion excluded; `zero_known`: there was a log with the drives off.
     """
 
     verdict: str
@@ -47,6 +47,7 @@ class Finding:
     runners: tuple[tuple[str, tuple[int, ...]], ...] = ()
     matters: bool = True
     ruled_out: tuple[Where, ...] = ()
+    zero_known: bool = False
     limits: DecisionLimits = LIMITS
 
     def with_uncertain_form(self) -> Finding:

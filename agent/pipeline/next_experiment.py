@@ -28,6 +28,7 @@ LONGEST = 60.0
 _HELPS = 0.3
 #: A mass is tried whose weight, far out, is this part of the strongest joint's nominal torque.
 _TRIAL_LOAD = 0.1
+_BRAKES = "seconds of the arm on its brakes with the drives off, which tell an offset (--drives-off LOG)"
 #: At so much of its joint speeds the arm goes from piece to piece, or at half of it, and so on, where the tool would be
 #: faster than the recipe says by more than round-off.
 _WAY_SPEED, _SLOWEST_WAY, _SPEED_ROUND_OFF = 0.2, 0.02, 1.01
@@ -37,7 +38,7 @@ _WAY_SPEED, _SLOWEST_WAY, _SPEED_ROUND_OFF = 0.2, 0.02, 1.01
 class NextMotion:
     """A planned experiment as a program: `text`, set-points from stop to stop, and what it is expected to tell.
 
-    `load`: a known mass that somebody has to mount for it.
+    `load`: a known mass that somebody has to mount for it; `brakes`: seconds with the drives off are asked for first.
     """
 
     experiment: Experiment
@@ -45,6 +46,7 @@ class NextMotion:
     chains: tuple[Trajectory, ...]
     robot: RobotDescription
     load: Tool | None = None
+    brakes: bool = False
 
     @property
     def duration(self) -> float:
@@ -62,7 +64,9 @@ class NextMotion:
             **load,
             PARTS: PLANNED_PARTS,
             "separates": sorted({name for e in expected for name in e.pair.names if name != "none"}),
-            "motion": "; then ".join(piece.text(self.robot) for piece in self.experiment.pieces),
+            "motion": "; then ".join(
+                [*([_BRAKES] if self.brakes else ()), *(piece.text(self.robot) for piece in self.experiment.pieces)]
+            ),
             "program": program,
             "duration_s": self.duration,
             "probability": [
@@ -114,12 +118,13 @@ def plan_next(
     runs = _Runs(recipe, name, limits)
     experiment = plan_experiment(found, pairs, problem, seconds, recipe.search.seed, console.progress, runs)
     if runs.motion is not None:
-        motion = NextMotion(experiment, *runs.motion, recipe.robot, load)
+        asked = [e.pair for e in experiment.expected]
+        motion = NextMotion(experiment, *runs.motion, recipe.robot, load, _brakes_tell(found, asked))
         if motion.helps():
             return motion
     refused = f" ({runs.refused})" if runs.refused else ""
     loads = "" if load is not None else _with_a_mass(found, pairs, problem, seconds, recipe.search.seed)
-    return f"no motion in the sub-region of {recipe.path} would settle it{refused}: {_other_test(pairs)}{loads}"
+    return f"no motion in the sub-region of {recipe.path} would settle it{refused}: {_other_test(found, pairs)}{loads}"
 
 
 def run_otherwise(pick: Pick, recipe: Recipe, seconds: float, name: str, seed: int) -> tuple[str, float] | None:
@@ -198,16 +203,23 @@ def _check_folder(folder: Path) -> None:
         raise InputError(f"{folder}: holds an experiment already; name another folder with -o, or move it away")
 
 
-def _other_test(pairs: Sequence[OpenPair]) -> str:
+def _other_test(found: Diagnosis, pairs: Sequence[OpenPair]) -> str:
     """What could still tell the most urgent pair apart, by the knowledge that its effects carry."""
     from agent.model import CATALOGUE
 
     names = [name for name in dict.fromkeys(pairs[0].names) if name in CATALOGUE]
     looks = [f"for {name}, {CATALOGUE[name].look_at}" for name in names]
-    of_channel = any(CATALOGUE[name].adds_to_report for name in names)
-    brakes = "with the drives off seconds of the arm on its brakes tell an offset (--drives-off LOG); "
     other = f"another posture, load or temperature may, or a look at the arm: {'; '.join(looks)}"
-    return brakes + other if of_channel else other
+    return f"{_BRAKES}; {other}" if _brakes_tell(found, pairs[:1]) else other
+
+
+def _brakes_tell(found: Diagnosis, pairs: Sequence[OpenPair]) -> bool:
+    """Whether one of two that are open is an offset of a torque channel, whose zero is not known yet."""
+    from agent.model import CATALOGUE
+
+    if found.finding.zero_known:
+        return False
+    return any(name in CATALOGUE and CATALOGUE[name].adds_to_report for pair in pairs for name in pair.names)
 
 
 def _with_a_mass(found: Diagnosis, pairs: Sequence[OpenPair], problem: LoopProblem, seconds: float, seed: int) -> str:

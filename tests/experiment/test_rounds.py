@@ -179,13 +179,29 @@ def test_a_motion_takes_as_long_as_its_rests_and_its_moves():
     assert NextMotion(SimpleNamespace(), text, chains, robot).duration == pytest.approx(9.5)  # type: ignore[arg-type]
 
 
+def found_with(zero_known: bool):
+    return SimpleNamespace(finding=SimpleNamespace(zero_known=zero_known))
+
+
 def test_where_no_motion_helps_it_says_where_to_look_for_either():
     pairs = [SimpleNamespace(names=names) for names in (("torque_offset", "none"), ("stribeck", "presliding"))]
-    text = _other_test(pairs)  # type: ignore[arg-type]
+    text = _other_test(found_with(False), pairs)  # type: ignore[arg-type]
     assert CATALOGUE["torque_offset"].look_at in text
     assert CATALOGUE["stribeck"].look_at not in text, "the most urgent pair"
     assert "--drives-off" in text
-    assert "--drives-off" not in _other_test(pairs[1:]), "no motor's current is in it"  # type: ignore[arg-type]
+    assert "--drives-off" not in _other_test(found_with(True), pairs), "it is there"  # type: ignore[arg-type]
+    no_channel = _other_test(found_with(False), pairs[1:])  # type: ignore[arg-type]
+    assert "--drives-off" not in no_channel, "no motor's current is in it"
+
+
+@pytest.mark.parametrize("brakes", [False, True])
+def test_a_planned_motion_says_that_seconds_on_the_brakes_come_first(brakes):
+    robot, piece = load_robot("comau_ns16"), SimpleNamespace(text=lambda robot: "reversals of joint_2")
+    experiment, text = SimpleNamespace(expected=(), pieces=[piece]), write_program("experiment", [Delay(4.0)], robot)
+    motion = NextMotion(experiment, text, (), robot, brakes=brakes)  # type: ignore[arg-type]
+    said = motion.to_dict("program.pdl")["motion"]
+    assert said.endswith("reversals of joint_2")
+    assert ("--drives-off" in said) is brakes
 
 
 def test_the_page_has_question_motion_and_answer_of_every_round(ask):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.diagnosis import diagnose
+from agent.diagnosis import diagnose, without_places
+from agent.experiment import open_pairs
 from fake_controller.plant import Plant
 from tests.small_arms import record
 
@@ -122,3 +123,51 @@ def test_of_a_healthy_arm_it_settles_nothing(arm, model, logs):
 def test_a_log_that_has_no_zero_is_refused(arm, model, logs, change, message):
     with pytest.raises(InputError, match=message):
         diagnose(arm, logs, model, drives_off=change(at_rest(logs[0], np.zeros(arm.dof))))
+
+
+@pytest.fixture(scope="module")
+def short_logs(arm):
+    """The same shift on a joint that travels less than a law of position takes."""
+    plant = Plant(arm, seed=3)
+    here = np.arange(arm.dof) == JOINT
+    healthy = [record(plant, name, seed, share=1 - 0.94 * here) for name, seed in (("one", 21), ("two", 22))]
+    assert max(np.ptp(log.position[:, JOINT]) for log in healthy) < 0.2
+    return [replace(log, effort=log.effort + OFFSET * here) for log in healthy]
+
+
+def of_first(found):
+    (cause, *_) = found.answer.causes
+    return {cause.effect, *(place.effect for place in cause.equivalent_to)}
+
+
+def test_a_spring_or_hose_stays_open_where_the_joint_travels_too_little_to_try_one(arm, model, short_logs):
+    zero = at_rest(short_logs[0], np.zeros(arm.dof))
+    found = diagnose(arm, short_logs, model, drives_off=zero)
+    assert found.answer.verdict == "ambiguous"
+    assert of_first(found) >= {"asymmetric_friction", "gravity_spring", "dress_pack"}
+    assert "torque_offset" not in of_first(found)
+    kept = diagnose(arm, short_logs, model, drives_off=zero, without=("gravity_spring", "dress_pack"))
+    assert of_first(kept).isdisjoint({"torque_offset", "gravity_spring", "dress_pack"})
+
+
+def test_what_was_ruled_out_is_not_asked_again(arm, model, short_logs):
+    zero = at_rest(short_logs[0], np.zeros(arm.dof))
+    asked = [name for drives in (None, zero) for name in names_asked(arm, model, short_logs, drives)]
+    assert asked.count("torque_offset") == 1, "only before it"
+    found = [diagnose(arm, short_logs, model, drives_off=drives) for drives in (None, zero)]
+    assert [one.finding.zero_known for one in found] == [False, True]
+
+
+def names_asked(arm, model, logs, drives_off):
+    pairs = open_pairs(diagnose(arm, logs, model, drives_off=drives_off))
+    return {name for pair in pairs for name in pair.names}
+
+
+def test_nothing_is_named_where_nothing_else_does_as_well_as_the_offset_that_is_not_there(arm, model, logs):
+    """As it is where friction by direction leaves more than the offset."""
+    found = diagnose(arm, logs, model)
+    place = ("torque_offset", (JOINT,))
+    assert found.finding.causes[0].place == place
+    alone = replace(found.finding, verdict="explained", rivals=((),), ruled_out=(place,))
+    left = without_places(found.dataset, alone)
+    assert (left.verdict, left.causes, left.fit) == ("unknown", (), found.dataset.fit)
