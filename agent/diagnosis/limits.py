@@ -75,6 +75,12 @@ class DecisionLimits:
     equal_shape_gain: float = _limit(
         0.01, "gain of the best", "a law of position and a curve through anything this close are as good", TUNED
     )
+    equal_gain_of_pushes: float = _limit(
+        0.1,
+        "gain of a push",
+        "or of several, and what repeats this close, with a third of the parameters, is as good",
+        "chosen",
+    )
     further_effect: float = _limit(0.35, "energy still unexplained", "that every further effect must explain", TUNED)
     in_band_gain: float = _limit(
         0.4, "gain", "of an effect in fast torque, where measured torque goes with the prediction that has it", "chosen"

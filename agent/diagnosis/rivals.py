@@ -48,11 +48,14 @@ def trusted(limits: DecisionLimits, cause: Candidate, other: Where, alike: float
     """The share of a gain by which a cause has to be better than another place; `alike` that of unlike forms.
 
     Two laws of position that equal each other by definition are trusted to a tenth of their torque: a spring between
-    pivots is neither a sine nor a straight line.
+    pivots is neither a sine nor a straight line. What happens once has to be better by more than what repeats: a string
+    of pushes, each somewhere for as long as it fits, follows whatever a law has beside its form.
     """
     effect, rival = cause.effect, CATALOGUE[other[0]]
     same = other[1] == cause.joints and rival.name in effect.structurally_equivalent
     laws = all("position" in one.shapes and not one.exact for one in (effect, rival))
+    if effect.once and not rival.once:
+        return max(alike, limits.equal_gain_of_pushes)
     return max(alike, limits.equal_shape_gain) if same and laws else alike
 
 
@@ -70,11 +73,13 @@ def as_good(limits: DecisionLimits, score: HeldOutScore, best: HeldOutScore, lea
     """Whether a score falls behind the best by no more than `least`, or than forms are trusted.
 
     A law that equals a freer one by definition, a spring and a curve through any torque over position, is trusted to a
-    tenth of its torque: the freer one follows whatever a real spring has beside its law.
+    tenth of its torque: the freer one follows whatever a real spring has beside its law. So does a string of pushes.
     """
     far = complexity(score.candidate) <= complexity(best.candidate) / limits.simpler_ratio
     freer = complexity(score.candidate) < complexity(best.candidate) and structurally_equivalent(best.candidate, score)
     share = limits.equal_gain if far else limits.equal_shape_gain if freer else limits.indistinguishable_gain
+    if far and best.candidate.effect.once and not score.candidate.effect.once:
+        share = limits.equal_gain_of_pushes
     by_form = gain_by_form(limits, best.gain, places, best.candidate.place, score.candidate.place)
     return best.gain - gain_at_best(limits, score, places, best.candidate.place) <= max(least, share * by_form)
 

@@ -72,6 +72,16 @@ def test_a_curve_through_anything_needs_more_than_what_a_real_spring_has_beside_
     assert not as_good(LIMITS, score(HOSE, gain, **CURVE), score(SPRING, 1000.0, harmonics=2.0), 1.0, {})
 
 
+@pytest.mark.parametrize(("gain", "equal"), [(930.0, True), (890.0, False)])
+def test_a_string_of_pushes_has_to_be_better_by_a_tenth_than_what_repeats(gain, equal):
+    """Each is somewhere for as long as it fits, so together they follow what a real spring has beside its law."""
+    pushes = score(("contact", ()), 1000.0, log_1=0.0, link_1=1.0, log_2=0.0, link_2=1.0)
+    spring = score(SPRING, gain, harmonics=1.0)
+    assert as_good(LIMITS, spring, pushes, 1.0, places(pushes, spring)) is equal
+    assert trusted(LIMITS, pushes.candidate, SPRING, LIMITS.indistinguishable_gain) == LIMITS.equal_gain_of_pushes
+    assert trusted(LIMITS, spring.candidate, ("contact", ()), 0.003) == 0.003, "not the other way round"
+
+
 @pytest.mark.parametrize(("left", "better"), [(500.0, True), (700.0, False)])
 def test_what_happens_once_is_not_named_where_what_repeats_does_better_held_out_alike(left, better):
     """A law of position that may be the model's own is not named; the pushes that follow it are no better known."""
