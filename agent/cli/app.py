@@ -6,7 +6,7 @@ import os
 import sys
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -224,6 +224,10 @@ def diagnose(
         model, joint_map, cutoff, left_out, report, out, allow_mixed, force, next_recipe, load, drives_off
     )
     console = opt.console_for(messages)
+
+    def show(found: dict[str, Any]) -> None:
+        opt.print_found(as_json, found, diagnosis_text(found))
+
     if budget is not None and not until_sure:
         raise InputError("diagnose: --budget is of the further motions of --until-sure: give that too, or leave it out")
     if record is not None:
@@ -231,7 +235,7 @@ def diagnose(
             raise InputError("diagnose: --record records its own logs of the recipe's robot: leave out LOG and --robot")
         from agent.pipeline import BUDGET, budget_of
 
-        motion = budget_of(budget or BUDGET) if until_sure else None
+        motion = budget_of(BUDGET if budget is None else budget) if until_sure else None
         result = diagnose_recording(record, question, console, runs, yes, motion)
     elif until_sure:
         raise InputError("diagnose: --until-sure moves the robot: name the recipe to record with --record RECIPE")
@@ -241,8 +245,8 @@ def diagnose(
             "to record (--record)"
         )
     else:
-        result = diagnose_files(robot, logs, question, console)
-    opt.print_found(as_json, result, diagnosis_text(result))
+        result = diagnose_files(robot, logs, question, console, show)
+    show(result)
 
 
 @app.command("blind-check")

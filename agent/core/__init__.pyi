@@ -55,6 +55,7 @@ from .signals import (
     signals_raised as signals_raised,
     stop_to_come as stop_to_come,
     undisturbed as undisturbed,
+    words_of as words_of,
 )
 from .splines import CubicSplines as CubicSplines, cubic_spline as cubic_spline
 from .units import Bare as Bare, Dimension as Dimension, Quantity as Quantity, parse_quantity as parse_quantity

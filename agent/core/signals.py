@@ -38,6 +38,11 @@ class Ended(BaseException):
         self.exit_code = 128 + number
 
 
+def words_of(error: BaseException) -> str:
+    """What ended something, for people."""
+    return WORDS[signal.SIGINT] if isinstance(error, KeyboardInterrupt) else str(error) or type(error).__name__
+
+
 class _State:
     """Of this process; changed in its main thread alone."""
 

@@ -6,7 +6,7 @@ there as well, alone or with the one that the model had before; friction by dire
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +27,10 @@ _LEAST = 1.0  # s
 _BLOCKS = 8  # whose means scatter as far as slow noise has it
 _CERTAIN = 3.0  # standard errors
 _NEAR, _FAR = 0.25, 0.5  # of the offset found: so near to what one story says, and so far from what the other does
+_SWINGS = 0.05  # of nominal torque, standard deviation: a channel without current shows its noise
+_HOLDS, _LOADED = 0.3, 0.02  # of the torque that holds the arm: so near to it; and of nominal torque, where it tells
+_BEYOND = 1.0  # of nominal torque: no zero of a channel
+_NOTABLE = 0.02  # of nominal torque
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +46,8 @@ def channel_zero(robot: RobotDescription, log: Log, model: IdentifiedModel | Non
     """The zero of every torque channel, from a log that was recorded with the drives off.
 
     Raises:
-        InputError: the log has no torque, is short, or is of an arm that moves, or the model is a simulator's file.
+        InputError: the log has no torque, is short, is of an arm that moves or whose drives hold it, or the model is a
+            simulator's file.
     """
     if model is not None and model.method == SIMULATOR:
         raise InputError(
@@ -62,10 +67,44 @@ def channel_zero(robot: RobotDescription, log: Log, model: IdentifiedModel | Non
             raise InputError(
                 f"{log.name}: {joint.name} moves by {travel:.2g} {unit}: with the drives off the brakes hold an arm"
             )
+    _check_off(robot, log, model)
     means = np.array([block.mean(axis=0) for block in np.array_split(log.effort, _BLOCKS)])
     off = np.ptp(log.effort, axis=0) == 0
     torque, error = means.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(_BLOCKS)
     return ChannelZero(np.where(off, np.nan, torque), np.where(off, np.nan, error))
+
+
+def _check_off(robot: RobotDescription, log: Log, model: IdentifiedModel | None) -> None:
+    """Raises:
+    InputError: torque that no drive without current shows.
+    """
+    assert log.effort is not None
+    nominal, mean, swing = robot.nominal_torque, log.effort.mean(axis=0), log.effort.std(axis=0)
+    again = "switch the drives off, let the brakes hold the arm, and record again"
+    for joint, entry in enumerate(robot.joints):
+        unit = "N" if entry.prismatic else "N·m"
+        if swing[joint] > _SWINGS * nominal[joint]:
+            raise InputError(
+                f"{log.name}: the torque of {entry.name} varies by {swing[joint]:.3g} {unit} (standard deviation) "
+                f"while the arm stands, which no motor without current does: {again}"
+            )
+        if abs(mean[joint]) > _BEYOND * nominal[joint]:
+            raise InputError(
+                f"{log.name}: the torque of {entry.name} is {mean[joint]:.4g} {unit}, and its nominal torque "
+                f"{nominal[joint]:.4g}: that is no zero of a channel; {again}, or mend the units in its import"
+            )
+    if model is None:
+        return
+    still = np.zeros((1, robot.dof))
+    torque, friction = model.predict_parts(log.position.mean(axis=0)[None], still, still)
+    held = (torque - friction)[0]
+    loaded = np.abs(held) > _LOADED * np.where(np.isnan(nominal), np.abs(held).max(), nominal)
+    left = np.linalg.norm((mean - _known_offsets(model) - held)[loaded])
+    if loaded.any() and left < _HOLDS * np.linalg.norm(held[loaded]):
+        names = ", ".join(np.array(robot.joint_names)[loaded])
+        raise InputError(
+            f"{log.name}: the torque of {names} is what it takes to hold the arm there, so its drives are on: {again}"
+        )
 
 
 def with_channel_zero(
@@ -76,6 +115,7 @@ def with_channel_zero(
     `without`: effects that are not to be named.
     """
     finding, said = replace(finding, zero_known=True), []
+    asked = {place[1] for k in range(len(finding.causes)) if (place := _offset_of(finding, k)) is not None}
     for number in range(len(finding.causes)):
         place = _offset_of(finding, number)
         if place is not None:
@@ -84,7 +124,20 @@ def with_channel_zero(
     nothing = (
         "nothing that was found may be an offset of a torque channel, so the log with the drives off settles nothing"
     )
-    return finding, tuple(said or [nothing])
+    return finding, (*(said or [nothing]), *_elsewhere(dataset, zero, asked))
+
+
+def _elsewhere(dataset: Dataset, zero: ChannelZero, asked: Collection[tuple[int, ...]]) -> Iterator[str]:
+    """Channels with another zero than the model has, where no offset was found."""
+    before = _known_offsets(dataset.model)
+    for joint, entry in enumerate(dataset.robot.joints):
+        seen, least = zero.torque[joint], _NOTABLE * dataset.fit.reference.scale[joint]
+        if (joint,) not in asked and min(abs(seen), abs(seen - before[joint])) > _CERTAIN * zero.error[joint] + least:
+            unit = "N" if entry.prismatic else "N·m"
+            yield (
+                f"with the drives off the torque of {entry.name} is {seen:.3g} {unit}, and in motion no offset of its "
+                "channel was found: was it recorded on the same day, by the same channel, with the drives off?"
+            )
 
 
 def _offset_of(finding: Finding, number: int) -> Where | None:
@@ -108,10 +161,12 @@ def _settled(
     others = tuple(cause for k, cause in enumerate(finding.causes) if k != number)
     (offset,) = dataset.fit.candidates([(CATALOGUE[place[0]], place[1], {})])
     size = float(dataset.fit.with_chosen((*others, offset)).values[-1][0])
-    before = _known_offset(dataset.model, joint)
+    before = float(_known_offsets(dataset.model)[joint])
     seen, slack = float(zero.torque[joint]), _CERTAIN * float(zero.error[joint])
     of_channel, of_arm = min(abs(seen - size), abs(seen - size - before)), min(abs(seen), abs(seen - before))
     what = f"with the drives off the torque of {name} is {seen:.3g} {unit}, where {size:.3g} {unit} were found"
+    if slack > _NEAR * abs(size):
+        return finding, f"{what}, give or take {slack:.3g}: too restless to tell an offset from friction"
     near, far = _NEAR * abs(size) + slack, _FAR * abs(size)
     if of_channel <= near and of_arm >= far:
         return _only(dataset, finding, number, offset, ()), f"{what}: an offset of its channel, and nothing of the arm"
@@ -137,16 +192,13 @@ def without_places(dataset: Dataset, finding: Finding, without: Collection[str] 
     return finding
 
 
-def _known_offset(model: IdentifiedModel, joint: int) -> float:
-    """What the model has of it already [N·m], an offset of the channel or not."""
-    friction = model.values[len(model.independent) :]
-    return float(
-        sum(
-            value
-            for term, value in zip(model.terms, friction, strict=True)
-            if (term.axle, term.form) == (joint, "offset")
-        )
-    )
+def _known_offsets(model: IdentifiedModel) -> np.ndarray:
+    """(n,) what the model has of them already [N·m], of the channel or not."""
+    offsets = np.zeros(model.robot.dof)
+    for term, value in zip(model.terms, model.values[len(model.independent) :], strict=True):
+        if term.form == "offset":
+            offsets[term.axle] += value
+    return offsets
 
 
 def _without(dataset: Dataset, finding: Finding, number: int, place: Where, without: Collection[str]) -> Finding:

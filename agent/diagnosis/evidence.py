@@ -68,6 +68,8 @@ def null_gains(
     quadratic in sums over blocks of rows, so a draw costs their signs only.
     """
     wanted = [c for c in candidates if not c.once]
+    if not wanted:
+        return Null(np.zeros(limits.draws), {}, {}, {}, limits)
     ends = np.cumsum([0, *(len(c.names) for c in wanted)])
     spans = dict(zip(wanted, (slice(a, b) for a, b in pairwise(ends)), strict=True))
     unit, fold_of, block_of = _units(fit)

@@ -41,7 +41,8 @@ _MUCH = 0.3  # of the gap of the joint that has most: a joint that is worth a mo
 class Diagnosis:
     """Everything a report shows: the answer, the finding, the data, and the gaps of torque and path.
 
-    `calibrated`: of a simulator's file, what of its numbers was moved.
+    `calibrated`: of a simulator's file, what of its numbers was moved; `held`: a torque that stands still where most of
+    the gap is.
     """
 
     answer: DiagnosisResult
@@ -50,6 +51,7 @@ class Diagnosis:
     motion: MotionGap | None
     gap: HeldOutGap
     calibrated: ReleasedSimulator | None = None
+    held: HeldTorque | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -127,13 +129,15 @@ def build(
         where,
         causes,
         tuple(not_testable(dataset, search)),
-        next_experiment(causes, verdict, where) if held is None else NextExperiment((), held.motion),
+        next_experiment(causes, verdict, where, finding.zero_known)
+        if held is None
+        else NextExperiment((), held.motion),
         _folds(dataset),
         (*(() if held is None else (held.text,)), *warnings),
         steps,
         "servos" if any(servo_stiffness(log.metadata) is not None for log in dataset.logs) else "motors",
     )
-    return Diagnosis(answer, finding, dataset, motion, gap, calibrated)
+    return Diagnosis(answer, finding, dataset, motion, gap, calibrated, held)
 
 
 def _within_uncertainty(share: float) -> str:
@@ -186,16 +190,19 @@ def _path_gap(motion: MotionGap | None) -> PathGap:
     return PathGap(_floats(motion.before), _floats(motion.after), floor)
 
 
-def next_experiment(causes: Sequence[Cause], verdict: str, where: Sequence[JointShare]) -> NextExperiment | None:
+def next_experiment(
+    causes: Sequence[Cause], verdict: str, where: Sequence[JointShare], zero_known: bool = False
+) -> NextExperiment | None:
     """A motion that would tell the first cause from what equals it, or more of the joints `where` most of the gap is;
-    None where nothing is open."""
+    None where nothing is open. `zero_known`: there was a log with the drives off."""
     if verdict == "unknown":
         joints = [entry.joint for entry in where if entry.share > _MUCH * where[0].share]
         return NextExperiment((), _WHEN_UNKNOWN.format(joints=", ".join(joints)))
     if verdict != "ambiguous" or not causes:
         return None
     pair = (causes[0].effect, *(entry.effect for entry in causes[0].equivalent_to[:1]))
-    return NextExperiment(pair, min(CATALOGUE[name].experiment for name in pair).motion)
+    experiment = min(CATALOGUE[name].experiment for name in pair)
+    return NextExperiment(pair, experiment.motion if zero_known else experiment.with_brakes)
 
 
 def _folds(dataset: Dataset) -> tuple[FoldNames, ...]:

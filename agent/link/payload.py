@@ -3,30 +3,64 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from agent.core import InputError
+from agent.core import InputError, sha256_text
+
+if TYPE_CHECKING:
+    from agent.robot import RobotDescription, Tool
+
+#: Key of `experiment.json`: SHA-256 of the program that it is about.
+PROGRAM_SHA256 = "program_sha256"
+_COMMENT = "  -- planned with this at the flange: "
 
 
-def known_of(program: Path, payload: str | None, ask: Callable[[str], bool]) -> dict[str, str]:
+def with_payload(text: str, load: Tool) -> str:
+    """A program whose second line says what it was planned with, wherever it is copied to."""
+    from agent.model import payload_text
+
+    first, rest = text.split("\n", 1)
+    return f"{first}\n{_COMMENT}{payload_text(load)}\n{rest}"
+
+
+def check_payload(robot: RobotDescription, tool: Tool | None, load: Tool) -> None:
+    """The arm may carry a mass at its flange, beside its tool.
+
+    Raises:
+        InputError: both together are more than the arm is rated for.
+    """
+    mounted = 0.0 if tool is None else tool.mass
+    rated = robot.rated_payload
+    if rated is not None and load.mass + mounted > rated:
+        beside = f" and {mounted:g} kg of tool" if mounted else ""
+        raise InputError(
+            f"payload: {load.mass:g} kg{beside} at the flange are more than the {rated:g} kg that {robot.name} is "
+            "rated for (rated_payload of its description): mount a lighter mass"
+        )
+
+
+def known_of(program: Path, text: str, payload: str | None, ask: Callable[[str], bool]) -> dict[str, str]:
     """What the log says of a program: in how many parts a planned motion is held out, and of a payload that which a
     person names, or confirms because the program was planned with it.
 
     Args:
-        program: beside it, `experiment.json` says what it was planned with.
+        program: beside it, `experiment.json` says what it was planned with; its `text` says the payload as well.
         payload: as a person says it (None: nothing was said); ask: a question to a person.
 
     Raises:
-        InputError: no payload, another one than the motion was planned with, or one that nobody has confirmed.
+        InputError: no payload, another one than the motion was planned with, one that nobody has confirmed, or a
+            program that was changed since it was planned.
     """
     from agent.model import PAYLOAD, payload_of, payload_text
     from agent.recording import PARTS
 
     said = None if payload is None else payload_text(payload_of(payload))
-    plan = _plan_of(program)
-    planned = plan.get(PAYLOAD)
+    plan = _plan_of(program, text)
+    found = re.search(rf"^{_COMMENT}(.+)$", text, re.MULTILINE)
+    planned = found[1].strip() if found else plan.get(PAYLOAD)
     if planned and said is None and ask(f"This motion was planned with {planned} at the flange. Is it mounted?"):
         said = planned
     if planned and said != planned:
@@ -38,7 +72,7 @@ def known_of(program: Path, payload: str | None, ask: Callable[[str], bool]) -> 
     return {key: str(value) for key, value in facts.items() if value}
 
 
-def _plan_of(program: Path) -> dict[str, Any]:
+def _plan_of(program: Path, text: str) -> dict[str, Any]:
     path = program.with_name("experiment.json")
     if not path.exists():
         return {}
@@ -47,4 +81,11 @@ def _plan_of(program: Path) -> dict[str, Any]:
         beside = Path(planned["program"]).name == program.name
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: cannot be read ({error}); plan the motion again, or move it away") from None
-    return planned if beside else {}
+    if not beside:
+        return {}
+    if planned.get(PROGRAM_SHA256, sha256_text(text)) != sha256_text(text):
+        raise InputError(
+            f"{program}: was changed since it was planned, so what {path.name} says of it no longer holds; plan the "
+            f"motion again, or move {path.name} away to run it as a program of your own"
+        )
+    return dict(planned)

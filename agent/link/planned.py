@@ -70,6 +70,10 @@ def torque_limits(recipe: Recipe, load: Tool, console: Console) -> TorqueLimits:
             f"robot {recipe.robot.name} has no max_torque for {', '.join(unknown)}: nothing checks there whether it "
             "can bear the mass"
         )
+    if recipe.robot.rated_payload is None:
+        console.warn(
+            f"robot {recipe.robot.name} has no rated_payload: nothing checks whether it may carry {load.mass:g} kg"
+        )
     return TorqueLimits(recipe.robot, recipe.tool, load)
 
 

@@ -272,7 +272,7 @@ def record_program_file(
             that was planned with another, or with one that nobody has confirmed.
     """
     from agent.core import InputError
-    from agent.link.payload import known_of
+    from agent.link.payload import check_payload, known_of
     from agent.link.planned import check_cell, check_load, plan_statements, torque_limits
     from agent.model import known_payload
 
@@ -285,8 +285,10 @@ def record_program_file(
         text = program.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{program}: cannot be read: {error}") from None
-    facts = known_of(program, payload, console.confirm)
+    facts = known_of(program, text, payload, console.confirm)
     load = known_payload(facts)
+    if load is not None:
+        check_payload(recipe.robot, recipe.tool, load)
     limits = None if load is None else torque_limits(recipe, load, console)
     with open_link(recipe, console, yes, runs, watching=True, facts=facts) as link:
         name, chains = plan_statements(recipe, text, str(program), link.position())

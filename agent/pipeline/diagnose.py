@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from shutil import copyfile
@@ -30,18 +30,24 @@ _VALIDATION_MOTIONS = 3
 
 
 def diagnose_files(
-    robot: str | RobotDescription | None, paths: Sequence[Path], question: GapQuestion, console: Console
+    robot: str | RobotDescription | None,
+    paths: Sequence[Path],
+    question: GapQuestion,
+    console: Console,
+    unplanned: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
     """Diagnose logs; returns the result of docs/diagnosis.md, and writes what is asked for.
 
-    Without a `robot` the model says what the arm is.
+    Without a `robot` the model says what the arm is. Where the planning of a further motion fails or is stopped,
+    `unplanned` is called with what was found until then, and the page is there.
 
     Raises:
         InputError: a robot, model or log that cannot be used, an unknown effect, or an output that cannot be written.
     """
     if robot is None or isinstance(robot, str):
-        return _diagnose(None if robot is None else load_robot(robot), paths, question, console, robot)
-    return _diagnose(robot, paths, question, console, robot.name)
+        there = None if robot is None else load_robot(robot)
+        return _diagnose(there, paths, question, console, robot, unplanned=unplanned)
+    return _diagnose(robot, paths, question, console, robot.name, unplanned=unplanned)
 
 
 def diagnose_recording(
@@ -106,7 +112,8 @@ def diagnose_recording(
                 paths += rounds.logs
                 if rounds.cut_short is not None:
                     answer()
-                    console.say(f"what the motions until then say is in {run.path}")
+                    more = rounds.uncounted and f"; {rounds.uncounted.name} is recorded, and is not counted"
+                    console.say(f"what the motions until then say is in {run.path}{more or ''}")
                     raise rounds.cut_short
         with step(run, "diagnose", console):
             result = answer()
@@ -131,13 +138,12 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
     question = GapQuestion(kept[0], cutoff=asked["cutoff"], without=tuple(asked["without"]), drives_off=kept[1])
     recorded = json.loads((run / "result.json").read_text(encoding="utf-8"))
     # the log of a round that was cut short is none of the result's
-    further = [Path(one["program"]).stem for one in recorded.get("rounds", ()) if "verdict" in one]
+    further = [Path(one["program"]).stem for one in recorded.get("rounds", ()) if one.get("verdict")]
     validation = sorted(run.glob("validation_[0-9][0-9].mcap"))
     logs = [run / "excitation.mcap", *validation, *(run / f"{name}.mcap" for name in further)]
     found, simulated, _ = _find(robot, logs, question, console)
-    steps = after_diagnosis(found.result, source, logs, question)
-    rounds = {key: recorded[key] for key in ("rounds", "rounds_end") if key in recorded}
-    return diagnosis_report(found, simulated, recorded.get("forward"), steps, rounds)
+    steps = after_diagnosis(recorded, source, logs, question)
+    return diagnosis_report(found, simulated, steps, recorded)
 
 
 def _diagnose(
@@ -148,6 +154,7 @@ def _diagnose(
     source: str | None,
     simulator: Simulator | None = None,
     rounds: Rounds | None = None,
+    unplanned: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
     """`source` names the robot for whoever asks again; `simulator` is the file that was read, and checked, before;
     `rounds` are those of these very logs, which say already what they were found to say."""
@@ -163,16 +170,25 @@ def _diagnose(
     result |= rounds.to_dict() if rounds is not None else {}
     if simulator is not None:
         result |= run_forward(found, simulator, console)
-    if question.next_recipe is not None:
-        result["next_experiment"] = _next(found, question, console) or result["next_experiment"]
-    if question.report is not None:
-        from agent.core import write_atomically
-        from agent.pipeline.first_screen import after_diagnosis
-        from agent.report import diagnosis_report
 
-        steps = after_diagnosis(found.result, source, paths, question)
-        page = diagnosis_report(found, simulated, result.get("forward"), steps, result)
-        write_atomically(question.report, page)
+    def write_page() -> None:
+        if question.report is not None:
+            from agent.core import write_atomically
+            from agent.pipeline.first_screen import after_diagnosis
+            from agent.report import diagnosis_report
+
+            uncounted = rounds.uncounted if rounds is not None else None
+            steps = after_diagnosis(result, source, [*paths, *([uncounted] if uncounted else [])], question)
+            write_atomically(question.report, diagnosis_report(found, simulated, steps, result))
+
+    write_page()
+    if question.next_recipe is not None:
+        try:
+            result["next_experiment"] = _next(found, question, console)
+        except BaseException:
+            unplanned(result)
+            raise
+        write_page()
     if question.out is not None and question.next_recipe is None:
         if simulator is not None:
             write_simulator(found, simulator, question.out, console)
@@ -182,18 +198,19 @@ def _diagnose(
 
 
 def _next(found: Diagnosis, question: GapQuestion, console: Console) -> dict[str, Any] | None:
-    """The motion that tells more, written into its folder."""
+    """The motion that tells more, written into its folder, or what else may; None where nothing is open."""
     from agent.model import payload_of
-    from agent.pipeline.next_experiment import plan_next, write_next
+    from agent.pipeline.next_experiment import NoMotion, plan_next, write_next
     from agent.recipe import load_recipe
 
     assert question.next_recipe is not None
     assert question.out is not None
     load = None if question.next_payload is None else payload_of(question.next_payload)
     motion = plan_next(found, load_recipe(question.next_recipe), console, load=load)
-    if isinstance(motion, str):
-        console.say(motion)
-        return None
+    if isinstance(motion, NoMotion):
+        if not motion.separates:
+            console.warn(f"{motion.text}, and nothing is written to {question.out}")
+        return motion.to_dict()
     return write_next(motion, question.out)
 
 

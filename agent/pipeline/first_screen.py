@@ -56,12 +56,22 @@ def after_diagnosis(
     again = shlex.join(["agent", "diagnose", *named, *asked.options(), *map(str, logs)])
     if result["verdict"] == "no_gap":
         return [NextStep("nothing to mend; the model can stay as it is.")]
+    from agent.model import CATALOGUE, PAYLOAD, is_simulator
+
+    experiment = result["next_experiment"] or {}
+    if question.next_recipe is not None and experiment.get("program"):
+        program = Path(experiment["program"])
+        mounted = ["--payload", experiment[PAYLOAD]] if PAYLOAD in experiment else []
+        record = ["agent", "record", str(question.next_recipe), "--program", str(program), *mounted]
+        with_it = f"{again} {shlex.quote(str(program.with_suffix('.mcap')))}"
+        return [
+            NextStep("run the motion that was planned:", shlex.join(record)),
+            NextStep("then ask again with its log added:", with_it),
+        ]
     if not result["causes"]:
         return [NextStep("after that motion, the same question with its logs added:", again)]
     if result["verdict"] == "ambiguous":
         return [NextStep("then ask again with its logs added:", again)]
-    from agent.model import CATALOGUE, is_simulator
-
     if all(CATALOGUE[cause["effect"]].once for cause in result["causes"]):
         return [NextStep("it happened once and is no part of the model: record again where nothing touches the arm.")]
     if model is not None and is_simulator(model):

@@ -61,6 +61,11 @@ class GapQuestion:
         from agent.diagnosis import check_effects
 
         check_effects(self.without)
+        if self.drives_off is not None and self.drives_off.absolute() in [log.absolute() for log in logs]:
+            raise InputError(
+                f"{self.drives_off}: is named both as a motion and with --drives-off; name a log of the arm at rest on "
+                "its brakes with that"
+            )
         inputs = [*logs, *(path for path in (self.model, self.joint_map, self.drives_off) if path)]
         if self.next_payload is not None:
             from agent.model import payload_of
@@ -71,7 +76,7 @@ class GapQuestion:
         if self.next_recipe is not None:
             from agent.pipeline.next_experiment import check_next
 
-            check_next(self.next_recipe, self.out)
+            check_next(self.next_recipe, self.out, self.next_payload)
         files = (self.report, None if self.next_recipe is not None else self.out)
         for out in files:
             if out is not None:

@@ -109,6 +109,7 @@ def check_plausible(
         from agent.validation import predicts
 
         found = [] if predicts(model, logs) else found
+        found = found or list(_flipped(model, logs))
     others = sorted({log.metadata.get("robot", "") for log in logs} - {"", robot.name}) if described else []
     named = [f"the logs say that they are of robot {' and '.join(others)}, not of {robot.name}"] if others else []
     if found and not force:
@@ -116,6 +117,15 @@ def check_plausible(
         raise RejectedError(f"{names}: {'; '.join([*named, *found])}. {advice}")
     for warning in (*named, *found):
         console.warn(warning)
+
+
+def _flipped(model: IdentifiedModel, logs: Sequence[Any]) -> Iterator[str]:
+    """A log with the other sign beside good ones: all of them together are predicted well enough."""
+    from agent.validation import flipped_joints
+
+    for log in logs:
+        if joints := flipped_joints(model, log):
+            yield f"{log.name}: the torque of {', '.join(joints)} has the other sign than the model predicts"
 
 
 def check_run(robot: Any, logs: Sequence[Any], model: Any, console: Console) -> None:

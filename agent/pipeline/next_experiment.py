@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.core import Console, InputError, write_atomically
-from agent.link import torque_limits
+from agent.core import Console, InputError, sha256_text, write_atomically
+from agent.link import PROGRAM_SHA256, check_payload, torque_limits, with_payload
+from agent.pipeline.other_tests import BRAKES, brakes_tell, helped, other_test, with_a_mass
 from agent.pipeline.planning import checked_chains, loop_problem
 from agent.recipe import Recipe
 from agent.runs import make_folder, write_json
@@ -18,17 +19,14 @@ from agent.runs import make_folder, write_json
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
     from agent.excitation import LoopProblem
-    from agent.experiment import Expected, Experiment, OpenPair, Pick, Piece
+    from agent.experiment import Experiment, Pick, Piece
     from agent.motion import Trajectory
     from agent.robot import RobotDescription, Tool, TorqueLimits
 
 #: Longest motion that is planned [s].
 LONGEST = 60.0
-#: A motion that makes the right answer no likelier than this, whichever of a pair is true, settles nothing.
-_HELPS = 0.3
-#: A mass is tried whose weight, far out, is this part of the strongest joint's nominal torque.
-_TRIAL_LOAD = 0.1
-_BRAKES = "seconds of the arm on its brakes with the drives off, which tell an offset (--drives-off LOG)"
+#: So many loops are asked which limit they break, where none keeps all.
+_ASKED_WHY = 20
 #: At so much of its joint speeds the arm goes from piece to piece, or at half of it, and so on, where the tool would be
 #: faster than the recipe says by more than round-off.
 _WAY_SPEED, _SLOWEST_WAY, _SPEED_ROUND_OFF = 0.2, 0.02, 1.01
@@ -65,7 +63,7 @@ class NextMotion:
             PARTS: PLANNED_PARTS,
             "separates": sorted({name for e in expected for name in e.pair.names if name != "none"}),
             "motion": "; then ".join(
-                [*([_BRAKES] if self.brakes else ()), *(piece.text(self.robot) for piece in self.experiment.pieces)]
+                [*([BRAKES] if self.brakes else ()), *(piece.text(self.robot) for piece in self.experiment.pieces)]
             ),
             "program": program,
             "duration_s": self.duration,
@@ -83,12 +81,19 @@ class NextMotion:
 
     def helps(self) -> bool:
         """Whether it makes the right answer likely that was not, should one of any pair be true."""
-        return any(_helped(expected) for expected in self.experiment.expected)
+        return any(helped(expected) for expected in self.experiment.expected)
 
 
-def _helped(expected: Expected) -> bool:
-    sides = zip(expected.before_if, expected.after_if, strict=True)
-    return any(b is not None and a is not None and a > max(_HELPS, b + 0.05) for b, a in sides)
+@dataclass(frozen=True)
+class NoMotion:
+    """Why no motion is planned, and what else may settle what is open: the effects that it `separates`, if any."""
+
+    text: str
+    separates: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any] | None:
+        """`next_experiment` of a diagnosis; None where nothing is open."""
+        return {"separates": list(self.separates), "motion": self.text, "program": None} if self.separates else None
 
 
 def plan_next(
@@ -98,33 +103,65 @@ def plan_next(
     seconds: float = LONGEST,
     name: str = "experiment",
     load: Tool | None = None,
-) -> NextMotion | str:
+) -> NextMotion | NoMotion:
     """The motion that settles most of what a diagnosis leaves open, or why there is none and what else may settle it.
 
     `load` is a known mass that somebody will mount at the flange for it; it is never assumed.
 
     Raises:
-        InputError: the recipe is of another robot, or its cell leaves no room.
+        InputError: the recipe is of another robot, or a keep-out box that no motion of it can keep clear of.
     """
     from agent.experiment import open_pairs, plan_experiment
 
     check_joints(recipe, found.dataset.robot.joint_names)
     pairs = open_pairs(found)
     if not pairs:
-        return "nothing is open: no further motion is needed"
+        return NoMotion("nothing is open: no further motion is needed")
+    names = tuple(sorted({name for pair in pairs for name in pair.names if name != "none"}))
+    if found.held is not None:
+        return NoMotion(found.held.motion, names)
     problem = replace(loop_problem(recipe, recipe.motion.speed), load=load)
     limits = None if load is None else torque_limits(recipe, load, console)
     console.step(f"searching for a motion of at most {seconds:.0f} s that tells more")
-    runs = _Runs(recipe, name, limits)
+    runs = _Runs(recipe, name, load, limits)
     experiment = plan_experiment(found, pairs, problem, seconds, recipe.search.seed, console.progress, runs)
     if runs.motion is not None:
         asked = [e.pair for e in experiment.expected]
-        motion = NextMotion(experiment, *runs.motion, recipe.robot, load, _brakes_tell(found, asked))
+        motion = NextMotion(experiment, *runs.motion, recipe.robot, load, brakes_tell(found, asked))
         if motion.helps():
             return motion
-    refused = f" ({runs.refused})" if runs.refused else ""
-    loads = "" if load is not None else _with_a_mass(found, pairs, problem, seconds, recipe.search.seed)
-    return f"no motion in the sub-region of {recipe.path} would settle it{refused}: {_other_test(found, pairs)}{loads}"
+    if seconds < LONGEST:
+        longer = plan_next(found, recipe, console, LONGEST, name, load)
+        if isinstance(longer, NoMotion):
+            return longer
+        return NoMotion(
+            f"no motion of the {seconds:.0f} s that are left would settle it, one of {longer.duration:.0f} s may: "
+            "allow more motion",
+            names,
+        )
+    where = f"the sub-region of {recipe.path}"
+    if not experiment.weighed:
+        why = _refused(problem)
+        return NoMotion(f"no motion was found that keeps all limits in {where} ({why}): agent check says more", names)
+    why = f" ({runs.refused})" if runs.refused else ""
+    loads = "" if load is not None else with_a_mass(found, pairs, problem, seconds, recipe.search.seed)
+    asked_of = pairs[0]
+    what = (
+        f"tell {asked_of.first.text()} from {asked_of.second.text()}"
+        if asked_of.second.forms
+        else f"show {asked_of.first.text()}"
+    )
+    return NoMotion(f"no motion in {where} would {what}{why}. {other_test(found, pairs)}{loads}", names)
+
+
+def _refused(problem: LoopProblem) -> str:
+    """The limit that a loop in the sub-region breaks, or a slower piece does."""
+    from agent.excitation import Candidates, LoopScore
+
+    genomes = np.random.default_rng(0).uniform(size=(_ASKED_WHY, problem.genes))
+    candidates = Candidates(problem)
+    said = [loop.reason for loop in map(candidates.checked_loop, genomes) if isinstance(loop, LoopScore)]
+    return max(set(said), key=said.count) if said else "the last one drawn did not stay within its time"
 
 
 def run_otherwise(pick: Pick, recipe: Recipe, seconds: float, name: str, seed: int) -> tuple[str, float] | None:
@@ -163,23 +200,27 @@ def write_next(motion: NextMotion, folder: Path) -> dict[str, Any]:
     _check_folder(folder)
     program = write_atomically(folder / "program.pdl", motion.text)
     data = motion.to_dict(str(program))
-    write_json(folder / "experiment.json", {"schema": "experiment/1", **data})
+    write_json(folder / "experiment.json", {"schema": "experiment/1", **data, PROGRAM_SHA256: sha256_text(motion.text)})
     return data
 
 
-def check_next(recipe: Path, folder: Path | None) -> None:
+def check_next(recipe: Path, folder: Path | None, load: str | None = None) -> None:
     """What would refuse the motion is found before the diagnosis, not after it.
 
     Raises:
-        InputError: no folder, one that is a file or holds an experiment; a recipe that cannot be used or reached.
+        InputError: no folder, one that is a file or holds an experiment; a recipe that cannot be used or reached; a
+            mass that the arm must not carry.
     """
     from agent.excitation import Candidates
+    from agent.model import payload_of
     from agent.recipe import load_recipe
 
     if folder is None:
         raise InputError("diagnose: --next plans a motion: name the folder for it with -o DIR")
     _check_folder(folder)
     loaded = load_recipe(recipe)
+    if load is not None:
+        check_payload(loaded.robot, loaded.tool, payload_of(load))
     Candidates(loop_problem(loaded, loaded.motion.speed))
 
 
@@ -203,57 +244,14 @@ def _check_folder(folder: Path) -> None:
         raise InputError(f"{folder}: holds an experiment already; name another folder with -o, or move it away")
 
 
-def _other_test(found: Diagnosis, pairs: Sequence[OpenPair]) -> str:
-    """What could still tell the most urgent pair apart, by the knowledge that its effects carry."""
-    from agent.model import CATALOGUE
-
-    names = [name for name in dict.fromkeys(pairs[0].names) if name in CATALOGUE]
-    looks = [f"for {name}, {CATALOGUE[name].look_at}" for name in names]
-    other = f"another posture, load or temperature may, or a look at the arm: {'; '.join(looks)}"
-    return f"{_BRAKES}; {other}" if _brakes_tell(found, pairs[:1]) else other
-
-
-def _brakes_tell(found: Diagnosis, pairs: Sequence[OpenPair]) -> bool:
-    """Whether one of two that are open is an offset of a torque channel, whose zero is not known yet."""
-    from agent.model import CATALOGUE
-
-    if found.finding.zero_known:
-        return False
-    return any(name in CATALOGUE and CATALOGUE[name].adds_to_report for pair in pairs for name in pair.names)
-
-
-def _with_a_mass(found: Diagnosis, pairs: Sequence[OpenPair], problem: LoopProblem, seconds: float, seed: int) -> str:
-    """Whether a known mass at the flange would make a motion tell, tried with a light one; empty where not."""
-    from agent.experiment import plan_experiment
-    from agent.model import payload_text
-    from agent.robot import Tool, kinematics_for
-
-    robot = problem.robot
-    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
-    postures = np.random.default_rng(0).uniform(lower, upper, (50, robot.dof))
-    reach = float(np.linalg.norm(kinematics_for(robot, None).forward(postures)[:, :3, 3], axis=1).max())
-    strongest = float(np.max(found.dataset.fit.reference.scale))
-    load = Tool(np.eye(4), float(f"{_TRIAL_LOAD * strongest / (9.81 * max(reach, 0.1)):.1g}"), np.zeros(3))
-    tried = plan_experiment(found, pairs, replace(problem, load=load), seconds, seed)
-    helped = [e for e in tried.expected if _helped(e)]
-    if not helped:
-        return ""
-    best = max(helped, key=lambda e: e.after)
-    return (
-        f". With a known mass at the flange a motion may: {payload_text(load).split(',')[0]} would make the right "
-        f"answer between {best.pair.first.text()} and {best.pair.second.text()} {best.after:.2f} likely; mount one and "
-        "plan with --payload 'MASS, X, Y, Z'"
-    )
-
-
 class _Runs:
     """Whether pieces can be run one after the other at the controller's own period, the ways between them included.
 
     `motion`: text and set-points of the last ones that can; `refused`: why the last ones cannot.
     """
 
-    def __init__(self, recipe: Recipe, name: str, limits: TorqueLimits | None = None):
-        self._recipe, self._name, self._limits = recipe, name, limits
+    def __init__(self, recipe: Recipe, name: str, load: Tool | None = None, limits: TorqueLimits | None = None):
+        self._recipe, self._name, self._load, self._limits = recipe, name, load, limits
         self.motion: tuple[str, tuple[Trajectory, ...]] | None = None
         self.refused = ""
 
@@ -263,7 +261,7 @@ class _Runs:
         start, path = np.asarray(pieces[0].start), f"{self._name}.pdl"
         speed = _WAY_SPEED
         while True:
-            text = _text(self._recipe, pieces, self._name, speed)
+            text = _text(self._recipe, pieces, self._name, speed, self._load)
             try:
                 _, chains = checked_chains(self._recipe, text, path, start, self._limits)
             except (InputError, MotionError) as error:
@@ -277,7 +275,7 @@ class _Runs:
         return True
 
 
-def _text(recipe: Recipe, pieces: Sequence[Piece], name: str, way_speed: float) -> str:
+def _text(recipe: Recipe, pieces: Sequence[Piece], name: str, way_speed: float, load: Tool | None) -> str:
     from agent.motion import JointTarget, Move, MoveType, Statement, Termination, with_frames, write_program
 
     calm = with_frames(recipe.motion.settings, recipe.tool).changed(
@@ -286,4 +284,5 @@ def _text(recipe: Recipe, pieces: Sequence[Piece], name: str, way_speed: float) 
     statements: list[Statement] = []
     for piece in pieces:
         statements += [Move(MoveType.JOINT, JointTarget(piece.start), calm), *piece.statements]
-    return write_program(name, statements, recipe.robot)
+    text = write_program(name, statements, recipe.robot)
+    return text if load is None else with_payload(text, load)

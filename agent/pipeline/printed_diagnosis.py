@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from agent.core import counted
+
 
 def diagnosis_text(result: dict[str, Any]) -> str:
     """A diagnosis for people."""
@@ -54,12 +56,28 @@ def diagnosis_text(result: dict[str, Any]) -> str:
         lines.append(f"torque error of {gap['joints'][worst]} in forward simulation: {before}, then {after}")
     if not by_servos:
         lines += _forward_lines(result)
-    if result["next_experiment"] is not None:
-        lines.append(f"run next: {result['next_experiment']['motion']}")
+    lines += _further_lines(result)
     if result["not_testable"]:
         names = sorted({entry["effect"] for entry in result["not_testable"]})
         lines.append(f"not testable on some joints here: {', '.join(names)}")
     return "\n".join(lines)
+
+
+def _further_lines(result: dict[str, Any]) -> Iterator[str]:
+    """What further motions came to, and what to run next or why there is nothing to run."""
+    from agent.report import chances_text, next_text
+
+    end, experiment = result.get("rounds_end"), result["next_experiment"]
+    if end:
+        yield f"after {counted(len(result['rounds']), 'further motion')}: {end}"
+    if experiment is None or experiment["motion"] == end:
+        return
+    text = next_text(experiment)
+    yield f"{text[0].lower()}{text[1:]}"
+    for entry in experiment.get("probability", ()):
+        pair, before, after, smallest = chances_text(entry)
+        found = "" if smallest == "-" else f", found from {smallest} of the smallest size that matters"
+        yield f"  {pair}: right answer {before} without it, {after} after it{found}"
 
 
 def _forward_lines(result: dict[str, Any]) -> list[str]:

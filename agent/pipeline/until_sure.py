@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core import Bare, Console, Dimension, InputError, parse_quantity, sha256_text
-from agent.link import open_link
-from agent.pipeline.next_experiment import LONGEST, plan_next
+from agent.core import Bare, Console, Dimension, InputError, parse_quantity, sha256_text, words_of
+from agent.link import Recording, open_link
+from agent.pipeline.next_experiment import LONGEST, NoMotion, plan_next
 from agent.pipeline.record_plan import record_program
 from agent.recipe import Recipe
 from agent.runs import RunFolder, run_key
@@ -52,17 +52,21 @@ def options_of(budget: float | None) -> list[str]:
 @dataclass
 class Rounds:
     """What further motions asked and found: their logs, a dict for each round as `rounds` of a result has them, what
-    all logs together were found to say, why no further one followed, and what cut the last one short."""
+    all logs together were found to say, why no further one followed, what else may settle it (`other`, if anything),
+    and what cut the last one short. `uncounted` is the log of a round that was cut short once it was recorded."""
 
     logs: list[Path]
     asked: list[dict[str, Any]]
     last: Found
     end: str = ""
+    other: NoMotion | None = None
     cut_short: BaseException | None = None
+    uncounted: Path | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Keys of a result: `rounds`, and `rounds_end`."""
-        return {"rounds": self.asked, "rounds_end": self.end}
+        """Keys of a result: `rounds`, `rounds_end`, and `next_experiment` where something else may settle it."""
+        other = {} if self.other is None else {"next_experiment": self.other.to_dict()}
+        return {"rounds": self.asked, "rounds_end": self.end, **other}
 
 
 def until_sure(
@@ -103,17 +107,21 @@ def until_sure(
         if result["verdict"] in ("explained", "no_gap"):
             rounds.end = f"settled: {result['verdict']}"
         elif budget - moved < _SHORTEST:
-            rounds.end = "the budget of motion is used up"
+            rounds.end = (
+                f"the budget of motion is used up: {max(budget - moved, 0.0):.0f} s of it are left, and a further "
+                f"motion takes {_SHORTEST:g} to {LONGEST:g} s"
+            )
         if rounds.end:
             break
         name = f"experiment_{len(rounds.asked) + 1:02d}"
-        motion = plan_next(rounds.last[0], slow, console, min(LONGEST, budget - moved), name)
-        if isinstance(motion, str):
-            rounds.end = motion
-            break
-        program = run.write_text(f"{name}.pdl", motion.text).name
-        rounds.asked.append({"after": result["verdict"], **motion.to_dict(program)})
+        recording: Recording | None = None
         try:
+            motion = plan_next(rounds.last[0], slow, console, min(LONGEST, budget - moved), name)
+            if isinstance(motion, NoMotion):
+                rounds.end, rounds.other = motion.text, motion
+                break
+            program = run.write_text(f"{name}.pdl", motion.text).name
+            rounds.asked.append({"after": result["verdict"], **motion.to_dict(program), "verdict": None, "causes": []})
             word = allowed and allowed.for_new_motion(run_key(recipe)["loop"], sha256_text(motion.text), moved)
             with open_link(recipe, console, yes, runs, word, facts={PARTS: PLANNED_PARTS}) as link:
                 log = f"{name}.mcap"
@@ -122,7 +130,8 @@ def until_sure(
             rounds.last = find([*logs, *rounds.logs, recording.path])
             rounds.logs.append(recording.path)
         except BaseException as error:
-            rounds.end, rounds.cut_short = f"cut short: {str(error) or type(error).__name__}", error
+            rounds.end, rounds.cut_short = f"cut short: {words_of(error)}", error
+            rounds.uncounted = None if recording is None else recording.path
             return rounds
     console.say(rounds.end)
     return rounds

@@ -31,7 +31,7 @@ from agent.report.first_screen import (
     where_sentences,
 )
 from agent.report.page import NextStep, Page, Section, Table, render
-from agent.report.rounds_section import rounds_sections
+from agent.report.rounds_section import next_text, planned_sections, rounds_sections
 from agent.report.simulator_section import motion_first, simulator_sections, waterfall_parts
 from agent.robot import figure_text
 
@@ -54,20 +54,21 @@ _MOST_SCORES = 6
 def diagnosis_report(
     diagnosis: Diagnosis,
     simulated: Sequence[Simulated] = (),
-    forward: Mapping[str, Any] | None = None,
     next_steps: Sequence[NextStep] = (),
-    rounds: Mapping[str, Any] = {},
+    result: Mapping[str, Any] | None = None,
 ) -> str:
     """HTML text of the report.
 
-    `forward` is that of a result against a simulator's file, `next_steps` are commands that whoever asked can run,
-    `rounds` has the keys of a result of that name, where further motions were asked.
+    `next_steps` are commands that whoever asked can run; `result` is what was made of the diagnosis' own, where a
+    simulator was run forward (`forward`) or further motions were planned or run (`next_experiment`, `rounds`).
     """
-    verdict = diagnosis.result["verdict"]
+    result = diagnosis.result if result is None else result
+    verdict, forward = result["verdict"], result.get("forward")
     sections = [
         *motion_first(diagnosis, forward),
-        _cause_section(diagnosis),
-        *rounds_sections(rounds.get("rounds"), rounds.get("rounds_end", "")),
+        _cause_section(diagnosis, result["next_experiment"]),
+        *planned_sections(result["next_experiment"]),
+        *rounds_sections(result.get("rounds"), result.get("rounds_end", "")),
         _where_section(diagnosis),
         _closure_section(diagnosis, simulated),
         *simulator_sections(diagnosis, forward),
@@ -81,13 +82,13 @@ def diagnosis_report(
     return render(Page(title, headline(diagnosis.result, sized(diagnosis)), colour, sections, about))
 
 
-def _cause_section(diagnosis: Diagnosis) -> Section:
+def _cause_section(diagnosis: Diagnosis, next_experiment: Mapping[str, Any] | None) -> Section:
     result = diagnosis.result
     text = [sentence for cause in result["causes"] for sentence in _about_cause(cause, result)]
     if result["verdict"] == "unknown":
         text.append(f"No effect that was tried closes it; how far the nearest fall short stands under {REJECTED}.")
-    if result["next_experiment"] is not None:
-        text.append(f"Run next: {result['next_experiment']['motion']}.")
+    if next_experiment is not None:
+        text.append(f"{next_text(next_experiment)}.")
     text += [f"Mind: {warning}." for warning in diagnosis.warnings]
     rows = [
         (f"{name(cause['effect'])}, {place(cause)}", key.replace("_", " "), parameter_text(diagnosis, number, key))

@@ -7,6 +7,7 @@ from typing import Any
 
 from agent.diagnosis import in_torque, reported_parameters, size_text, torque_gap
 from agent.report.page import Section, Table
+from agent.report.rounds_section import next_text
 from agent.robot import SHARE, figure_text
 
 #: What a verdict means, where its name does not say it all.
@@ -45,7 +46,7 @@ def diagnosis_section(result: dict[str, Any]) -> Section:
     """Verdict, causes, and where the gap lies."""
     text = [diagnosis_summary(result)]
     if result["next_experiment"] is not None:
-        text.append(f"Run next: {result['next_experiment']['motion']}.")
+        text.append(f"{next_text(result['next_experiment'])}.")
     causes = [
         (
             cause["effect"],

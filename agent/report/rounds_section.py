@@ -1,4 +1,4 @@
-"""The rounds of a diagnosis that went on until it was sure: what each asked, which motion, and what came of it."""
+"""What further motions are expected to tell, and what those of a diagnosis that went on until it was sure told."""
 
 from __future__ import annotations
 
@@ -7,6 +7,36 @@ from typing import Any
 
 from agent.diagnosis import name, place
 from agent.report.page import Section, Table
+
+
+def next_text(experiment: Mapping[str, Any]) -> str:
+    """`next_experiment` of a result in a sentence without its full stop: what to run, or why there is no motion."""
+    motion = str(experiment["motion"])
+    if "program" in experiment and experiment["program"] is None:
+        return f"{motion[0].upper()}{motion[1:]}"
+    took = f" ({experiment['duration_s']:.0f} s, {experiment['program']})" if "program" in experiment else ""
+    return f"Run next: {motion}{took}"
+
+
+def planned_sections(experiment: Mapping[str, Any] | None) -> list[Section]:
+    """The section on a motion that was planned; none where none was."""
+    if experiment is None or not experiment.get("program"):
+        return []
+    rows = [tuple(chances_text(entry)) for entry in experiment["probability"]]
+    text = [
+        f"{next_text(experiment)}.",
+        "The right answer's probability comes from rehearsals: what the diagnosis would say after it, should either be "
+        "true. A size of 1 is the smallest that matters.",
+    ]
+    header = ("open", "right answer without it", "after it", "smallest size it would find")
+    return [Section("The motion that tells more", text, (Table("planned", header, rows),))]
+
+
+def chances_text(entry: Mapping[str, Any]) -> tuple[str, str, str, str]:
+    """Of a planned motion and one pair: the pair, both probabilities of the right answer, and the smallest size."""
+    smallest = entry["smallest_over_practical"]
+    size = "-" if smallest is None else f"{smallest:.2g}"
+    return " or ".join(entry["pair"]), f"{entry['before']:.2f}", f"{entry['after']:.2f}", size
 
 
 def rounds_sections(rounds: Sequence[Mapping[str, Any]] | None, end: str) -> list[Section]:
@@ -36,7 +66,7 @@ def _chance(one: Mapping[str, Any]) -> str:
 
 
 def _answer(one: Mapping[str, Any]) -> str:
-    if "verdict" not in one:
+    if not one.get("verdict"):
         return "none: it was cut short"
     causes = [f"{name(cause['effect'])} on {place(cause)}" for cause in one["causes"]]
     return f"{one['verdict']}: {', '.join(causes)}" if causes else str(one["verdict"])

@@ -91,6 +91,7 @@ class _RobotFile(_Strict):
     cartesian_limits: _CartesianEntry | None = None
     joints: Annotated[list[_JointEntry], Field(min_length=1, max_length=7)]
     motor_coupling: list[list[Number]] | None = None
+    rated_payload: Positive | None = None
     bodies: dict[str, list[_CapsuleEntry]] = {}
 
 
@@ -145,7 +146,10 @@ class Capsule:
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """A serial arm with 1 to 7 movable joints; self-contained (the URDF is held as text)."""
+    """A serial arm with 1 to 7 movable joints; self-contained (the URDF is held as text).
+
+    `rated_payload` [kg] is the most that its maker allows at the flange, the tool included.
+    """
 
     name: str
     urdf: str = field(repr=False)
@@ -155,6 +159,7 @@ class RobotDescription:
     joints: tuple[Joint, ...]
     motor_coupling: tuple[tuple[float, ...], ...]
     bodies: dict[str, tuple[Capsule, ...]] = field(default_factory=dict)
+    rated_payload: float | None = None
 
     @property
     def dof(self) -> int:
@@ -236,6 +241,7 @@ class RobotDescription:
                 link: tuple(Capsule(tuple(c["start"]), tuple(c["end"]), c["radius"]) for c in capsules)
                 for link, capsules in data["bodies"].items()
             },
+            rated_payload=data.get("rated_payload"),
         )
 
 
@@ -303,6 +309,7 @@ def _load_file(path: Path) -> RobotDescription:
             link: tuple(Capsule(_vector(c.start), _vector(c.end), c.radius) for c in capsules)
             for link, capsules in entry.bodies.items()
         },
+        rated_payload=entry.rated_payload,
     )
 
 

@@ -44,7 +44,8 @@ def problem(recipe: Recipe) -> dict[str, Any]:
     Files count by their content, not by where they lie.
     """
     parts = {
-        "robot": recipe.robot.to_dict(),
+        # no loop depends on what a person may mount for another motion
+        "robot": {key: value for key, value in recipe.robot.to_dict().items() if key != "rated_payload"},
         "tool": _plain(recipe.tool),
         "cell": _plain(recipe.cell),
         "sub_region": _sub_region(recipe.motion.via_points),

@@ -3,6 +3,7 @@ from .singular_values import Observability as Observability, observability as ob
 from .torque import (
     Prediction as Prediction,
     Validation as Validation,
+    flipped_joints as flipped_joints,
     pooled_rmse as pooled_rmse,
     predict_log as predict_log,
     predicts as predicts,

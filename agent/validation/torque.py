@@ -194,6 +194,27 @@ def predicts(model: IdentifiedModel, logs: Sequence[Log]) -> bool:
     return bool(moves.any() and np.all(typical < most[moves]))
 
 
+def flipped_joints(model: IdentifiedModel, log: Log) -> list[str]:
+    """Joints whose torque a model predicts with the other sign only."""
+    try:
+        found = predict_log(model, log)
+    except InputError:
+        return []
+    moving = np.abs(found.velocity) > _MOVING * model.robot.max_velocity
+    names = []
+    for k, name in enumerate(model.robot.joint_names):
+        there = moving[:, k]
+        if np.ptp(found.position[:, k]) <= _TRAVELS or not there.any():
+            continue
+        size = float(np.std(found.measured[:, k]))
+        as_given, turned = (
+            float(np.median(np.abs(sign * found.measured[there, k] - found.predicted[there, k]))) for sign in (1, -1)
+        )
+        if turned < _PREDICTED * size and as_given > size:
+            names.append(name)
+    return names
+
+
 def validate(model: IdentifiedModel, logs: Sequence[Log], cutoff: float | None = None) -> Validation:
     """Errors of the model on these logs: every sample counts, standstill included.
 

@@ -72,7 +72,7 @@ def test_a_diagnosis_is_started_again_with_the_command_that_started_it(run: RunF
 
 
 def test_a_diagnosis_of_further_logs_asks_the_same_and_writes_nothing_over():
-    result = {"verdict": "ambiguous", "causes": [{"effect": "stribeck"}]}
+    result = {"verdict": "ambiguous", "causes": [{"effect": "stribeck"}], "next_experiment": None}
     (step,) = after_diagnosis(result, "my robot.yaml", [Path("a b.mcap")], ASKED)
     found = read(step.command)
     same = replace(ASKED, report=None, out=None, next_recipe=None, next_payload=None)
@@ -81,6 +81,16 @@ def test_a_diagnosis_of_further_logs_asks_the_same_and_writes_nothing_over():
     assert {key: found[key] for key in wanted} == wanted
     assert found["load"] is None
     assert (found["robot"], found["logs"]) == ("my robot.yaml", [Path("a b.mcap")])
+
+
+def test_after_a_planned_motion_comes_its_recording_and_the_same_question_with_its_log():
+    planned = {"program": "my plan/program.pdl", "payload": "5 kg, 0 mm, 0 mm, 60 mm"}
+    result = {"verdict": "ambiguous", "causes": [{"effect": "stribeck"}], "next_experiment": planned}
+    record, again = after_diagnosis(result, "my robot.yaml", [Path("a b.mcap")], ASKED)
+    words = shlex.split(record.command)
+    assert words[:3] == ["agent", "record", str(ASKED.next_recipe)]
+    assert words[3:] == ["--program", "my plan/program.pdl", "--payload", planned["payload"]]
+    assert read(again.command)["logs"] == [Path("a b.mcap"), Path("my plan/program.mcap")]
 
 
 def test_a_recalibration_is_started_again_with_its_authorisation(run: RunFolder, tmp_path: Path):

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from agent.core import InputError
-from agent.link.payload import known_of
-from agent.model import PAYLOAD
+from agent.core import InputError, sha256_text
+from agent.link.payload import PROGRAM_SHA256, check_payload, known_of, with_payload
+from agent.model import PAYLOAD, payload_of
+from agent.motion import Delay, parse_program, write_program
 from agent.recording import PARTS
+from agent.robot import Tool, load_robot
 
 LOAD = "5 kg, 0 mm, 0 mm, 60 mm"
+TEXT = "PROGRAM experiment HOLD\nBEGIN\nEND experiment\n"
 
 
 def nobody(question: str) -> bool:
@@ -33,29 +38,64 @@ def test_it_is_asked_for_and_never_assumed(program: Path):
         asked.append(question)
         return True
 
-    assert known_of(program, None, person) == {PAYLOAD: LOAD}
+    assert known_of(program, TEXT, None, person) == {PAYLOAD: LOAD}
     assert LOAD in asked[0]
     with pytest.raises(InputError, match="mount it, and say so with --payload '5 kg"):
-        known_of(program, None, nobody)
+        known_of(program, TEXT, None, nobody)
 
 
 def test_what_a_person_names_is_what_the_motion_was_planned_with(program: Path):
-    assert known_of(program, "5000 g, 0, 0, 0.06 m", nobody) == {PAYLOAD: LOAD}
+    assert known_of(program, TEXT, "5000 g, 0, 0, 0.06 m", nobody) == {PAYLOAD: LOAD}
     with pytest.raises(InputError, match=r"not 4 kg"):
-        known_of(program, "4 kg, 0, 0, 0.06 m", nobody)
+        known_of(program, TEXT, "4 kg, 0, 0, 0.06 m", nobody)
 
 
 def test_any_other_program_says_what_a_person_says(tmp_path: Path, program: Path):
     other = tmp_path / "other.pdl"
-    assert known_of(other, None, nobody) == {}
-    assert known_of(other, LOAD, nobody) == {PAYLOAD: LOAD}
+    assert known_of(other, TEXT, None, nobody) == {}
+    assert known_of(other, TEXT, LOAD, nobody) == {PAYLOAD: LOAD}
     program.with_name("experiment.json").write_text("{", encoding="utf-8")
     with pytest.raises(InputError, match="plan the motion again"):
-        known_of(program, None, nobody)
+        known_of(program, TEXT, None, nobody)
 
 
 def test_the_log_of_a_planned_motion_says_in_how_many_parts_it_is_held_out(program: Path):
     plan = {"program": str(program), PARTS: "2"}
     program.with_name("experiment.json").write_text(json.dumps(plan), encoding="utf-8")
-    assert known_of(program, None, nobody) == {PARTS: "2"}
-    assert known_of(program.with_name("other.pdl"), None, nobody) == {}
+    assert known_of(program, TEXT, None, nobody) == {PARTS: "2"}
+    assert known_of(program.with_name("other.pdl"), TEXT, None, nobody) == {}
+
+
+@pytest.mark.parametrize(
+    "beside", [None, {"program": "program.pdl"}, {"program": "program.pdl", "payload": "1 kg, 0, 0, 0"}]
+)
+def test_the_program_itself_says_what_it_was_planned_with(tmp_path: Path, beside):
+    """Copied elsewhere, or beside a file that somebody has changed."""
+    robot, program = load_robot("comau_ns16"), tmp_path / "program.pdl"
+    text = with_payload(write_program("experiment", [Delay(1.0)], robot), payload_of(LOAD))
+    if beside is not None:
+        program.with_name("experiment.json").write_text(json.dumps(beside), encoding="utf-8")
+    assert len(list(parse_program(text, "program.pdl", robot).run())) == 1
+    with pytest.raises(InputError, match="mount it, and say so with --payload '5 kg"):
+        known_of(program, text, None, nobody)
+    assert known_of(program, text, LOAD, nobody) == {PAYLOAD: LOAD}
+
+
+def test_a_program_that_was_changed_since_it_was_planned_is_not_what_was_planned(tmp_path: Path):
+    program = tmp_path / "program.pdl"
+    plan = {"program": "program.pdl", PROGRAM_SHA256: sha256_text(TEXT), PARTS: "2"}
+    program.with_name("experiment.json").write_text(json.dumps(plan), encoding="utf-8")
+    assert known_of(program, TEXT, None, nobody) == {PARTS: "2"}
+    with pytest.raises(InputError, match="was changed since it was planned"):
+        known_of(program, TEXT.replace("BEGIN", "BEGIN\n  DELAY 1"), None, nobody)
+
+
+def test_more_than_the_arm_is_rated_for_is_refused_with_the_tool_counted():
+    robot, tool = load_robot("comau_ns16"), Tool(np.eye(4), 10.0, np.zeros(3))
+    check_payload(robot, None, payload_of("16 kg, 0, 0, 0"))
+    check_payload(robot, tool, payload_of("6 kg, 0, 0, 0"))
+    with pytest.raises(InputError, match=r"100 kg at the flange are more than the 16 kg that comau_ns16 is rated for"):
+        check_payload(robot, None, payload_of("100 kg, 0, 0, 0"))
+    with pytest.raises(InputError, match="7 kg and 10 kg of tool"):
+        check_payload(robot, tool, payload_of("7 kg, 0, 0, 0"))
+    check_payload(replace(robot, rated_payload=None), tool, payload_of("100 kg, 0, 0, 0"))

@@ -8,17 +8,18 @@ from types import SimpleNamespace
 
 import pytest
 
-from agent.core import RejectedError, sha256_text, write_atomically
+from agent.core import InputError, RejectedError, sha256_text, write_atomically
 from agent.core.console import Console
 from agent.model import CATALOGUE
 from agent.motion import Delay, write_program
 from agent.pipeline import until_sure as module
-from agent.pipeline.next_experiment import NextMotion, _other_test
+from agent.pipeline.next_experiment import NextMotion, NoMotion
+from agent.pipeline.other_tests import other_test
 from agent.pipeline.until_sure import until_sure
 from agent.recipe import load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS
 from agent.report.page import Page, render
-from agent.report.rounds_section import rounds_sections
+from agent.report.rounds_section import next_text, planned_sections, rounds_sections
 from agent.robot import load_robot
 from agent.runs.folder import RunFolder
 from agent.safety.authorisation import Authorisation, AuthorisationDocument
@@ -27,6 +28,7 @@ from drivers.errors import DriverError
 
 PROBLEM = "cd" * 32
 PAIR = {"pair": ["stribeck on joint_2", "presliding on joint_2"], "before": 0.51, "after": 0.93}
+NONE = NoMotion("no motion would tell them apart. What may: another load", ("presliding", "stribeck"))
 CAUSE = {"effect": "stribeck", "joints": ["joint_2"], "probability": 0.9}
 
 
@@ -46,7 +48,7 @@ class Motion:
 def ask(tmp_path: Path, monkeypatch):
     """`ask(verdicts, ends, budget)`: rounds whose diagnoses say these verdicts, whose recordings end as said."""
 
-    def run(verdicts, ends, budget=100.0, allowed=None):
+    def run(verdicts, ends, budget=100.0, allowed=None, motions=()):
         recipe = tmp_path / "job.yaml"
         recipe.write_text("robot: comau_ns16\n", encoding="utf-8")
         folder = RunFolder.create(tmp_path / "logs", "comau_ns16", recipe)
@@ -69,12 +71,15 @@ def ask(tmp_path: Path, monkeypatch):
             causes = [CAUSE] if verdict in ("explained", "ambiguous") else []
             return SimpleNamespace(result={"verdict": verdict, "causes": causes}), [], None
 
-        plans = iter([Motion(), Motion(), "no motion would settle it: another load may"])
+        plans = iter(motions or [Motion(), Motion(), NONE])
         made.clear()
 
         def plan(found, recipe, console, seconds, name):
             made.append((recipe.motion.speed, seconds))
-            return next(plans)
+            motion = next(plans)
+            if isinstance(motion, BaseException):
+                raise motion
+            return motion
 
         def link(recipe, console, yes, runs, word=None, facts=None):
             assert facts == {PARTS: PLANNED_PARTS}
@@ -112,14 +117,27 @@ def test_a_log_that_is_refused_ends_the_rounds_with_what_was_found(ask):
     assert found.cut_short is refused
     assert found.end == "cut short: experiment_02.mcap: joint_5 looks flipped"
     assert [path.name for path in found.logs] == ["one.mcap"]
-    assert ["verdict" in one for one in found.asked] == [True, False]
+    assert [one["verdict"] for one in found.asked] == ["ambiguous", None]
+    assert found.uncounted is not None
+    assert found.uncounted.name == "two.mcap", "it is there, and whoever asks again is told so"
 
 
 def test_rounds_end_with_the_budget_or_where_no_motion_helps(ask):
-    assert ask(["ambiguous"] * 2, ["one"], budget=25.0)[0].end == "the budget of motion is used up"
+    end = ask(["ambiguous"] * 2, ["one"], budget=25.0)[0].end
+    assert end == "the budget of motion is used up: 5 s of it are left, and a further motion takes 10 to 60 s"
     found, _ = ask(["ambiguous"] * 3, ["one", "two"])
-    assert found.end == "no motion would settle it: another load may"
+    assert found.end == NONE.text
+    assert found.to_dict()["next_experiment"] == {**NONE.to_dict(), "program": None}, "what else may, nothing to run"
     assert len(found.logs) == 2
+
+
+@pytest.mark.parametrize("why", [KeyboardInterrupt(), InputError("the cell leaves no room")])
+def test_what_stops_the_planning_of_a_round_leaves_what_was_found(ask, why):
+    found, _ = ask(["ambiguous", "ambiguous"], ["one"], motions=[Motion(), why])
+    assert found.cut_short is why
+    assert found.end == f"cut short: {'interrupted' if isinstance(why, KeyboardInterrupt) else why}"
+    assert [one["verdict"] for one in found.asked] == ["ambiguous"]
+    assert found.uncounted is None
 
 
 @pytest.mark.parametrize("why", [DriverError("the link dropped"), KeyboardInterrupt()])
@@ -129,8 +147,10 @@ def test_what_cuts_a_round_short_leaves_what_was_found_before(ask, why):
     assert found.last[0].result["verdict"] == "ambiguous"
     assert seen == [1, 2]
     assert len(found.logs) == 1
-    assert "verdict" not in found.asked[-1]
-    assert found.end.startswith("cut short: ")
+    assert found.asked[-1]["verdict"] is None
+    assert found.asked[-1]["causes"] == []
+    assert found.end == f"cut short: {'interrupted' if isinstance(why, KeyboardInterrupt) else why}"
+    assert found.uncounted is None, "nothing was recorded whole"
 
 
 def word(**released):
@@ -179,18 +199,23 @@ def test_a_motion_takes_as_long_as_its_rests_and_its_moves():
     assert NextMotion(SimpleNamespace(), text, chains, robot).duration == pytest.approx(9.5)  # type: ignore[arg-type]
 
 
+def pair(first: str, second: str):
+    sides = [SimpleNamespace(effect=name, text=lambda name=name: f"{name} on joint_2") for name in (first, second)]
+    return SimpleNamespace(names=(first, second), first=sides[0], second=sides[1])
+
+
 def found_with(zero_known: bool):
     return SimpleNamespace(finding=SimpleNamespace(zero_known=zero_known))
 
 
 def test_where_no_motion_helps_it_says_where_to_look_for_either():
-    pairs = [SimpleNamespace(names=names) for names in (("torque_offset", "none"), ("stribeck", "presliding"))]
-    text = _other_test(found_with(False), pairs)  # type: ignore[arg-type]
-    assert CATALOGUE["torque_offset"].look_at in text
+    pairs = [pair("torque_offset", "none"), pair("stribeck", "presliding")]
+    text = other_test(found_with(False), pairs)  # type: ignore[arg-type]
+    assert f"for torque_offset on joint_2, {CATALOGUE['torque_offset'].look_at}" in text
     assert CATALOGUE["stribeck"].look_at not in text, "the most urgent pair"
     assert "--drives-off" in text
-    assert "--drives-off" not in _other_test(found_with(True), pairs), "it is there"  # type: ignore[arg-type]
-    no_channel = _other_test(found_with(False), pairs[1:])  # type: ignore[arg-type]
+    assert "--drives-off" not in other_test(found_with(True), pairs), "it is there"  # type: ignore[arg-type]
+    no_channel = other_test(found_with(False), pairs[1:])  # type: ignore[arg-type]
     assert "--drives-off" not in no_channel, "no motor's current is in it"
 
 
@@ -214,6 +239,17 @@ def test_the_page_has_question_motion_and_answer_of_every_round(ask):
     assert "cut short" in render(Page("Gap", "it is", "plain", rounds_sections(**to_sections(cut))))
     assert rounds_sections(None, "") == []
     assert "No further motion was run." in render(Page("Gap", "it is", "plain", rounds_sections([], "settled: no_gap")))
+
+
+def test_the_page_has_the_motion_that_was_planned_and_what_it_is_expected_to_tell():
+    planned = {**Motion().to_dict("next/program.pdl"), "separates": []}
+    planned["probability"] = [{**PAIR, "smallest_over_practical": 0.4}]
+    page = render(Page("Gap", "it is", "plain", planned_sections(planned)))
+    for text in ("reversals of joint_2 (20 s, next/program.pdl)", "stribeck on joint_2 or presliding on joint_2"):
+        assert text in page
+    assert all(figure in page for figure in ("0.51", "0.93", "0.4"))
+    assert planned_sections(None) == planned_sections(NONE.to_dict()) == []
+    assert next_text(NONE.to_dict()).startswith("No motion would tell"), "there is nothing to run"
 
 
 def to_sections(found) -> dict:

@@ -308,7 +308,9 @@ def test_the_page_of_a_recorded_run_has_drift_and_ranges(nominal, tmp_path, monk
         assert text in page
     assert "drifts further than the one given" not in page
     forward["after"] = [[0.5, 0.4]]
-    assert "further than the one given after 0.2 s" in diagnosis_report(nominal[2], (), forward)
+    assert "further than the one given after 0.2 s" in diagnosis_report(
+        nominal[2], (), (), {**nominal[2].result, "forward": forward}
+    )
 
 
 def test_the_waterfall_is_a_table_for_people(nominal):

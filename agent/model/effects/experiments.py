@@ -11,12 +11,19 @@ class SeparatingMotion:
 
     order: int
     motion: str
+    #: What the arm tells on its brakes beside it, where that is not known yet.
+    brakes: str = ""
+
+    @property
+    def with_brakes(self) -> str:
+        """Both in words."""
+        return f"{self.motion}{self.brakes}"
 
 
 RAMPS_AND_STANDSTILLS = SeparatingMotion(
     10,
-    "single-joint ramps both ways at several constant speeds, up to the highest; then the measured torque with the "
-    "drives off, where only an offset stays (--drives-off)",
+    "single-joint ramps both ways at several constant speeds, up to the highest",
+    "; then the measured torque with the drives off, where only an offset stays (--drives-off)",
 )
 SLOW_REVERSALS = SeparatingMotion(
     20, "slow reversals of growing travel on this joint, then constant speeds from 1 to 20 % of the highest"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.core.errors import InputError
-from agent.diagnosis import diagnose, without_places
+from agent.diagnosis import channel_zero, diagnose, without_places
 from agent.experiment import open_pairs
 from fake_controller.plant import Plant
 from tests.small_arms import record
@@ -96,6 +96,36 @@ def test_a_channel_that_is_switched_off_with_the_drive_says_nothing(arm, model, 
     found = diagnose(arm, logs, model, drives_off=dead).answer
     assert found.verdict == "ambiguous"
     assert any("is off with its drive" in text for text in found.warnings)
+
+
+def test_a_channel_too_restless_for_what_was_found_settles_nothing(arm, model, logs):
+    zero = at_rest(logs[0], OFFSET * (np.arange(arm.dof) == JOINT))
+    slow = 8.0 * np.sin(2 * np.pi * 0.25 * zero.t[:, None])
+    found = diagnose(arm, logs, model, drives_off=replace(zero, effort=zero.effort + slow)).answer
+    assert found.causes == diagnose(arm, logs, model).answer.causes
+    assert any("too restless to tell" in text for text in found.warnings)
+
+
+def test_torque_that_a_motor_without_current_does_not_show_is_refused(arm, model, logs):
+    arm = replace(arm, joints=tuple(replace(joint, nominal_motor_torque=1.5) for joint in arm.joints))
+    zero, nominal = at_rest(logs[0], np.zeros(arm.dof)), arm.nominal_torque
+    swing = 0.5 * nominal * np.sin(2 * np.pi * 5 * zero.t[:, None])
+    still = np.zeros((1, arm.dof))
+    torque, friction = model.predict_parts(zero.position[:1], still, still)
+    for effort, message in (
+        (zero.effort + swing, "which no motor without current does"),
+        (zero.effort + 1.5 * nominal, "that is no zero of a channel"),
+        (zero.effort + (torque - friction), "its drives are on"),
+    ):
+        with pytest.raises(InputError, match=message):
+            channel_zero(arm, replace(zero, effort=effort), model)
+
+
+def test_a_zero_that_no_motion_shows_is_said(arm, model, logs):
+    shown = 20.0 * (np.arange(arm.dof) == 0) + OFFSET * (np.arange(arm.dof) == JOINT)
+    found = diagnose(arm, logs, model, drives_off=at_rest(logs[0], shown)).answer
+    (text,) = [text for text in found.warnings if "in motion no offset of its channel was found" in text]
+    assert "joint_1" in text
 
 
 def test_of_a_healthy_arm_it_settles_nothing(arm, model, logs):

@@ -1,0 +1,146 @@
+"""Why no motion is planned, and what is left of a diagnosis whose further motion cannot be planned."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import agent.experiment
+from agent.core import Console, InputError, RejectedError, write_atomically
+from agent.diagnosis.evidence import null_gains
+from agent.experiment import Experiment
+from agent.pipeline import GapQuestion, check_plausible, diagnose_files, next_experiment
+from agent.pipeline.next_experiment import LONGEST, NoMotion, plan_next
+from agent.recipe import load_recipe, template
+from agent.recording import write_log
+from fake_controller.plant import Plant
+from tests.small_arms import learn, make_arm, record
+
+NOTHING = Experiment((), (), 0)
+
+
+def side(effect: str, joint: str = "joint_2", forms: tuple[str, ...] = ("one",)):
+    return SimpleNamespace(effect=effect, text=lambda: f"{effect} on {joint}", forms=forms)
+
+
+RIVAL = side("presliding")
+
+
+def pair(first, second):
+    return SimpleNamespace(first=first, second=second, names=(first.effect, second.effect))
+
+
+@pytest.fixture
+def ask(tmp_path: Path, monkeypatch):
+    """`ask(experiments, seconds, change, held)`: what is said where the searches come to these experiments."""
+
+    def run(experiments, seconds=LONGEST, change=lambda text: text, held=None, second=RIVAL):
+        recipe = load_recipe(write_atomically(tmp_path / "job.yaml", change(template())))
+        found = SimpleNamespace(
+            held=held,
+            finding=SimpleNamespace(zero_known=False),
+            dataset=SimpleNamespace(
+                robot=recipe.robot, fit=SimpleNamespace(reference=SimpleNamespace(scale=np.full(6, 100.0)))
+            ),
+        )
+        answers = iter(experiments)
+        monkeypatch.setattr(agent.experiment, "open_pairs", lambda found: [pair(side("stribeck"), second)])
+        monkeypatch.setattr(agent.experiment, "plan_experiment", lambda *_: next(answers))
+        return plan_next(found, recipe, Console(-1), seconds)  # type: ignore[arg-type]
+
+    return run
+
+
+def test_it_says_what_no_motion_would_tell_and_where_to_look(ask):
+    said = ask([replace(NOTHING, weighed=200), NOTHING])
+    assert "would tell stribeck on joint_2 from presliding on joint_2. What may: another posture" in said.text
+    assert said.separates == ("presliding", "stribeck")
+    assert said.to_dict()["program"] is None
+    alone = ask([replace(NOTHING, weighed=200), NOTHING], second=side("none", forms=()))
+    assert "would show stribeck on joint_2. What may" in alone.text
+
+
+def test_where_no_piece_keeps_all_limits_it_names_the_limit_and_not_what_else_would_tell(ask):
+    box = "cell: {keep_out: [{name: post, box: {min: [0.9 m, -0.3 m, 0 m], max: [1.1 m, 0.3 m, 1.5 m]}}]}\n"
+    said = ask([NOTHING], change=lambda text: box + text)
+    assert "no motion was found that keeps all limits in the sub-region of" in said.text
+    assert "post" in said.text
+    assert "agent check" in said.text
+    assert "What may" not in said.text
+
+
+def test_where_the_time_that_is_left_is_too_short_it_says_how_long_one_would_take(ask, monkeypatch):
+    longer = next_experiment.NextMotion(SimpleNamespace(), "", (), None)  # type: ignore[arg-type]
+    monkeypatch.setattr(next_experiment.NextMotion, "duration", 34.2)
+    asked: list[float] = []
+
+    def plan(found, recipe, console, seconds, *_):
+        asked.append(seconds)
+        return longer
+
+    monkeypatch.setattr(next_experiment, "plan_next", plan)  # the question that the first one asks
+    said = ask([replace(NOTHING, weighed=200)], seconds=12.0)
+    assert said.text == "no motion of the 12 s that are left would settle it, one of 34 s may: allow more motion"
+    assert asked == [LONGEST]
+
+
+def test_no_motion_is_planned_for_a_torque_that_stands_still(ask):
+    held = SimpleNamespace(motion="the same motions again, once the torque of joint_3 is recorded as it is")
+    said = ask([], held=held)
+    assert said == NoMotion(held.motion, ("presliding", "stribeck"))
+
+
+def test_nothing_gains_where_there_is_nothing_to_try():
+    null = null_gains(SimpleNamespace(), [])  # type: ignore[arg-type]
+    assert null.threshold == 0.0
+    assert null.p_value(1.0) < 0.01
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return make_arm("RR")
+
+
+@pytest.fixture(scope="module")
+def logs(arm):
+    plant = Plant(arm, seed=3)
+    return [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))]
+
+
+def test_a_log_of_the_other_sign_is_found_beside_a_good_one(arm, logs):
+    model = learn(arm)
+    good, bad = logs[0], replace(logs[1], effort=-logs[1].effort)
+    check_plausible(arm, [good, logs[1]], False, Console(-1), model=model)
+    with pytest.raises(RejectedError, match=r"two\.mcap: the torque of joint_1, joint_2 has the other sign"):
+        check_plausible(arm, [good, good, bad], False, Console(-1), model=model)
+
+
+@pytest.mark.parametrize("why", [KeyboardInterrupt(), InputError("a box that nothing keeps clear of")])
+def test_where_the_planning_is_stopped_the_diagnosis_and_its_page_are_there(
+    arm, logs, tmp_path: Path, monkeypatch, why
+):
+    learn(arm).save(tmp_path / "model.json")
+    paths = [tmp_path / log.name for log in logs]
+    for path, log in zip(paths, logs, strict=True):
+        write_log(path, log)
+
+    def plan(*_, **__):
+        raise why
+
+    monkeypatch.setattr(GapQuestion, "check", lambda *_: None)
+    monkeypatch.setattr("agent.recipe.load_recipe", lambda path: None)
+    monkeypatch.setattr(next_experiment, "check_joints", lambda *_: None)
+    monkeypatch.setattr(next_experiment, "plan_next", plan)
+    question = GapQuestion(
+        tmp_path / "model.json", report=tmp_path / "page.html", out=tmp_path / "next", next_recipe=tmp_path / "job.yaml"
+    )
+    shown: list[dict] = []
+    with pytest.raises(type(why)):
+        diagnose_files(arm, paths, question, Console(-1), shown.append)
+    assert [one["verdict"] for one in shown] == ["no_gap"]
+    assert "Gap between model and" in question.report.read_text(encoding="utf-8")
+    assert not question.out.exists()
