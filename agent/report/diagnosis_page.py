@@ -78,7 +78,7 @@ def diagnosis_report(
     ]
     colour = {"no_gap": "good", "explained": "bad"}.get(verdict, "plain")
     title = f"Gap between model and {diagnosis.dataset.robot.name}"
-    about = about_diagnosis(diagnosis, next_steps)
+    about = about_diagnosis(diagnosis, next_steps, result["next_experiment"])
     return render(Page(title, headline(diagnosis.result, sized(diagnosis)), colour, sections, about))
 
 

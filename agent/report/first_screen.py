@@ -131,15 +131,18 @@ def where_sentences(result: Mapping[str, Any]) -> Iterator[str]:
         yield f"{entry['joint']} has {share_text(entry)} of the gap" + (f", mostly {where}." if where else ".")
 
 
-def about_diagnosis(diagnosis: Diagnosis, next_steps: Sequence[NextStep]) -> About:
-    """What stands on the first screen beside the verdict; `next_steps` are commands that whoever asked can run."""
+def about_diagnosis(
+    diagnosis: Diagnosis, next_steps: Sequence[NextStep], experiment: Mapping[str, Any] | None
+) -> About:
+    """What stands on the first screen beside the verdict; `next_steps` are commands that whoever asked can run,
+    `experiment` is `next_experiment` of the result, a motion that was planned or not."""
     dataset = diagnosis.dataset
     asked = (
         "What does the simulator (the model) not have that the robot has?"
         if dataset.given
         else "What do these motions show that no model of the arm's links and friction absorbs?"
     )
-    return About(asked, list(_facts(diagnosis)), [*_measures(diagnosis), *next_steps], _identity(diagnosis))
+    return About(asked, list(_facts(diagnosis)), [*_measures(diagnosis, experiment), *next_steps], _identity(diagnosis))
 
 
 def _facts(diagnosis: Diagnosis) -> list[str]:
@@ -198,11 +201,12 @@ def _found_if_there(result: Mapping[str, Any]) -> str:
     )
 
 
-def _measures(diagnosis: Diagnosis) -> list[NextStep]:
+def _measures(diagnosis: Diagnosis, experiment: Mapping[str, Any] | None) -> list[NextStep]:
     result = diagnosis.result
     steps = [NextStep(f"look at {look_at(cause['effect'], result)}.") for cause in result["causes"][:1]]
-    if result["next_experiment"] is not None:
-        steps.append(NextStep(f"run {result['next_experiment']['motion']}."))
+    if experiment is not None and not experiment.get("program"):  # one that was planned has a command of its own
+        motion = experiment["motion"]
+        steps.append(NextStep(f"{motion}." if "program" in experiment else f"run {motion}."))
     return steps
 
 

@@ -79,7 +79,8 @@ def found(seed: int) -> dict[str, Any]:
 def test_set_points_are_those_of_before(style: str) -> None:
     stored, now = json.loads(STORED.read_text())["set_points"][style], set_points(style)
     assert (now["samples"], now["bound by"]) == (stored["samples"], stored["bound by"])
-    for name, digits in (("q", 1e-12), ("qd", 1e-10), ("qdd", 1e-8)):
+    # the last digits are the processor's: one with other vector instructions adds in another order
+    for name, digits in (("q", 1e-9), ("qd", 1e-8), ("qdd", 1e-6)):
         np.testing.assert_allclose(now[name], stored[name], rtol=0, atol=digits)
 
 
@@ -87,7 +88,7 @@ def test_set_points_are_those_of_before(style: str) -> None:
 def test_a_seed_finds_the_loop_of_before(seed: int) -> None:
     stored, now = json.loads(STORED.read_text())["search"][str(seed)], found(seed)
     assert now["genome"] == stored["genome"]
-    np.testing.assert_allclose([now["fitness"], *now["best"]], [stored["fitness"], *stored["best"]], rtol=1e-10)
+    np.testing.assert_allclose([now["fitness"], *now["best"]], [stored["fitness"], *stored["best"]], rtol=1e-8)
 
 
 if __name__ == "__main__":

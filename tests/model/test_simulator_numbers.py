@@ -74,7 +74,7 @@ def test_a_simulator_may_be_called_otherwise_than_the_robot_of_the_logs(tmp_path
 
 @pytest.mark.parametrize(("model", "out"), [("arm.xml", "fixed.xml"), ("a/b.urdf", "fixed.urdf"), ("model.json", None)])
 def test_the_page_proposes_the_corrected_file_in_the_format_that_was_given(model, out):
-    result = {"verdict": "explained", "causes": [{"effect": "stribeck"}]}
+    result = {"verdict": "explained", "causes": [{"effect": "stribeck"}], "next_experiment": None}
     (step,) = after_diagnosis(result, None, [Path("a.mcap")], GapQuestion(Path(model)))
     assert step.command == f"agent diagnose --model {model} a.mcap -o {out or 'model_with_effects.json'}"
 
