@@ -6,7 +6,7 @@ from .filtering import (
     smooth_and_differentiate as smooth_and_differentiate,
     used_text as used_text,
 )
-from .fitted_range import beyond_fit as beyond_fit
+from .fitted_range import beyond_fit as beyond_fit, known_positions as known_positions
 from .observation import Observation as Observation, check_log as check_log, observe as observe
 from .plausible import plausibility_warnings as plausibility_warnings, unsigned_torque as unsigned_torque
 from .prior import DESCRIPTION as DESCRIPTION, EITHER as EITHER, physical_prior as physical_prior

@@ -30,6 +30,16 @@ def fitted_range(observation: Observation) -> dict[str, Any]:
     }
 
 
+def known_positions(model: IdentifiedModel) -> tuple[np.ndarray, np.ndarray] | None:
+    """(n,) lowest and highest positions [rad, m] that are still those of a model's fit; None where it does not say."""
+    known = model.provenance.get("range")
+    if known is None:
+        return None
+    lowest, highest = (np.array(known[key]) for key in ("lowest", "highest"))
+    far = np.maximum(_FURTHER * (highest - lowest), _LEAST)
+    return lowest - far, highest + far
+
+
 def beyond_fit(model: IdentifiedModel, motions: Sequence[tuple[np.ndarray, np.ndarray]]) -> Iterator[str]:
     """What to know of motions, each positions and speeds (S, n) (SI), that leave the range of a model's fit for more
     than a moment; nothing where the model does not say what its fit was."""
@@ -52,9 +62,9 @@ def beyond_fit(model: IdentifiedModel, motions: Sequence[tuple[np.ndarray, np.nd
             f"these logs go faster than the motions that the model was fitted to ({said}): friction beyond that is a "
             "guess, and so is what differs there"
         )
-    far = np.maximum(_FURTHER * (highest - lowest), _LEAST)
+    lower, upper = known_positions(model) or (lowest, highest)
     if said := of_joints(
-        (q < lowest - far) | (q > highest + far),
+        (q < lower) | (q > upper),
         lambda k: (
             f"between {q[:, k].min():.3g} and {q[:, k].max():.3g} {units[k]}, fitted between {lowest[k]:.3g} and "
             f"{highest[k]:.3g}"

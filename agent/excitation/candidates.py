@@ -109,6 +109,11 @@ class Candidates:
         """Names of the parameters that the criterion counts."""
         return self._criterion.columns
 
+    @property
+    def joint_limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) lower and upper [rad, m], where the cell allows less than the joint too."""
+        return self._cell.lower, self._cell.upper
+
     def loop(self, genome: np.ndarray) -> Loop:
         """The loop of a genome (6 K,) in [0, 1], through the interpolator.
 

@@ -183,7 +183,10 @@ class Pieces:
         return replace(draw, turn=turn), middle, [*statements, Delay(draw.rest)]
 
     def _inside(self, middle: np.ndarray, joint: int, turn: float) -> bool:
-        """Whether the tool stays within the box around the sub-region."""
+        """Whether the tool stays within the box around the sub-region, and the joint within its range."""
+        lower, upper = self._candidates.joint_limits
+        if not lower[joint] <= middle[joint] - turn <= middle[joint] + turn <= upper[joint]:
+            return False
         postures = np.tile(middle, (9, 1))
         postures[:, joint] += np.linspace(-turn, turn, 9)
         tips = self._candidates.kinematics.forward(postures)[:, :3, 3]

@@ -120,7 +120,7 @@ def plan_next(
     names = tuple(sorted({name for pair in pairs for name in pair.names if name != "none"}))
     if found.held is not None:
         return NoMotion(found.held.motion, names)
-    problem = replace(loop_problem(recipe, recipe.motion.speed), load=load)
+    problem = _where_known(replace(loop_problem(recipe, recipe.motion.speed), load=load), found)
     limits = None if load is None else torque_limits(recipe, load, console)
     console.step(f"searching for a motion of at most {seconds:.0f} s that tells more")
     runs = _Runs(recipe, name, load, limits)
@@ -152,6 +152,23 @@ def plan_next(
         else f"show {asked_of.first.text()}"
     )
     return NoMotion(f"no motion in {where} would {what}{why}. {other_test(found, pairs)}{loads}", names)
+
+
+def _where_known(problem: LoopProblem, found: Diagnosis) -> LoopProblem:
+    """The problem with the joints kept to positions that the model was fitted to, where the logs keep to them too:
+    elsewhere a local model errs by more than a rehearsal takes from these logs."""
+    from agent.estimation import known_positions
+
+    known = known_positions(found.dataset.model)
+    if known is None or not found.dataset.given:
+        return problem
+    ranges = dict(problem.joint_ranges)
+    q = np.concatenate([signals.q for signals in found.dataset.fit.signals])
+    for k, (joint, lower, upper) in enumerate(zip(problem.robot.joints, *known, strict=True)):
+        low, high = ranges.get(joint.name, (joint.lower, joint.upper))
+        low, high = max(low, min(lower, q[:, k].min())), min(high, max(upper, q[:, k].max()))
+        ranges[joint.name] = (float(low), float(high))
+    return replace(problem, joint_ranges=ranges)
 
 
 def _refused(problem: LoopProblem) -> str:

@@ -148,6 +148,19 @@ def test_pieces_begin_and_end_at_rest_in_the_sub_region(problem):
         assert np.linalg.norm(speed, axis=1).max() < 1.02 * problem.settings.linear_speed, piece.text(arm)
 
 
+def test_a_joint_turns_no_further_than_its_range(problem):
+    """The turn is made smaller rather than given up."""
+    free = Pieces(problem, [3], 20.0, np.random.default_rng(1))
+    narrow = (-0.2, 0.9)
+    kept = Pieces(replace(problem, joint_ranges={"joint_4": narrow}), [3], 20.0, np.random.default_rng(1))
+    drawn = [[one for _ in range(60) if (one := pieces.draw()) is not None] for pieces in (free, kept)]
+    turned, turned_less = ([one for one in some if one.draw.kind == "reversals"] for some in drawn)
+    assert max(np.ptp(one.motion.q[:, 3]) for one in turned) > narrow[1] - narrow[0]
+    assert turned_less
+    for one in turned_less:
+        assert narrow[0] <= one.motion.q[:, 3].min() <= one.motion.q[:, 3].max() <= narrow[1]
+
+
 @pytest.mark.verify
 def test_the_motion_that_is_planned_tells_more_and_repeats(problem):
     found = one_sided(problem.robot)

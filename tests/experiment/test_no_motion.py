@@ -44,7 +44,10 @@ def ask(tmp_path: Path, monkeypatch):
             held=held,
             finding=SimpleNamespace(zero_known=False),
             dataset=SimpleNamespace(
-                robot=recipe.robot, fit=SimpleNamespace(reference=SimpleNamespace(scale=np.full(6, 100.0)))
+                robot=recipe.robot,
+                given=False,
+                model=SimpleNamespace(provenance={}),
+                fit=SimpleNamespace(reference=SimpleNamespace(scale=np.full(6, 100.0))),
             ),
         )
         answers = iter(experiments)
@@ -144,3 +147,28 @@ def test_where_the_planning_is_stopped_the_diagnosis_and_its_page_are_there(
     assert [one["verdict"] for one in shown] == ["no_gap"]
     assert "Gap between model and" in question.report.read_text(encoding="utf-8")
     assert not question.out.exists()
+
+
+def test_a_motion_is_planned_where_the_model_was_fitted_and_the_logs_go():
+    recipe_problem = SimpleNamespace(robot=make_arm("RR"), joint_ranges={"joint_2": (-0.4, 3.0)})
+    fitted = {"lowest": [-1.0, -1.0], "highest": [1.0, 1.0], "fastest": [1.0, 1.0]}
+    found = SimpleNamespace(
+        dataset=SimpleNamespace(
+            given=True,
+            model=SimpleNamespace(provenance={"range": fitted}),
+            fit=SimpleNamespace(signals=[SimpleNamespace(q=np.array([[-1.8, 0.0], [0.3, 0.2]]))]),
+        )
+    )
+    kept: dict[str, tuple[float, float]] = {}
+
+    def replaced(problem, joint_ranges):
+        kept.update(joint_ranges)
+        return problem
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(next_experiment, "replace", replaced)
+        next_experiment._where_known(recipe_problem, found)  # type: ignore[arg-type]
+    assert kept["joint_1"] == (-1.8, 1.5), "a quarter further than the fit, and as far as the logs"
+    assert kept["joint_2"] == (-0.4, 1.5), "and never further than the cell allows"
+    found.dataset.model.provenance = {}
+    assert next_experiment._where_known(recipe_problem, found) is recipe_problem  # type: ignore[arg-type]
