@@ -12,8 +12,6 @@ import pytest
 from agent.blind_check import BlindCheck
 from agent.core import Console, InputError, LocalProcesses, SafetyError, available_cores, sha256_text
 
-#: From here on the page is written by people.
-BY_HAND = "## Draws before this one"
 ROOT = Path(__file__).resolve().parents[2]
 QUIET = Console(verbosity=-1)
 
@@ -161,16 +159,13 @@ def test_a_rerun_goes_on_and_does_nothing_twice(check, done):
 
 @pytest.mark.verify
 def test_blind_check(measured):
-    """The whole of it; what is finished is kept in `.verify/`, and the page goes into the documentation."""
+    """What is finished is kept in `.verify/`, and so is its page."""
     folder = ROOT / ".verify" / "blind_check"
     with LocalProcesses(available_cores()) as engine:
-        scores = BlindCheck(400, 1, folder).run(Console(), engine)
-    page = ROOT / "docs" / "blind-check.md"
-    _, others, by_hand = page.read_text(encoding="utf-8").partition(BY_HAND)
-    page.write_text((folder / "blind_check.md").read_text(encoding="utf-8").rstrip() + "\n\n" + others + by_hand)
+        scores = BlindCheck(100, 1, folder).run(Console(), engine)
     alarms = scores["false_alarms"]["count"]
     figures = (
-        ("false alarms in effect-free runs", alarms, "at most 1 of 150", alarms <= 1),
+        ("false alarms in effect-free runs", alarms, "at most 1", alarms <= 1),
         ("first cause right", scores["top_1"]["share"], "at least 0.9", scores["top_1"]["share"] >= 0.9),
         ("right joint", scores["joint"]["share"], "at least 0.95", scores["joint"]["share"] >= 0.95),
         (
@@ -194,4 +189,4 @@ def test_blind_check(measured):
     )
     for what, value, target, ok in figures:
         measured(f"blind check: {what}", value, "", target, ok)
-    assert scores["runs"] == 400
+    assert scores["runs"] == 100
