@@ -20,6 +20,10 @@ from agent.robot import not_judged_text, outcome_text
 from agent.runs import RunFolder, approve, check_approved, register_run, robot_lock, run_key
 from agent.safety import check_period
 
+#: Validation motions that are looked at beside the excitation before a model is made: a short loop alone may be fitted
+#: better with a mistake in it.
+_BESIDE = 2
+
 
 @dataclass(frozen=True)
 class CalibrationOutcome:
@@ -114,13 +118,15 @@ def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
     from agent.estimation import EstimationSettings, estimate
     from agent.model import IdentifiedModel
     from agent.pipeline.identify import check_run, read_logs
+    from agent.recording import read_log
 
     if run.finished("estimate"):
         run.check_file("model.json", run.state.get("model_sha256"))
         return IdentifiedModel.load(run.file("model.json"))
     console.step("estimating")
     logs = read_logs([run.file(EXCITATION)], recipe.robot, console)
-    check_run(recipe.robot, logs, None, console)
+    beside = [read_log(path, recipe.robot) for path in validation_logs(run)[:_BESIDE]]
+    check_run(recipe.robot, [*logs, *beside], None, console)
     model = estimate(
         recipe.robot,
         logs,
