@@ -63,15 +63,20 @@ class _Fit:
     enough: bool
 
 
-def plausibility_warnings(robot: RobotDescription, logs: Sequence[Log]) -> list[str]:
-    """Why these logs cannot be of this robot, the likeliest reason first; empty where nothing speaks against them."""
+def plausibility_warnings(robot: RobotDescription, logs: Sequence[Log], beside: Sequence[Log] = ()) -> list[str]:
+    """Why these logs cannot be of this robot, the likeliest reason first; empty where nothing speaks against them.
+
+    A mistake that only fits better than the log as it is has to do so with logs of the same recorder `beside` as well:
+    few seconds of slow motion tell it badly from chance.
+    """
     logs = [log for log in logs if log.effort is not None]
     if not logs:
         return []  # that there is no torque is said where it is needed
     found = list(_signals(robot, logs)) or list(velocity_doubts(robot, logs)) or list(_stuck(robot, logs))
     found = found or list(slide_doubts(robot, logs))
     samples = None if found else _samples(logs)
-    found = found if samples is None else list(_mechanics(robot, samples))
+    more = [*logs, *(log for log in beside if log.effort is not None)] if beside else []
+    found = found if samples is None else list(_mechanics(robot, samples, more))
     return found or list(too_heavy(robot, logs))
 
 
@@ -187,7 +192,8 @@ def _samples(logs: Sequence[Log]) -> FitSamples | None:
     return FitSamples(q, qd, qdd, torque, direction, fold, independent)
 
 
-def _mechanics(robot: RobotDescription, samples: FitSamples) -> Iterator[str]:
+def _mechanics(robot: RobotDescription, samples: FitSamples, more: Sequence[Log]) -> Iterator[str]:
+    """What a fit to the samples says; of what only fits better, where one to `more` logs, if any, has a doubt too."""
     plain = _fit(robot, samples)
     names = robot.joint_names
     if not plain.enough or overfitted(robot, samples, plain.joints):
@@ -210,10 +216,16 @@ def _mechanics(robot: RobotDescription, samples: FitSamples) -> Iterator[str]:
         likeliest = likeliest or f"torque and motion of {whose} have opposite signs"
         push = 100 * plain.pushing.max()
         yield f"{likeliest}: friction and inertia would drive {whose} on, by {push:.0f} % of its torque"
-    elif likeliest:
+    elif likeliest and not _refuted(robot, more):
         yield f"{likeliest}: much more of the torque would be explained"
     else:
         yield from described_gravity_doubts(robot, samples.q, plain.gravity, samples.torque)
+
+
+def _refuted(robot: RobotDescription, more: Sequence[Log]) -> bool:
+    """Whether nothing speaks against so many logs together; never of none."""
+    samples = _samples(more)
+    return samples is not None and not any(_mechanics(robot, samples, ()))
 
 
 def _driven_on(fit: _Fit) -> np.ndarray:

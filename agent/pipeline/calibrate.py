@@ -20,8 +20,7 @@ from agent.robot import not_judged_text, outcome_text
 from agent.runs import RunFolder, approve, check_approved, register_run, robot_lock, run_key
 from agent.safety import check_period
 
-#: Validation motions that are looked at beside the excitation before a model is made: a short loop alone may be fitted
-#: better with a mistake in it.
+#: Validation motions that a doubt about the excitation alone has to stand up to.
 _BESIDE = 2
 
 
@@ -126,7 +125,7 @@ def _estimate(recipe: Recipe, run: RunFolder, console: Console) -> Any:
     console.step("estimating")
     logs = read_logs([run.file(EXCITATION)], recipe.robot, console)
     beside = [read_log(path, recipe.robot) for path in validation_logs(run)[:_BESIDE]]
-    check_run(recipe.robot, [*logs, *beside], None, console)
+    check_run(recipe.robot, logs, None, console, beside)
     model = estimate(
         recipe.robot,
         logs,

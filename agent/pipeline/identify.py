@@ -92,6 +92,7 @@ def check_plausible(
     advice: str = "Nothing is written; mend it, or go on with --force",
     described: bool = True,
     model: IdentifiedModel | None = None,
+    beside: Sequence[Any] = (),
 ) -> None:
     """Refuse logs that no motion of this robot can have made, with what to do; with `force` only say so.
 
@@ -104,7 +105,7 @@ def check_plausible(
     """
     from agent.estimation import plausibility_warnings
 
-    found = plausibility_warnings(robot, logs)
+    found = plausibility_warnings(robot, logs, beside)
     if found and model is not None:
         from agent.validation import predicts
 
@@ -128,8 +129,10 @@ def _flipped(model: IdentifiedModel, logs: Sequence[Any]) -> Iterator[str]:
             yield f"{log.name}: the torque of {', '.join(joints)} has the other sign than the model predicts"
 
 
-def check_run(robot: Any, logs: Sequence[Any], model: Any, console: Console) -> None:
+def check_run(robot: Any, logs: Sequence[Any], model: Any, console: Console, beside: Sequence[Any] = ()) -> None:
     """The same two for what a run recorded to fit it: of one machine (of the model's, if any), and plausible.
+
+    `beside`: other motions of the run, which a doubt about so little has to stand up to.
 
     Raises:
         InputError, RejectedError: as `check_one_machine` and `check_plausible` do.
@@ -139,7 +142,7 @@ def check_run(robot: Any, logs: Sequence[Any], model: Any, console: Console) -> 
         "No model is made of it. Mend the description or what the controller sends, then start a new run; "
         "`agent estimate --force` fits the logs of this one all the same"
     )
-    check_plausible(robot, logs, False, console, advice)
+    check_plausible(robot, logs, False, console, advice, beside=beside)
 
 
 def say_used(logs: Sequence[Any], cutoff: float, order: int, console: Console) -> None:

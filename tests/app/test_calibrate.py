@@ -189,7 +189,7 @@ def test_torque_that_no_arm_can_have_makes_no_model(
     recipe = write_recipe(start_controller("--effects", str(effects)).address, motions=1, cycles=1)
     run = run_agent("calibrate", recipe)
     assert run.returncode == 3, run.stderr
-    assert "excitation.mcap, validation_01.mcap: torques look like N·mm" in run.stderr
+    assert "excitation.mcap: torques look like N·mm" in run.stderr
     folder = only_run(tmp_path / "logs")
     assert not (folder / "model.json").exists()
     stopped = json.loads((folder / "state.json").read_text(encoding="utf-8"))["stopped"]

@@ -162,10 +162,10 @@ def test_blind_check(measured):
     """What is finished is kept in `.verify/`, and so is its page."""
     folder = ROOT / ".verify" / "blind_check"
     with LocalProcesses(available_cores()) as engine:
-        scores = BlindCheck(100, 1, folder).run(Console(), engine)
+        scores = BlindCheck(400, 1, folder).run(Console(), engine)
     alarms = scores["false_alarms"]["count"]
     figures = (
-        ("false alarms in effect-free runs", alarms, "at most 1", alarms <= 1),
+        ("false alarms in effect-free runs", alarms, "at most 1 of 150", alarms <= 1),
         ("first cause right", scores["top_1"]["share"], "at least 0.9", scores["top_1"]["share"] >= 0.9),
         ("right joint", scores["joint"]["share"], "at least 0.95", scores["joint"]["share"] >= 0.95),
         (
@@ -189,4 +189,4 @@ def test_blind_check(measured):
     )
     for what, value, target, ok in figures:
         measured(f"blind check: {what}", value, "", target, ok)
-    assert scores["runs"] == 100
+    assert scores["runs"] == 400

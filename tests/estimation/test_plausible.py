@@ -161,6 +161,34 @@ def test_an_arm_whose_tip_is_where_its_axes_meet_is_as_long_as_its_joints_are_ap
     assert not any("N·mm" in text for text in plausibility_warnings(serial_arm(bars), [log]))
 
 
+@pytest.mark.parametrize(
+    ("folder", "robot", "name", "others", "start", "stop"),
+    [
+        ("kr300", "robot_real.yaml", "A_se", ("B_se", "C_se"), 5.0, 10.0),
+        ("kr300", "robot_real.yaml", "B_se", ("A_se", "C_se"), 0.0, 5.0),
+        ("tiago", "robot.yaml", "fit", ("held",), 16.0, 24.0),
+    ],
+)
+def test_seconds_of_a_real_arm_that_alone_fit_better_with_a_mistake_are_cleared_by_its_other_motions(
+    shared_data, folder, robot, name, others, start, stop
+):
+    description = load_robot(str(shared_data / "real-dev" / folder / robot))
+    log, *beside = (read_log(shared_data / "real-dev" / folder / f"{k}.mcap", description) for k in (name, *others))
+    short = log.between(log.t[0] + start, log.t[0] + stop)
+    (doubt,) = plausibility_warnings(description, [short])
+    assert "much more of the torque would be explained" in doubt
+    assert plausibility_warnings(description, [short], beside) == []
+    wrong, *with_it = (replace(one, effort=turned(one.effort)) for one in (log, *beside))
+    assert plausibility_warnings(description, [wrong], with_it)
+
+
+def test_other_motions_clear_nothing_that_is_wrong_for_itself(healthy):
+    robot, log = healthy
+    for reason in ("N·mm", "opposite signs", "joint_2 never changes while it moves", "joint_2 is stuck"):
+        (found, *_) = plausibility_warnings(robot, [replace(log, **MISTAKES[reason](log))], [log])
+        assert re.search(reason, found), found
+
+
 @pytest.mark.parametrize("swapped", [False, True], ids=["flipped", "swapped"])
 def test_a_joint_of_a_real_arm_with_its_torque_in_the_wrong_place_is_named(shared_data, swapped):
     robot = load_robot(str(shared_data / "real-dev/kr300/robot_none.yaml"))
@@ -371,9 +399,7 @@ def test_what_a_model_predicts_is_not_refused(healthy, shared_data, monkeypatch)
     model = estimate(
         robot, [read_log(shared_data / f"gap-dev/baseline/{name}.mcap", robot) for name in ("excite", "moves")]
     )
-    monkeypatch.setattr(
-        "agent.estimation.plausibility_warnings", lambda robot, logs: ["joint_1 and joint_5 look swapped"]
-    )
+    monkeypatch.setattr("agent.estimation.plausibility_warnings", lambda *_: ["joint_1 and joint_5 look swapped"])
     quiet = Console(-1)
     with pytest.raises(RejectedError, match="look swapped"):
         check_plausible(robot, [log], False, quiet)

@@ -8,14 +8,19 @@ import resource
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agent.recording import read_log
+from drivers.errors import DriverError
+from drivers.registry import create
 from fake_controller.scenario import FOLDER
+from fake_controller.servers import WIRES
 from tests.conftest import end_with_tests
 from tests.faults.conftest import LONG
 
@@ -49,6 +54,20 @@ def until_it_moves(agent: subprocess.Popen[str]) -> None:
     assert any("of motion" in line for line in agent.stderr), "the agent ended before anything moved"
 
 
+def until_it_rests(wire: str, address: str) -> None:
+    """A client that comes after one that was lost sees the end of the stop, which a controller may be slow to begin."""
+    until = time.monotonic() + 60.0
+    while True:
+        try:
+            with closing(create(WIRES[wire], address)) as driver:
+                driver.connect()
+                if not driver.status().moving:
+                    return
+        except DriverError:  # it has not noticed yet that the one before is gone
+            assert time.monotonic() < until
+        assert time.monotonic() < until, "the arm still moves"
+
+
 def limit_files(size: int) -> Callable[[], None]:
     """To run in a child: no file grows beyond `size`, as on a full disk."""
 
@@ -74,9 +93,11 @@ def test_a_scenario_by_hand(bench, start, tmp_path: Path, arm: str, wire):
     fake = start("agent", "emulator", "--scenario", scenario, "--driver", wire, "--port", "0", "--baud", "4000000")
     greeting = fake.stdout.readline()
     assert greeting.startswith("fake controller: small_arm at ")
-    bench.write_for(wire, greeting.split(" at ")[1].split(", clock")[0])
+    address = greeting.split(" at ")[1].split(", clock")[0]
+    bench.write_for(wire, address)
     ended = bench.record()
     assert ended.code == 4, ended.errors
+    until_it_rests(wire, address)
     fake.send_signal(signal.SIGTERM)
     said, errors = fake.communicate(timeout=60)
     assert fake.returncode == 0
