@@ -6,13 +6,13 @@ there as well, alone or with the one that the model had before; friction by dire
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from agent.core import InputError
-from agent.diagnosis.candidate import Candidate, Where
+from agent.diagnosis.candidate import Candidate, HeldOutScore, Where
 from agent.diagnosis.dataset import Dataset
 from agent.diagnosis.finding import Finding
 from agent.diagnosis.isolability import best_by_place, plausible
@@ -183,7 +183,8 @@ def without_places(dataset: Dataset, finding: Finding, without: Collection[str] 
     """The finding where the places that another test ruled out are no causes and equal none.
 
     What else may be the constant that an offset is stands in their place: also a law of position on a joint that
-    travels too little for it to be tried, of effects that are not in `without`. A cause that nothing equals is gone.
+    travels too little for it to be tried, of effects that are not in `without`, and one that was no more than the
+    offset. A cause that nothing equals is gone.
     """
     for place in finding.ruled_out:
         number = next((k for k, c in enumerate(finding.causes) if place in (c.place, *finding.rivals[k])), None)
@@ -203,11 +204,12 @@ def _known_offsets(model: IdentifiedModel) -> np.ndarray:
 
 def _without(dataset: Dataset, finding: Finding, number: int, place: Where, without: Collection[str]) -> Finding:
     """The finding without a place in a class: where it was the cause, its first equal is."""
-    untried = _untried(dataset, place, without)
-    rivals = tuple(dict.fromkeys(r for r in (*finding.rivals[number], *untried) if r != place))
-    if finding.causes[number].place != place:
-        return _only(dataset, finding, number, finding.causes[number], rivals)
     step = finding.steps[min(number, len(finding.steps) - 1)]
+    untried = _untried(dataset, place, without) | _freed(dataset, step.scores, place, without)
+    cause = finding.causes[number].place
+    rivals = tuple(dict.fromkeys(r for r in (*finding.rivals[number], *untried) if r not in (place, cause)))
+    if cause != place:
+        return _only(dataset, finding, number, finding.causes[number], rivals)
     others = [cause for k, cause in enumerate(finding.causes) if k != number]
     made = dataset.fit.with_chosen(others).score(list(untried.values()))
     forms = best_by_place([score for score in (*made, *step.scores) if plausible(score)])
@@ -231,6 +233,32 @@ def _untried(dataset: Dataset, place: Where, without: Collection[str]) -> dict[W
         [(effect, place[1], settings) for effect in laws for settings in effect.settings(fit, place[1])]
     )
     return {form.place: form for form in reversed(made)}
+
+
+def _freed(
+    dataset: Dataset, scores: Sequence[HeldOutScore], place: Where, without: Collection[str]
+) -> dict[Where, Candidate]:
+    """Laws of position that explain about as much as the offset of a place, of which each was no more than that: where
+    there is none they are as likely as friction.
+
+    Not one that hardly changes: what is bent or stretched is slack somewhere, and on the straight line through a hose's
+    or a spring's torque that is within half a turn.
+    """
+    (joint,) = place[1]
+    q = np.concatenate([signals.q[signals.kept, joint] for signals in dataset.fit.signals])
+    best = max((score.gain for score in scores if score.candidate.place == place), default=np.inf)
+    found = {}
+    for score in scores:
+        form = score.candidate
+        law = form.joints == (joint,) and "position" in form.effect.shapes and place[0] in form.effect.special_cases
+        if not law or form.effect.name in without or not plausible(score):
+            continue
+        torque = form.blocks[joint] @ score.values * dataset.fit.sigma[:, joint]
+        slope, middle = np.polyfit(q - q.mean(), torque, 1)
+        slack = dataset.robot.joints[joint].prismatic or abs(middle) <= np.pi * abs(slope)
+        if slack and score.gain >= (1 - dataset.limits.equal_gain) * best:
+            found[form.place] = form
+    return found
 
 
 def _only(dataset: Dataset, finding: Finding, number: int, cause: Candidate, rivals: tuple[Where, ...]) -> Finding:
