@@ -175,6 +175,11 @@ class Outlook:
             Excursions.of([signals], self.dataset.limits),
         )
 
+    def energy(self, told: Told, form: Form) -> float:
+        """Of the torque of a form that is true, over the background, for each row of motions."""
+        own = told.moments[np.ix_(self._place[form.candidate], self._place[form.candidate])]
+        return float(form.values @ own @ form.values) / max(told.rows, 1.0)
+
     def _tried(self, added: Told, candidate: Candidate | None) -> bool:
         """Whether a diagnosis of all motions tries an effect there: it takes travel, speed, reversals."""
         reached = self._reached + added.excursions

@@ -18,7 +18,7 @@ from agent.experiment import as_drawn, d_optimal, open_pairs, pieces_otherwise, 
 from agent.experiment.motion import GridMotion, background_on
 from agent.experiment.outlook import Outlook
 from agent.experiment.pieces import Pieces
-from agent.experiment.plan import _at_best
+from agent.experiment.plan import _at_best, _doubtful
 from agent.experiment.questions import Form, Hypothesis, OpenPair
 from agent.experiment.rehearsal import Rehearsal, Said
 from agent.model import CATALOGUE, MotionSignals
@@ -159,6 +159,35 @@ def test_a_joint_turns_no_further_than_its_range(problem):
     assert turned_less
     for one in turned_less:
         assert narrow[0] <= one.motion.q[:, 3].min() <= one.motion.q[:, 3].max() <= narrow[1]
+
+
+def test_what_the_criterion_tells_and_the_verdict_does_not_stays_open(ambiguous):
+    """The verdict may leave too much of a gap; of the cause alone, and not of one that it tells from its rival."""
+    pairs = open_pairs(ambiguous)
+    sure, unsure = np.ones((len(pairs), 2)), np.zeros((len(pairs), 2))
+    asked = _doubtful(ambiguous, pairs, sure)
+    assert asked[[set(pair.names) == SIDES for pair in pairs].index(True)]
+    assert not asked[[pair.first is not pairs[0].first for pair in pairs]].any()
+    assert not _doubtful(ambiguous, pairs, unsure).any(), "it is open by the criterion already"
+
+
+def test_an_effect_is_larger_on_a_motion_that_shows_it(arm, ambiguous):
+    pairs = open_pairs(ambiguous)
+    outlook, (form, *_) = Outlook(ambiguous.dataset, pairs), pairs[0].first.truths
+    turning, other = (outlook.told(_wave(arm, reach, 6.0)) for reach in ((0.0, 0.4), (0.4, 0.0)))
+    assert outlook.energy(turning, form) > 10 * outlook.energy(other, form)
+
+
+def test_a_spring_that_was_straight_is_one_between_pivots(ambiguous):
+    fit, spring = ambiguous.dataset.fit, CATALOGUE["gravity_spring"]
+    (straight,) = fit.candidates([(spring, (1,), {})])
+    usual = questions.as_usual(fit, straight, np.array([5.0, 20.0]))
+    assert usual is not None
+    assert usual.settings == {"harmonics": 2.0}
+    assert np.diag(usual.prior)[:2] == pytest.approx(0.0), "its sine is as large as it was seen to be"
+    assert 0.1 * 20.0 < np.diag(usual.prior)[2] ** -0.5 < 0.3 * 20.0
+    (bent,) = fit.candidates([(spring, (1,), {"harmonics": 3.0})])
+    assert questions.as_usual(fit, bent, np.ones(6)) is None, "what was shown is enough"
 
 
 @pytest.mark.verify

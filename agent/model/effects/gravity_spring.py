@@ -11,6 +11,8 @@ from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.signals import MotionSignals, NominalModel
 
 _STRONGEST = 10.0  # nominal torque: what a joint could not be built against
+#: Of the first harmonic: a b / 2 (a² + b²) is 0.12 to 0.2 where one arm is a quarter to half of the other.
+_SECOND = 0.2
 
 
 class GravitySpring(Effect):
@@ -59,6 +61,21 @@ class GravitySpring(Effect):
     ) -> bool:
         swing = [value for name, value in values.items() if name != "constant"]  # about where it is at rest
         return float(np.linalg.norm(swing)) < _STRONGEST * float(reference.scale[joints[0]])
+
+    def usually(
+        self,
+        reference: NominalModel,
+        joints: tuple[int, ...],
+        settings: Mapping[str, float],
+        values: Mapping[str, float],
+    ) -> tuple[dict[str, float], np.ndarray] | None:
+        """A spring on a joint that turns lies between two pivots: a straight line on little motion is a sine's, and
+        beside the sine there is what the distance of the pivots makes of the pull."""
+        if settings.get("harmonics", 1.0) > 1.0 or reference.robot.joints[joints[0]].prismatic:
+            return None
+        first = [value for name, value in values.items() if name != "constant"]
+        second = _SECOND * float(np.linalg.norm(first))
+        return ({"harmonics": 2.0}, np.diag([0.0, 0.0, second**-2, second**-2])) if second > 0 else None
 
     def n_parameters(self, settings: Mapping[str, float]) -> int:
         return len(self.names(settings))
