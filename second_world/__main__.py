@@ -32,7 +32,8 @@ def main(arguments: list[str]) -> int:
 def run(job: dict[str, Any]) -> dict[str, Any]:
     """Logs of one run in `folder`, and how much its effects change the torque; with `describe` the robot as well.
 
-    Its motions are drawn, or come as `set_points`: by name a file of (S, n) at the servo's rate.
+    Its motions are drawn, or come as `set_points`: by name a file of (S, n) at the servo's rate, and when their
+    `cycles` begin [s].
     """
     from second_world.arms import PLACEHOLDERS, draw_arm, write_description
     from second_world.draw import recorder
@@ -47,7 +48,8 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
     given = "set_points" in job
     motions: Motions
     if given:
-        motions = {name: (np.load(path), ()) for name, path in job["set_points"].items()}
+        cycles = job.get("cycles", {})
+        motions = {name: (np.load(path), tuple(cycles.get(name, ()))) for name, path in job["set_points"].items()}
     else:
         motions = draw_motions(job["motion"], arm.range, arm.speed, job["cycle"])
     if job.get("describe"):

@@ -11,15 +11,18 @@ import numpy as np
 
 from agent.blind_check.scoring import Entry, class_of, clopper_pearson, outcome
 
-#: The motion that is planned for what is open, and three other ways to spend the same time.
-WAYS = ("planned", "loop_again", "random", "d_optimal")
+#: The motion that is planned for what is open, and other ways to spend the same time: the excitation loop again, loops
+#: of the sub-region at random, the D-optimal ones, and both of these with pieces of all the kinds that a plan has.
+WAYS = ("planned", "loop_again", "random_loops", "d_optimal_loops", "random_pieces", "d_optimal_pieces")
 _EDGES = (0.0, 0.5, 0.7, 0.85, 0.95, 1.0001)
 
 
 def active_scores(entries: Sequence[Entry]) -> dict[str, Any]:
     """All figures, of entries with `first` and per way its `rounds`, each with a `result`."""
     done = [entry for entry in entries if "error" not in entry]
-    ambiguous = [e for e in done if e["kind"] == "one" and e["first"]["verdict"] == "ambiguous"]
+    one = [e for e in done if e["kind"] == "one"]
+    ambiguous = [e for e in one if e["first"]["verdict"] == "ambiguous"]
+    unnamed = [e for e in one if e["first"]["verdict"] in ("no_gap", "unknown")]
     asked = list(_asked(done))
     planned = [one for e in done for one in e["ways"].get("planned", ())]
     return {
@@ -32,9 +35,10 @@ def active_scores(entries: Sequence[Entry]) -> dict[str, Any]:
         "first": dict(Counter(e["first"]["verdict"] for e in done)),
         "first_outcomes": dict(Counter(_outcome(e, e["first"]) for e in done)),
         "ambiguous": len(ambiguous),
+        "unnamed": len(unnamed),
         "no_motion": sum(not e["ways"].get("planned") for e in ambiguous),
         "wrong_names_first": _share(_outcome(e, e["first"]) == "wrong name" for e in done),
-        "ways": {way: _way(way, done, ambiguous) for way in WAYS},
+        "ways": {way: _way(way, done, ambiguous, unnamed) for way in WAYS},
         "smallest_sizes": {way: _smallest(way, done) for way in WAYS},
         "calibration": _calibration(asked),
         "planning_s": float(np.median([one["planning_s"] for one in planned])) if planned else None,
@@ -42,10 +46,13 @@ def active_scores(entries: Sequence[Entry]) -> dict[str, Any]:
     }
 
 
-def _way(way: str, done: Sequence[Entry], ambiguous: Sequence[Entry]) -> dict[str, Any]:
+def _way(way: str, done: Sequence[Entry], ambiguous: Sequence[Entry], unnamed: Sequence[Entry]) -> dict[str, Any]:
+    """Shares of the runs that were `ambiguous` at first, of those with an effect of which nothing was named
+    (`found_after_one`), and of all."""
     return {
         "right_after_one": _share(_outcome(e, _after(e, way, 1)) == "right" for e in ambiguous),
         "right_after_two": _share(_outcome(e, _after(e, way, 2)) == "right" for e in ambiguous),
+        "found_after_one": _share(_outcome(e, _after(e, way, 1)) == "right" for e in unnamed),
         "wrong_names": _share(_outcome(e, _after(e, way, 2)) == "wrong name" for e in done),
         "right_with_brakes": _share(_outcome(e, _with_brakes(e, way)) == "right" for e in ambiguous),
         "wrong_with_brakes": _share(_outcome(e, _with_brakes(e, way)) == "wrong name" for e in done),
@@ -156,14 +163,16 @@ def active_text(scores: Mapping[str, Any]) -> str:
         f"ambiguous, and no motion of the sub-region would settle it: {scores['no_motion']} of {scores['ambiguous']}",
         "",
     ]
-    lines += ["of runs ambiguous then    right after one   after two   wrong name, all runs   robot time"]
+    lines += [
+        "of runs ambiguous then: named rightly after one motion, after one and seconds on the brakes where an offset",
+        "of a torque channel is open, after two; of those with an effect and no name: named rightly after one;",
+        "wrong names in all runs, without the brakes and with them",
+        "",
+        " " * 18 + "  after one  and brakes  after two    no name     wrong     wrong    robot",
+    ]
     for way, row in scores["ways"].items():
-        one, two, wrong = (f"{row[k]['count']} of {row[k]['of']}" for k in _COLUMNS)
-        lines.append(f"{way.replace('_', ' '):25} {one:>15} {two:>11} {wrong:>22} {row['robot_s']:>10.0f} s")
-    lines += ["", "with seconds on the brakes where an offset of a torque channel is open, and one motion"]
-    for way, row in scores["ways"].items():
-        right, wrong = (f"{row[k]['count']} of {row[k]['of']}" for k in ("right_with_brakes", "wrong_with_brakes"))
-        lines.append(f"{way.replace('_', ' '):25} {right:>15} {'':>11} {wrong:>22}")
+        shares = (f"{row[k]['count']} of {row[k]['of']}".rjust(width) for k, width in _COLUMNS.items())
+        lines.append(f"{way.replace('_', ' '):18} {' '.join(shares)} {row['robot_s']:>6.0f} s")
     lines += ["", "smallest size that would be found, where nothing was and more than a practical one was needed"]
     for way, row in scores["smallest_sizes"].items():
         of_before = "" if row["of_before"] is None else f", {row['of_before']:.2f} of before on average"
@@ -187,4 +196,11 @@ def active_text(scores: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-_COLUMNS = ("right_after_one", "right_after_two", "wrong_names")
+_COLUMNS = {
+    "right_after_one": 10,
+    "right_with_brakes": 11,
+    "right_after_two": 10,
+    "found_after_one": 10,
+    "wrong_names": 9,
+    "wrong_with_brakes": 9,
+}

@@ -30,12 +30,12 @@ class Mix:
 
 
 USUAL = Mix(SHARES, (0.5, 2.0))
-#: Weak effects that are an offset on little motion, and so each other: what a first recording leaves open. No torque
-#: offset: friction that differs by direction can always be one, so no motion settles it.
+#: Weak effects of every kind that a further motion meets again: what a short first recording may leave open. A push
+#: happens once, and a path that is not the planned one shows in set-points at once.
 OPEN = Mix(
     {"one": 0.9, "none": 0.1},
     (0.15, 0.8),
-    tuple(sorted(name for name, effect in CATALOGUE.items() if "torque_offset" in effect.special_cases)),
+    tuple(sorted(name for name, effect in CATALOGUE.items() if effect.shows_in == "torque" and not effect.once)),
 )
 
 

@@ -1,4 +1,7 @@
-"""Other ways to spend the time of an experiment, to compare it with: pieces at random, and the D-optimal pieces.
+"""Other ways to spend the time of an experiment, to compare it with: motions at random, and the D-optimal ones.
+
+They are loops through via-points of the sub-region at several speeds, as an excitation or a validation is, or pieces of
+all the kinds that an experiment is put together from: what its kinds are worth, and what choosing them is.
 
 D-optimal (Kiefer and Wolfowitz, Canadian J. Mathematics 12, 1960): the pieces that, with all earlier motions, make the
 determinant of the information on the model's own parameters largest. That is what an excitation loop is chosen for; it
@@ -7,14 +10,14 @@ knows nothing of rivals.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from agent.diagnosis import Dataset
 from agent.excitation import LoopProblem
 from agent.experiment.outlook import Outlook
-from agent.experiment.pieces import Piece, Pieces
+from agent.experiment.pieces import KINDS, Piece, Pieces
 
 #: Pieces that are drawn, to choose from.
 _POOL = 80
@@ -32,6 +35,7 @@ def pieces_otherwise(
     seconds: float,
     seed: int,
     runnable: Callable[[Sequence[Piece]], bool],
+    kinds: Mapping[str, float] = KINDS,
 ) -> tuple[Piece, ...]:
     """Of drawn pieces one after the other while one fits into the time; the last left out while they cannot be run.
 
@@ -39,7 +43,7 @@ def pieces_otherwise(
         InputError: as `agent.excitation.Candidates`.
     """
     left = (1 - _WAYS) * seconds
-    pieces = Pieces(problem, range(problem.robot.dof), left, np.random.default_rng(seed))
+    pieces = Pieces(problem, range(problem.robot.dof), left, np.random.default_rng(seed), kinds)
     pool = [piece for piece in (pieces.draw() for _ in range(_POOL)) if piece is not None]
     chosen = together(pick, pool, left)
     while chosen and not runnable(chosen):

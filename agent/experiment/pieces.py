@@ -7,7 +7,7 @@ choice of posture.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,8 +28,9 @@ from agent.motion import (
 )
 from agent.robot import KinematicsError, RobotDescription
 
-#: Kinds of pieces, and how often each is drawn.
+#: Kinds of pieces, and how often each is drawn; loops alone are what an excitation is.
 KINDS = {"loop": 0.4, "stops": 0.3, "reversals": 0.3}
+LOOPS = {"loop": 1.0}
 #: Speed of a loop or of stops, over the recipe's; of reversals, over the joint's highest.
 _LOOP_SPEEDS = (1.0, 0.5, 0.2)
 _STOP_SPEEDS = (1.0, 0.3, 0.1)
@@ -87,17 +88,25 @@ class Piece:
 
 
 class Pieces:
-    """Draws pieces in the sub-region of a problem, and varies them. `joints` are those worth turning by themselves.
+    """Draws pieces in the sub-region of a problem, and varies them. `joints` are those worth turning by themselves,
+    `kinds` how often each kind is drawn.
 
     Raises:
         InputError: as `agent.excitation.Candidates`.
     """
 
-    def __init__(self, problem: LoopProblem, joints: Sequence[int], longest: float, rng: np.random.Generator):
+    def __init__(
+        self,
+        problem: LoopProblem,
+        joints: Sequence[int],
+        longest: float,
+        rng: np.random.Generator,
+        kinds: Mapping[str, float] = KINDS,
+    ):
         self.problem = replace(problem, period=PERIOD)
         self._candidates = Candidates(self.problem)
         self._interpolator = create_interpolator(problem.interpolator, problem.robot, problem.tool, period=PERIOD)
-        self._joints, self._longest, self._rng = list(joints), longest, rng
+        self._joints, self._longest, self._rng, self._kinds = list(joints), longest, rng, kinds
         points = np.vstack([problem.regions.poses(rng.uniform(size=problem.genes))[:, :3, 3] for _ in range(50)])
         slack = problem.settings.fly_distance
         self._low, self._high = points.min(axis=0) - slack, points.max(axis=0) + slack
@@ -105,7 +114,7 @@ class Pieces:
     def draw(self) -> Piece | None:
         """A piece at random; None where it breaks a limit."""
         rng = self._rng
-        kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
+        kind = str(rng.choice(list(self._kinds), p=list(self._kinds.values())))
         speeds = {"loop": _LOOP_SPEEDS, "stops": _STOP_SPEEDS, "reversals": _JOINT_SPEEDS}[kind]
         joint = int(rng.choice(self._joints))
         genome = rng.uniform(size=self.problem.genes)

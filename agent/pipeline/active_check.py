@@ -223,7 +223,7 @@ class ActiveRun:
         self, way: str, found: Diagnosis, seconds: float, name: str, seed: int
     ) -> tuple[str, float, list[dict[str, Any]]] | None:
         """Text, duration [s] and what is expected of a way's next motion; None where it has none."""
-        from agent.experiment import as_drawn, d_optimal
+        from agent.experiment import KINDS, LOOPS, as_drawn, d_optimal
 
         if way == "planned":
             motion = plan_next(found, self._recipe, _QUIET, seconds, name)
@@ -234,8 +234,9 @@ class ActiveRun:
             cycle = self._plan.excitation.loop.trajectory.duration
             again = replace(self._plan.excitation, name=name, cycles=max(1, round(seconds / cycle)))
             return program_text(self._recipe, again), again.cycles * cycle, []
-        pick = as_drawn if way == "random" else d_optimal(found.dataset)
-        other = run_otherwise(pick, self._recipe, seconds, name, seed % 1_000_000)
+        pick = as_drawn if way.startswith("random") else d_optimal(found.dataset)
+        kinds = LOOPS if way.endswith("loops") else KINDS
+        other = run_otherwise(pick, kinds, self._recipe, seconds, name, seed % 1_000_000)
         return None if other is None else (*other, [])
 
     @cached_property

@@ -140,14 +140,16 @@ class MujocoMachines:
     def run(self, job: Job) -> None:
         from agent.blind_check import second_world
 
-        files, at = {}, None
+        files, cycles, at = {}, {}, kinematics_for(job.recipe.robot, job.recipe.tool).middle
         for name, text in job.texts.items():
-            points = _set_points(job.recipe, text, name, at)
+            points, cycles[name] = _set_points(job.recipe, text, name, at)
             files[name], at = job.folder / f"{name}.npy", points[-1]
             np.save(files[name], points)
         machine = {"machine": job.case.machine, "motion": job.case.motion, "effects": list(job.effects)}
         paths = {name: str(path) for name, path in files.items()}
-        second_world("run", text=json.dumps({**machine, "folder": str(job.folder), "set_points": paths}))
+        second_world(
+            "run", text=json.dumps({**machine, "folder": str(job.folder), "set_points": paths, "cycles": cycles})
+        )
         for name, path in files.items():
             path.unlink()
             if name not in job.keep:
@@ -222,13 +224,13 @@ def _region_text(robot: Path) -> str:
     raise InputError(f"{robot}: no sub-region was found in which this arm moves freely")
 
 
-def _set_points(recipe: Recipe, text: str, name: str, start: np.ndarray | None) -> np.ndarray:
-    """(S, n) at the servo's rate, rests included, from `start` (n,) or the middle of all joints."""
-    from agent.link import check_cell
+def _set_points(recipe: Recipe, text: str, name: str, start: np.ndarray) -> tuple[np.ndarray, list[float]]:
+    """(S, n) at the servo's rate, rests included, from `start` (n,) on, and when the cycles of a program without rests
+    begin [s], as the log of a link says."""
     from agent.motion import create_interpolator, parse_program
 
     interpolator = create_interpolator(recipe.search.interpolator, recipe.robot, recipe.tool, period=1.0 / _SERVO_RATE)
-    begin = kinematics_for(recipe.robot, recipe.tool).middle if start is None else start
-    trajectory = interpolator.plan(list(parse_program(text, name, recipe.robot).run()), begin)
-    check_cell(recipe, trajectory)
-    return trajectory.q
+    trajectory = interpolator.plan(list(parse_program(text, name, recipe.robot).run()), start)
+    _, chains = checked_chains(recipe, text, f"{name}.pdl", start)
+    begins = np.cumsum([0.0, *(chain.duration for chain in chains)])
+    return trajectory.q, [float(at) for at, chain in zip(begins, chains, strict=False) if chain is chains[-1]]

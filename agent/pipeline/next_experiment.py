@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -181,8 +181,12 @@ def _refused(problem: LoopProblem) -> str:
     return max(set(said), key=said.count) if said else "the last one drawn did not stay within its time"
 
 
-def run_otherwise(pick: Pick, recipe: Recipe, seconds: float, name: str, seed: int) -> tuple[str, float] | None:
+def run_otherwise(
+    pick: Pick, kinds: Mapping[str, float], recipe: Recipe, seconds: float, name: str, seed: int
+) -> tuple[str, float] | None:
     """Text and duration [s] of a motion chosen in another way than by what it separates; None where none can be run.
+
+    Of pieces of the `kinds` (how often each is drawn) one is picked after the other.
 
     Raises:
         InputError: the recipe's cell leaves no room.
@@ -190,7 +194,7 @@ def run_otherwise(pick: Pick, recipe: Recipe, seconds: float, name: str, seed: i
     from agent.experiment import pieces_otherwise
 
     runs = _Runs(recipe, name)
-    pieces_otherwise(pick, loop_problem(recipe, recipe.motion.speed), seconds, seed, runs)
+    pieces_otherwise(pick, loop_problem(recipe, recipe.motion.speed), seconds, seed, runs, kinds)
     if runs.motion is None:
         return None
     text, chains = runs.motion

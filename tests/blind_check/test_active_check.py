@@ -85,20 +85,21 @@ def test_every_way_gets_the_time_of_the_planned_motions_and_begins_with_the_same
     assert of_one[0] == (0, "0000", BEGIN, BEGIN)
     assert (0, "planned2", (*BEGIN, "further1", "further2"), ("further2",)) in of_one, "as warm as it would be"
     assert scores["first"] == {"ambiguous": 3}
-    assert scores["ways"]["random"]["robot_s"] == 3 * 2 * 17.0
+    assert scores["ways"]["random_pieces"]["robot_s"] == 3 * 2 * 17.0
 
 
 def test_the_first_further_motions_of_all_runs_come_before_any_second(check):
     check.whole.run(QUIET)
     order = [name for _, _, name, _ in check.asked]
-    assert order == ["further1"] * 12 + ["further2"] * 12
+    assert order == ["further1"] * 3 * len(WAYS) + ["further2"] * 3 * len(WAYS)
 
 
 def test_what_is_ambiguous_comes_before_what_is_unknown_once_all_runs_have_their_first_motions(check):
     check.first = {0: "unknown", 1: "explained"}
     scores = check.whole.run(QUIET)
+    ways = len(WAYS)
     assert [entry[0] for entry in check.ran[:3]] == [0, 1, 2]
-    assert [entry[0] for entry in check.asked] == [2] * 4 + [0] * 4 + [2] * 4 + [0] * 4
+    assert [entry[0] for entry in check.asked] == [2] * ways + [0] * ways + [2] * ways + [0] * ways
     assert [case["number"] for case in scores["cases"]] == [0, 1, 2]
 
 
@@ -107,8 +108,8 @@ def test_where_nothing_is_found_one_motion_of_every_way_says_what_would_have_bee
     sizes = {2: {("backlash", (1,)): float("inf")}, 3: {("backlash", (1,)): 0.5}}
     monkeypatch.setattr("agent.diagnosis.smallest_sizes", lambda dataset: sizes[len(dataset.logs) + 1])
     scores = check.whole.run(QUIET)
-    assert [name for _, _, name, _ in check.asked] == ["further1"] * 12
-    found = scores["smallest_sizes"]["d_optimal"]
+    assert [name for _, _, name, _ in check.asked] == ["further1"] * 3 * len(WAYS)
+    found = scores["smallest_sizes"]["d_optimal_pieces"]
     assert (found["weak"], found["had_none"], found["have_one"], found["halved"]) == (3, 3, 3, 3)
 
 
@@ -163,7 +164,7 @@ def test_a_check_goes_on_where_it_was_and_says_what_could_not_be_recorded(check)
 def test_a_check_that_is_stopped_keeps_every_answer_until_then(check, monkeypatch):
     real = ActiveRun._motion
     monkeypatch.setattr(
-        ActiveRun, "_motion", lambda self, way, *rest: 1 / 0 if way == "random" else real(self, way, *rest)
+        ActiveRun, "_motion", lambda self, way, *rest: 1 / 0 if way == "random_loops" else real(self, way, *rest)
     )
     with pytest.raises(ZeroDivisionError):
         check.whole.run(QUIET)
@@ -175,10 +176,10 @@ def test_a_check_that_is_stopped_keeps_every_answer_until_then(check, monkeypatc
 
 
 def test_a_way_that_could_not_be_recorded_is_named_and_costs_no_other(check):
-    check.fails = "0 random1"
+    check.fails = "0 random_pieces1"
     scores = check.whole.run(QUIET)
-    assert scores["not_recorded"] == [{"run": 0, "why": "random: nobody there"}]
-    assert scores["ways"]["d_optimal"]["robot_s"] == 3 * 2 * 17.0
+    assert scores["not_recorded"] == [{"run": 0, "why": "random_pieces: nobody there"}]
+    assert scores["ways"]["d_optimal_pieces"]["robot_s"] == 3 * 2 * 17.0
 
 
 def test_another_check_in_the_folder_is_refused(check):
@@ -191,15 +192,13 @@ def test_another_check_in_the_folder_is_refused(check):
         ActiveCheck(3, 6, check.folder, "moon").run(QUIET)
 
 
-def test_weak_effects_that_are_an_offset_on_little_motion_are_drawn():
+def test_weak_effects_of_every_kind_that_comes_again_are_drawn():
     cases = draw_cases(60, 3, load_robot("comau_ns16"), OPEN)
     assert {case.kind for case in cases} == {"one", "none"}
     assert all(0.15 <= case.strength <= 0.8 for case in cases)
     names = {effect["effect"] for case in cases for effect in case.effects}
     assert names == set(OPEN.names or ())
-    assert {"gravity_spring", "dress_pack", "asymmetric_friction"} <= names <= set(CATALOGUE)
-    assert all("torque_offset" in CATALOGUE[name].special_cases for name in names)
-    assert "torque_offset" not in names, "no motion settles it"
+    assert set(CATALOGUE) - names == {"contact", "interpolator_mismatch"}, "neither is met again in torque"
 
 
 def test_other_processes_are_refused(tmp_path):

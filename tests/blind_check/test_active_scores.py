@@ -41,7 +41,14 @@ def scores():
     return active_scores(
         [
             run(
-                0, OPEN, {"planned": [RIGHT], "loop_again": [OPEN, OPEN], "random": [OPEN, RIGHT], "d_optimal": [WRONG]}
+                0,
+                OPEN,
+                {
+                    "planned": [RIGHT],
+                    "loop_again": [OPEN, OPEN],
+                    "random_pieces": [OPEN, RIGHT],
+                    "d_optimal_pieces": [WRONG],
+                },
             ),
             run(1, OPEN, {"planned": [OPEN, RIGHT], "loop_again": [OPEN, OPEN]}),
             run(2, RIGHT, {}),
@@ -55,8 +62,8 @@ def test_every_way_is_counted_over_the_runs_that_were_ambiguous(scores):
     assert scores["first"] == {"ambiguous": 2, "explained": 1, "no_gap": 1}
     assert scores["ambiguous"] == 2
     found = {way: [scores["ways"][way][k]["count"] for k in ("right_after_one", "right_after_two")] for way in WAYS}
-    assert found == {"planned": [1, 2], "loop_again": [0, 0], "random": [0, 1], "d_optimal": [0, 0]}
-    assert scores["ways"]["d_optimal"]["wrong_names"]["count"] == 1
+    assert found == {**{way: [0, 0] for way in WAYS}, "planned": [1, 2], "random_pieces": [0, 1]}
+    assert scores["ways"]["d_optimal_pieces"]["wrong_names"]["count"] == 1
     assert scores["ways"]["planned"]["robot_s"] == 60.0
     assert scores["not_recorded"] == [{"run": 4, "why": "nobody there"}]
 
@@ -89,15 +96,17 @@ def test_smallest_sizes_are_compared_where_the_first_motion_leaves_them_weak():
     before = healthy(stribeck=4.0, payload=2.0, backlash=None, ripple=None, presliding=0.5)
     after = healthy(stribeck=1.0, payload=1.5, backlash=0.2, ripple=None, presliding=0.4)
     runs = [
-        run(0, before, {"planned": [after], "random": [before, after], "d_optimal": [WRONG]}, kind="none"),
+        run(
+            0, before, {"planned": [after], "random_pieces": [before, after], "d_optimal_pieces": [WRONG]}, kind="none"
+        ),
         run(1, OPEN, {"planned": [RIGHT]}),
     ]
     scores = active_scores(runs)
-    planned, repeated = (scores["smallest_sizes"][way] for way in ("planned", "random"))
+    planned, repeated = (scores["smallest_sizes"][way] for way in ("planned", "random_pieces"))
     assert planned["of_before"] == pytest.approx((0.25 * 0.75) ** 0.5)
     assert (planned["weak"], planned["halved"], planned["had_none"], planned["have_one"]) == (4, 2, 2, 1)
     assert (repeated["of_before"], repeated["halved"], repeated["have_one"]) == (1.0, 0, 0)
-    assert scores["smallest_sizes"]["d_optimal"]["weak"] == 0, "what names something has no size to find"
+    assert scores["smallest_sizes"]["d_optimal_pieces"]["weak"] == 0, "what names something has no size to find"
     assert "0.43 of before on average" in active_text(scores)
 
 
@@ -110,12 +119,25 @@ def test_nothing_recorded_is_said(scores):
 
 def test_the_answer_with_seconds_on_the_brakes_counts_beside_the_motion_alone():
     one, two = (run(number, OPEN, {"planned": [OPEN]}) for number in range(2))
-    one["brakes"] = {"planned": RIGHT, "random": WRONG}
+    one["brakes"] = {"planned": RIGHT, "random_pieces": WRONG}
     scores = active_scores([one, two])
     shares = {
         way: tuple(scores["ways"][way][key]["count"] for key in ("right_with_brakes", "wrong_with_brakes"))
         for way in WAYS
     }
-    assert shares == {"planned": (1, 0), "loop_again": (0, 0), "random": (0, 1), "d_optimal": (0, 0)}
+    assert shares == {**dict.fromkeys(WAYS, (0, 0)), "planned": (1, 0), "random_pieces": (0, 1)}
     assert scores["ways"]["planned"]["right_after_one"]["count"] == 0
-    assert "with seconds on the brakes" in active_text(scores)
+    assert "and brakes" in active_text(scores)
+
+
+def test_an_effect_of_which_nothing_was_named_at_first_counts_where_one_motion_names_it():
+    runs = [
+        run(0, said("no_gap"), {"planned": [RIGHT], "loop_again": [said("no_gap")]}),
+        run(1, said("unknown"), {"planned": [WRONG]}),
+        run(2, OPEN, {"planned": [RIGHT]}),
+        run(3, said("no_gap"), {"planned": [said("no_gap")]}, kind="none"),
+    ]
+    scores = active_scores(runs)
+    assert scores["unnamed"] == 2
+    assert scores["ways"]["planned"]["found_after_one"]["count"] == 1
+    assert scores["ways"]["loop_again"]["found_after_one"]["count"] == 0

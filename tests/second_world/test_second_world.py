@@ -171,11 +171,13 @@ def test_set_points_that_are_given_are_followed_one_after_the_other(tmp_path):
     for name, points in (("there", ramp), ("back", ramp[::-1])):
         np.save(tmp_path / f"{name}.npy", points)
     files = {name: str(tmp_path / f"{name}.npy") for name in ("there", "back")}
-    answer = run({"machine": 2, "motion": 5, "effects": [], "folder": str(tmp_path / "run"), "set_points": files})
+    job = {"machine": 2, "motion": 5, "effects": [], "folder": str(tmp_path / "run"), "set_points": files}
+    answer = run({**job, "cycles": {"back": [0.2, 0.5]}})
     assert [Path(log).stem for log in answer["logs"]] == ["there", "back"]
     for log, end in zip(answer["logs"], (0.4, 0.0), strict=True):
         reached = read_log(Path(log)).position[-1]
         assert reached == pytest.approx(np.full(arm.n, end), abs=0.05)
+    assert [len(read_log(Path(log)).cycle_starts) for log in answer["logs"]] == [0, 2]
 
 
 @pytest.mark.verify
