@@ -30,6 +30,8 @@ _KNOWN = 0.9
 #: Rehearsals of each rival to choose a motion by, and to say what it is expected to tell; of a pair that is told apart
 #: beside others that are not, so much counts.
 _TRIAL_DRAWS, _DRAWS, _APART = 3, 6, 0.3
+#: A motion is chosen by rehearsals of so many hypotheses at most, the most urgent: what is named and equals it.
+_TRIED = 3
 #: A further piece raises what is expected by at least so much.
 _LEAST_IMPROVEMENT = 0.01
 
@@ -192,7 +194,7 @@ def _settled(
 ) -> float:
     """Share of rehearsals that name what is true alone, and with less weight of pairs that are told apart."""
     names = found.dataset.robot.joint_names
-    said = Rehearsal(found, pairs, [piece.motion for piece in design], problem.load).said(draws, seed)
+    said = Rehearsal(found, pairs, [piece.motion for piece in design], problem.load).said(draws, seed, _TRIED)
     alone = [one.settles(place) for place, answers in said.items() for one in answers]
     open_pairs = [
         (a.place(names), b.place(names)) for p in pairs for a, b in ((p.first, p.second), (p.second, p.first))

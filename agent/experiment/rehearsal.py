@@ -96,13 +96,13 @@ class Rehearsal:
             simpler = [name for name in CATALOGUE[effect].special_cases if CATALOGUE[name].scope == "joint"]
             self._only |= {(name, (joint,)) for name in simpler for joint in joints}
 
-    def said(self, draws: int, seed: int = 0) -> dict[Place, list[Said]]:
-        """What is said in so many draws where each of the open hypotheses is true."""
+    def said(self, draws: int, seed: int = 0, most: int | None = None) -> dict[Place, list[Said]]:
+        """What is said in so many draws where each of the open hypotheses is true, or of the `most` urgent ones."""
         names = self._dataset.robot.joint_names
         beside = {side.place(names): pair.fit.chosen for pair in self._pairs for side in (pair.second, pair.first)}
         return {
             place: [self._answer(left) for left in self._drawn(place, chosen, draws, np.random.default_rng([seed, k]))]
-            for k, (place, chosen) in enumerate(beside.items())
+            for k, (place, chosen) in enumerate(list(beside.items())[:most])
         }
 
     def _answer(self, left: np.ndarray) -> Said:
