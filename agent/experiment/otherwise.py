@@ -21,8 +21,7 @@ from agent.experiment.pieces import KINDS, Piece, Pieces
 
 #: Pieces that are drawn, to choose from.
 _POOL = 80
-#: Of the time so much goes into the ways between the pieces.
-_WAYS = 0.15
+#: A design has at most so many pieces.
 _MOST_PIECES = 5
 
 #: Of the pieces that still fit (the second) the one that comes after those that are chosen (the first).
@@ -39,23 +38,27 @@ def pieces_otherwise(
 ) -> tuple[Piece, ...]:
     """Of drawn pieces one after the other while one fits into the time; the last left out while they cannot be run.
 
+    As many as the time takes: every use of it is to have the same. How long the ways between them take is up to
+    `runnable`.
+
     Raises:
         InputError: as `agent.excitation.Candidates`.
     """
-    left = (1 - _WAYS) * seconds
-    pieces = Pieces(problem, range(problem.robot.dof), left, np.random.default_rng(seed), kinds)
+    pieces = Pieces(problem, range(problem.robot.dof), seconds, np.random.default_rng(seed), kinds)
     pool = [piece for piece in (pieces.draw() for _ in range(_POOL)) if piece is not None]
-    chosen = together(pick, pool, left)
+    chosen = together(pick, pool, seconds, most=_POOL)
     while chosen and not runnable(chosen):
         chosen.pop()
     return tuple(chosen)
 
 
-def together(pick: Pick, pool: Sequence[Piece], seconds: float, begun: Sequence[Piece] = ()) -> list[Piece]:
+def together(
+    pick: Pick, pool: Sequence[Piece], seconds: float, begun: Sequence[Piece] = (), most: int = _MOST_PIECES
+) -> list[Piece]:
     """Pieces picked one after the other while one fits into the time, after those that it begins with."""
     chosen = list(begun)
     left = seconds - sum(piece.duration for piece in chosen)
-    while len(chosen) < _MOST_PIECES:
+    while len(chosen) < most:
         options = [piece for piece in pool if piece.duration <= left and all(piece is not one for one in chosen)]
         if not options:
             break

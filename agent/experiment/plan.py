@@ -125,14 +125,15 @@ def plan_experiment(
         designs += [together(pick, [piece for piece, _ in pool], longest, begun) for begun in (*designs[:1], [])]
     designs = [design for design in map(partial(_runnable, runnable), designs) if design]
     best = designs[0] if designs else []
-    if len(designs) > 1:
+    if rivals.any() and best:
+        settled = partial(_settled, found, pairs, problem=problem, draws=_TRIAL_DRAWS, seed=seed)
         worth = []
         for number, design in enumerate(designs):
             progress(f"motion {number + 1} of {len(designs)} is rehearsed")
-            worth.append(_settled(found, pairs, design, problem, _TRIAL_DRAWS, seed))
-        best = designs[int(np.argmax(worth))]
-    if best:
-        runnable(best)  # what runs last is what is taken
+            worth.append(settled(design))
+        best = _shortened(designs[int(np.argmax(worth))], max(worth), settled, progress)
+    while best and not runnable(best):  # what runs last is what is taken
+        best = best[:-1]
     added = sum((outlook.told(piece.motion) for piece in best), outlook.nothing)
     after_if, detectable = outlook.chances(added), outlook.minimum_detectable_sizes(added)
     if best and rivals.any():
@@ -177,6 +178,18 @@ def _runnable(runs: Callable[[Sequence[Piece]], bool], design: Sequence[Piece]) 
     while left and not runs(left):
         left.pop()
     return left
+
+
+def _shortened(
+    design: list[Piece], worth: float, settled: Callable[[list[Piece]], float], progress: Callable[[str], None]
+) -> list[Piece]:
+    """Without every piece whose rehearsals name as much without it, the longest first: robot time is dear."""
+    for piece in sorted(design, key=lambda piece: -piece.duration):
+        without = [other for other in design if other is not piece]
+        progress(f"the motion is rehearsed without {piece.duration:.0f} s of it")
+        if without and settled(without) >= worth:
+            design = without
+    return design
 
 
 def _d_optimal(found: Diagnosis, pool: Sequence[tuple[Piece, Told]]) -> Pick:

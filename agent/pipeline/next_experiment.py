@@ -186,7 +186,8 @@ def run_otherwise(
 ) -> tuple[str, float] | None:
     """Text and duration [s] of a motion chosen in another way than by what it separates; None where none can be run.
 
-    Of pieces of the `kinds` (how often each is drawn) one is picked after the other.
+    Of pieces of the `kinds` (how often each is drawn) one is picked after the other, while all of them with the ways
+    between them take no longer than `seconds`.
 
     Raises:
         InputError: the recipe's cell leaves no room.
@@ -194,9 +195,13 @@ def run_otherwise(
     from agent.experiment import pieces_otherwise
 
     runs = _Runs(recipe, name)
-    pieces_otherwise(pick, loop_problem(recipe, recipe.motion.speed), seconds, seed, runs, kinds)
-    if runs.motion is None:
+
+    def in_time(pieces: Sequence[Piece]) -> bool:
+        return runs(pieces) and runs.motion is not None and _duration(*runs.motion, recipe.robot) <= seconds
+
+    if not pieces_otherwise(pick, loop_problem(recipe, recipe.motion.speed), seconds, seed, in_time, kinds):
         return None
+    assert runs.motion is not None
     text, chains = runs.motion
     return text, _duration(text, chains, recipe.robot)
 

@@ -14,11 +14,11 @@ from agent.diagnosis import Diagnosis, Excursions, Fit, diagnose
 from agent.diagnosis.dataset import folds_of, part_borders
 from agent.diagnosis.limits import LIMITS
 from agent.excitation import LoopProblem
-from agent.experiment import as_drawn, d_optimal, open_pairs, pieces_otherwise, plan_experiment, questions
+from agent.experiment import LOOPS, as_drawn, d_optimal, open_pairs, pieces_otherwise, plan_experiment, questions
 from agent.experiment.motion import GridMotion, background_on
 from agent.experiment.outlook import Outlook
 from agent.experiment.pieces import Pieces
-from agent.experiment.plan import _at_best, _doubtful
+from agent.experiment.plan import _at_best, _doubtful, _shortened
 from agent.experiment.questions import Form, Hypothesis, OpenPair
 from agent.experiment.rehearsal import Rehearsal, Said
 from agent.model import CATALOGUE, MotionSignals
@@ -351,6 +351,27 @@ def test_a_settled_diagnosis_asks_nothing_of_causes(arm, ambiguous):
     found = diagnose(arm, [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))], model)
     assert found.result["verdict"] == "explained"
     assert all(pair.second.forms == () for pair in open_pairs(found)), "only sizes that these logs would not show"
+
+
+def test_a_motion_is_no_longer_than_its_rehearsals_need():
+    """The longest pieces are tried without first, and one that is needed stays."""
+    slow, fast, idle = (SimpleNamespace(duration=seconds) for seconds in (20.0, 5.0, 12.0))
+
+    def settled(design):
+        return 0.5 * (slow in design) + 0.4 * (fast in design)
+
+    assert _shortened([slow, idle, fast], 0.9, settled, lambda text: None) == [slow, fast]
+    assert _shortened([idle], 0.0, settled, lambda text: None) == [idle], "something of it has to be run"
+    (only,) = _shortened([idle, fast], 0.4, settled, lambda text: None)
+    assert only is fast
+
+
+def test_loops_at_random_fill_the_time_with_nothing_else(problem):
+    """Every use of the robot's time gets the same of it: of short pieces there are more."""
+    loops = pieces_otherwise(as_drawn, problem, 60.0, 7, lambda pieces: True, LOOPS)
+    assert {piece.draw.kind for piece in loops} == {"loop"}
+    assert len(loops) > 5
+    assert 50.0 < sum(piece.duration for piece in loops) <= 60.0
 
 
 def test_pieces_at_random_use_the_time_and_can_be_run(problem):
