@@ -32,5 +32,5 @@ def test_the_planned_motion_names_no_fewer_than_the_d_optimal_pieces(measured):
     found = {way: row["right_after_one"]["count"] for way, row in scores["ways"].items()}
     for way, count in found.items():
         measured(f"right after one further motion, {way}", count, f"of {scores['ambiguous']} ambiguous")
-    assert found["planned"] >= found["d_optimal"]
+    assert found["planned"] >= found["d_optimal_pieces"]
     assert scores["ways"]["planned"]["wrong_names"]["count"] <= scores["wrong_names_first"]["count"]
