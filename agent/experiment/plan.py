@@ -131,7 +131,9 @@ def plan_experiment(
         for number, design in enumerate(designs):
             progress(f"motion {number + 1} of {len(designs)} is rehearsed")
             worth.append(settled(design))
-        best = _shortened(designs[int(np.argmax(worth))], max(worth), settled, progress)
+        best = designs[int(np.argmax(worth))]
+        if max(worth) >= _KNOWN * (1 + _APART):
+            best = _shortened(best, max(worth), settled, progress)
     while best and not runnable(best):  # what runs last is what is taken
         best = best[:-1]
     added = sum((outlook.told(piece.motion) for piece in best), outlook.nothing)
@@ -183,7 +185,10 @@ def _runnable(runs: Callable[[Sequence[Piece]], bool], design: Sequence[Piece]) 
 def _shortened(
     design: list[Piece], worth: float, settled: Callable[[list[Piece]], float], progress: Callable[[str], None]
 ) -> list[Piece]:
-    """Without every piece whose rehearsals name as much without it, the longest first: robot time is dear."""
+    """Without every piece of which rehearsals name as much without it, the longest first: robot time is dear.
+
+    For a motion that is nearly sure to tell: of others a few rehearsals do not say what less of it would cost.
+    """
     for piece in sorted(design, key=lambda piece: -piece.duration):
         without = [other for other in design if other is not piece]
         progress(f"the motion is rehearsed without {piece.duration:.0f} s of it")
