@@ -30,6 +30,7 @@ from agent.robot import RobotDescription
 
 _BLOCKS = 5  # of one log without cycles
 _MOVES = 0.01  # of a joint's highest speed in a log, from where on it moves
+_STANDS = 0.05  # of the way that a joint goes in the log where it goes furthest: less is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,12 +295,14 @@ def _motions(
     time: np.ndarray, log: np.ndarray, logs: Sequence[Log], limits: DecisionLimits
 ) -> tuple[np.ndarray, list[str]]:
     """Every log for itself. One that was put together from pieces that differ is held out in its parts: what a short
-    look shows of an effect says little of a wide motion, and would be all there is to predict it from."""
+    look shows of an effect says little of a wide motion, and would be all there is to predict it from. So is the only
+    log in which some joint moves: no other could tell of what that joint has."""
     group = np.full(len(time), -1)
     names: list[str] = []
+    alone = _alone(logs)
     for number, entry in enumerate(logs):
         here = log == number
-        borders = part_borders(entry)
+        borders = part_borders(entry, 2 if number in alone else 1)
         since = time[here]
         near = np.any(np.abs(since[:, None] - borders) < limits.guard, axis=1)
         group[here] = np.where(near, -1, len(names) + np.searchsorted(borders, since, side="right"))
@@ -308,10 +311,18 @@ def _motions(
     return group, names
 
 
-def part_borders(log: Log) -> np.ndarray:
-    """(parts - 1,) [s] between the parts of a log that says it has some: all have the same time in motion."""
+def _alone(logs: Sequence[Log]) -> set[int]:
+    """Logs, by number, that are the only ones in which some joint moves, of several."""
+    travel = np.array([np.ptp(entry.position, axis=0) for entry in logs])  # (logs, n)
+    moves = travel > _STANDS * travel.max(axis=0)
+    return {int(np.flatnonzero(moves[:, joint])[0]) for joint in np.flatnonzero(moves.sum(axis=0) == 1)}
+
+
+def part_borders(log: Log, least: int = 1) -> np.ndarray:
+    """(parts - 1,) [s] between the parts of a log that says it has some, or the `least` that it is to have: all have
+    the same time in motion."""
     said = log.metadata.get(PARTS, "1")
-    parts = min(int(said), _BLOCKS) if said.isdigit() else 1
+    parts = max(min(int(said), _BLOCKS) if said.isdigit() else 1, least)
     if parts < 2:
         return np.empty(0)
     speed = np.abs(np.diff(log.position, axis=0))

@@ -100,7 +100,7 @@ def open_pairs(found: Diagnosis) -> list[OpenPair]:
     `ambiguous`: every named cause against what equals it, or nearly does. `unknown`: the leading places against each
     other. Where nothing else is open: effects of practical size that these logs would not have shown, against none.
     """
-    if pairs := list(_rivals(found)) or list(_leading(found)):
+    if (pairs := list(_rivals(found)) or list(_leading(found))) or found.finding.verdict == "ambiguous":
         return pairs
     return list(_untested(found))
 
@@ -215,7 +215,10 @@ def _hypothesis(found: Diagnosis, fit: Fit, place: Place) -> Hypothesis:
     least = found.dataset.limits.equal_gain_floor * float(fit.count.sum())
     for score in scores:
         richness = complexity(score.candidate)
-        if best is not None and score.gain > 0.5 * best.gain and richness not in forms and len(forms) < _FORMS:
+        near = best is not None and score.gain > best.gain - 0.5 * abs(
+            best.gain
+        )  # an equal beside friction may gain none
+        if best is not None and near and richness not in forms and len(forms) < _FORMS:
             ridge = fit.ridge(score.candidate, np.maximum(_energy(fit, score.candidate).diagonal(), 1e-9))
             form = forms[richness] = Form(score.candidate, score.values, _fitted(fit, score.candidate, ridge)[1])
             if score.gain >= best.gain - least:

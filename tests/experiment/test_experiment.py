@@ -327,6 +327,21 @@ def test_another_residual_of_the_same_motions_is_fitted_as_if_it_had_been_measur
     assert fit.score([offset])[0].gain == known
 
 
+def test_the_only_log_in_which_a_joint_moves_is_held_out_in_halves(ambiguous):
+    """No other log tells of what that joint has, so held out whole it would be predicted from nothing."""
+    log = ambiguous.dataset.logs[0]
+    stands = log.position.copy()
+    stands[:, 0] = stands[0, 0] + 1e-4 * np.sin(log.t)  # servo
+    other = replace(log, position=stands, path=log.path.with_name("other.mcap"))
+    time, number = np.concatenate([log.t, log.t]), np.repeat([0, 1], len(log.t))
+
+    def names(*logs):
+        return [fold.name.partition(" ")[0] for fold in folds_of(time, number, logs, LIMITS)[1]]
+
+    assert names(log, other) == [log.name, log.name, other.name]
+    assert names(log, replace(log, path=other.path)) == [log.name, other.name]
+
+
 def test_a_planned_motion_is_held_out_in_parts_of_equal_motion(ambiguous):
     log = ambiguous.dataset.logs[0]
     planned = replace(log, metadata={PARTS: "2"}, path=log.path.with_name("planned.mcap"))

@@ -12,6 +12,8 @@ from agent.model.signals import MotionSignals
 
 _DURATIONS = (0.2, 0.3, 0.4, 0.55, 0.75, 1.0, 1.35, 1.8, 2.4, 3.2, 4.2, 6.0, 8.5, 12.0)  # s
 _STARTS = 0.05  # s
+#: A push takes no more of its log than this: what is there all along is no event, and nothing says what is usual.
+_MOST_OF_LOG = 0.8
 _USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of the other windows of a length, and how far above it a contact is
 _SHARP = 100.0  # the same of one that may come back with the cycle beside one that does not
 _FROM_START = 20.0  # the same of one that begins with the log, where nothing before it is quiet
@@ -113,9 +115,9 @@ class Windows:
         time = signals.time[signals.kept]
         sums = _Sums(time, gram, side)
         for duration in _DURATIONS:
-            starts = np.arange(time[0], time[-1] - duration, _STARTS)
-            if len(starts) == 0:
+            if duration > _MOST_OF_LOG * (time[-1] - time[0]):
                 return
+            starts = np.arange(time[0], time[-1] - duration, _STARTS)
             gain, force = sums.forces(starts, starts + duration)
             whole = sums.whole(starts, duration, gain, force)
             yield cls(link, signals.log_index, duration, starts, gain, whole, signals.cycle_starts, sums)
@@ -140,6 +142,7 @@ class Windows:
         starts, ends = (part.ravel() for part in np.meshgrid(push.start + moved, push.start + push.duration + moved))
         free = (starts >= self.starts[0] + (0 if self.bare(push) else _BORDER)) & (ends <= self.sums.time[-1])
         free &= ends - starts >= _DURATIONS[0] - 1e-9
+        free &= ends - starts <= _MOST_OF_LOG * (self.sums.time[-1] - self.sums.time[0])
         for other in taken:
             free &= (other.log != self.log) | (starts >= other.start + other.duration) | (ends <= other.start)
         if not free.any():

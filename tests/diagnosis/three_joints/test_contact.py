@@ -46,6 +46,14 @@ def pushed(arm, log, end: str, times, share: float = 1.0, at=(0.0, 0.0, 0.0)):
     return replace(log, effort=log.effort - acts[:, None] * np.einsum("san,a->sn", jacobian, share * FORCE))
 
 
+def test_what_is_there_all_through_one_log_is_no_push(arm, model, free):
+    """An offset, a gain or a load of one log only: nothing in that log says what is usual."""
+    shift = 15.0 * (np.arange(arm.dof) == 1)
+    found = diagnose(arm, [free[0], replace(free[1], effort=free[1].effort + shift)], model).answer
+    assert found.verdict == "unknown"
+    assert found.causes == ()
+
+
 def best(arm, model, logs):
     fit = assemble(arm, model, logs, None).fit
     wanted = [(CONTACT, (), settings) for settings in CONTACT.settings(fit, ())]
