@@ -1,12 +1,13 @@
 from .candidate import Candidate as Candidate, HeldOutScore as HeldOutScore
 from .correction import corrected as corrected
-from .dataset import Dataset as Dataset, background_of as background_of, folds_of as folds_of
+from .dataset import Dataset as Dataset, background_of as background_of
 from .drives_off import channel_zero as channel_zero, without_places as without_places
 from .evidence import drawn_change as drawn_change, practical_parameters as practical_parameters
 from .excess import joint_energy as joint_energy
 from .extension import extended_model as extended_model
 from .finding import Finding as Finding, Step as Step
 from .fit import Fit as Fit
+from .folds import folds_of as folds_of
 from .forward import Simulated as Simulated, simulate as simulate, simulation_part as simulation_part
 from .forward_windows import (
     forward_lines as forward_lines,

@@ -1,4 +1,4 @@
-"""From logs and a model to residuals, model columns and folds."""
+"""From logs and a model to residuals and model columns."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from agent.core import InputError, symmetric_eigen
-from agent.diagnosis.candidate import Fold
 from agent.diagnosis.fit import Fit
+from agent.diagnosis.folds import folds_of
 from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.rounding import rounding_noise
 from agent.diagnosis.standstill import standing
@@ -25,12 +25,8 @@ from agent.estimation import (
     physical_prior,
 )
 from agent.model import IdentifiedModel, MotionSignals, NominalModel, effect_torque, known_payload, servo_stiffness
-from agent.recording import PARTS, Log
+from agent.recording import Log
 from agent.robot import RobotDescription
-
-_BLOCKS = 5  # of one log without cycles
-_MOVES = 0.01  # of a joint's highest speed in a log, from where on it moves
-_STANDS = 0.05  # of the way that a joint goes in the log where it goes furthest: less is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,25 +254,6 @@ def plain_model(robot: RobotDescription, logs: Sequence[Log], cutoff: float | No
     )
 
 
-def folds_of(
-    time: np.ndarray, log: np.ndarray, logs: Sequence[Log], limits: DecisionLimits
-) -> tuple[np.ndarray, list[Fold], list[Fold]]:
-    """Cells of rows, folds that leave out a motion, and folds that leave out every other segment of a motion too."""
-    parity = (time / limits.parity).astype(int) % 2
-    group, names = _motions(time, log, logs, limits) if len(logs) > 1 else _blocks(time, logs[0], limits)
-    cell = np.where(group >= 0, 2 * group + parity, -1)
-    count = 2 * (int(group.max()) + 1)
-    of_cell = np.arange(count) // 2
-    folds, single = [], []
-    for number, name in enumerate(names):
-        test = of_cell == number
-        folds.append(Fold(name, test, ~test))
-        for side in (0, 1):
-            half = test & (np.arange(count) % 2 == side)
-            single.append(Fold(name, half, ~half))
-    return cell, folds, single
-
-
 def _segments(time: np.ndarray, log: np.ndarray, logs: Sequence[Log], lasting: float) -> np.ndarray:
     """(S',) segment of `lasting` seconds that a row lies in, counted over all logs, the same in every cycle of one."""
     found = np.zeros(len(time), dtype=int)
@@ -289,64 +266,3 @@ def _segments(time: np.ndarray, log: np.ndarray, logs: Sequence[Log], lasting: f
         segment = np.maximum(since // lasting, -1).astype(int) + 1
         found[here] = segment + (found.max() + 1 if number else 0)
     return np.unique(found, return_inverse=True)[1]
-
-
-def _motions(
-    time: np.ndarray, log: np.ndarray, logs: Sequence[Log], limits: DecisionLimits
-) -> tuple[np.ndarray, list[str]]:
-    """Every log for itself. One that was put together from pieces that differ is held out in its parts: what a short
-    look shows of an effect says little of a wide motion, and would be all there is to predict it from. So is the only
-    log in which some joint moves: no other could tell of what that joint has."""
-    group = np.full(len(time), -1)
-    names: list[str] = []
-    alone = _alone(logs)
-    for number, entry in enumerate(logs):
-        here = log == number
-        borders = part_borders(entry, 2 if number in alone else 1)
-        since = time[here]
-        near = np.any(np.abs(since[:, None] - borders) < limits.guard, axis=1)
-        group[here] = np.where(near, -1, len(names) + np.searchsorted(borders, since, side="right"))
-        edges = [0.0, *borders, float(entry.t[-1])]
-        names += [f"{entry.name} {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)] if len(borders) else [entry.name]
-    return group, names
-
-
-def _alone(logs: Sequence[Log]) -> set[int]:
-    """Logs, by number, that are the only ones in which some joint moves, of several."""
-    travel = np.array([np.ptp(entry.position, axis=0) for entry in logs])  # (logs, n)
-    moves = travel > _STANDS * travel.max(axis=0)
-    return {int(np.flatnonzero(moves[:, joint])[0]) for joint in np.flatnonzero(moves.sum(axis=0) == 1)}
-
-
-def part_borders(log: Log, least: int = 1) -> np.ndarray:
-    """(parts - 1,) [s] between the parts of a log that says it has some, or the `least` that it is to have: all have
-    the same time in motion."""
-    said = log.metadata.get(PARTS, "1")
-    parts = max(min(int(said), _BLOCKS) if said.isdigit() else 1, least)
-    if parts < 2:
-        return np.empty(0)
-    speed = np.abs(np.diff(log.position, axis=0))
-    moves = np.any(speed > _MOVES * speed.max(axis=0), axis=1)
-    way = np.concatenate([[0.0], np.cumsum(moves * np.diff(log.t))])
-    return np.interp(way[-1] * np.arange(1, parts) / parts, way, log.t)
-
-
-def _blocks(time: np.ndarray, log: Log, limits: DecisionLimits) -> tuple[np.ndarray, list[str]]:
-    """One log: its cycles where it has three or more, else five blocks; rows near a border are in none."""
-    starts = np.asarray(log.cycle_starts, dtype=float)
-    first, last = float(time[0]), float(time[-1])
-    if last - first < limits.shortest:
-        raise InputError(
-            f"{log.path}: {last - first:.1f} s are left of the only log once it is filtered; parts of it are held out "
-            f"from each other, which takes {limits.shortest:g} s: record longer, or give a second log"
-        )
-    inside = starts[(starts > first) & (starts < last)]
-    if len(inside) >= 2:
-        borders = inside[np.linspace(0, len(inside) - 1, min(len(inside), 5)).astype(int)]
-    else:
-        borders = np.linspace(first, last, _BLOCKS + 1)[1:-1]
-    group = np.searchsorted(borders, time, side="right")
-    near = np.min(np.abs(time[:, None] - borders[None, :]), axis=1) < limits.guard
-    edges = [first, *borders, last]
-    names = [f"{log.name} {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)]
-    return np.where(near, -1, group), names

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.diagnosis import Diagnosis, Excursions, Fit, diagnose
-from agent.diagnosis.dataset import folds_of, part_borders
+from agent.diagnosis.folds import folds_of, part_borders
 from agent.diagnosis.limits import LIMITS
 from agent.excitation import LoopProblem
 from agent.experiment import LOOPS, as_drawn, d_optimal, open_pairs, pieces_otherwise, plan_experiment, questions
