@@ -33,7 +33,10 @@ def seal(folder: Path, text: str) -> str:
                 f"{folder}: holds a blind check with another seed or number of cases; name another folder with -o"
             )
     else:
-        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError):
+            raise InputError(f"{folder}: is a file, or lies below one; name a folder with -o") from None
         write_atomically(path, f"{digest}  {KEY}\n")
     return digest
 

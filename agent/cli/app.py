@@ -230,6 +230,8 @@ def diagnose(
 
     if budget is not None and not until_sure:
         raise InputError("diagnose: --budget is of the further motions of --until-sure: give that too, or leave it out")
+    if until_sure and next_recipe is not None:
+        raise InputError("diagnose: --until-sure plans its further motions in the recipe of --record: leave out --next")
     if record is not None:
         if logs or robot:
             raise InputError("diagnose: --record records its own logs of the recipe's robot: leave out LOG and --robot")

@@ -145,9 +145,23 @@ def plan_experiment(
         Expected(
             pairs[k], _mean(before_if[k]), _mean(after_if[k]), _known(before_if[k]), _known(after_if[k]), detectable[k]
         )
-        for k in map(int, np.flatnonzero(asked))
+        for k in map(int, np.flatnonzero(asked | _named(found, pairs)))
     )
     return Experiment(tuple(best), expected, len(pool))
+
+
+def _named(found: Diagnosis, pairs: Sequence[OpenPair]) -> np.ndarray:
+    """(pairs,) whether the verdict itself names the two as equals: what a motion tells of them is said."""
+    names, classes = found.dataset.robot.joint_names, said_by(found.finding).classes
+    return np.array(
+        [
+            any({pair.first.place(names), pair.second.place(names)} <= set(one) for one in classes)
+            if pair.second.forms
+            else False
+            for pair in pairs
+        ],
+        dtype=bool,
+    )
 
 
 def _doubtful(found: Diagnosis, pairs: Sequence[OpenPair], before_if: np.ndarray) -> np.ndarray:

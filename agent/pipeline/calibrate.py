@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from agent.core import Console, counted, error_text, sha256_file
+from agent.core import AgentError, Console, counted, error_text, sha256_file
 from agent.link import Recording, answering
 from agent.pipeline import planning
 from agent.pipeline.ending import current_run, ending_text, going_on
@@ -201,7 +201,10 @@ def step(run: RunFolder, name: str, console: Console) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        run.stopped(name, str(error) or type(error).__name__)
+        try:
+            run.stopped(name, str(error) or type(error).__name__)
+        except AgentError as unsaved:  # a full disk: what ended the run is still what is said last
+            console.warn(f"that it was stopped could not be noted: {unsaved}")
         console.warn(going_on(run, name, error))
         raise
     if run.finished(name) is None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from shutil import copyfile
 from typing import TYPE_CHECKING, Any
 
-from agent.core import Console, InputError, counted
+from agent.core import AgentError, Console, InputError, counted
 from agent.pipeline.corrected_simulator import run_forward, write_simulator
 from agent.pipeline.gap_question import GapQuestion
 from agent.pipeline.identify import check_one_machine, check_plausible, read_logs, say_used
@@ -111,9 +111,13 @@ def diagnose_recording(
                 )  # fmt: skip
                 paths += rounds.logs
                 if rounds.cut_short is not None:
-                    answer()
                     more = rounds.uncounted and f"; {rounds.uncounted.name} is recorded, and is not counted"
-                    console.say(f"what the motions until then say is in {run.path}{more or ''}")
+                    console.say(f"the motions until then say: {rounds.said}{more or ''}")
+                    try:
+                        answer()
+                        console.say(f"all that they say is in {run.path}")
+                    except AgentError as error:  # what cut the round short may be what forbids to write
+                        console.warn(f"it could not be kept: {error}")
                     raise rounds.cut_short
         with step(run, "diagnose", console):
             result = answer()

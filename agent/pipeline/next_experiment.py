@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -264,10 +265,14 @@ def check_joints(recipe: Recipe, there: tuple[str, ...]) -> None:
 
 
 def _check_folder(folder: Path) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is a file; name a folder for the experiment with -o")
-    if (folder / "experiment.json").exists():
-        raise InputError(f"{folder}: holds an experiment already; name another folder with -o, or move it away")
+    there = next(one for one in (folder, *folder.absolute().parents) if one.exists())
+    if not there.is_dir():
+        raise InputError(f"{there}: is a file; name a folder for the experiment with -o")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise InputError(f"{there}: nothing can be written there; name another folder for the experiment with -o")
+    for name, what in {"experiment.json": "an experiment", "program.pdl": "a program"}.items():
+        if (folder / name).exists():
+            raise InputError(f"{folder}: holds {what} already; name another folder with -o, or move it away")
 
 
 class _Runs:

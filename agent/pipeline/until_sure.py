@@ -63,6 +63,13 @@ class Rounds:
     cut_short: BaseException | None = None
     uncounted: Path | None = None
 
+    @property
+    def said(self) -> str:
+        """The verdict of all that counts, and its causes, in a line."""
+        result = self.last[0].result
+        causes = [" on ".join(filter(None, (c["effect"], ", ".join(c["joints"])))) for c in result["causes"]]
+        return ": ".join(filter(None, (result["verdict"], "; ".join(causes))))
+
     def to_dict(self) -> dict[str, Any]:
         """Keys of a result: `rounds`, `rounds_end`, and `next_experiment` where something else may settle it."""
         other = {} if self.other is None else {"next_experiment": self.other.to_dict()}
@@ -121,7 +128,8 @@ def until_sure(
                 rounds.end, rounds.other = motion.text, motion
                 break
             program = run.write_text(f"{name}.pdl", motion.text).name
-            rounds.asked.append({"after": result["verdict"], **motion.to_dict(program), "verdict": None, "causes": []})
+            ran = replace(motion, brakes=False).to_dict(program)  # nobody was asked for seconds on the brakes
+            rounds.asked.append({"after": result["verdict"], **ran, "verdict": None, "causes": []})
             word = allowed and allowed.for_new_motion(run_key(recipe)["loop"], sha256_text(motion.text), moved)
             with open_link(recipe, console, yes, runs, word, facts={PARTS: PLANNED_PARTS}) as link:
                 log = f"{name}.mcap"

@@ -97,6 +97,7 @@ def test_nothing_moves_where_the_question_makes_no_sense(controller, write_recip
         (["--record", recipe, "--drives-off", "absent.mcap"], "absent.mcap"),
         (["--robot", "comau_ns16", "some.mcap", "--until-sure"], "name the recipe to record"),
         (["--record", recipe, "--until-sure", "--budget", "10"], "10 min"),
+        (["--record", recipe, "--until-sure", "--next", recipe, "-o", "plan"], "leave out --next"),
         (["--record", recipe, "--until-sure", "--budget", "2 s"], "of motion are allowed"),
         (["--robot", "comau_ns16", "some.mcap", "--next", recipe], "with -o DIR"),
         (["--robot", "comau_ns16", "some.mcap", "--next", "absent.yaml", "-o", "next"], "absent.yaml"),

@@ -188,6 +188,10 @@ def test_another_check_in_the_folder_is_refused(check):
         ActiveCheck(3, 6, check.folder).run(QUIET)
     with pytest.raises(InputError, match="at least one run"):
         ActiveCheck(0, 6, check.folder).run(QUIET)
+    (check.folder / "file").write_text("", encoding="utf-8")
+    for below in ("file", "file/deep"):
+        with pytest.raises(InputError, match="is a file, or lies below one"):
+            ActiveCheck(1, 6, check.folder / below).run(QUIET)
     with pytest.raises(InputError, match="no such world"):
         ActiveCheck(3, 6, check.folder, "moon").run(QUIET)
 

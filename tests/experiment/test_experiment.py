@@ -18,7 +18,7 @@ from agent.experiment import LOOPS, as_drawn, d_optimal, open_pairs, pieces_othe
 from agent.experiment.motion import GridMotion, background_on
 from agent.experiment.outlook import Outlook
 from agent.experiment.pieces import Pieces
-from agent.experiment.plan import _at_best, _doubtful, _shortened
+from agent.experiment.plan import _at_best, _doubtful, _named, _shortened
 from agent.experiment.questions import Form, Hypothesis, OpenPair
 from agent.experiment.rehearsal import Rehearsal, Said
 from agent.model import CATALOGUE, MotionSignals
@@ -169,6 +169,9 @@ def test_what_the_criterion_tells_and_the_verdict_does_not_stays_open(ambiguous)
     assert asked[[set(pair.names) == SIDES for pair in pairs].index(True)]
     assert not asked[[pair.first is not pairs[0].first for pair in pairs]].any()
     assert not _doubtful(ambiguous, pairs, unsure).any(), "it is open by the criterion already"
+    said = _named(ambiguous, pairs)
+    assert said[[set(pair.names) == SIDES for pair in pairs].index(True)], "that a motion does not tell it is said too"
+    assert not said.all()
 
 
 def test_an_effect_is_larger_on_a_motion_that_shows_it(arm, ambiguous):

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from agent.core import InputError, RejectedError, sha256_text, write_atomically
+from agent.core import AgentError, InputError, RejectedError, sha256_text, write_atomically
 from agent.core.console import Console
 from agent.model import CATALOGUE
 from agent.motion import Delay, write_program
 from agent.pipeline import until_sure as module
-from agent.pipeline.next_experiment import NextMotion, NoMotion
+from agent.pipeline.calibrate import step
+from agent.pipeline.next_experiment import NextMotion, NoMotion, check_next
 from agent.pipeline.other_tests import other_test
 from agent.pipeline.until_sure import until_sure
 from agent.recipe import load_recipe, template
@@ -32,13 +34,16 @@ NONE = NoMotion("no motion would tell them apart. What may: another load", ("pre
 CAUSE = {"effect": "stribeck", "joints": ["joint_2"], "probability": 0.9}
 
 
+@dataclass(frozen=True)
 class Motion:
-    """A planned motion of 20 s."""
+    """A planned motion of 20 s, before which somebody is asked for seconds on the brakes."""
 
-    text = "PROGRAM experiment\n"
+    brakes: bool = True
+    text: str = "PROGRAM experiment\n"
 
     def to_dict(self, program: str) -> dict:
-        return {"separates": ["presliding", "stribeck"], "motion": "reversals of joint_2", "program": program} | {
+        said = "seconds on the brakes; then reversals of joint_2" if self.brakes else "reversals of joint_2"
+        return {"separates": ["presliding", "stribeck"], "motion": said, "program": program} | {
             "duration_s": 20.0,
             "probability": [PAIR],
         }
@@ -105,7 +110,11 @@ def test_rounds_end_when_it_is_settled_and_all_logs_count(ask):
     assert [one["after"] for one in found.asked] == ["ambiguous", "unknown"]
     assert [one["verdict"] for one in found.asked] == ["unknown", "explained"]
     assert found.asked[-1]["causes"] == [CAUSE]
+    assert {one["motion"] for one in found.asked} == {"reversals of joint_2"}, (
+        "what was run, not what a person was not asked"
+    )
     assert found.end == "settled: explained"
+    assert found.said == "explained: stribeck on joint_2"
     assert found.cut_short is None
 
 
@@ -242,7 +251,7 @@ def test_the_page_has_question_motion_and_answer_of_every_round(ask):
 
 
 def test_the_page_has_the_motion_that_was_planned_and_what_it_is_expected_to_tell():
-    planned = {**Motion().to_dict("next/program.pdl"), "separates": []}
+    planned = {**Motion(brakes=False).to_dict("next/program.pdl"), "separates": []}
     planned["probability"] = [{**PAIR, "smallest_over_practical": 0.4}]
     page = render(Page("Gap", "it is", "plain", planned_sections(planned)))
     for text in ("reversals of joint_2 (20 s, next/program.pdl)", "stribeck on joint_2 or presliding on joint_2"):
@@ -255,3 +264,27 @@ def test_the_page_has_the_motion_that_was_planned_and_what_it_is_expected_to_tel
 def to_sections(found) -> dict:
     result = found.to_dict()
     return {"rounds": result["rounds"], "end": result["rounds_end"]}
+
+
+@pytest.mark.parametrize("kept", ["experiment.json", "program.pdl"])
+def test_a_folder_that_cannot_be_that_of_an_experiment_is_refused_before_anything_is_diagnosed(tmp_path: Path, kept):
+    """Somebody's program is not written over, and a file that is in the way is found whatever lies below it."""
+    (tmp_path / kept).write_text("mine", encoding="utf-8")
+    with pytest.raises(InputError, match="already; name another folder"):
+        check_next(tmp_path / "job.yaml", tmp_path)
+    for folder in (tmp_path / kept, tmp_path / kept / "plan" / "deep"):
+        with pytest.raises(InputError, match=f"{kept}: is a file"):
+            check_next(tmp_path / "job.yaml", folder)
+    assert (tmp_path / kept).read_text(encoding="utf-8") == "mine"
+
+
+def test_a_run_that_cannot_note_its_end_still_says_what_ended_it(tmp_path: Path, monkeypatch):
+    recipe = tmp_path / "job.yaml"
+    recipe.write_text("robot: comau_ns16\n", encoding="utf-8")
+    run = RunFolder.create(tmp_path / "logs", "comau_ns16", recipe)
+    run.note(kind="diagnose")
+    ended = DriverError("the link dropped")
+    monkeypatch.setattr(RunFolder, "_save", lambda self: (_ for _ in ()).throw(AgentError("no space left")))
+    with pytest.raises(DriverError) as raised, step(run, "rounds", Console(-1)):
+        raise ended
+    assert raised.value is ended
