@@ -132,7 +132,7 @@ def assemble(
         prior = physical_prior(observation, model.terms, _links(model))
         precision, shift = prior.precision, prior.precision @ (prior.mean - model.values)
     block = _segments(time, log, logs, limits.block)
-    fit = Fit(reference, signals, joined, index, sigma, precision, shift, cell, block, folds, single)
+    fit = Fit(reference, signals, joined, index, sigma, precision, shift, cell, block, folds, single, limits)
     rate = 1 / float(np.median(np.diff(time)))
     return Dataset(
         robot,

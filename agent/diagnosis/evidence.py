@@ -78,11 +78,12 @@ def null_gains(
     model, effects = np.zeros((len(fold_of), fit.size)), np.zeros((len(fold_of), int(ends[-1])))
     for joint, (rows, index) in enumerate(zip(fit.rows, fit.index, strict=True)):
         target = background[:, joint, None]
-        model[:, index] += _sums(rows[:, :-1] * target, unit)
+        model[:, index] += _sums(fit.rests.whitened(joint, rows[:, :-1]) * target, unit)
         here = [c for c in wanted if joint in c.blocks]
         for some in (here[first : first + _AT_ONCE] for first in range(0, len(here), _AT_ONCE)):
             places = np.concatenate([np.arange(ends[-1])[spans[c]] for c in some])
-            effects[:, places] += _sums(np.hstack([c.blocks[joint] for c in some]) * target, unit)
+            blocks = fit.rests.whitened(joint, np.hstack([c.blocks[joint] for c in some]))
+            effects[:, places] += _sums(blocks * target, unit)
     moments = list(fit.moments(wanted))
     together = np.concatenate([both[:, :-1] for _, (both, _) in moments], axis=2)  # (cells, p, all parameters)
     groups = []
@@ -126,7 +127,8 @@ def drawn_change(fit: Fit, train: np.ndarray, error: np.ndarray, rng: np.random.
     side = np.zeros(fit.size)
     ends = base + np.cumsum([0, *(len(c.names) for c in fit.chosen)])
     for joint, (rows, index) in enumerate(zip(fit.rows, fit.index, strict=True)):
-        drawn = signs * error[:, joint]
+        drawn = fit.rests.whitened(joint, signs * error[:, joint])
+        drawn = fit.rests.whitened(joint, drawn)  # once for the error and once for the columns
         side[index] += drawn @ rows[:, :-1]
         for candidate, (a, b) in zip(fit.chosen, pairwise(ends), strict=True):
             if joint in candidate.blocks:
@@ -158,7 +160,7 @@ def _sums(rows: np.ndarray, unit: np.ndarray) -> np.ndarray:
 
 def _background(fit: Fit) -> np.ndarray:
     """(S', n) held-out error over σ; where a gap is to be explained, scaled down to what a model usually gets wrong."""
-    error = np.nan_to_num(fit.out_of_fold() / fit.sigma)
+    error = fit.rests.whitened_all(np.nan_to_num(fit.out_of_fold() / fit.sigma))
     size = np.sqrt(np.mean(error**2, axis=0))
     return error / np.maximum(size, 1.0)
 

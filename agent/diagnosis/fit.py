@@ -22,8 +22,10 @@ import numpy as np
 
 from agent.diagnosis.candidate import Candidate, Fold, HeldOutScore, Wanted, Where, make_candidates
 from agent.diagnosis.isolability import plausible
+from agent.diagnosis.limits import LIMITS, DecisionLimits
 from agent.diagnosis.moments import FitMoments
 from agent.diagnosis.stacked import forms, products, side_by_side, solved
+from agent.diagnosis.standstill import Rests
 from agent.model import Effect, MotionSignals, NominalModel
 
 _INDEPENDENT = 0.1  # s between independent rows
@@ -50,6 +52,7 @@ class Fit:
         block: np.ndarray,
         folds: Sequence[Fold],
         single: Sequence[Fold],
+        limits: DecisionLimits = LIMITS,
     ):
         self.reference, self.signals = reference, list(signals)
         self.rows, self.index = list(rows), list(index)
@@ -59,7 +62,8 @@ class Fit:
         self.cuts = np.cumsum(lengths)[:-1]
         rate = 1 / float(np.median(np.diff(self.signals[0].time[self.signals[0].kept])))
         self.repeat = max(1.0, _INDEPENDENT * rate)
-        self._moments = FitMoments(self.rows, self.index, cell, len(precision))
+        self.rests = Rests.of(self.signals, self.repeat, limits)
+        self._moments = FitMoments(self.rows, self.index, cell, len(precision), self.rests)
         self.cells, self.count = self._moments.cells, self._moments.count
         self._made: dict[tuple[Effect, tuple[int, ...], tuple[tuple[str, float], ...]], Candidate] = {}
         self._extend(())
@@ -252,16 +256,16 @@ class Fit:
         Model and chosen effects adapt; all rows are fitted and none held out, so this only picks what to try.
         """
         inverse, alone = self.solve(np.ones(self.cells, dtype=bool))
-        block = columns / self.sigma[:, joint, None]
-        rows = self.rows[joint]
+        block = self.rests.whitened(joint, columns / self.sigma[:, joint, None])
+        rows, twice = self.rows[joint], self.rests.whitened(joint, block)  # as its transpose whitens alike
         cross = np.zeros((self.size, block.shape[1]))
-        cross[self.index[joint]] = rows[:, :-1].T @ block
+        cross[self.index[joint]] = rows[:, :-1].T @ twice
         at = len(self.precision)
         for candidate in self.chosen:
             if joint in candidate.blocks:
-                cross[at : at + len(candidate.names)] = candidate.blocks[joint].T @ block
+                cross[at : at + len(candidate.names)] = candidate.blocks[joint].T @ twice
             at += len(candidate.names)
-        side = (block.T @ rows[:, -1] - cross.T @ alone) / self.repeat
+        side = (twice.T @ rows[:, -1] - cross.T @ alone) / self.repeat
         energy = np.sum(block**2, axis=0) / self.repeat
         schur = energy - np.sum(cross * (inverse @ cross), axis=0) / self.repeat**2
         schur = np.maximum(schur, 1e-6 * energy + 1e-12)

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from agent.diagnosis.candidate import Candidate
+from agent.diagnosis.standstill import Rests
 
 _AT_ONCE = 25  # candidates worked out together: what fits into memory that the C library keeps
 
@@ -17,18 +18,26 @@ class FitMoments:
     """Moments of the rows of a fit, which all fits to these rows share.
 
     rows[j] (S', p_j + 1): columns of the model's parameters index[j] of `parameters`, and the residual, of joint j;
-    `cell` (S',) of every row (-1: guard). `gram` (cells, p + 1, p + 1) are those of columns and residual, summed over
+    `cell` (S',) of every row (-1: guard); `rests` whiten rows, and candidates' blocks, before they are multiplied.
+    `gram` (cells, p + 1, p + 1) are those of columns and residual, summed over
     joints, and `count` (cells,) the rows in them.
     """
 
-    def __init__(self, rows: Sequence[np.ndarray], index: Sequence[np.ndarray], cell: np.ndarray, parameters: int):
+    def __init__(
+        self,
+        rows: Sequence[np.ndarray],
+        index: Sequence[np.ndarray],
+        cell: np.ndarray,
+        parameters: int,
+        rests: Rests,
+    ):
         self.cells = cells = int(cell.max()) + 1
-        self._index, self._base = list(index), parameters
+        self._index, self._base, self._rests = list(index), parameters, rests
         order = np.argsort(cell, kind="stable")
         edges = np.searchsorted(cell[order], np.arange(cells + 1))
         self._order = order[edges[0] :]
         self._slices = [slice(a, b) for a, b in pairwise(edges - edges[0])]
-        self._rows = [block[self._order] for block in rows]
+        self._rows = [self._sorted(joint, block) for joint, block in enumerate(rows)]
         self.gram = np.zeros((cells, parameters + 1, parameters + 1))
         for block, columns in zip(self._rows, self._index, strict=True):
             place = np.append(columns, parameters)
@@ -39,10 +48,14 @@ class FitMoments:
         self._beside: FitMoments | None = None
         self._both: dict[tuple[Candidate, Candidate], np.ndarray] = {}
 
+    def _sorted(self, joint: int, block: np.ndarray) -> np.ndarray:
+        """Rows (S', k) whitened, and those of a cell together."""
+        return self._rests.whitened(joint, block)[self._order]
+
     def with_residual(self, rows: Sequence[np.ndarray]) -> FitMoments:
         """Of the same columns with another residual: what is known of the columns is not worked out again."""
         other = copy(self)
-        other._rows = [block[self._order] for block in rows]
+        other._rows = [self._sorted(joint, block) for joint, block in enumerate(rows)]
         other._known, other._beside, other.gram = {}, self, self.gram.copy()
         last = self._base
         other.gram[:, last, :] = other.gram[:, :, last] = 0.0
@@ -68,11 +81,11 @@ class FitMoments:
     def between(self, first: Candidate, others: Sequence[Candidate]) -> list[np.ndarray]:
         """Per candidate (cells, k, l): moments of the first with it; kept."""
         new = [c for c in others if (first, c) not in self._both]
-        mine = {joint: block[self._order] for joint, block in first.blocks.items()} if new else {}
+        mine = {joint: self._sorted(joint, block) for joint, block in first.blocks.items()} if new else {}
         for second in new:
             total = np.zeros((self.cells, len(first.names), len(second.names)))
             for joint in first.blocks.keys() & second.blocks.keys():
-                block = second.blocks[joint][self._order]
+                block = self._sorted(joint, second.blocks[joint])
                 for cell, part in enumerate(self._slices):
                     total[cell] += mine[joint][part].T @ block[part]
             self._both[first, second] = total
@@ -83,7 +96,7 @@ class FitMoments:
         cross = cross.copy()
         cross[:, self._base] = 0.0
         for joint, block in candidate.blocks.items():
-            columns = block[self._order]
+            columns = self._sorted(joint, block)
             for cell, part in enumerate(self._slices):
                 cross[cell, self._base] += self._rows[joint][part, -1] @ columns[part]
         return cross
@@ -96,7 +109,7 @@ class FitMoments:
             if not here:
                 continue
             place = np.append(index, self._base)
-            together = np.hstack([some[k].blocks[joint] for k in here])[self._order]
+            together = self._sorted(joint, np.hstack([some[k].blocks[joint] for k in here]))
             ends = np.cumsum([0, *(some[k].blocks[joint].shape[1] for k in here)])
             for cell, part in enumerate(self._slices):
                 product = block[part].T @ together[part]

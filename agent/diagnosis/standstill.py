@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -41,6 +42,47 @@ def at_rest(signals: Sequence[MotionSignals], limits: DecisionLimits = LIMITS) -
         long = _count(begins, shortest - 1, 0) > 0
         parts.append((_count(long, reach, reach) > 0)[motion.kept])
     return np.concatenate(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class Rests:
+    """Where each joint stands for a while: stiction is one unknown torque all through such a stretch.
+
+    With an error of covariance σ² (I + 1 1ᵀ) over the N independent rows of a stretch, as large a constant as what
+    differs from row to row, rows are whitened by taking off 1 − 1 / √(1 + N) of their mean (a random intercept: Laird
+    and Ware, Biometrics 38, 1982). So a rest tells as much of a constant torque as one row does, however long it is,
+    and all of what changes during it.
+
+    `stretches`: per joint its (first row, row after the last, N).
+    """
+
+    stretches: tuple[tuple[tuple[int, int, float], ...], ...]
+
+    @classmethod
+    def of(cls, signals: Sequence[MotionSignals], repeat: float, limits: DecisionLimits = LIMITS) -> Rests:
+        """Of some motions in a row, `repeat` rows of which are an independent one."""
+        found = at_rest(signals, limits)
+        ends = np.cumsum([len(motion.time[motion.kept]) for motion in signals])
+        found_per_joint = []
+        for column in found.T:
+            number = np.where(column, np.searchsorted(ends, np.arange(len(column)), side="right"), -1)
+            edges = np.concatenate([[0], np.flatnonzero(np.diff(number)) + 1, [len(number)]])
+            spans = zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+            found_per_joint.append(tuple((a, b, (b - a) / repeat) for a, b in spans if a < b and column[a]))
+        return cls(tuple(found_per_joint))
+
+    def whitened(self, joint: int, block: np.ndarray) -> np.ndarray:
+        """Rows (S', k) of a joint, over the background."""
+        if not self.stretches[joint]:
+            return block
+        block = block.copy()
+        for first, after, count in self.stretches[joint]:
+            block[first:after] -= (1 - 1 / np.sqrt(1 + count)) * block[first:after].mean(axis=0)
+        return block
+
+    def whitened_all(self, rows: np.ndarray) -> np.ndarray:
+        """Rows (S', n) of all joints, over the background."""
+        return np.stack([self.whitened(joint, column) for joint, column in enumerate(rows.T)], axis=1)
 
 
 def _count(rows: np.ndarray, before: int, after: int) -> np.ndarray:

@@ -268,7 +268,7 @@ def lasting(fit: Fit, joints: Sequence[int]) -> float:
 
     The error follows the motion: it lasts for longer than a row counts as independent, and comes back with a cycle.
     """
-    error = np.nan_to_num(fit.out_of_fold(fit.once) / fit.sigma)[:, joints]
+    error = fit.rests.whitened_all(np.nan_to_num(fit.out_of_fold(fit.once) / fit.sigma))[:, joints]
     sums = np.zeros((int(fit.block.max()) + 1, error.shape[1]))
     np.add.at(sums, fit.block, error)
     return float(np.sum(sums**2) / (error.size * fit.repeat))
@@ -287,7 +287,8 @@ def _moments(fit: Fit, candidates: Sequence[Candidate]) -> np.ndarray:
     kept = fit.cell >= 0
     for joint, (rows, index) in enumerate(zip(fit.rows, fit.index, strict=True)):
         here = [k for k, one in enumerate(candidates) if joint in one.blocks]
-        columns = np.hstack([rows[:, :-1], *(candidates[k].blocks[joint] for k in here)])[kept]
+        columns = np.hstack([rows[:, :-1], *(candidates[k].blocks[joint] for k in here)])
+        columns = fit.rests.whitened(joint, columns)[kept]
         place = np.concatenate([index, *(np.arange(ends[k], ends[k + 1]) for k in here)])
         total[np.ix_(place, place)] += columns.T @ columns
     return total / fit.repeat

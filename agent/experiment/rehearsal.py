@@ -241,7 +241,9 @@ def _with_motion(dataset: Dataset, pieces: Sequence[GridMotion], load: Tool | No
     logs = (*dataset.logs, stub)
     cell, folds, single = folds_of(time, log, logs, limits)
     block = np.concatenate([fit.block[thin], fit.block.max() + 1 + (time[len(thin) :] // limits.block).astype(int)])
-    joined = Fit(bare, [*seen, *new], rows, fit.index, sigma, fit.precision, fit.shift, cell, block, folds, single)
+    joined = Fit(
+        bare, [*seen, *new], rows, fit.index, sigma, fit.precision, fit.shift, cell, block, folds, single, limits
+    )
     return replace(
         dataset,
         fit=joined,

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
 
 from agent.diagnosis import diagnose
+from agent.diagnosis.standstill import Rests
 from agent.estimation import EstimationSettings, estimate
 from agent.model import CATALOGUE
 from agent.recording.log import Log
@@ -15,6 +18,7 @@ from tests.estimation.conftest import _arm, _log, _multisine
 COULOMB = 12.0  # N·m, of 100 nominal
 RATE = 250.0  # Hz
 HELD = 0.08  # s, at most
+AWAY = 0.6  # rad, from where a joint that stands all through one log moves in another
 
 
 def _record(robot: RobotDescription, seed: int, held: float) -> Log:
@@ -44,3 +48,48 @@ def test_dry_friction_that_holds_a_joint_where_it_turns_back_is_no_gap():
     found = diagnose(robot, [_record(robot, seed, HELD) for seed in (3, 4)], model, without=list(CATALOGUE))
     assert np.sqrt(np.mean(found.dataset.residual**2)) > 0.01 * robot.nominal_torque[0], "the error is there"
     assert found.answer.verdict == "no_gap"
+
+
+def _beside(robot: RobotDescription, seed: int, offset: float, stuck: float | None = None) -> Log:
+    """A motion of two joints, or of the second beside a first that stiction holds with `stuck` of its level."""
+    rigid, _, _ = rigid_bodies(robot)
+    time = np.arange(0, 12, 1 / RATE)
+    q, qd, qdd = _multisine(2, time, seed)
+    friction = np.sign(qd)
+    if stuck is not None:
+        qd[:, 0] = qdd[:, 0] = 0.0
+        q[:, 0], friction[:, 0] = q[:, 0].max() + AWAY, stuck
+    bodies = rigid.projection @ np.concatenate([rigid.dynamics.standard_parameters(), [1e-4] * 2])
+    noise = 0.1 * np.random.default_rng(seed).normal(size=q.shape)
+    torque = rigid.torque(q, qd, qdd, bodies) + COULOMB * friction + 4 * qd + [offset, 0] + noise
+    return _log(robot, time, q, torque, f"{seed}.mcap")
+
+
+@pytest.mark.parametrize("stuck", [-0.9, 0.9])
+def test_what_stiction_holds_a_joint_with_all_through_a_log_is_no_evidence(stuck):
+    robot = _arm(2)
+    model = estimate(robot, [_beside(robot, seed, 0.0) for seed in (1, 2)], EstimationSettings.create(cutoff=20))
+    found = diagnose(robot, [_beside(robot, 3, 4.0), _beside(robot, 4, 4.0, stuck)], model)
+    assert found.answer.verdict == "ambiguous"
+    first = found.answer.causes[0]
+    assert {first.effect, *(e.effect for e in first.equivalent_to)} == {"torque_offset", "asymmetric_friction"}
+
+
+@given(lengths=st.lists(st.integers(60, 400), min_size=1, max_size=3), repeat=st.sampled_from([1.0, 10.0, 25.0]))
+@settings(max_examples=20, deadline=None)
+def test_a_rest_tells_as_much_of_a_constant_torque_as_less_than_one_row_and_all_of_a_ramp(lengths, repeat):
+    stretches, first = [], 50
+    for length in lengths:
+        stretches.append((first, first + length, length / repeat))
+        first += length + 50
+    rests = Rests((tuple(stretches), ()))
+    inside = np.concatenate([np.arange(a, b) for a, b, _ in stretches])
+    constant, ramp = np.zeros((first, 1)), np.zeros((first, 1))
+    constant[inside] = 1.0
+    for a, b, _ in stretches:
+        ramp[a:b, 0] = np.linspace(-1, 1, b - a)
+    told = np.sum(rests.whitened(0, constant) ** 2) / repeat  # in independent rows
+    count = np.array([n for *_, n in stretches])
+    assert told == pytest.approx(np.sum(count / (1 + count)))  # 1ᵀ (I + 1 1ᵀ)⁻¹ 1
+    assert np.allclose(rests.whitened(0, ramp), ramp)
+    assert np.array_equal(rests.whitened(1, constant), constant)
