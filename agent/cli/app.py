@@ -238,7 +238,7 @@ def diagnose(
         from agent.pipeline import BUDGET, budget_of
 
         motion = budget_of(BUDGET if budget is None else budget) if until_sure else None
-        result = diagnose_recording(record, question, console, runs, yes, motion)
+        result = diagnose_recording(record, question, console, runs, yes, motion, show)
     elif until_sure:
         raise InputError("diagnose: --until-sure moves the robot: name the recipe to record with --record RECIPE")
     elif not logs or not (robot or model):

@@ -112,10 +112,13 @@ def with_channel_zero(
 ) -> tuple[Finding, tuple[str, ...]]:
     """The finding where the zeros of the channels settle what equals an offset of one, and what they say.
 
+    A log with a zero that no motion shows is not one of these motions' arm with its drives off: it settles nothing.
     `without`: effects that are not to be named.
     """
-    finding, said = replace(finding, zero_known=True), []
     asked = {place[1] for k in range(len(finding.causes)) if (place := _offset_of(finding, k)) is not None}
+    if odd := tuple(_elsewhere(dataset, zero, asked)):
+        return finding, (*odd, "a log with the drives off that is in doubt settles nothing: record it again")
+    finding, said = replace(finding, zero_known=True), []
     for number in range(len(finding.causes)):
         place = _offset_of(finding, number)
         if place is not None:
@@ -124,7 +127,7 @@ def with_channel_zero(
     nothing = (
         "nothing that was found may be an offset of a torque channel, so the log with the drives off settles nothing"
     )
-    return finding, (*(said or [nothing]), *_elsewhere(dataset, zero, asked))
+    return finding, tuple(said or [nothing])
 
 
 def _elsewhere(dataset: Dataset, zero: ChannelZero, asked: Collection[tuple[int, ...]]) -> Iterator[str]:

@@ -4,9 +4,9 @@ Residuals r of the model are explained by a change δ of its parameters and by c
 
     minimise Σ_j |r_j − X_j δ − Z_j β|² / (T σ_j²) + (δ − δ₀)ᵀ Λ (δ − δ₀)
 
-with σ_j the model's own held-out error of joint j (the background; more at standstill, where stiction
-leaves the torque open), Λ the inverse of the covariance
-stored in the model, and T rows to one independent row. Moments are kept per cell of rows, so every fold is arithmetic
+with σ_j the model's own held-out error of joint j (the background; more at standstill, where stiction leaves the torque
+open, and whose rows are whitened: `Rests`), Λ the inverse of the covariance stored in the model, and T rows to one that
+is independent. Moments are kept per cell of rows, so every fold is arithmetic
 on small matrices. With H = Λ + XᵀX and the Schur complement S = ZᵀZ − ZᵀX H⁻¹ XᵀZ: β = S⁻¹ (Zᵀr − ZᵀX H⁻¹ Xᵀr).
 """
 
@@ -128,7 +128,7 @@ class Fit:
     @property
     def sigmas(self) -> list[np.ndarray]:
         """Per motion (S', n) [N·m]: the background."""
-        return self._split(self.sigma)
+        return np.split(self.sigma, self.cuts)
 
     @property
     def given(self) -> bool:
@@ -151,7 +151,7 @@ class Fit:
         if self._fitted is None:
             self._fitted = self.remaining(self.solve(np.ones(self.cells, dtype=bool))[1])
             self._fitted.flags.writeable = False
-        return self._split(self._fitted)
+        return np.split(self._fitted, self.cuts)
 
     @property
     def residuals_as_given(self) -> list[np.ndarray]:
@@ -160,7 +160,7 @@ class Fit:
             return self.residuals
         parameters = self.solve(np.ones(self.cells, dtype=bool))[1].copy()
         parameters[: len(self.precision)] = 0
-        return self._split(self.remaining(parameters))
+        return np.split(self.remaining(parameters), self.cuts)
 
     def remaining(self, parameters: np.ndarray) -> np.ndarray:
         """(S'total, n) [N·m] residual with parameters (size,) of model change and chosen effects."""
@@ -174,9 +174,6 @@ class Fit:
                     column = column - candidate.blocks[joint] @ parameters[a:b]
             left[:, joint] = column * self.sigma[:, joint]
         return left
-
-    def _split(self, rows: np.ndarray) -> list[np.ndarray]:
-        return np.split(rows, self.cuts)
 
     def solve(self, train: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Inverse of H and the parameters for training cells."""

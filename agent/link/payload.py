@@ -73,17 +73,30 @@ def known_of(program: Path, text: str, payload: str | None, ask: Callable[[str],
 
 
 def _plan_of(program: Path, text: str) -> dict[str, Any]:
+    from agent.model import PAYLOAD, payload_of, payload_text
+    from agent.recording import PARTS, PLANNED_PARTS
+
     path = program.with_name("experiment.json")
     if not path.exists():
         return {}
     try:
         planned = json.loads(path.read_text(encoding="utf-8"))
         beside = Path(planned["program"]).name == program.name
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); plan the motion again, or move it away") from None
+        sha256, load = planned[PROGRAM_SHA256], planned.get(PAYLOAD)
+        whole = planned[PARTS] == PLANNED_PARTS and (load is None or payload_text(payload_of(load)) == load)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; plan the motion again, or move it away") from None
+    except (ValueError, KeyError, TypeError, AttributeError, InputError):
+        whole = beside = True
+        sha256 = None
     if not beside:
         return {}
-    if planned.get(PROGRAM_SHA256, sha256_text(text)) != sha256_text(text):
+    if not whole or not isinstance(sha256, str):
+        raise InputError(
+            f"{path}: is damaged, so what {program.name} was planned with is not known; plan the motion again, or move "
+            f"{path.name} away to run {program.name} as a program of your own"
+        )
+    if sha256 != sha256_text(text):
         raise InputError(
             f"{program}: was changed since it was planned, so what {path.name} says of it no longer holds; plan the "
             f"motion again, or move {path.name} away to run it as a program of your own"

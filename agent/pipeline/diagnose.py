@@ -34,28 +34,35 @@ def diagnose_files(
     paths: Sequence[Path],
     question: GapQuestion,
     console: Console,
-    unplanned: Callable[[dict[str, Any]], None] = lambda result: None,
+    unfinished: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
     """Diagnose logs; returns the result of docs/diagnosis.md, and writes what is asked for.
 
     Without a `robot` the model says what the arm is. Where the planning of a further motion fails or is stopped,
-    `unplanned` is called with what was found until then, and the page is there.
+    `unfinished` is called with what was found until then, and the page is there.
 
     Raises:
         InputError: a robot, model or log that cannot be used, an unknown effect, or an output that cannot be written.
     """
     if robot is None or isinstance(robot, str):
         there = None if robot is None else load_robot(robot)
-        return _diagnose(there, paths, question, console, robot, unplanned=unplanned)
-    return _diagnose(robot, paths, question, console, robot.name, unplanned=unplanned)
+        return _diagnose(there, paths, question, console, robot, unfinished=unfinished)
+    return _diagnose(robot, paths, question, console, robot.name, unfinished=unfinished)
 
 
 def diagnose_recording(
-    recipe: Path, question: GapQuestion, console: Console, runs: Path, yes: bool, budget: float | None = None
+    recipe: Path,
+    question: GapQuestion,
+    console: Console,
+    runs: Path,
+    yes: bool,
+    budget: float | None = None,
+    unfinished: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
     """Record the recipe's motions into a run folder, then diagnose them; result and report are in the folder too.
 
     With a `budget` [s of motion], what is left open is asked of further motions until it is settled (`until_sure`).
+    Where that is cut short, `unfinished` is called with what was found until then.
 
     Raises:
         AgentError, DriverError: as in `agent calibrate`, before anything moves or after a controlled stop.
@@ -78,7 +85,8 @@ def diagnose_recording(
     loaded = replace(loaded, validate=loaded.validate.model_copy(update={"motions": few}))
     with robot_lock(loaded.controller.driver, loaded.controller.address):
         run = RunFolder.create(runs, loaded.robot.name, loaded.path)
-        run.note(kind="diagnose", question={"cutoff": question.cutoff, "without": question.without, "budget": budget})
+        run.note(kind="diagnose", robot_source=loaded.robot_source)
+        run.note(question={"cutoff": question.cutoff, "without": question.without, "budget": budget})
         run.note(options=[*question.options(), *options_of(budget)])
         approve(run, loaded)
         if reference is not None:
@@ -114,7 +122,7 @@ def diagnose_recording(
                     more = rounds.uncounted and f"; {rounds.uncounted.name} is recorded, and is not counted"
                     console.say(f"the motions until then say: {rounds.said}{more or ''}")
                     try:
-                        answer()
+                        unfinished(answer())
                         console.say(f"all that they say is in {run.path}")
                     except AgentError as error:  # what cut the round short may be what forbids to write
                         console.warn(f"it could not be kept: {error}")
@@ -158,7 +166,7 @@ def _diagnose(
     source: str | None,
     simulator: Simulator | None = None,
     rounds: Rounds | None = None,
-    unplanned: Callable[[dict[str, Any]], None] = lambda result: None,
+    unfinished: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
     """`source` names the robot for whoever asks again; `simulator` is the file that was read, and checked, before;
     `rounds` are those of these very logs, which say already what they were found to say."""
@@ -190,7 +198,7 @@ def _diagnose(
         try:
             result["next_experiment"] = _next(found, question, console)
         except BaseException:
-            unplanned(result)
+            unfinished(result)
             raise
         write_page()
     if question.out is not None and question.next_recipe is None:

@@ -80,7 +80,8 @@ def going_on(run: RunFolder, step: str, error: BaseException) -> str:
 
     The command is the one that started it, with the `options` that the run notes; how much is shown, and whether the
     cell is clear (`--yes`), is for whoever starts it again. A calibration is gone on with, unless it was refused for
-    its recipe: with another one it is another run.
+    its recipe: with another one it is another run. Motions that were to be diagnosed, and are all recorded, can be
+    without the robot.
     """
     motions = [name for name in run.state["steps"] if name.endswith(".mcap")]
     kept = f", {len(motions)} of its motions are recorded" if motions else ""
@@ -93,4 +94,14 @@ def going_on(run: RunFolder, step: str, error: BaseException) -> str:
         again = f"go on with: {shlex.join([*words, '--resume', run.path.name])}"
     else:
         again = f"start again with: {shlex.join(words)}"
+    if kind == "diagnose" and run.finished("record") is not None:
+        again = f"ask the same of them with: {shlex.join(_of_logs(run, motions))}; or {again}"
     return f"stopped in the step {step!r}; what was finished is kept in {run.path}{kept}; {again}"
+
+
+def _of_logs(run: RunFolder, motions: list[str]) -> list[str]:
+    """The words of a diagnosis of motions that a run has recorded."""
+    options = run.state["options"]
+    options = options[: options.index("--until-sure")] if "--until-sure" in options else options
+    robot, logs = run.state["robot_source"], (str(run.file(name)) for name in motions)
+    return ["agent", "diagnose", "--robot", robot, *options, *logs]

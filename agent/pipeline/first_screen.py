@@ -10,6 +10,7 @@ from typing import Any
 
 from agent.pipeline.ending import next_steps, whose
 from agent.pipeline.gap_question import GapQuestion
+from agent.pipeline.other_tests import BRAKES
 from agent.recipe import Recipe
 from agent.report import About, NextStep
 
@@ -64,14 +65,13 @@ def after_diagnosis(
         mounted = ["--payload", experiment[PAYLOAD]] if PAYLOAD in experiment else []
         record = ["agent", "record", str(question.next_recipe), "--program", str(program), *mounted]
         with_it = f"{again} {shlex.quote(str(program.with_suffix('.mcap')))}"
+        on_brakes = BRAKES in experiment["motion"] and ", and --drives-off LOG where it was recorded on its brakes"
         return [
             NextStep("run the motion that was planned:", shlex.join(record)),
-            NextStep("then ask again with its log added:", with_it),
+            NextStep(f"then ask again with its log added{on_brakes or ''}:", with_it),
         ]
-    if not result["causes"]:
-        return [NextStep("after that motion, the same question with its logs added:", again)]
-    if result["verdict"] == "ambiguous":
-        return [NextStep("then ask again with its logs added:", again)]
+    if not result["causes"] or result["verdict"] == "ambiguous":
+        return [NextStep("then ask again, with what was recorded added:", again)]
     if all(CATALOGUE[cause["effect"]].once for cause in result["causes"]):
         return [NextStep("it happened once and is no part of the model: record again where nothing touches the arm.")]
     if model is not None and is_simulator(model):

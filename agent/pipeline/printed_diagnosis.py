@@ -65,12 +65,12 @@ def diagnosis_text(result: dict[str, Any]) -> str:
 
 def _further_lines(result: dict[str, Any]) -> Iterator[str]:
     """What further motions came to, and what to run next or why there is nothing to run."""
-    from agent.report import chances_text, next_text
+    from agent.report import chances_text, next_text, said_by_rounds
 
     end, experiment = result.get("rounds_end"), result["next_experiment"]
     if end:
         yield f"after {counted(len(result['rounds']), 'further motion')}: {end}"
-    if experiment is None or experiment["motion"] == end:
+    if experiment is None or said_by_rounds(result):
         return
     text = next_text(experiment)
     yield f"{text[0].lower()}{text[1:]}"

@@ -13,7 +13,7 @@ from .observation import observation_section as observation_section
 from .page import About as About, NextStep as NextStep, Page as Page, Section as Section, render as render
 from .recalibration import recalibration_report as recalibration_report
 from .residual_sections import residual_section as residual_section
-from .rounds_section import chances_text as chances_text, next_text as next_text
+from .rounds_section import chances_text as chances_text, next_text as next_text, said_by_rounds as said_by_rounds
 from .run_page import RunData as RunData, run_report as run_report
 from .run_sections import (
     RUN_SECTIONS as RUN_SECTIONS,

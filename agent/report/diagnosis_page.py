@@ -31,7 +31,7 @@ from agent.report.first_screen import (
     where_sentences,
 )
 from agent.report.page import NextStep, Page, Section, Table, render
-from agent.report.rounds_section import next_text, planned_sections, rounds_sections
+from agent.report.rounds_section import next_text, planned_sections, rounds_sections, said_by_rounds
 from agent.report.simulator_section import motion_first, simulator_sections, waterfall_parts
 from agent.robot import figure_text
 
@@ -66,7 +66,7 @@ def diagnosis_report(
     verdict, forward = result["verdict"], result.get("forward")
     sections = [
         *motion_first(diagnosis, forward),
-        _cause_section(diagnosis, result["next_experiment"]),
+        _cause_section(diagnosis, None if said_by_rounds(result) else result["next_experiment"]),
         *planned_sections(result["next_experiment"]),
         *rounds_sections(result.get("rounds"), result.get("rounds_end", "")),
         _where_section(diagnosis),

@@ -18,6 +18,12 @@ def next_text(experiment: Mapping[str, Any]) -> str:
     return f"Run next: {motion}{took}"
 
 
+def said_by_rounds(result: Mapping[str, Any]) -> bool:
+    """Whether why the rounds ended is all that there is of a next experiment."""
+    experiment = result["next_experiment"]
+    return experiment is not None and experiment["motion"] == result.get("rounds_end")
+
+
 def planned_sections(experiment: Mapping[str, Any] | None) -> list[Section]:
     """The section on a motion that was planned; none where none was."""
     if experiment is None or not experiment.get("program"):

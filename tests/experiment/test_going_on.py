@@ -14,6 +14,7 @@ from agent.core import ControllerError, InputError, MismatchError
 from agent.pipeline import GapQuestion
 from agent.pipeline.ending import going_on
 from agent.pipeline.first_screen import after_diagnosis
+from agent.pipeline.other_tests import BRAKES
 from agent.pipeline.until_sure import options_of
 from agent.runs.folder import RunFolder
 
@@ -55,7 +56,10 @@ def test_no_part_of_the_question_is_left_out():
 
 
 def test_a_diagnosis_is_started_again_with_the_command_that_started_it(run: RunFolder, tmp_path: Path):
-    run.note(kind="diagnose", options=[*ASKED.options(), *options_of(600.0)])
+    run.note(kind="diagnose", robot_source="my robot.yaml", options=[*ASKED.options(), *options_of(600.0)])
+    assert "ask the same of them" not in going_on(run, "record", STOPPED)
+    for name in ("excitation.mcap", "validation_01.mcap", "record"):
+        run.finish(name)
     said = going_on(run, "rounds", STOPPED)
     found = read(said.partition("start again with: ")[2])
     question = {
@@ -68,6 +72,10 @@ def test_a_diagnosis_is_started_again_with_the_command_that_started_it(run: RunF
         **{key: value for key, value in vars(ASKED).items() if key != "next_payload"},
     }
     assert {**found, "without": tuple(found["without"])} == {**BESIDE, **question}
+    recorded = read(said.partition("ask the same of them with: ")[2].partition("; or start again")[0])
+    assert recorded["logs"] == [run.file("excitation.mcap"), run.file("validation_01.mcap")]
+    assert (recorded["robot"], recorded["record"], recorded["until_sure"]) == ("my robot.yaml", None, False)
+    assert {key: recorded[key] for key in ("model", "cutoff")} == {"model": ASKED.model, "cutoff": ASKED.cutoff}
     assert found["record"].resolve() == tmp_path / "my job.yaml"
 
 
@@ -84,12 +92,17 @@ def test_a_diagnosis_of_further_logs_asks_the_same_and_writes_nothing_over():
 
 
 def test_after_a_planned_motion_comes_its_recording_and_the_same_question_with_its_log():
-    planned = {"program": "my plan/program.pdl", "payload": "5 kg, 0 mm, 0 mm, 60 mm"}
+    planned = {
+        "program": "my plan/program.pdl",
+        "payload": "5 kg, 0 mm, 0 mm, 60 mm",
+        "motion": f"{BRAKES}; then a loop",
+    }
     result = {"verdict": "ambiguous", "causes": [{"effect": "stribeck"}], "next_experiment": planned}
     record, again = after_diagnosis(result, "my robot.yaml", [Path("a b.mcap")], ASKED)
     words = shlex.split(record.command)
     assert words[:3] == ["agent", "record", str(ASKED.next_recipe)]
     assert words[3:] == ["--program", "my plan/program.pdl", "--payload", planned["payload"]]
+    assert "--drives-off LOG" in again.what
     assert read(again.command)["logs"] == [Path("a b.mcap"), Path("my plan/program.mcap")]
 
 

@@ -27,7 +27,8 @@ def nobody(question: str) -> bool:
 @pytest.fixture
 def program(tmp_path: Path) -> Path:
     path = tmp_path / "program.pdl"
-    (tmp_path / "experiment.json").write_text(json.dumps({"program": str(path), "payload": LOAD}), encoding="utf-8")
+    plan = {"program": str(path), PROGRAM_SHA256: sha256_text(TEXT), PARTS: "2", "payload": LOAD}
+    (tmp_path / "experiment.json").write_text(json.dumps(plan), encoding="utf-8")
     return path
 
 
@@ -38,14 +39,14 @@ def test_it_is_asked_for_and_never_assumed(program: Path):
         asked.append(question)
         return True
 
-    assert known_of(program, TEXT, None, person) == {PAYLOAD: LOAD}
+    assert known_of(program, TEXT, None, person) == {PAYLOAD: LOAD, PARTS: "2"}
     assert LOAD in asked[0]
     with pytest.raises(InputError, match="mount it, and say so with --payload '5 kg"):
         known_of(program, TEXT, None, nobody)
 
 
 def test_what_a_person_names_is_what_the_motion_was_planned_with(program: Path):
-    assert known_of(program, TEXT, "5000 g, 0, 0, 0.06 m", nobody) == {PAYLOAD: LOAD}
+    assert known_of(program, TEXT, "5000 g, 0, 0, 0.06 m", nobody) == {PAYLOAD: LOAD, PARTS: "2"}
     with pytest.raises(InputError, match=r"not 4 kg"):
         known_of(program, TEXT, "4 kg, 0, 0, 0.06 m", nobody)
 
@@ -54,31 +55,56 @@ def test_any_other_program_says_what_a_person_says(tmp_path: Path, program: Path
     other = tmp_path / "other.pdl"
     assert known_of(other, TEXT, None, nobody) == {}
     assert known_of(other, TEXT, LOAD, nobody) == {PAYLOAD: LOAD}
-    program.with_name("experiment.json").write_text("{", encoding="utf-8")
-    with pytest.raises(InputError, match="plan the motion again"):
-        known_of(program, TEXT, None, nobody)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        None,
+        {PROGRAM_SHA256: None},
+        {PROGRAM_SHA256: 7},
+        {PARTS: "two"},
+        {PARTS: None},
+        {PARTS: ["2"]},
+        {"payload": "5 apples"},
+        {"payload": 5},
+        {"program": 5},
+        {"program": None},
+    ],
+)
+def test_a_plan_that_is_damaged_is_refused_in_words(program: Path, change):
+    """`change`: keys of the plan, None to take one out; None for all of it."""
+    path = program.with_name("experiment.json")
+    if change is None:
+        path.write_text("{", encoding="utf-8")
+    else:
+        plan = json.loads(path.read_text(encoding="utf-8")) | change
+        path.write_text(json.dumps({k: v for k, v in plan.items() if v is not None}), encoding="utf-8")
+    with pytest.raises(InputError, match=r"experiment\.json: is damaged, .* plan the motion again, or move"):
+        known_of(program, TEXT, LOAD, nobody)
 
 
 def test_the_log_of_a_planned_motion_says_in_how_many_parts_it_is_held_out(program: Path):
-    plan = {"program": str(program), PARTS: "2"}
+    plan = {"program": str(program), PROGRAM_SHA256: sha256_text(TEXT), PARTS: "2"}
     program.with_name("experiment.json").write_text(json.dumps(plan), encoding="utf-8")
     assert known_of(program, TEXT, None, nobody) == {PARTS: "2"}
     assert known_of(program.with_name("other.pdl"), TEXT, None, nobody) == {}
 
 
-@pytest.mark.parametrize(
-    "beside", [None, {"program": "program.pdl"}, {"program": "program.pdl", "payload": "1 kg, 0, 0, 0"}]
-)
+@pytest.mark.parametrize("beside", [None, {}, {"payload": "1 kg, 0 mm, 0 mm, 0 mm"}])
 def test_the_program_itself_says_what_it_was_planned_with(tmp_path: Path, beside):
     """Copied elsewhere, or beside a file that somebody has changed."""
     robot, program = load_robot("comau_ns16"), tmp_path / "program.pdl"
     text = with_payload(write_program("experiment", [Delay(1.0)], robot), payload_of(LOAD))
+    parts = {}
     if beside is not None:
-        program.with_name("experiment.json").write_text(json.dumps(beside), encoding="utf-8")
+        parts = {PARTS: "2"}
+        plan = {"program": "program.pdl", PROGRAM_SHA256: sha256_text(text), **parts, **beside}
+        program.with_name("experiment.json").write_text(json.dumps(plan), encoding="utf-8")
     assert len(list(parse_program(text, "program.pdl", robot).run())) == 1
     with pytest.raises(InputError, match="mount it, and say so with --payload '5 kg"):
         known_of(program, text, None, nobody)
-    assert known_of(program, text, LOAD, nobody) == {PAYLOAD: LOAD}
+    assert known_of(program, text, LOAD, nobody) == {PAYLOAD: LOAD, **parts}
 
 
 def test_a_program_that_was_changed_since_it_was_planned_is_not_what_was_planned(tmp_path: Path):

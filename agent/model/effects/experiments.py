@@ -16,14 +16,14 @@ class SeparatingMotion:
 
     @property
     def with_brakes(self) -> str:
-        """Both in words."""
-        return f"{self.motion}{self.brakes}"
+        """Both in words, the one that moves nothing first."""
+        return f"{self.brakes}{self.motion}"
 
 
 RAMPS_AND_STANDSTILLS = SeparatingMotion(
     10,
     "single-joint ramps both ways at several constant speeds, up to the highest",
-    "; then the measured torque with the drives off, where only an offset stays (--drives-off)",
+    "the measured torque with the drives off, where only an offset stays (--drives-off); then ",
 )
 SLOW_REVERSALS = SeparatingMotion(
     20, "slow reversals of growing travel on this joint, then constant speeds from 1 to 20 % of the highest"
