@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -75,10 +76,26 @@ class Rests:
         """Rows (S', k) of a joint, over the background."""
         if not self.stretches[joint]:
             return block
+        rows, starts, lengths, share = self._at[joint]
+        inside = block[rows]
+        part = share.reshape(-1, *[1] * (block.ndim - 1)) * np.add.reduceat(inside, starts, axis=0)
         block = block.copy()
-        for first, after, count in self.stretches[joint]:
-            block[first:after] -= (1 - 1 / np.sqrt(1 + count)) * block[first:after].mean(axis=0)
+        block[rows] = inside - np.repeat(part, lengths, axis=0)
         return block
+
+    @cached_property
+    def _at(self) -> list[tuple[np.ndarray, ...]]:
+        """Per joint the rows of all stretches, where each begins among these, its length, and what is taken off of its
+        sum."""
+        found: list[tuple[np.ndarray, ...]] = []
+        for stretches in self.stretches:
+            lengths = np.array([after - first for first, after, _ in stretches], dtype=int)
+            rows = np.concatenate(
+                [np.arange(first, after) for first, after, _ in stretches] or [np.empty(0, dtype=int)]
+            )
+            count = np.array([count for *_, count in stretches])
+            found.append((rows, np.cumsum(lengths) - lengths, lengths, (1 - 1 / np.sqrt(1 + count)) / lengths))
+        return found
 
     def whitened_all(self, rows: np.ndarray) -> np.ndarray:
         """Rows (S', n) of all joints, over the background."""

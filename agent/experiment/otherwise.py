@@ -21,8 +21,6 @@ from agent.experiment.pieces import KINDS, Piece, Pieces
 
 #: Pieces that are drawn, to choose from.
 _POOL = 80
-#: A design has at most so many pieces.
-_MOST_PIECES = 5
 
 #: Of the pieces that still fit (the second) the one that comes after those that are chosen (the first).
 Pick = Callable[[Sequence[Piece], Sequence[Piece]], Piece]
@@ -46,25 +44,22 @@ def pieces_otherwise(
     """
     pieces = Pieces(problem, range(problem.robot.dof), seconds, np.random.default_rng(seed), kinds)
     pool = [piece for piece in (pieces.draw() for _ in range(_POOL)) if piece is not None]
-    chosen = together(pick, pool, seconds, most=_POOL)
+    chosen = together(pick, pool, seconds)
     while chosen and not runnable(chosen):
         chosen.pop()
     return tuple(chosen)
 
 
-def together(
-    pick: Pick, pool: Sequence[Piece], seconds: float, begun: Sequence[Piece] = (), most: int = _MOST_PIECES
-) -> list[Piece]:
+def together(pick: Pick, pool: Sequence[Piece], seconds: float, begun: Sequence[Piece] = ()) -> list[Piece]:
     """Pieces picked one after the other while one fits into the time, after those that it begins with."""
     chosen = list(begun)
     left = seconds - sum(piece.duration for piece in chosen)
-    while len(chosen) < most:
+    while True:
         options = [piece for piece in pool if piece.duration <= left and all(piece is not one for one in chosen)]
         if not options:
-            break
+            return chosen
         chosen.append(pick(chosen, options))
         left -= chosen[-1].duration
-    return chosen
 
 
 def as_drawn(chosen: Sequence[Piece], options: Sequence[Piece]) -> Piece:

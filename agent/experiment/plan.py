@@ -18,7 +18,8 @@ from agent.experiment.rehearsal import Rehearsal, said_by
 
 #: Pieces that are drawn, of which the best are put together; then so many neighbours of each are tried.
 _POOL, _NEIGHBOURS = 240, 12
-#: A motion has at most so many pieces, and ends early where the right answer is this likely.
+#: A motion has at most so many pieces that are chosen for what they separate, and ends early where the right answer is
+#: this likely; what only fills the time may be more. As many are tried to be left out.
 _MOST_PIECES, _SURE = 5, 0.97
 #: Of the time for a motion so much goes into the ways between its pieces.
 _WAYS = 0.15
@@ -121,8 +122,10 @@ def plan_experiment(
         of_cause = sides & np.array([[pair.first is pairs[0].first] for pair in pairs])
         if 0 < of_cause.sum() < sides.sum():
             designs.append(designed(of_cause))
-        pick = _d_optimal(found, pool)
-        designs += [together(pick, [piece for piece, _ in pool], longest, begun) for begun in (*designs[:1], [])]
+        pick, drawn = _d_optimal(found, pool), [piece for piece, _ in pool]
+        loops = [piece for piece in drawn if piece.draw.kind == "loop"]
+        designs += [together(pick, drawn, longest, begun) for begun in (*designs[:1], [])]
+        designs.append(together(pick, loops, longest))
     designs = [design for design in map(partial(_runnable, runnable), designs) if design]
     best = designs[0] if designs else []
     if rivals.any() and best:
@@ -203,7 +206,7 @@ def _shortened(
 
     For a motion that is nearly sure to tell: of others a few rehearsals do not say what less of it would cost.
     """
-    for piece in sorted(design, key=lambda piece: -piece.duration):
+    for piece in sorted(design, key=lambda piece: -piece.duration)[:_MOST_PIECES]:
         without = [other for other in design if other is not piece]
         progress(f"the motion is rehearsed without {piece.duration:.0f} s of it")
         if without and settled(without) >= worth:

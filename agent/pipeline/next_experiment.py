@@ -124,7 +124,7 @@ def plan_next(
     problem = _where_known(replace(loop_problem(recipe, recipe.motion.speed), load=load), found)
     limits = None if load is None else torque_limits(recipe, load, console)
     console.step(f"searching for a motion of at most {seconds:.0f} s that tells more")
-    runs = _Runs(recipe, name, load, limits)
+    runs = _Runs(recipe, name, seconds, load, limits)
     experiment = plan_experiment(found, pairs, problem, seconds, recipe.search.seed, console.progress, runs)
     if runs.motion is not None:
         asked = [e.pair for e in experiment.expected]
@@ -195,12 +195,8 @@ def run_otherwise(
     """
     from agent.experiment import pieces_otherwise
 
-    runs = _Runs(recipe, name)
-
-    def in_time(pieces: Sequence[Piece]) -> bool:
-        return runs(pieces) and runs.motion is not None and _duration(*runs.motion, recipe.robot) <= seconds
-
-    if not pieces_otherwise(pick, loop_problem(recipe, recipe.motion.speed), seconds, seed, in_time, kinds):
+    runs = _Runs(recipe, name, seconds)
+    if not pieces_otherwise(pick, loop_problem(recipe, recipe.motion.speed), seconds, seed, runs, kinds):
         return None
     assert runs.motion is not None
     text, chains = runs.motion
@@ -276,13 +272,16 @@ def _check_folder(folder: Path) -> None:
 
 
 class _Runs:
-    """Whether pieces can be run one after the other at the controller's own period, the ways between them included.
+    """Whether pieces can be run one after the other at the controller's own period within a time [s], the ways between
+    them included.
 
     `motion`: text and set-points of the last ones that can; `refused`: why the last ones cannot.
     """
 
-    def __init__(self, recipe: Recipe, name: str, load: Tool | None = None, limits: TorqueLimits | None = None):
-        self._recipe, self._name, self._load, self._limits = recipe, name, load, limits
+    def __init__(
+        self, recipe: Recipe, name: str, seconds: float, load: Tool | None = None, limits: TorqueLimits | None = None
+    ):
+        self._recipe, self._name, self._seconds, self._load, self._limits = recipe, name, seconds, load, limits
         self.motion: tuple[str, tuple[Trajectory, ...]] | None = None
         self.refused = ""
 
@@ -302,6 +301,12 @@ class _Runs:
             if over <= _SPEED_ROUND_OFF or speed < _SLOWEST_WAY:
                 break
             speed /= 2
+        took = _duration(text, chains, self._recipe.robot)
+        if took > self._seconds:
+            self.refused = (
+                f"it takes {took:.0f} s with the ways between its pieces, and {self._seconds:.0f} s are allowed"
+            )
+            return False
         self.motion = text, tuple(chains)
         return True
 
