@@ -242,10 +242,10 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
     if robot is None:
         raise InputError("diagnose: name the robot (--robot R), or a model that says what the arm is (--model MODEL)")
     if question.next_recipe is not None:
-        from agent.pipeline.next_experiment import check_joints
+        from agent.pipeline.next_experiment import check_arm
         from agent.recipe import load_recipe
 
-        check_joints(load_recipe(question.next_recipe), robot.joint_names)
+        check_arm(load_recipe(question.next_recipe), robot)
     console.step(f"reading {counted(len(paths), 'log')}")
     logs = read_logs(list(paths), robot, console)
     at_rest = _at_rest(robot, reference, question, console)

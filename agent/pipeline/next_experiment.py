@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 #: Longest motion that is planned [s].
 LONGEST = 60.0
+#: Two descriptions of one arm have its end, whatever they call that, within this part of its reach.
+_SAME_ARM = 0.15
 #: So many loops are asked which limit they break, where none keeps all.
 _ASKED_WHY = 20
 #: At so much of its joint speeds the arm goes from piece to piece, or at half of it, and so on, where the tool would be
@@ -114,7 +116,7 @@ def plan_next(
     """
     from agent.experiment import open_pairs, plan_experiment
 
-    check_joints(recipe, found.dataset.robot.joint_names)
+    check_arm(recipe, found.dataset.robot)
     pairs = open_pairs(found)
     if not pairs:
         return NoMotion("nothing is open: no further motion is needed")
@@ -247,16 +249,28 @@ def check_next(recipe: Path, folder: Path | None, load: str | None = None) -> No
     Candidates(loop_problem(loaded, loaded.motion.speed))
 
 
-def check_joints(recipe: Recipe, there: tuple[str, ...]) -> None:
+def check_arm(recipe: Recipe, there: RobotDescription) -> None:
     """
     Raises:
-        InputError: the joints of the recipe's robot are not those of the robot of the logs, `there`.
+        InputError: the recipe's robot is not that of the logs, `there`: other joints, or another arm by another name.
     """
-    here = recipe.robot.joint_names
-    if here != there:
+    from agent.robot import kinematics_for
+
+    here = recipe.robot
+    if here.joint_names != there.joint_names:
         raise InputError(
-            f"{recipe.path}: its robot has joints {', '.join(here)}; the logs are of one with {', '.join(there)}. "
-            "Name a recipe of that robot with --next"
+            f"{recipe.path}: its robot has joints {', '.join(here.joint_names)}; the logs are of one with "
+            f"{', '.join(there.joint_names)}. Name a recipe of that robot with --next"
+        )
+    if here.name == there.name:
+        return
+    postures = np.random.default_rng(0).uniform(-1.0, 1.0, (20, here.dof))
+    ends = [kinematics_for(robot).forward(postures)[:, :3, 3] for robot in (here, there)]
+    apart = float(np.linalg.norm(ends[0] - ends[1], axis=1).max())
+    if apart > _SAME_ARM * float(np.linalg.norm(ends[1], axis=1).max()):
+        raise InputError(
+            f"{recipe.path}: is for {here.name}, and the logs are of {there.name}, whose end is {1e3 * apart:.0f} mm "
+            "elsewhere in the same posture. Name a recipe of that robot with --next"
         )
 
 

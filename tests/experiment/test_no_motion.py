@@ -12,9 +12,11 @@ import pytest
 import agent.experiment
 from agent.core import Console, InputError, RejectedError, write_atomically
 from agent.diagnosis.evidence import null_gains
-from agent.experiment import Experiment
+from agent.experiment import KINDS, Experiment, as_drawn
+from agent.experiment.pieces import Pieces
 from agent.pipeline import GapQuestion, check_plausible, diagnose_files, next_experiment
-from agent.pipeline.next_experiment import LONGEST, NoMotion, plan_next
+from agent.pipeline.next_experiment import LONGEST, NoMotion, check_arm, plan_next
+from agent.pipeline.planning import loop_problem
 from agent.recipe import load_recipe, template
 from agent.recording import write_log
 from fake_controller.plant import Plant
@@ -136,7 +138,7 @@ def test_where_the_planning_is_stopped_the_diagnosis_and_its_page_are_there(
 
     monkeypatch.setattr(GapQuestion, "check", lambda *_: None)
     monkeypatch.setattr("agent.recipe.load_recipe", lambda path: None)
-    monkeypatch.setattr(next_experiment, "check_joints", lambda *_: None)
+    monkeypatch.setattr(next_experiment, "check_arm", lambda *_: None)
     monkeypatch.setattr(next_experiment, "plan_next", plan)
     question = GapQuestion(
         tmp_path / "model.json", report=tmp_path / "page.html", out=tmp_path / "next", next_recipe=tmp_path / "job.yaml"
@@ -172,3 +174,34 @@ def test_a_motion_is_planned_where_the_model_was_fitted_and_the_logs_go():
     assert kept["joint_2"] == (-0.4, 1.5), "and never further than the cell allows"
     found.dataset.model.provenance = {}
     assert next_experiment._where_known(recipe_problem, found) is recipe_problem  # type: ignore[arg-type]
+
+
+def test_the_ways_between_pieces_count_in_the_time_that_is_allowed(tmp_path: Path, monkeypatch):
+    """Two pieces that alone would fill it leave no time for the way from one to the other."""
+    recipe = load_recipe(write_atomically(tmp_path / "job.yaml", template()))
+    asked: list[tuple[int, bool]] = []
+
+    def both(pick, problem, seconds, seed, runnable, kinds):
+        pieces = Pieces(problem, [0], 30.0, np.random.default_rng(seed))
+        drawn = [piece for piece in (pieces.draw() for _ in range(12)) if piece is not None][:2]
+        asked.append((2, runnable(drawn)))
+        asked.append((1, runnable(drawn[:1])))
+        return tuple(drawn[:1])
+
+    monkeypatch.setattr(agent.experiment, "pieces_otherwise", both)
+    pieces = Pieces(loop_problem(recipe, recipe.motion.speed), [0], 30.0, np.random.default_rng(3))
+    first, second = [piece for piece in (pieces.draw() for _ in range(12)) if piece is not None][:2]
+    allowed = first.duration + second.duration
+    text, took = next_experiment.run_otherwise(as_drawn, KINDS, recipe, allowed, "other", 3)
+    assert asked == [(2, False), (1, True)]
+    assert took <= allowed
+    assert text.startswith("PROGRAM other")
+
+
+def test_a_recipe_of_another_arm_whose_joints_have_the_same_names_is_refused(tmp_path: Path):
+    recipe = load_recipe(write_atomically(tmp_path / "job.yaml", template()))
+    check_arm(recipe, replace(recipe.robot, name="the same arm by another description"))
+    other = make_arm("RRRRRR")
+    assert other.joint_names == recipe.robot.joint_names
+    with pytest.raises(InputError, match=r"is for comau_ns16, and the logs are of .* mm elsewhere in the same posture"):
+        check_arm(recipe, other)
