@@ -384,6 +384,23 @@ def test_a_motion_is_no_longer_than_its_rehearsals_need():
     assert only is fast
 
 
+def test_of_designs_that_rehearsals_cannot_tell_apart_the_first_is_taken_and_a_lucky_one_is_not():
+    hedged, exact, lucky, poor = ([SimpleNamespace(duration=float(k))] for k in range(4))
+    first = {id(hedged): 0.50, id(exact): 0.52, id(lucky): 0.90, id(poor): 0.0}
+    more = {id(hedged): 0.50, id(exact): 0.52, id(lucky): 0.10}
+    asked = []
+
+    def settled(design, draws, seed):
+        asked.append((id(design), seed))
+        return (first if seed == 3 else more)[id(design)]
+
+    designs = [hedged, exact, lucky, poor]
+    assert _best_rehearsed(designs, settled, 3, lambda text: None) == hedged
+    assert (id(poor), 4) not in asked, "what is far behind is not rehearsed again"
+    more[id(exact)] = 0.9
+    assert _best_rehearsed(designs, settled, 3, lambda text: None) == exact
+
+
 def test_loops_at_random_fill_the_time_with_nothing_else(problem):
     """Every use of the robot's time gets the same of it: of short pieces there are more."""
     loops = pieces_otherwise(as_drawn, problem, 60.0, 7, lambda pieces: True, LOOPS)
