@@ -18,7 +18,7 @@ from agent.experiment import LOOPS, as_drawn, d_optimal, open_pairs, pieces_othe
 from agent.experiment.motion import GridMotion, background_on
 from agent.experiment.outlook import Outlook
 from agent.experiment.pieces import Pieces
-from agent.experiment.plan import _at_best, _doubtful, _named, _shortened
+from agent.experiment.plan import _at_best, _best_rehearsed, _doubtful, _named, _shortened
 from agent.experiment.questions import Form, Hypothesis, OpenPair
 from agent.experiment.rehearsal import Rehearsal, Said
 from agent.model import CATALOGUE, MotionSignals
