@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 
 from agent.diagnosis.candidate import Candidate, HeldOutScore
+from agent.diagnosis.dataset import stiction
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.isolability import plausible
 from agent.diagnosis.limits import DecisionLimits
@@ -14,12 +15,13 @@ from agent.diagnosis.limits import DecisionLimits
 
 def joint_energy(fit: Fit, single: bool | None = None) -> np.ndarray:
     """(n,) mean of (e / σ)² held out; by `single` folds if so, else by those that the chosen effects are judged by."""
-    return np.nanmean((fit.out_of_fold(fit.once if single is None else single) / fit.sigma) ** 2, axis=0)
+    error = fit.rests.whitened_all(fit.out_of_fold(fit.once if single is None else single) / fit.sigma)
+    return np.nanmean(error**2, axis=0)
 
 
 def over_background(fit: Fit) -> np.ndarray:
     """(n,) energy of each joint over the background, in the logs where it is over it."""
-    energy = (fit.out_of_fold() / fit.sigma) ** 2
+    energy = fit.rests.whitened_all(fit.out_of_fold() / fit.sigma) ** 2
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in fit.signals])
     total = np.zeros(energy.shape[1])
     for number in np.unique(log):
@@ -89,7 +91,7 @@ def noticed(
 
     `at_rest` (S', n): rows that are no motion. `allow_stiction`: around a reversal only an error beyond what dry
     friction leaves open, as it may stick there. An effect that explains such an error may be named; an error that
-    nothing explains has to show elsewhere too.
+    nothing explains has to show elsewhere too. What a rest has beyond twice the Coulomb level no dry friction holds.
     """
     least = limits.practical_torque if least is None else least
     background = fit.sigma.min(axis=0) / fit.reference.scale  # where the joint moves
@@ -107,4 +109,7 @@ def noticed(
     clear = (moving > limits.clear_of_background * background) & (moving**2 > background**2 + least**2)
     energy = joint_energy(fit)
     over = np.sqrt(np.maximum(energy - 1, 0)) * background
+    held = np.maximum(fit.sigma, 2 * stiction(fit.reference)) / fit.reference.scale
+    beyond = np.sqrt(np.nanmean(np.where(at_rest, np.maximum(left**2 - held**2, 0.0), 0.0 * left), axis=0))
+    over = np.maximum(over, beyond)
     return clear | ((energy > 1 + limits.excess_energy) & (over > limits.unexplained_torque))

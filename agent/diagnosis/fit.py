@@ -143,7 +143,7 @@ class Fit:
     @property
     def near_rest(self) -> np.ndarray:
         """(S', n) bool: rows so near to a standstill of their joint that stiction may leave the torque open."""
-        return self.sigma > 1.01 * self.sigma.min(axis=0)
+        return (self.sigma > 1.01 * self.sigma.min(axis=0)) | self.rests.inside(len(self.sigma))
 
     @property
     def residuals(self) -> list[np.ndarray]:

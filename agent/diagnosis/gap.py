@@ -96,9 +96,9 @@ def held_out_gap(dataset: Dataset, fit: Fit, unit: np.ndarray | None = None) -> 
     left = fit.out_of_fold(fit.once)
     raw = dataset.residual if dataset.given else dataset.fit.out_of_fold()
     raw = np.where(np.isnan(left[:, :1]), np.nan, raw)
-    gain, largest = _on_own_joints(fit, raw, left)
     # friction that is predicted to hold one way may hold the other way: twice the level
     possible = np.maximum(fit.sigma, 2 * stiction(fit.reference))
+    gain, largest = _on_own_joints(fit, raw, left, np.where(fit.near_rest, possible, 0.0))
     stuck = np.where(fit.near_rest, np.minimum(np.abs(left), possible), 0.0)
     raw, left = _beyond(raw, stuck), _beyond(left, stuck)
     before, after = rms(raw) / unit, rms(left) / unit
@@ -111,13 +111,15 @@ def _beyond(rows: np.ndarray, stuck: np.ndarray) -> np.ndarray:
     return np.sign(rows) * np.sqrt(np.maximum(rows**2 - stuck**2, 0.0))
 
 
-def _on_own_joints(fit: Fit, raw: np.ndarray, left: np.ndarray) -> tuple[float, float]:
-    """Gain and largest of a `HeldOutGap`. At standstill any torque within stiction is right: no model predicts it."""
+def _on_own_joints(fit: Fit, raw: np.ndarray, left: np.ndarray, possible: np.ndarray) -> tuple[float, float]:
+    """Gain and largest of a `HeldOutGap`. At standstill any torque within what is `possible` (S', n) [N·m] is right: no
+    model predicts it."""
     own = sorted({joint for candidate in fit.chosen for joint in candidate.blocks})
     if not own:
         return 0.0, 0.0
-    moves = ~fit.near_rest & ~np.isnan(left)
-    before, after = (np.where(moves, rows / fit.reference.scale, np.nan)[:, own] for rows in (raw, left))
+    before, after = ((_beyond(rows, possible) / fit.reference.scale)[:, own] for rows in (raw, left))
+    counts = ~fit.near_rest[:, own] | (before != 0) | (after != 0)
+    before, after = np.where(counts, before, np.nan), np.where(counts, after, np.nan)
     return float(1 - np.nansum(after**2) / np.nansum(before**2)), float(np.max(rms(before)))
 
 

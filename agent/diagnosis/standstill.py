@@ -97,9 +97,19 @@ class Rests:
             found.append((rows, np.cumsum(lengths) - lengths, lengths, (1 - 1 / np.sqrt(1 + count)) / lengths))
         return found
 
+    def inside(self, count: int) -> np.ndarray:
+        """(S', n) bool, of S' = `count` rows: which are in a rest of a joint; one that never moves has no others."""
+        found = np.zeros((count, len(self.stretches)), dtype=bool)
+        for joint, (rows, *_) in enumerate(self._at):
+            found[rows, joint] = True
+        return found
+
     def whitened_all(self, rows: np.ndarray) -> np.ndarray:
-        """Rows (S', n) of all joints, over the background."""
-        return np.stack([self.whitened(joint, column) for joint, column in enumerate(rows.T)], axis=1)
+        """Rows (S', n) of all joints, over the background; those of guards are not a number, and stay it."""
+        known = np.isfinite(rows)
+        filled = np.where(known, rows, 0.0)
+        white = np.stack([self.whitened(joint, column) for joint, column in enumerate(filled.T)], axis=1)
+        return np.where(known, white, np.nan)
 
 
 def _count(rows: np.ndarray, before: int, after: int) -> np.ndarray:

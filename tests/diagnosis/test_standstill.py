@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -11,7 +13,7 @@ from agent.diagnosis.standstill import Rests
 from agent.estimation import EstimationSettings, estimate
 from agent.model import CATALOGUE
 from agent.recording.log import Log
-from agent.robot import RobotDescription
+from agent.robot import Dynamics, RobotDescription
 from agent.robot.bodies import rigid_bodies
 from tests.estimation.conftest import _arm, _log, _multisine
 
@@ -73,6 +75,30 @@ def test_what_stiction_holds_a_joint_with_all_through_a_log_is_no_evidence(stuck
     assert found.answer.verdict == "ambiguous"
     first = found.answer.causes[0]
     assert {first.effect, *(e.effect for e in first.equivalent_to)} == {"torque_offset", "asymmetric_friction"}
+
+
+def test_a_joint_that_never_moves_has_no_gap_within_its_stiction():
+    """Any constant torque up to the Coulomb level is right there: it is nothing that is not known."""
+    robot = _arm(2)
+    model = estimate(robot, [_beside(robot, seed, 0.0) for seed in (1, 2)], EstimationSettings.create(cutoff=20))
+    for stuck in (1.0, -1.0):
+        found = diagnose(robot, [_beside(robot, 4, 0.0, stuck)], model)
+        assert found.answer.verdict == "no_gap"
+        assert found.answer.gap.before[0] == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(("force", "named"), [(800.0, True), (80.0, False)])
+def test_a_push_while_a_joint_stands_is_seen_where_stiction_cannot_hold_it(force, named):
+    robot = _arm(2)
+    model = estimate(robot, [_beside(robot, seed, 0.0) for seed in (1, 2)], EstimationSettings.create(cutoff=20))
+    pushed = _beside(robot, 4, 0.0, 0.5)
+    inside = (pushed.t > 5.0) & (pushed.t < 6.2)
+    jacobian = Dynamics(robot).tcp_jacobian(pushed.position)[:, 0:3]
+    sideways = jacobian[:, :, 0] / np.linalg.norm(jacobian[:, :, 0], axis=1, keepdims=True)  # no torque on joint 2
+    torque = force * np.einsum("sij,si->sj", jacobian, sideways) * inside[:, None]
+    assert bool(np.abs(torque[:, 0]).max() > 2 * COULOMB) is named
+    found = diagnose(robot, [replace(pushed, effort=pushed.effort - torque), _beside(robot, 3, 0.0)], model)
+    assert found.answer.verdict == ("explained" if named else "no_gap")
 
 
 @given(lengths=st.lists(st.integers(60, 400), min_size=1, max_size=3), repeat=st.sampled_from([1.0, 10.0, 25.0]))
