@@ -179,6 +179,11 @@ def _settled(
         also = f"; a spring or hose that pulls alike over the {travel:.2g} {travelled} travelled would look the same"
         more = also if len(left.causes) == len(finding.causes) else ", and nothing else in the catalogue does as well"
         return left, f"{what}: its channel has no such offset{more}"
+    if abs(seen + size) <= near:
+        return (
+            finding,
+            f"{what}: as much with the other sign; was it the same channel, recorded alike? It settles nothing",
+        )
     return finding, f"{what}: that does not tell an offset from friction, and both may be there"
 
 

@@ -10,11 +10,12 @@ import numpy as np
 
 from agent.diagnosis import Diagnosis
 from agent.excitation import LoopProblem
+from agent.experiment.choice import best_rehearsed, rehearsed, settled
 from agent.experiment.otherwise import Pick, d_optimal, together
 from agent.experiment.outlook import Outlook, Told
 from agent.experiment.pieces import Piece, Pieces
 from agent.experiment.questions import Hypothesis, OpenPair
-from agent.experiment.rehearsal import Rehearsal, said_by
+from agent.experiment.rehearsal import said_by
 
 #: Pieces that are drawn, of which the best are put together; then so many neighbours of each are tried.
 _POOL, _NEIGHBOURS = 240, 12
@@ -28,14 +29,9 @@ _WAYS = 0.15
 _WITHIN_REACH = 0.3
 #: One of which the right answer is this likely without another motion is not asked about beside others.
 _KNOWN = 0.9
-#: Rehearsals of each rival of all motions, then of so many of them, and to say what is expected; motions that differ by
-#: less than a rehearsal or so are alike; of a pair that is told apart beside others that are not, so much counts.
-_TRIAL_DRAWS, _TRIED_AGAIN, _MORE_DRAWS, _DRAWS, _LIKE, _APART = 2, 3, 4, 6, 0.07, 0.3
 #: Of the time so much asks what is open, where there are rivals, and the rest says most of everything: rehearsals know
 #: neither laws that nobody thought of nor how a model errs at speeds that it was not seen at.
 _ASKED = 0.5
-#: A motion is chosen by rehearsals of so many hypotheses at most, the most urgent: what is named and equals it.
-_TRIED = 3
 #: A further piece raises what is expected by at least so much.
 _LEAST_IMPROVEMENT = 0.01
 
@@ -131,15 +127,13 @@ def plan_experiment(
     designs = [design for design in map(partial(_runnable, runnable), designs) if design]
     best = designs[0] if designs else []
     if rivals.any() and best:
-        settled = partial(_settled, found, pairs, problem)
-        best = _best_rehearsed(designs, settled, seed, progress)
+        best = best_rehearsed(designs, partial(settled, found, pairs, problem), seed, progress)
     while best and not runnable(best):  # what runs last is what is taken
         best = best[:-1]
     added = sum((outlook.told(piece.motion) for piece in best), outlook.nothing)
     after_if, detectable = outlook.chances(added), outlook.minimum_detectable_sizes(added)
     if best and rivals.any():
-        progress("the motion is rehearsed")
-        before_if, after_if = _rehearsed(found, pairs, best, problem, seed + 2)
+        before_if, after_if = rehearsed(found, pairs, best, problem, seed + 2, progress)
     expected = tuple(
         Expected(
             pairs[k], _mean(before_if[k]), _mean(after_if[k]), _known(before_if[k]), _known(after_if[k]), detectable[k]
@@ -189,34 +183,6 @@ def _different(sides: np.ndarray, of_cause: np.ndarray) -> Iterator[np.ndarray]:
         yield of_cause
 
 
-def _best_rehearsed(
-    designs: Sequence[list[Piece]],
-    settled: Callable[[Sequence[Piece], int, int], float],
-    seed: int,
-    progress: Callable[[str], None],
-) -> list[Piece]:
-    """The design whose rehearsals name most, of those that they cannot tell apart the one that is given first.
-
-    All are rehearsed a little, and the best of them once more: a few rehearsals do not say which of many is best, and
-    the highest of many has been lucky (successive halving: Karnin, Koren and Somekh, ICML 2013).
-    """
-    worth = np.zeros(len(designs))
-    for number, design in enumerate(designs):
-        progress(f"motion {number + 1} of {len(designs)} is rehearsed")
-        worth[number] = settled(design, _TRIAL_DRAWS, seed)
-    again = sorted(np.argsort(-worth, kind="stable")[:_TRIED_AGAIN].tolist())
-    whole = _TRIAL_DRAWS + _MORE_DRAWS
-    for number in again:
-        progress(f"motion {number + 1} of {len(designs)} is rehearsed again")
-        more = settled(designs[number], _MORE_DRAWS, seed + 1)
-        worth[number] = (_TRIAL_DRAWS * worth[number] + _MORE_DRAWS * more) / whole
-    highest = max(worth[again])
-    best = next(number for number in again if worth[number] >= highest - _LIKE)
-    if worth[best] < _KNOWN * (1 + _APART):
-        return list(designs[best])
-    return _shortened(list(designs[best]), worth[best], lambda design: settled(design, whole, seed), progress)
-
-
 def _loudest(outlook: Outlook, cause: Hypothesis, pool: Sequence[tuple[Piece, Told]]) -> Pick:
     """The piece on which the cause is largest over the model's error."""
     energy = {piece: outlook.energy(told, cause.truths[0]) for piece, told in pool}
@@ -231,21 +197,6 @@ def _runnable(runs: Callable[[Sequence[Piece]], bool], design: Sequence[Piece]) 
     return left
 
 
-def _shortened(
-    design: list[Piece], worth: float, settled: Callable[[list[Piece]], float], progress: Callable[[str], None]
-) -> list[Piece]:
-    """Without every piece of which rehearsals name as much without it, the longest first: robot time is dear.
-
-    For a motion that is nearly sure to tell: of others a few rehearsals do not say what less of it would cost.
-    """
-    for piece in sorted(design, key=lambda piece: -piece.duration)[:_MOST_PIECES]:
-        without = [other for other in design if other is not piece]
-        progress(f"the motion is rehearsed without {piece.duration:.0f} s of it")
-        if without and settled(without) >= worth:
-            design = without
-    return design
-
-
 def _d_optimal(found: Diagnosis, pool: Sequence[tuple[Piece, Told]]) -> Pick:
     """What says most of everything: it fills the time that a design leaves, and is one itself."""
     model = len(found.dataset.fit.precision)
@@ -254,36 +205,6 @@ def _d_optimal(found: Diagnosis, pool: Sequence[tuple[Piece, Told]]) -> Pick:
         found.dataset,
         lambda piece: told[piece] if piece in told else Outlook(found.dataset, ()).information(piece.motion),
     )
-
-
-def _settled(
-    found: Diagnosis, pairs: Sequence[OpenPair], problem: LoopProblem, design: Sequence[Piece], draws: int, seed: int
-) -> float:
-    """Share of rehearsals that name what is true alone, and with less weight of pairs that are told apart."""
-    names = found.dataset.robot.joint_names
-    said = Rehearsal(found, pairs, [piece.motion for piece in design], problem.load).said(draws, seed, _TRIED)
-    alone = [one.settles(place) for place, answers in said.items() for one in answers]
-    open_pairs = [
-        (a.place(names), b.place(names)) for p in pairs for a, b in ((p.first, p.second), (p.second, p.first))
-    ]
-    apart = [one.names(true, rival) for true, rival in open_pairs for one in said.get(true, ())]
-    return float(np.mean(alone) + _APART * np.mean(apart)) if alone else 0.0
-
-
-def _rehearsed(
-    found: Diagnosis, pairs: Sequence[OpenPair], design: Sequence[Piece], problem: LoopProblem, seed: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """(pairs, 2) right answers of now and after the motion, where the first or the second of a pair is true."""
-    names, now = found.dataset.robot.joint_names, said_by(found.finding)
-    said = Rehearsal(found, pairs, [piece.motion for piece in design], problem.load).said(_DRAWS, seed)
-    before, after = np.full((2, len(pairs), 2), np.nan)
-    for number, pair in enumerate(pairs):
-        first, second = pair.first.place(names), pair.second.place(names)
-        for side, (true, rival) in enumerate(((first, second), (second, first))):
-            if said.get(true):
-                before[number, side] = now.names(true, rival)
-                after[number, side] = np.mean([one.names(true, rival) for one in said[true]])
-    return before, after
 
 
 def _mean(chances: np.ndarray) -> float:

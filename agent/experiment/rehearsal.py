@@ -11,7 +11,7 @@ the places that are open and their simpler forms. The shares of right answers ar
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -83,7 +83,9 @@ class Rehearsal:
         pairs: Sequence[OpenPair],
         pieces: Sequence[GridMotion],
         load: Tool | None = None,
+        progress: Callable[[str], None] = lambda text: None,
     ):
+        self._progress = progress
         self._found, self._pairs = found, [pair for pair in pairs if pair.second.forms]
         self._dataset = _with_motion(found.dataset, pieces, load)
         self._new = self._dataset.log == len(found.dataset.logs)
@@ -101,10 +103,12 @@ class Rehearsal:
         """What is said in so many draws where each of the open hypotheses is true, or of the `most` urgent ones."""
         names = self._dataset.robot.joint_names
         beside = {side.place(names): pair.fit.chosen for pair in self._pairs for side in (pair.second, pair.first)}
-        return {
-            place: [self._answer(left) for left in self._drawn(place, chosen, draws, np.random.default_rng([seed, k]))]
-            for k, (place, chosen) in enumerate(list(beside.items())[:most])
-        }
+        found: dict[Place, list[Said]] = {}
+        for k, (place, chosen) in enumerate(list(beside.items())[:most]):
+            self._progress(f"the motion is rehearsed with {place[0]} taken for true")
+            drawn = self._drawn(place, chosen, draws, np.random.default_rng([seed, k]))
+            found[place] = [self._answer(left) for left in drawn]
+        return found
 
     def _answer(self, left: np.ndarray) -> Said:
         fit = self._dataset.fit.with_residual(left)

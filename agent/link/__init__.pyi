@@ -1,6 +1,11 @@
 from .alignment import Aligner as Aligner, moving_segments as moving_segments
 from .controller import answering as answering
-from .payload import PROGRAM_SHA256 as PROGRAM_SHA256, check_payload as check_payload, with_payload as with_payload
+from .payload import (
+    PROGRAM_SHA256 as PROGRAM_SHA256,
+    SCHEMA as SCHEMA,
+    check_payload as check_payload,
+    with_payload as with_payload,
+)
 from .planned import (
     check_cell as check_cell,
     check_load as check_load,

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 #: Key of `experiment.json`: SHA-256 of the program that it is about.
 PROGRAM_SHA256 = "program_sha256"
+SCHEMA = "experiment/1"
 _COMMENT = "  -- planned with this at the flange: "
 
 
@@ -83,10 +84,14 @@ def _plan_of(program: Path, text: str) -> dict[str, Any]:
         planned = json.loads(path.read_text(encoding="utf-8"))
         beside = Path(planned["program"]).name == program.name
         sha256, load = planned[PROGRAM_SHA256], planned.get(PAYLOAD)
-        whole = planned[PARTS] == PLANNED_PARTS and (load is None or payload_text(payload_of(load)) == load)
+        whole = (
+            planned["schema"] == SCHEMA
+            and planned[PARTS] == PLANNED_PARTS
+            and (load is None or payload_text(payload_of(load)) == load)
+        )
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}; plan the motion again, or move it away") from None
-    except (ValueError, KeyError, TypeError, AttributeError, InputError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, InputError):
         whole = beside = True
         sha256 = None
     if not beside:

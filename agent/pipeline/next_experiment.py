@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.core import Console, InputError, sha256_text, write_atomically
-from agent.link import PROGRAM_SHA256, check_payload, torque_limits, with_payload
+from agent.link import PROGRAM_SHA256, SCHEMA, check_payload, torque_limits, with_payload
 from agent.pipeline.other_tests import BRAKES, brakes_tell, helped, other_test, with_a_mass
 from agent.pipeline.planning import checked_chains, loop_problem
 from agent.recipe import Recipe
@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 
 #: Longest motion that is planned [s].
 LONGEST = 60.0
-#: Two descriptions of one arm have its end, whatever they call that, within this part of its reach.
-_SAME_ARM = 0.15
+#: Two descriptions of one arm have its end, whatever they call that, within this part of its reach: under another name,
+#: and under the same.
+_SAME_ARM, _SAME_NAME = 0.15, 0.05
 #: So many loops are asked which limit they break, where none keeps all.
 _ASKED_WHY = 20
 #: At so much of its joint speeds the arm goes from piece to piece, or at half of it, and so on, where the tool would be
@@ -134,6 +135,7 @@ def plan_next(
         if motion.helps():
             return motion
     if seconds < LONGEST:
+        console.step(f"no motion of {seconds:.0f} s would settle it; whether a longer one would is what is asked now")
         longer = plan_next(found, recipe, console, LONGEST, name, load)
         if isinstance(longer, NoMotion):
             return longer
@@ -147,7 +149,7 @@ def plan_next(
         why = _refused(problem)
         return NoMotion(f"no motion was found that keeps all limits in {where} ({why}): agent check says more", names)
     why = f" ({runs.refused})" if runs.refused else ""
-    loads = "" if load is not None else with_a_mass(found, pairs, problem, seconds, recipe.search.seed)
+    loads = "" if load is not None else with_a_mass(found, pairs, problem, seconds, recipe.search.seed, console)
     asked_of = pairs[0]
     what = (
         f"tell {asked_of.first.text()} from {asked_of.second.text()}"
@@ -225,7 +227,7 @@ def write_next(motion: NextMotion, folder: Path) -> dict[str, Any]:
     _check_folder(folder)
     program = write_atomically(folder / "program.pdl", motion.text)
     data = motion.to_dict(str(program))
-    write_json(folder / "experiment.json", {"schema": "experiment/1", **data, PROGRAM_SHA256: sha256_text(motion.text)})
+    write_json(folder / "experiment.json", {"schema": SCHEMA, **data, PROGRAM_SHA256: sha256_text(motion.text)})
     return data
 
 
@@ -252,7 +254,7 @@ def check_next(recipe: Path, folder: Path | None, load: str | None = None) -> No
 def check_arm(recipe: Recipe, there: RobotDescription) -> None:
     """
     Raises:
-        InputError: the recipe's robot is not that of the logs, `there`: other joints, or another arm by another name.
+        InputError: the recipe's robot is not that of the logs, `there`: other joints, or another geometry.
     """
     from agent.robot import kinematics_for
 
@@ -262,15 +264,13 @@ def check_arm(recipe: Recipe, there: RobotDescription) -> None:
             f"{recipe.path}: its robot has joints {', '.join(here.joint_names)}; the logs are of one with "
             f"{', '.join(there.joint_names)}. Name a recipe of that robot with --next"
         )
-    if here.name == there.name:
-        return
     postures = np.random.default_rng(0).uniform(-1.0, 1.0, (20, here.dof))
     ends = [kinematics_for(robot).forward(postures)[:, :3, 3] for robot in (here, there)]
     apart = float(np.linalg.norm(ends[0] - ends[1], axis=1).max())
-    if apart > _SAME_ARM * float(np.linalg.norm(ends[1], axis=1).max()):
+    if apart > (_SAME_NAME if here.name == there.name else _SAME_ARM) * float(np.linalg.norm(ends[1], axis=1).max()):
         raise InputError(
-            f"{recipe.path}: is for {here.name}, and the logs are of {there.name}, whose end is {1e3 * apart:.0f} mm "
-            "elsewhere in the same posture. Name a recipe of that robot with --next"
+            f"{recipe.path}: is for {here.name}, and the logs are of {there.name}, by whose description the end is "
+            f"{1e3 * apart:.0f} mm elsewhere in the same posture. Name a recipe of that very robot with --next"
         )
 
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from agent.core import Console
+
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
     from agent.excitation import LoopProblem
@@ -45,7 +47,9 @@ def brakes_tell(found: Diagnosis, pairs: Sequence[OpenPair]) -> bool:
     return any(name in CATALOGUE and CATALOGUE[name].adds_to_report for pair in pairs for name in pair.names)
 
 
-def with_a_mass(found: Diagnosis, pairs: Sequence[OpenPair], problem: LoopProblem, seconds: float, seed: int) -> str:
+def with_a_mass(
+    found: Diagnosis, pairs: Sequence[OpenPair], problem: LoopProblem, seconds: float, seed: int, console: Console
+) -> str:
     """Whether a known mass at the flange would make a motion tell, tried with a light one; empty where not."""
     from agent.experiment import plan_experiment
     from agent.model import payload_text
@@ -57,7 +61,8 @@ def with_a_mass(found: Diagnosis, pairs: Sequence[OpenPair], problem: LoopProble
     reach = float(np.linalg.norm(kinematics_for(robot, None).forward(postures)[:, :3, 3], axis=1).max())
     strongest = float(np.max(found.dataset.fit.reference.scale))
     load = Tool(np.eye(4), float(f"{_TRIAL_LOAD * strongest / (9.81 * max(reach, 0.1)):.1g}"), np.zeros(3))
-    tried = plan_experiment(found, pairs, replace(problem, load=load), seconds, seed)
+    console.step("no motion of the bare arm would settle it; whether one with a mass would is what is asked now")
+    tried = plan_experiment(found, pairs, replace(problem, load=load), seconds, seed, console.progress)
     expected = [e for e in tried.expected if helped(e)]
     if not expected:
         return ""

@@ -15,10 +15,11 @@ from agent.diagnosis.folds import folds_of, part_borders
 from agent.diagnosis.limits import LIMITS
 from agent.excitation import LoopProblem
 from agent.experiment import LOOPS, as_drawn, d_optimal, open_pairs, pieces_otherwise, plan_experiment, questions
+from agent.experiment.choice import _shortened, best_rehearsed
 from agent.experiment.motion import GridMotion, background_on
 from agent.experiment.outlook import Outlook
 from agent.experiment.pieces import Pieces
-from agent.experiment.plan import _at_best, _best_rehearsed, _doubtful, _named, _shortened
+from agent.experiment.plan import _at_best, _doubtful, _named
 from agent.experiment.questions import Form, Hypothesis, OpenPair
 from agent.experiment.rehearsal import Rehearsal, Said
 from agent.model import CATALOGUE, MotionSignals
@@ -395,10 +396,10 @@ def test_of_designs_that_rehearsals_cannot_tell_apart_the_first_is_taken_and_a_l
         return (first if seed == 3 else more)[id(design)]
 
     designs = [hedged, exact, lucky, poor]
-    assert _best_rehearsed(designs, settled, 3, lambda text: None) == hedged
+    assert best_rehearsed(designs, settled, 3, lambda text: None) == hedged
     assert (id(poor), 4) not in asked, "what is far behind is not rehearsed again"
     more[id(exact)] = 0.9
-    assert _best_rehearsed(designs, settled, 3, lambda text: None) == exact
+    assert best_rehearsed(designs, settled, 3, lambda text: None) == exact
 
 
 def test_loops_at_random_fill_the_time_with_nothing_else(problem):

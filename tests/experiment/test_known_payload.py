@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agent.core import InputError, sha256_text
-from agent.link.payload import PROGRAM_SHA256, check_payload, known_of, with_payload
+from agent.link.payload import PROGRAM_SHA256, SCHEMA, check_payload, known_of, with_payload
 from agent.model import PAYLOAD, payload_of
 from agent.motion import Delay, parse_program, write_program
 from agent.recording import PARTS
@@ -27,7 +27,7 @@ def nobody(question: str) -> bool:
 @pytest.fixture
 def program(tmp_path: Path) -> Path:
     path = tmp_path / "program.pdl"
-    plan = {"program": str(path), PROGRAM_SHA256: sha256_text(TEXT), PARTS: "2", "payload": LOAD}
+    plan = {"schema": SCHEMA, "program": str(path), PROGRAM_SHA256: sha256_text(TEXT), PARTS: "2", "payload": LOAD}
     (tmp_path / "experiment.json").write_text(json.dumps(plan), encoding="utf-8")
     return path
 
@@ -70,13 +70,15 @@ def test_any_other_program_says_what_a_person_says(tmp_path: Path, program: Path
         {"payload": 5},
         {"program": 5},
         {"program": None},
+        {"schema": "experiment/9"},
+        {"schema": None},
     ],
 )
 def test_a_plan_that_is_damaged_is_refused_in_words(program: Path, change):
     """`change`: keys of the plan, None to take one out; None for all of it."""
     path = program.with_name("experiment.json")
     if change is None:
-        path.write_text("{", encoding="utf-8")
+        path.write_text("[" * 100_000, encoding="utf-8")
     else:
         plan = json.loads(path.read_text(encoding="utf-8")) | change
         path.write_text(json.dumps({k: v for k, v in plan.items() if v is not None}), encoding="utf-8")
@@ -85,7 +87,7 @@ def test_a_plan_that_is_damaged_is_refused_in_words(program: Path, change):
 
 
 def test_the_log_of_a_planned_motion_says_in_how_many_parts_it_is_held_out(program: Path):
-    plan = {"program": str(program), PROGRAM_SHA256: sha256_text(TEXT), PARTS: "2"}
+    plan = {"schema": SCHEMA, "program": str(program), PROGRAM_SHA256: sha256_text(TEXT), PARTS: "2"}
     program.with_name("experiment.json").write_text(json.dumps(plan), encoding="utf-8")
     assert known_of(program, TEXT, None, nobody) == {PARTS: "2"}
     assert known_of(program.with_name("other.pdl"), TEXT, None, nobody) == {}
@@ -99,7 +101,7 @@ def test_the_program_itself_says_what_it_was_planned_with(tmp_path: Path, beside
     parts = {}
     if beside is not None:
         parts = {PARTS: "2"}
-        plan = {"program": "program.pdl", PROGRAM_SHA256: sha256_text(text), **parts, **beside}
+        plan = {"schema": SCHEMA, "program": "program.pdl", PROGRAM_SHA256: sha256_text(text), **parts, **beside}
         program.with_name("experiment.json").write_text(json.dumps(plan), encoding="utf-8")
     assert len(list(parse_program(text, "program.pdl", robot).run())) == 1
     with pytest.raises(InputError, match="mount it, and say so with --payload '5 kg"):
@@ -109,7 +111,7 @@ def test_the_program_itself_says_what_it_was_planned_with(tmp_path: Path, beside
 
 def test_a_program_that_was_changed_since_it_was_planned_is_not_what_was_planned(tmp_path: Path):
     program = tmp_path / "program.pdl"
-    plan = {"program": "program.pdl", PROGRAM_SHA256: sha256_text(TEXT), PARTS: "2"}
+    plan = {"schema": SCHEMA, "program": "program.pdl", PROGRAM_SHA256: sha256_text(TEXT), PARTS: "2"}
     program.with_name("experiment.json").write_text(json.dumps(plan), encoding="utf-8")
     assert known_of(program, TEXT, None, nobody) == {PARTS: "2"}
     with pytest.raises(InputError, match="was changed since it was planned"):

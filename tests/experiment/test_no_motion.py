@@ -205,3 +205,5 @@ def test_a_recipe_of_another_arm_whose_joints_have_the_same_names_is_refused(tmp
     assert other.joint_names == recipe.robot.joint_names
     with pytest.raises(InputError, match=r"is for comau_ns16, and the logs are of .* mm elsewhere in the same posture"):
         check_arm(recipe, other)
+    with pytest.raises(InputError, match="elsewhere in the same posture"):  # by its name it is the same
+        check_arm(recipe, replace(other, name=recipe.robot.name))
