@@ -12,13 +12,17 @@ from agent.experiment.pieces import Piece
 from agent.experiment.questions import OpenPair
 from agent.experiment.rehearsal import Rehearsal, said_by
 
-#: Rehearsals of each rival of all motions, then of so many of them, and to say what is expected; motions that differ by
-#: less than a rehearsal or so are alike; of a pair that is told apart beside others that are not, so much counts.
-_TRIAL_DRAWS, _TRIED_AGAIN, _MORE_DRAWS, _DRAWS, _LIKE, _APART = 2, 3, 4, 6, 0.07, 0.3
+#: Rehearsals of each rival for every motion, and once more for so many of the best.
+_TRIAL_DRAWS, _TRIED_AGAIN, _MORE_DRAWS = 2, 2, 4
+#: Rehearsals of each rival to say what is expected, least and most, and about so many of all rivals: each takes time.
+_LEAST_DRAWS, _MOST_DRAWS, _DRAWS = 3, 6, 24
+#: Motions that differ by less are alike: a rehearsal or so. Of a pair that is told apart beside others that are not, so
+#: much counts.
+_LIKE, _APART = 0.07, 0.3
 #: A motion is chosen by rehearsals of so many hypotheses at most, the most urgent: what is named and equals it.
 _TRIED = 3
 #: Of a motion that names what is true this often pieces are left out that it does not need, so many at most are tried.
-_SURE, _LEFT_OUT = 0.9, 5
+_SURE, _LEFT_OUT = 0.9, 3
 
 
 def best_rehearsed(
@@ -37,16 +41,16 @@ def best_rehearsed(
         progress(f"motion {number + 1} of {len(designs)} is rehearsed")
         worth[number] = settled(design, _TRIAL_DRAWS, seed)
     again = sorted(np.argsort(-worth, kind="stable")[:_TRIED_AGAIN].tolist())
-    whole = _TRIAL_DRAWS + _MORE_DRAWS
+    more = {}
     for number in again:
         progress(f"motion {number + 1} of {len(designs)} is rehearsed again")
-        more = settled(designs[number], _MORE_DRAWS, seed + 1)
-        worth[number] = (_TRIAL_DRAWS * worth[number] + _MORE_DRAWS * more) / whole
+        more[number] = settled(designs[number], _MORE_DRAWS, seed + 1)
+        worth[number] = np.average([worth[number], more[number]], weights=[_TRIAL_DRAWS, _MORE_DRAWS])
     highest = max(worth[again])
     best = next(number for number in again if worth[number] >= highest - _LIKE)
     if worth[best] < _SURE * (1 + _APART):
         return list(designs[best])
-    return _shortened(list(designs[best]), worth[best], lambda design: settled(design, whole, seed), progress)
+    return _shortened(list(designs[best]), more[best], lambda design: settled(design, _MORE_DRAWS, seed + 1), progress)
 
 
 def _shortened(
@@ -88,7 +92,9 @@ def rehearsed(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(pairs, 2) right answers of now and after the motion, where the first or the second of a pair is true."""
     names, now = found.dataset.robot.joint_names, said_by(found.finding)
-    said = Rehearsal(found, pairs, [piece.motion for piece in design], problem.load, progress).said(_DRAWS, seed)
+    rehearsal = Rehearsal(found, pairs, [piece.motion for piece in design], problem.load, progress)
+    places = {side.place(names) for pair in pairs if pair.second.forms for side in (pair.first, pair.second)}
+    said = rehearsal.said(int(np.clip(_DRAWS // max(len(places), 1), _LEAST_DRAWS, _MOST_DRAWS)), seed)
     before, after = np.full((2, len(pairs), 2), np.nan)
     for number, pair in enumerate(pairs):
         first, second = pair.first.place(names), pair.second.place(names)

@@ -95,8 +95,7 @@ class Rehearsal:
         open_places = {side.place(names) for pair in self._pairs for side in (pair.first, pair.second)}
         self._only = {*open_places, *(c.place for c in found.finding.causes)}
         for effect, joints in list(self._only):
-            alike = {name for name, other in CATALOGUE.items() if set(other.shapes) & set(CATALOGUE[effect].shapes)}
-            simpler = [name for name in {*CATALOGUE[effect].special_cases, *alike} if CATALOGUE[name].scope == "joint"]
+            simpler = [name for name in CATALOGUE[effect].special_cases if CATALOGUE[name].scope == "joint"]
             self._only |= {(name, (joint,)) for name in simpler for joint in joints}
 
     def said(self, draws: int, seed: int = 0, most: int | None = None) -> dict[Place, list[Said]]:
