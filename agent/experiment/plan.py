@@ -20,7 +20,7 @@ from agent.experiment.rehearsal import said_by
 #: Pieces that are drawn, of which the best are put together; then so many neighbours of each are tried.
 _POOL, _NEIGHBOURS = 240, 12
 #: A motion has at most so many pieces that are chosen for what they separate, and ends early where the right answer is
-#: this likely; what only fills the time may be more. As many are tried to be left out.
+#: this likely; what only fills the time may be more.
 _MOST_PIECES, _SURE = 5, 0.97
 #: Of the time for a motion so much goes into the ways between its pieces.
 _WAYS = 0.15
