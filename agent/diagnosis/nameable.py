@@ -12,7 +12,7 @@ from agent.diagnosis.candidate import Candidate, HeldOutScore, Where
 from agent.diagnosis.excess import largest_torque, noticed, over_background, put_elsewhere
 from agent.diagnosis.finding import Step
 from agent.diagnosis.fit import Fit
-from agent.diagnosis.isolability import plausible
+from agent.diagnosis.isolability import complexity, plausible
 from agent.diagnosis.limits import DecisionLimits
 from agent.diagnosis.needs import Excursions
 from agent.diagnosis.rivals import Places, may_follow_position, offset_and_friction_as_good, special_case_as_good
@@ -81,12 +81,14 @@ class Nameable:
 
     def fuller(self, fit: Fit, step: Step, cause: Candidate, lost: float, least: float) -> list[Where]:
         """Laws that a cause, which loses `lost`, is a simple limit of, and that do better: too little to be named, as
-        no form is trusted that far, but by too much to be ruled out."""
-        robot, ruled_out = fit.reference.robot, lost + self.limits.equal_gain_floor * float(fit.count.sum())
+        no form is trusted that far, but by too much to be ruled out. One with as few parameters as the cause is not
+        ruled out by doing better at all: there is no more of it to fit with."""
+        robot, floor = fit.reference.robot, self.limits.equal_gain_floor * float(fit.count.sum())
         laws = [
             score
             for score in step.scores
-            if score.gain > ruled_out and score not in step.eligible and score.candidate.joints == cause.joints
+            if score.gain > lost + floor * (complexity(score.candidate) > complexity(cause))
+            if score not in step.eligible and score.candidate.joints == cause.joints
             if cause.effect.name in score.candidate.effect.simpler(score.candidate.settings, robot)
         ]
         return [score.candidate.place for score in self.possible(fit, laws, least)]

@@ -132,6 +132,17 @@ def test_friction_that_bends_by_little_is_not_ruled_out(arm, model, healthy):
     assert "viscous_nonlinearity" in named
 
 
+def test_friction_that_grows_with_a_load_that_hardly_changes_is_not_ruled_out(arm, model):
+    """As many parameters explain more, by as little as the load changes; another level of friction is no simpler."""
+    plant = Plant(arm, seed=3)
+    logs = [record(plant, name, seed, 0.1) for name, seed in (("a", 21), ("b", 22), ("c", 23))]
+    altered = _with(model, logs, lambda q, load, gone: 0.05 * np.abs(load) * _slide(q), joint=1)
+    found = diagnose(arm, altered, model).answer
+    named = {(place.effect, place.joints) for cause in found.causes for place in (cause, *cause.equivalent_to)}
+    assert {("friction_change", ("joint_2",)), ("load_dependent_friction", ("joint_2",))} <= named
+    assert found.verdict == "ambiguous"
+
+
 def test_a_spring_beside_more_friction_may_be_a_hose_that_rubs(arm, model, healthy):
     """No form of a hose follows every one, so it is said whether one of them does as well or not."""
     size = np.std(healthy[0].effort[:, JOINT])
@@ -219,13 +230,13 @@ def test_on_a_slide_too():
     assert "N·m" not in line
 
 
-def _with(model: IdentifiedModel, logs: Sequence[Log], law: Law) -> list[Log]:
+def _with(model: IdentifiedModel, logs: Sequence[Log], law: Law, joint: int = JOINT) -> list[Log]:
     gone, found = 0.0, []
     for log in logs:
-        q, effort = log.position[:, JOINT], log.effort.copy()
+        q, effort = log.position[:, joint], log.effort.copy()
         qdd = np.gradient(savgol_filter(log.velocity, 25, 2, axis=0), log.t, axis=0)
         load = model.rigid.torque(log.position, log.velocity, qdd, model.base_values)
-        effort[:, JOINT] += law(q, load[:, JOINT], gone)
+        effort[:, joint] += law(q, load[:, joint], gone)
         gone += float(np.abs(np.diff(q)).sum())
         found.append(replace(log, effort=effort))
     return found
