@@ -54,8 +54,8 @@ def _way(way: str, done: Sequence[Entry], ambiguous: Sequence[Entry], unnamed: S
         "right_after_two": _share(_outcome(e, _after(e, way, 2)) == "right" for e in ambiguous),
         "found_after_one": _share(_outcome(e, _after(e, way, 1)) == "right" for e in unnamed),
         "wrong_names": _share(_outcome(e, _after(e, way, 2)) == "wrong name" for e in done),
-        "right_with_brakes": _share(_outcome(e, _with_brakes(e, way)) == "right" for e in ambiguous),
-        "wrong_with_brakes": _share(_outcome(e, _with_brakes(e, way)) == "wrong name" for e in done),
+        "right_with_tests": _share(_outcome(e, _with_tests(e, way)) == "right" for e in ambiguous),
+        "wrong_with_tests": _share(_outcome(e, _with_tests(e, way)) == "wrong name" for e in done),
         "robot_s": float(sum(r["seconds"] for e in done for r in e["ways"].get(way, ()))),
     }
 
@@ -89,9 +89,11 @@ def _after(entry: Entry, way: str, rounds: int) -> Mapping[str, Any]:
     return results[-1]
 
 
-def _with_brakes(entry: Entry, way: str) -> Mapping[str, Any]:
-    """The result after one further motion, and after seconds on the brakes where the first answer asks for them."""
-    return entry.get("brakes", {}).get(way) or _after(entry, way, 1)
+def _with_tests(entry: Entry, way: str) -> Mapping[str, Any]:
+    """The result after one further motion, and after seconds on the brakes where the first answer asks for them; of
+    the planned way, with the mass that it asks for otherwise."""
+    mass = entry.get("mass") if way == "planned" else None
+    return entry.get("brakes", {}).get(way) or mass or _after(entry, way, 1)
 
 
 def _outcome(entry: Entry, result: Mapping[str, Any]) -> str:
@@ -164,11 +166,12 @@ def active_text(scores: Mapping[str, Any]) -> str:
         "",
     ]
     lines += [
-        "of runs ambiguous then: named rightly after one motion, after one and seconds on the brakes where an offset",
-        "of a torque channel is open, after two; of those with an effect and no name: named rightly after one;",
-        "wrong names in all runs, without the brakes and with them",
+        "of runs ambiguous then: named rightly after one motion; after one and the tests that the tool asks for beside",
+        "it, which are seconds on the brakes where an offset of a torque channel is open, and a known mass for the",
+        "planned motion; after two motions; of those with an effect and no name: named rightly after one; wrong names",
+        "in all runs, without the tests and with them",
         "",
-        " " * 18 + "  after one  and brakes  after two    no name     wrong     wrong    robot",
+        " " * 18 + "  after one   and tests  after two    no name     wrong     wrong    robot",
     ]
     for way, row in scores["ways"].items():
         shares = (f"{row[k]['count']} of {row[k]['of']}".rjust(width) for k, width in _COLUMNS.items())
@@ -198,9 +201,9 @@ def active_text(scores: Mapping[str, Any]) -> str:
 
 _COLUMNS = {
     "right_after_one": 10,
-    "right_with_brakes": 11,
+    "right_with_tests": 11,
     "right_after_two": 10,
     "found_after_one": 10,
     "wrong_names": 9,
-    "wrong_with_brakes": 9,
+    "wrong_with_tests": 9,
 }

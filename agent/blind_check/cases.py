@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from agent.model import CATALOGUE
-from agent.robot import RobotDescription
+from agent.robot import RobotDescription, Tool
 
 #: Runs that share one individual machine and its reference model.
 GROUP = 8
@@ -114,6 +114,12 @@ def _collide(effects: tuple[dict[str, Any], ...]) -> bool:
     first, second = effects
     gears = _twists(first["effect"]) and _twists(second["effect"])
     return first["effect"] == second["effect"] or (gears and first["joints"] == second["joints"])
+
+
+def mounted(load: Tool) -> dict[str, Any]:
+    """A known mass at the flange as machines are given it: as an effect."""
+    centre = np.zeros(3) if load.centre_of_mass is None else load.centre_of_mass
+    return {"effect": "payload", "joints": [], "parameters": {"mass": load.mass, "centre": centre.tolist()}}
 
 
 def _twists(name: str) -> bool:

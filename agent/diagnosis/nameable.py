@@ -79,16 +79,23 @@ class Nameable:
         left = (fit.with_chosen((*fit.chosen, one.candidate)).error(True) for one in (best, score))
         return next(left) < next(left)
 
-    def fuller(self, fit: Fit, step: Step, cause: Candidate, lost: float, least: float) -> list[Where]:
+    def fuller(
+        self, fit: Fit, step: Step, cause: Candidate, lost: float, least: float, forms: Sequence[Candidate]
+    ) -> list[Where]:
         """Laws that a cause, which loses `lost`, is a simple limit of, and that do better: too little to be named, as
-        no form is trusted that far, but by too much to be ruled out. One with as few parameters as the cause is not
-        ruled out by doing better at all: there is no more of it to fit with."""
+        no form is trusted that far, but by too much to be ruled out. Where one of their `forms` has no more parameters
+        than the cause, it is not ruled out by doing better at all: there is no more of it to fit with."""
         robot, floor = fit.reference.robot, self.limits.equal_gain_floor * float(fit.count.sum())
+
+        def as_simple(place: Where) -> bool:
+            simple = [one for one in forms if one.place == place and complexity(one) <= complexity(cause)]
+            return any(score.gain > lost and plausible(score) for score in fit.score(simple))
+
         laws = [
             score
             for score in step.scores
-            if score.gain > lost + floor * (complexity(score.candidate) > complexity(cause))
-            if score not in step.eligible and score.candidate.joints == cause.joints
+            if score.gain > lost and score not in step.eligible and score.candidate.joints == cause.joints
             if cause.effect.name in score.candidate.effect.simpler(score.candidate.settings, robot)
+            if score.gain > lost + floor or as_simple(score.candidate.place)
         ]
         return [score.candidate.place for score in self.possible(fit, laws, least)]

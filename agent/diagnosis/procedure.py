@@ -295,7 +295,7 @@ class Search:
                     if score.candidate.once <= candidate.once and score.gain > self.limits.runner_up_gain * lost:
                         runners.append(score.candidate.place)  # what comes back is no string of pushes
             known = [place for place in equals if place[0] in self.allowed]
-            fuller = self._nameable.fuller(without, step, candidate, lost, self.least)
+            fuller = self._nameable.fuller(without, step, candidate, lost, self.least, self.pool)
             beside = tuple(dict.fromkeys([*known, *level, *fuller]))[:2]
             ranked.append((lost, candidate, beside, behind, bool(equals), tuple(runners[:2])))
         ranked.sort(key=lambda entry: -entry[0])

@@ -43,6 +43,8 @@ _INDEPENDENT = 0.1
 _FINE = 0.03
 #: Parameters of a hypothesis are drawn so often from what the logs say of them.
 _DRAWS = 4
+#: Distances that grow by more than this with a load are worth asking what it would tell.
+_LOADED = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,3 +315,12 @@ def _comparisons(number: int, pair: OpenPair, form: Form, rival: Hypothesis) -> 
 def _exact(fit: Fit, form: Form, rival: Candidate | None) -> tuple[Candidate, ...]:
     both = None if rival is None else exact_in_both(form.candidate.place, rival.place)
     return () if both is None else tuple(fit.candidates([(CATALOGUE[both[0]], both[1], {})]))
+
+
+def tells_apart_by_load(dataset: Dataset, pairs: Sequence[OpenPair], motions: Sequence[GridMotion], load: Tool) -> bool:
+    """Whether the distance between rivals after the same motions is clearly larger with a known load at the flange."""
+    bare, loaded = (Outlook(dataset, pairs, one) for one in (None, load))
+    first, second = (
+        one.distances(sum((one.told(motion) for motion in motions), one.nothing)) for one in (bare, loaded)
+    )
+    return bool(np.any(second > _LOADED * first))

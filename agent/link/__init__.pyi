@@ -4,6 +4,7 @@ from .payload import (
     PROGRAM_SHA256 as PROGRAM_SHA256,
     SCHEMA as SCHEMA,
     check_payload as check_payload,
+    planned_load as planned_load,
     with_payload as with_payload,
 )
 from .planned import (

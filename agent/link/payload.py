@@ -27,6 +27,12 @@ def with_payload(text: str, load: Tool) -> str:
     return f"{first}\n{_COMMENT}{payload_text(load)}\n{rest}"
 
 
+def planned_load(text: str) -> str | None:
+    """What a program says it was planned with; None where it says nothing."""
+    found = re.search(rf"^{_COMMENT}(.+)$", text, re.MULTILINE)
+    return found[1].strip() if found else None
+
+
 def check_payload(robot: RobotDescription, tool: Tool | None, load: Tool) -> None:
     """The arm may carry a mass at its flange, beside its tool.
 
@@ -60,8 +66,7 @@ def known_of(program: Path, text: str, payload: str | None, ask: Callable[[str],
 
     said = None if payload is None else payload_text(payload_of(payload))
     plan = _plan_of(program, text)
-    found = re.search(rf"^{_COMMENT}(.+)$", text, re.MULTILINE)
-    planned = found[1].strip() if found else plan.get(PAYLOAD)
+    planned = planned_load(text) or plan.get(PAYLOAD)
     if planned and said is None and ask(f"This motion was planned with {planned} at the flange. Is it mounted?"):
         said = planned
     if planned and said != planned:

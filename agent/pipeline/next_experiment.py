@@ -12,7 +12,7 @@ import numpy as np
 
 from agent.core import Console, InputError, sha256_text, write_atomically
 from agent.link import PROGRAM_SHA256, SCHEMA, check_payload, torque_limits, with_payload
-from agent.pipeline.other_tests import BRAKES, brakes_tell, helped, other_test, with_a_mass
+from agent.pipeline.other_tests import BRAKES, WithMass, brakes_tell, helped, other_test, with_a_mass
 from agent.pipeline.planning import checked_chains, loop_problem
 from agent.recipe import Recipe
 from agent.runs import make_folder, write_json
@@ -40,7 +40,8 @@ _WAY_SPEED, _SLOWEST_WAY, _SPEED_ROUND_OFF = 0.2, 0.02, 1.01
 class NextMotion:
     """A planned experiment as a program: `text`, set-points from stop to stop, and what it is expected to tell.
 
-    `load`: a known mass that somebody has to mount for it; `brakes`: seconds with the drives off are asked for first.
+    `load`: a known mass that somebody has to mount for it; `brakes`: seconds with the drives off are asked for first;
+    `mass`: one with which another motion would be much likelier to tell.
     """
 
     experiment: Experiment
@@ -49,6 +50,7 @@ class NextMotion:
     robot: RobotDescription
     load: Tool | None = None
     brakes: bool = False
+    mass: WithMass | None = None
 
     @property
     def duration(self) -> float:
@@ -62,8 +64,10 @@ class NextMotion:
 
         expected = self.experiment.expected
         load = {} if self.load is None else {PAYLOAD: payload_text(self.load)}
+        other = {} if self.mass is None else {"with_a_mass": self.mass.text()}
         return {
             **load,
+            **other,
             PARTS: PLANNED_PARTS,
             "separates": sorted({name for e in expected for name in e.pair.names if name != "none"}),
             "motion": "; then ".join(
@@ -90,10 +94,12 @@ class NextMotion:
 
 @dataclass(frozen=True)
 class NoMotion:
-    """Why no motion is planned, and what else may settle what is open: the effects that it `separates`, if any."""
+    """Why no motion is planned, and what else may settle what is open: the effects that it `separates`, if any, and a
+    `mass` with which a motion would."""
 
     text: str
     separates: tuple[str, ...] = ()
+    mass: WithMass | None = None
 
     def to_dict(self) -> dict[str, Any] | None:
         """`next_experiment` of a diagnosis; None where nothing is open."""
@@ -133,6 +139,9 @@ def plan_next(
         asked = [e.pair for e in experiment.expected]
         motion = NextMotion(experiment, *runs.motion, recipe.robot, load, brakes_tell(found, asked))
         if motion.helps():
+            if load is None:
+                mass = with_a_mass(found, pairs, problem, seconds, recipe.search.seed, console, experiment)
+                motion = replace(motion, mass=mass)
             return motion
     if seconds < LONGEST:
         console.step(f"no motion of {seconds:.0f} s would settle it; whether a longer one would is what is asked now")
@@ -149,14 +158,15 @@ def plan_next(
         why = _refused(problem)
         return NoMotion(f"no motion was found that keeps all limits in {where} ({why}): agent check says more", names)
     why = f" ({runs.refused})" if runs.refused else ""
-    loads = "" if load is not None else with_a_mass(found, pairs, problem, seconds, recipe.search.seed, console)
+    mass = None if load is not None else with_a_mass(found, pairs, problem, seconds, recipe.search.seed, console)
+    loads = "" if mass is None else f". {mass.text()}"
     asked_of = pairs[0]
     what = (
         f"tell {asked_of.first.text()} from {asked_of.second.text()}"
         if asked_of.second.forms
         else f"show {asked_of.first.text()}"
     )
-    return NoMotion(f"no motion in {where} would {what}{why}. {other_test(found, pairs)}{loads}", names)
+    return NoMotion(f"no motion in {where} would {what}{why}. {other_test(found, pairs)}{loads}", names, mass)
 
 
 def _where_known(problem: LoopProblem, found: Diagnosis) -> LoopProblem:

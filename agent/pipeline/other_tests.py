@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,12 +13,16 @@ from agent.core import Console
 if TYPE_CHECKING:
     from agent.diagnosis import Diagnosis
     from agent.excitation import LoopProblem
-    from agent.experiment import Expected, OpenPair
+    from agent.experiment import Expected, Experiment, OpenPair
+    from agent.robot import Tool
 
 #: A motion that makes the right answer no likelier than this, whichever of a pair is true, settles nothing.
 _HELPS = 0.3
 #: A mass is tried whose weight, far out, is this part of the strongest joint's nominal torque.
 _TRIAL_LOAD = 0.1
+#: A person is asked for a mass beside a motion of the bare arm where that makes the right answer no likelier than the
+#: first, and one with the mass by the second more.
+_LIKELY, _WORTH_MOUNTING = 0.8, 0.2
 BRAKES = "seconds of the arm on its brakes with the drives off, which tell an offset (--drives-off LOG)"
 
 
@@ -47,12 +51,69 @@ def brakes_tell(found: Diagnosis, pairs: Sequence[OpenPair]) -> bool:
     return any(name in CATALOGUE and CATALOGUE[name].adds_to_report for pair in pairs for name in pair.names)
 
 
+@dataclass(frozen=True)
+class WithMass:
+    """A known mass at the flange, a pair between which a motion with it makes the right answer this likely, and how
+    likely that of the bare arm does (None: none does)."""
+
+    load: Tool
+    pair: tuple[str, str]
+    after: float
+    bare: float | None = None
+
+    def text(self) -> str:
+        """For people."""
+        from agent.model import payload_text
+
+        may = "With a known mass at the flange a motion may"
+        instead = ""
+        if self.bare is not None:
+            may, instead = "A known mass at the flange would tell more", f" instead of {self.bare:.2f}"
+        return (
+            f"{may}: {payload_text(self.load).split(',')[0]} would make the right answer between {self.pair[0]} and "
+            f"{self.pair[1]} {self.after:.2f} likely{instead}; mount one and plan with --payload 'MASS, X, Y, Z'"
+        )
+
+
 def with_a_mass(
-    found: Diagnosis, pairs: Sequence[OpenPair], problem: LoopProblem, seconds: float, seed: int, console: Console
-) -> str:
-    """Whether a known mass at the flange would make a motion tell, tried with a light one; empty where not."""
-    from agent.experiment import plan_experiment
-    from agent.model import payload_text
+    found: Diagnosis,
+    pairs: Sequence[OpenPair],
+    problem: LoopProblem,
+    seconds: float,
+    seed: int,
+    console: Console,
+    bare: Experiment | None = None,
+) -> WithMass | None:
+    """A light known mass that would make a motion tell what none of the bare arm does, or what the motion that was
+    planned for it (`bare`) tells of the named cause with much doubt; None where none would."""
+    from agent.experiment import plan_experiment, tells_apart_by_load
+
+    doubtful = {id(e.pair): e.after for e in (bare.expected if bare else ()) if _doubted(e, pairs)}
+    load = _trial_load(found, problem)
+    if load is None or (bare is not None and not doubtful):
+        return None
+    if bare is not None:
+        asked = [pair for pair in pairs if id(pair) in doubtful]
+        if not tells_apart_by_load(found.dataset, asked, [piece.motion for piece in bare.pieces], load):
+            return None
+    console.step("a motion of the bare arm would hardly settle it; whether one with a mass would is what is asked now")
+    tried = plan_experiment(found, pairs, replace(problem, load=load), seconds, seed, console.progress)
+    asked_for = [e for e in tried.expected if (id(e.pair) in doubtful if bare else helped(e))]
+    better = [e for e in asked_for if e.after >= doubtful.get(id(e.pair), -np.inf) + _WORTH_MOUNTING]
+    if not better:
+        return None
+    best = max(better, key=lambda e: e.after)
+    return WithMass(load, (best.pair.first.text(), best.pair.second.text()), best.after, doubtful.get(id(best.pair)))
+
+
+def _doubted(expected: Expected, pairs: Sequence[OpenPair]) -> bool:
+    """Whether the named cause is hardly told from a rival."""
+    pair = expected.pair
+    return pair.first is pairs[0].first and bool(pair.second.forms) and expected.after < _LIKELY
+
+
+def _trial_load(found: Diagnosis, problem: LoopProblem) -> Tool | None:
+    """A light mass for the arm, within what it is rated for; None where its tool is all of that."""
     from agent.robot import Tool, kinematics_for
 
     robot = problem.robot
@@ -60,15 +121,7 @@ def with_a_mass(
     postures = np.random.default_rng(0).uniform(lower, upper, (50, robot.dof))
     reach = float(np.linalg.norm(kinematics_for(robot, None).forward(postures)[:, :3, 3], axis=1).max())
     strongest = float(np.max(found.dataset.fit.reference.scale))
-    load = Tool(np.eye(4), float(f"{_TRIAL_LOAD * strongest / (9.81 * max(reach, 0.1)):.1g}"), np.zeros(3))
-    console.step("no motion of the bare arm would settle it; whether one with a mass would is what is asked now")
-    tried = plan_experiment(found, pairs, replace(problem, load=load), seconds, seed, console.progress)
-    expected = [e for e in tried.expected if helped(e)]
-    if not expected:
-        return ""
-    best = max(expected, key=lambda e: e.after)
-    return (
-        f". With a known mass at the flange a motion may: {payload_text(load).split(',')[0]} would make the right "
-        f"answer between {best.pair.first.text()} and {best.pair.second.text()} {best.after:.2f} likely; mount one and "
-        "plan with --payload 'MASS, X, Y, Z'"
-    )
+    rated, mounted = robot.rated_payload, 0.0 if problem.tool is None else problem.tool.mass
+    allowed = np.inf if rated is None else rated - mounted
+    mass = float(min(float(f"{_TRIAL_LOAD * strongest / (9.81 * max(reach, 0.1)):.1g}"), allowed))
+    return Tool(np.eye(4), mass, np.zeros(3)) if mass > 0 else None

@@ -34,6 +34,7 @@ def planned_sections(experiment: Mapping[str, Any] | None) -> list[Section]:
         "The right answer's probability comes from rehearsals: what the diagnosis would say after it, should either be "
         "true. A size of 1 is the smallest that matters.",
     ]
+    text += [f"{experiment['with_a_mass']}."] if "with_a_mass" in experiment else []
     header = ("open", "right answer without it", "after it", "smallest size it would find")
     return [Section("The motion that tells more", text, (Table("planned", header, rows),))]
 

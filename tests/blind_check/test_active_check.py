@@ -14,7 +14,8 @@ from agent.blind_check import WAYS
 from agent.blind_check.cases import OPEN, draw_cases
 from agent.core import Console, InputError
 from agent.model import CATALOGUE
-from agent.pipeline.active_check import ActiveCheck, ActiveRun
+from agent.pipeline.active_check import ActiveCheck
+from agent.pipeline.active_run import ActiveRun, WayMotion
 from agent.pipeline.active_worlds import ControllerMachines
 from agent.robot import load_robot
 from drivers.errors import DriverError
@@ -36,6 +37,8 @@ def check(tmp_path: Path, monkeypatch):
         later=None,
         folder=tmp_path / "check",
         brakes={},
+        masses={},
+        on_it={},
         effect="stribeck",
     )
 
@@ -44,6 +47,7 @@ def check(tmp_path: Path, monkeypatch):
         if made.fails == f"{job.case.number} {job.folder.name}":
             raise DriverError("nobody there")
         made.ran.append((job.case.number, job.folder.name, tuple(job.texts), tuple(job.keep)))
+        made.on_it[made.ran[-1][:2]] = [one for one in job.effects if one not in job.case.effects]
         for name in job.keep:
             (job.folder / f"{name}.mcap").write_text("log")
 
@@ -59,11 +63,12 @@ def check(tmp_path: Path, monkeypatch):
             dataset=SimpleNamespace(robot=load_robot("comau_ns16"), logs=logs),
         )
 
-    def motion(self, way, found, seconds, name, seed):
+    def motion(self, way, found, seconds, name, seed, load=None):
         made.asked.append((self._case.number, way, name, seconds))
-        if self._case.number in made.refuses:
-            return None
-        return f"PROGRAM {name}", 17.0 if way == "planned" else seconds, []
+        mass = made.masses.get(self._case.number) if way == "planned" and load is None else None
+        if self._case.number in made.refuses and load is None:
+            return WayMotion("", 0.0, mass=mass)
+        return WayMotion(f"PROGRAM {name}", 17.0 if way == "planned" else seconds, mass=mass)
 
     monkeypatch.setattr(ControllerMachines, "run", record)
     monkeypatch.setattr(ActiveRun, "_diagnose", diagnose)
@@ -140,6 +145,18 @@ def test_nothing_stands_on_its_brakes_where_no_offset_is_open(check):
     check.whole.run(QUIET)
     assert not any(brakes for _, brakes in check.read)
     assert not list(check.folder.glob("runs/*/*brakes*"))
+
+
+def test_a_mass_that_is_asked_for_is_mounted_and_all_ways_get_the_time_of_its_motion(check):
+    check.masses, check.refuses = {0: "5 kg, 0 mm, 0 mm, 60 mm", 1: "2 kg, 0 mm, 0 mm, 0 mm"}, (1,)
+    scores = check.whole.run(QUIET)
+    ball = {"effect": "payload", "joints": [], "parameters": {"mass": 5.0, "centre": [0.0, 0.0, 0.06]}}
+    assert check.on_it[0, "planned_mass"] == [ball]
+    assert check.on_it[0, "planned1"] == check.on_it[0, "random_loops1"] == []
+    assert (2, "planned_mass") not in check.on_it
+    assert (1, "planned", "further1", 60.0) in check.asked
+    assert (1, "random_loops", "further1", 17.0) in check.asked, "the bare arm has no motion, one with the mass has"
+    assert scores["no_motion"] == 1
 
 
 def test_no_time_is_spent_where_no_motion_would_tell(check):

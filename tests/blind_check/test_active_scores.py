@@ -122,12 +122,21 @@ def test_the_answer_with_seconds_on_the_brakes_counts_beside_the_motion_alone():
     one["brakes"] = {"planned": RIGHT, "random_pieces": WRONG}
     scores = active_scores([one, two])
     shares = {
-        way: tuple(scores["ways"][way][key]["count"] for key in ("right_with_brakes", "wrong_with_brakes"))
+        way: tuple(scores["ways"][way][key]["count"] for key in ("right_with_tests", "wrong_with_tests"))
         for way in WAYS
     }
     assert shares == {**dict.fromkeys(WAYS, (0, 0)), "planned": (1, 0), "random_pieces": (0, 1)}
     assert scores["ways"]["planned"]["right_after_one"]["count"] == 0
-    assert "and brakes" in active_text(scores)
+    assert "and tests" in active_text(scores)
+
+
+def test_the_answer_with_a_mass_counts_for_the_way_that_asked_for_it():
+    one, two = (run(number, OPEN, {"planned": [OPEN], "random_pieces": [OPEN]}) for number in range(2))
+    one["mass"], two["mass"] = RIGHT, None
+    scores = active_scores([one, two])
+    ways = scores["ways"]
+    assert ways["planned"]["right_with_tests"]["count"] == 1
+    assert ways["planned"]["right_after_one"]["count"] == ways["random_pieces"]["right_with_tests"]["count"] == 0
 
 
 def test_an_effect_of_which_nothing_was_named_at_first_counts_where_one_motion_names_it():

@@ -1,0 +1,129 @@
+"""A known mass is asked for where it tells more than a motion of the bare arm, and only there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from html import unescape
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import agent.experiment
+from agent.core import Console, write_atomically
+from agent.diagnosis import diagnose
+from agent.experiment import open_pairs, tells_apart_by_load
+from agent.experiment.motion import GridMotion
+from agent.pipeline.next_experiment import NextMotion
+from agent.pipeline.other_tests import with_a_mass
+from agent.pipeline.planning import loop_problem
+from agent.recipe import load_recipe, template
+from agent.report.page import Page, render
+from agent.report.rounds_section import planned_sections
+from agent.robot import Tool, load_robot
+from fake_controller.plant import Plant
+from tests.small_arms import learn, make_arm, record
+
+QUIET = Console(-1)
+FOUND = SimpleNamespace(
+    dataset=SimpleNamespace(fit=SimpleNamespace(reference=SimpleNamespace(scale=np.full(6, 1000.0))))
+)
+
+
+def side(effect: str):
+    return SimpleNamespace(effect=effect, text=lambda: f"{effect} on joint_3", forms=("one",))
+
+
+PAIR = SimpleNamespace(first=side("load_dependent_friction"), second=side("friction_change"))
+
+
+def planned(after: float):
+    expected = SimpleNamespace(pair=PAIR, after=after, before_if=(0.0, 0.0), after_if=(after, after))
+    return SimpleNamespace(expected=(expected,), pieces=(SimpleNamespace(motion=None),))
+
+
+@pytest.fixture
+def ask(tmp_path: Path, monkeypatch):
+    """`ask(bare, loaded, tells)`: what is said, and the masses it was tried with, where the bare arm's motion promises
+    `bare` (None: there is none), one with a mass `loaded`, and a mass grows distances or not."""
+    recipe = load_recipe(write_atomically(tmp_path / "job.yaml", template()))
+    problem = loop_problem(recipe, recipe.motion.speed)
+
+    def run(bare, loaded, tells=True, change=lambda problem: problem):
+        tried = []
+
+        def plan(found, pairs, problem, *_):
+            tried.append(problem.load.mass)
+            return planned(loaded)
+
+        monkeypatch.setattr(agent.experiment, "plan_experiment", plan)
+        monkeypatch.setattr(agent.experiment, "tells_apart_by_load", lambda *_: tells)
+        motion = None if bare is None else planned(bare)
+        return with_a_mass(FOUND, [PAIR], change(problem), 60.0, 1, QUIET, motion), tried  # type: ignore[arg-type,list-item]
+
+    return run
+
+
+def test_a_mass_is_asked_for_where_the_right_answer_becomes_much_likelier(ask):
+    said, _ = ask(0.5, 0.9)
+    assert said.text().startswith("A known mass at the flange would tell more: ")
+    assert (
+        "load_dependent_friction on joint_3 and friction_change on joint_3 0.90 likely instead of 0.50" in said.text()
+    )
+    assert ask(0.5, 0.6)[0] is None, "nobody mounts one for that"
+
+
+def test_no_time_goes_into_the_question_where_the_bare_arm_tells_or_no_load_would(ask):
+    assert ask(0.85, 1.0) == (None, [])
+    assert ask(0.5, 1.0, tells=False) == (None, [])
+
+
+def test_where_the_bare_arm_has_no_motion_whatever_helps_is_said(ask):
+    said, _ = ask(None, 0.6)
+    assert said.text().startswith("With a known mass at the flange a motion may: ")
+    assert "instead" not in said.text()
+
+
+def test_the_mass_and_the_tool_are_no_more_than_the_arm_is_rated_for(ask):
+    def rated(mass):
+        tool = Tool(np.eye(4), 2.0, np.zeros(3))
+        return lambda problem: replace(problem, robot=replace(problem.robot, rated_payload=mass), tool=tool)
+
+    assert ask(0.5, 0.9, change=rated(2.5))[1] == [pytest.approx(0.5)]
+    assert ask(0.5, 0.9, change=rated(2.0)) == (None, [])
+
+
+def test_the_page_says_it_beside_the_motion_of_the_bare_arm(ask):
+    mass, _ = ask(0.5, 0.9)
+    robot = load_robot("comau_ns16")
+    experiment = SimpleNamespace(expected=(), pieces=[SimpleNamespace(text=lambda robot: "a loop")])
+    text = "PROGRAM x\nBEGIN\n  DELAY 4000\nEND x\n"
+    said = NextMotion(experiment, text, (), robot, mass=mass).to_dict("x.pdl")  # type: ignore[arg-type]
+    assert said["with_a_mass"] == mass.text()
+    assert mass.text() in unescape(render(Page("Gap", "it is", "plain", planned_sections(said))))
+
+
+def test_a_load_tells_what_grows_with_it_from_what_does_not():
+    arm = make_arm("RRR")
+    model, plant, altered = learn(arm), Plant(arm, seed=3), []
+    for name, seed in (("a", 21), ("b", 22), ("c", 23)):
+        log = record(plant, name, seed, 0.1)
+        torque = model.rigid.torque(
+            log.position, log.velocity, np.gradient(log.velocity, log.t, axis=0), model.base_values
+        )
+        effort = log.effort.copy()
+        effort[:, 1] += 0.05 * np.abs(torque[:, 1]) * np.tanh(log.velocity[:, 1] / 1e-3)
+        altered.append(replace(log, effort=effort))
+    found = diagnose(arm, altered, model)
+    pairs = open_pairs(found)
+    wanted = {"friction_change", "load_dependent_friction"}
+    by_load = [pair for pair in pairs if set(pair.names) == wanted]
+    assert by_load
+    log = altered[0]
+    qdd = np.gradient(log.velocity, log.t, axis=0)
+    motion = GridMotion(log.t, log.position, log.velocity, qdd)
+    load = Tool(np.eye(4), 20.0, np.zeros(3))
+    assert tells_apart_by_load(found.dataset, by_load, [motion], load)
+    by_speed = [pair for pair in pairs if set(pair.names) == {"friction_change", "viscous_nonlinearity"}]
+    assert not tells_apart_by_load(found.dataset, by_speed, [motion], load)
