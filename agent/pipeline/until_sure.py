@@ -112,7 +112,9 @@ def until_sure(
             rounds.asked[-1] |= {"verdict": result["verdict"], "causes": [_named(cause) for cause in result["causes"]]}
             console.say(f"round {len(rounds.asked)}: {result['verdict']}")
         if result["verdict"] in ("explained", "no_gap"):
-            rounds.end = f"settled: {result['verdict']}"
+            absorbed = result["verdict"] == "no_gap" and not rounds.last[0].dataset.given
+            beyond = ", beyond what a model fitted to these very logs absorbs: name one of before with --model"
+            rounds.end = f"settled: {result['verdict']}{beyond if absorbed else ''}"
         elif budget - moved < _SHORTEST:
             rounds.end = (
                 f"the budget of motion is used up: {max(budget - moved, 0.0):.0f} s of it are left, and a further "

@@ -53,7 +53,7 @@ class Motion:
 def ask(tmp_path: Path, monkeypatch):
     """`ask(verdicts, ends, budget)`: rounds whose diagnoses say these verdicts, whose recordings end as said."""
 
-    def run(verdicts, ends, budget=100.0, allowed=None, motions=()):
+    def run(verdicts, ends, budget=100.0, allowed=None, motions=(), given=True):
         recipe = tmp_path / "job.yaml"
         recipe.write_text("robot: comau_ns16\n", encoding="utf-8")
         folder = RunFolder.create(tmp_path / "logs", "comau_ns16", recipe)
@@ -74,7 +74,8 @@ def ask(tmp_path: Path, monkeypatch):
             if isinstance(verdict, BaseException):
                 raise verdict
             causes = [CAUSE] if verdict in ("explained", "ambiguous") else []
-            return SimpleNamespace(result={"verdict": verdict, "causes": causes}), [], None
+            dataset = SimpleNamespace(given=given)
+            return SimpleNamespace(result={"verdict": verdict, "causes": causes}, dataset=dataset), [], None
 
         plans = iter(motions or [Motion(), Motion(), NONE])
         made.clear()
@@ -129,6 +130,12 @@ def test_a_log_that_is_refused_ends_the_rounds_with_what_was_found(ask):
     assert [one["verdict"] for one in found.asked] == ["ambiguous", None]
     assert found.uncounted is not None
     assert found.uncounted.name == "two.mcap", "it is there, and whoever asks again is told so"
+
+
+def test_without_a_model_no_gap_is_said_to_be_one_beyond_what_a_fit_absorbs(ask):
+    assert ask(["no_gap"], [])[0].end == "settled: no_gap"
+    assert "name one of before with --model" in ask(["no_gap"], [], given=False)[0].end
+    assert ask(["explained"], [], given=False)[0].end == "settled: explained"
 
 
 def test_rounds_end_with_the_budget_or_where_no_motion_helps(ask):
