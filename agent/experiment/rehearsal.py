@@ -45,9 +45,9 @@ _RATE = 60.0
 _SCATTER = 0.3
 #: A form is as large as the cause, give or take so many times it.
 _RESTRAINT = 3.0
-#: Of its forms that explain the logs as well as the best so many may be true, the simplest; parameters that cannot be
-#: true are drawn again, so often.
-_TRUE, _TRIES = 2, 20
+#: Of its forms that explain the logs as well as the best those of so many numbers of parameters may be true, the fewest
+#: first, and so many of the simplest; parameters that cannot be true are drawn again, so often.
+_TRUE, _ALIKE, _TRIES = 2, 3, 20
 
 
 @dataclass(frozen=True)
@@ -132,11 +132,14 @@ class Rehearsal:
             yield left
 
     def _forms(self, place: Place, fit: Fit) -> list[Candidate]:
-        """The simplest of those that explain the logs as well as the best, of as many parameters the one that explains
-        most, each kept to about the size of the gap; or what the effect is as a rule."""
+        """Of those that explain the logs as well as the best the simplest, the likeliest first, and the likeliest that
+        is less simple, each kept to about the size of the gap; or what the effect is as a rule.
+
+        Of several as simple, a warm-up over seconds or minutes, which these logs tell no better apart, any may be true.
+        """
         effect, train = CATALOGUE[place[0]], self._of_logs
         inverse, alone = fit.solve(train)
-        best: dict[int, tuple[float, Candidate, np.ndarray]] = {}
+        made: list[tuple[float, Candidate, np.ndarray]] = []
         for one in fit.candidates([(effect, place[1], settings) for settings in effect.settings(fit, place[1])]):
             form = self._restrained(one)
             ((_, (cross, own)),) = fit.moments([form])
@@ -145,13 +148,17 @@ class Rehearsal:
             values = np.linalg.solve(
                 a + fit.ridge(form, own.sum(axis=0).diagonal()) - b[:-1].T @ inverse @ b[:-1], side
             )
-            gain = float(side @ values) * fit.repeat
-            if plausible(HeldOutScore(form, 0.0, 0.0, values)) and gain > best.get(complexity(form), (-np.inf,))[0]:
-                best[complexity(form)] = gain, form, values
-        least = max((gain for gain, *_ in best.values()), default=0.0) - self._found.finding.least
-        simplest = [(form, values) for _, (gain, form, values) in sorted(best.items()) if gain >= least][:_TRUE]
-        usual = as_usual(fit, *simplest[0]) if simplest else None
-        return [form for form, _ in simplest] if usual is None else [usual]
+            if plausible(HeldOutScore(form, 0.0, 0.0, values)):
+                made.append((float(side @ values) * fit.repeat, form, values))
+        least = max((gain for gain, *_ in made), default=0.0) - self._found.finding.least
+        good = sorted((entry for entry in made if entry[0] >= least), key=lambda entry: -entry[0])
+        levels = sorted({complexity(form) for _, form, _ in good})[:_TRUE]
+        simplest, *richer = ([entry for entry in good if complexity(entry[1]) == level] for level in levels or [0])
+        usual = as_usual(fit, *simplest[0][1:]) if simplest else None
+        if usual is not None:
+            return [usual]
+        apart = np.unique(np.linspace(0, len(simplest) - 1, _ALIKE).astype(int)) if simplest else ()
+        return [form for _, form, _ in (*(simplest[k] for k in apart), *(level[0] for level in richer))]
 
     def _restrained(self, form: Candidate) -> Candidate:
         """A form with a prior that keeps each of its parameters to about the torque that is to be explained."""
