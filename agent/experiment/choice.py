@@ -90,7 +90,11 @@ def rehearsed(
     seed: int,
     progress: Callable[[str], None],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(pairs, 2) right answers of now and after the motion, where the first or the second of a pair is true."""
+    """(pairs, 2) right answers of now and after the motion, where the first or the second of a pair is true.
+
+    Those after it are the mean of the posterior under Jeffreys' prior, Beta(1/2, 1/2), as three of three rehearsals are
+    no certainty; what the verdict tells already is not doubted so.
+    """
     names, now = found.dataset.robot.joint_names, said_by(found.finding)
     rehearsal = Rehearsal(found, pairs, [piece.motion for piece in design], problem.load, progress)
     places = {side.place(names) for pair in pairs if pair.second.forms for side in (pair.first, pair.second)}
@@ -100,6 +104,7 @@ def rehearsed(
         first, second = pair.first.place(names), pair.second.place(names)
         for side, (true, rival) in enumerate(((first, second), (second, first))):
             if said.get(true):
-                before[number, side] = now.names(true, rival)
-                after[number, side] = np.mean([one.names(true, rival) for one in said[true]])
+                known = before[number, side] = now.names(true, rival)
+                told = [one.names(true, rival) for one in said[true]]
+                after[number, side] = (sum(told) + 0.5 + 0.5 * known) / (len(told) + 1)
     return before, after

@@ -15,7 +15,7 @@ from agent.diagnosis.folds import folds_of, part_borders
 from agent.diagnosis.limits import LIMITS
 from agent.excitation import LoopProblem
 from agent.experiment import LOOPS, as_drawn, d_optimal, open_pairs, pieces_otherwise, plan_experiment, questions
-from agent.experiment.choice import _shortened, best_rehearsed
+from agent.experiment.choice import _shortened, best_rehearsed, rehearsed
 from agent.experiment.motion import GridMotion, background_on
 from agent.experiment.outlook import Outlook
 from agent.experiment.pieces import Pieces
@@ -447,3 +447,14 @@ def test_d_optimal_pieces_say_more_of_the_model_than_pieces_at_random(problem):
     picks = d_optimal(found.dataset), as_drawn
     best, drawn = (pieces_otherwise(pick, problem, 40.0, 3, lambda pieces: True) for pick in picks)
     assert worth(best) > worth(drawn)
+
+
+def test_a_few_rehearsals_that_all_name_the_truth_are_no_certainty(arm, ambiguous, problem):
+    pieces = [SimpleNamespace(motion=_wave(arm, [0.5, 0.5], 8.0))]
+    pairs = open_pairs(ambiguous)
+    before, after = rehearsed(ambiguous, pairs, pieces, SimpleNamespace(load=None), 3, lambda text: None)  # type: ignore[arg-type]
+    asked = np.isfinite(after)
+    assert asked.any()
+    new = asked & (before == 0)
+    assert np.all((after[new] > 0.05) & (after[new] < 0.95))
+    assert np.all(after[asked & (before == 1)] > 0.05)
