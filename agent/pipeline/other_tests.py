@@ -88,7 +88,7 @@ def with_a_mass(
     planned for it (`bare`) tells of the named cause with much doubt; None where none would."""
     from agent.experiment import plan_experiment, tells_apart_by_load
 
-    doubtful = {id(e.pair): e.after for e in (bare.expected if bare else ()) if _doubted(e, pairs)}
+    doubtful = {id(e.pair): e.after for e in (bare.expected if bare else ()) if _doubted(found, e)}
     load = _trial_load(found, problem)
     if load is None or (bare is not None and not doubtful):
         return None
@@ -106,10 +106,12 @@ def with_a_mass(
     return WithMass(load, (best.pair.first.text(), best.pair.second.text()), best.after, doubtful.get(id(best.pair)))
 
 
-def _doubted(expected: Expected, pairs: Sequence[OpenPair]) -> bool:
-    """Whether the named cause is hardly told from a rival."""
-    pair = expected.pair
-    return pair.first is pairs[0].first and bool(pair.second.forms) and expected.after < _LIKELY
+def _doubted(found: Diagnosis, expected: Expected) -> bool:
+    """Whether the named cause is hardly told from what the verdict says equals it."""
+    names, equal = found.dataset.robot.joint_names, found.finding.rivals
+    places = (expected.pair.first.place(names), expected.pair.second.place(names))
+    first = found.finding.causes[0].place if found.finding.causes else None
+    return expected.after < _LIKELY and places[0] == first and places[1] in equal[0]
 
 
 def _trial_load(found: Diagnosis, problem: LoopProblem) -> Tool | None:

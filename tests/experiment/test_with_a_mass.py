@@ -26,20 +26,25 @@ from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record
 
 QUIET = Console(-1)
+CAUSE, EQUAL, NEAR = ((name, (2,)) for name in ("load_dependent_friction", "friction_change", "viscous_nonlinearity"))
 FOUND = SimpleNamespace(
-    dataset=SimpleNamespace(fit=SimpleNamespace(reference=SimpleNamespace(scale=np.full(6, 1000.0))))
+    dataset=SimpleNamespace(
+        fit=SimpleNamespace(reference=SimpleNamespace(scale=np.full(6, 1000.0))),
+        robot=SimpleNamespace(joint_names=()),
+    ),
+    finding=SimpleNamespace(causes=(SimpleNamespace(place=CAUSE),), rivals=((EQUAL,),)),
 )
 
 
-def side(effect: str):
-    return SimpleNamespace(effect=effect, text=lambda: f"{effect} on joint_3", forms=("one",))
+def side(place):
+    return SimpleNamespace(text=lambda: f"{place[0]} on joint_3", forms=("one",), place=lambda names: place)
 
 
-PAIR = SimpleNamespace(first=side("load_dependent_friction"), second=side("friction_change"))
+PAIR, BESIDE = (SimpleNamespace(first=side(CAUSE), second=side(other)) for other in (EQUAL, NEAR))
 
 
-def planned(after: float):
-    expected = SimpleNamespace(pair=PAIR, after=after, before_if=(0.0, 0.0), after_if=(after, after))
+def planned(after: float, pair=PAIR):
+    expected = SimpleNamespace(pair=pair, after=after, before_if=(0.0, 0.0), after_if=(after, after))
     return SimpleNamespace(expected=(expected,), pieces=(SimpleNamespace(motion=None),))
 
 
@@ -50,17 +55,17 @@ def ask(tmp_path: Path, monkeypatch):
     recipe = load_recipe(write_atomically(tmp_path / "job.yaml", template()))
     problem = loop_problem(recipe, recipe.motion.speed)
 
-    def run(bare, loaded, tells=True, change=lambda problem: problem):
+    def run(bare, loaded, tells=True, change=lambda problem: problem, pair=PAIR):
         tried = []
 
         def plan(found, pairs, problem, *_):
             tried.append(problem.load.mass)
-            return planned(loaded)
+            return planned(loaded, pair)
 
         monkeypatch.setattr(agent.experiment, "plan_experiment", plan)
         monkeypatch.setattr(agent.experiment, "tells_apart_by_load", lambda *_: tells)
-        motion = None if bare is None else planned(bare)
-        return with_a_mass(FOUND, [PAIR], change(problem), 60.0, 1, QUIET, motion), tried  # type: ignore[arg-type,list-item]
+        motion = None if bare is None else planned(bare, pair)
+        return with_a_mass(FOUND, [pair], change(problem), 60.0, 1, QUIET, motion), tried  # type: ignore[arg-type,list-item]
 
     return run
 
@@ -77,6 +82,7 @@ def test_a_mass_is_asked_for_where_the_right_answer_becomes_much_likelier(ask):
 def test_no_time_goes_into_the_question_where_the_bare_arm_tells_or_no_load_would(ask):
     assert ask(0.85, 1.0) == (None, [])
     assert ask(0.5, 1.0, tells=False) == (None, [])
+    assert ask(0.5, 1.0, pair=BESIDE) == (None, []), "the verdict says of no such pair that it is open"
 
 
 def test_where_the_bare_arm_has_no_motion_whatever_helps_is_said(ask):
