@@ -69,9 +69,11 @@ class WithMass:
         instead = ""
         if self.bare is not None:
             may, instead = "A known mass at the flange would tell more", f" instead of {self.bare:.2f}"
+        mass = payload_text(self.load)
         return (
-            f"{may}: {payload_text(self.load).split(',')[0]} would make the right answer between {self.pair[0]} and "
-            f"{self.pair[1]} {self.after:.2f} likely{instead}; mount one and plan with --payload 'MASS, X, Y, Z'"
+            f"{may}: {mass.split(',')[0]} would make the right answer between {self.pair[0]} and {self.pair[1]} "
+            f"{self.after:.2f} likely{instead}; mount one and plan with --payload '{mass}', or what it really is (mass and "
+            "its centre in the flange's frame)"
         )
 
 
