@@ -72,8 +72,8 @@ class WithMass:
         mass = payload_text(self.load)
         return (
             f"{may}: {mass.split(',')[0]} would make the right answer between {self.pair[0]} and {self.pair[1]} "
-            f"{self.after:.2f} likely{instead}; mount one and plan with --payload '{mass}', or what it really is (mass and "
-            "its centre in the flange's frame)"
+            f"{self.after:.2f} likely{instead}; mount one and plan with --payload '{mass}', or what it really is (mass "
+            "and its centre in the flange's frame)"
         )
 
 
