@@ -30,7 +30,8 @@ def seal(folder: Path, text: str) -> str:
     if path.exists():
         if path.read_text(encoding="utf-8").split()[:1] != [digest]:
             raise InputError(
-                f"{folder}: holds a blind check with another seed or number of cases; name another folder with -o"
+                f"{folder}: holds a blind check with another seed or number of cases, or of another version; name "
+                "another folder with -o"
             )
     else:
         try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -30,7 +30,7 @@ from agent.diagnosis.procedure import Search
 from agent.diagnosis.regimes import regimes
 from agent.diagnosis.testability import effects_of_path, not_testable
 from agent.diagnosis.verdict import causes_of, settle, with_path
-from agent.model import CATALOGUE, servo_stiffness
+from agent.model import CATALOGUE, PAYLOAD, servo_stiffness
 from agent.robot import error_units
 
 _WHEN_UNKNOWN = "slow single-joint ramps both ways on {joints}, then the same at full speed, each twice"
@@ -115,6 +115,7 @@ def build(
     sliding = {joint.name for joint in robot.joints if joint.prismatic}
     causes = tuple(replace(cause, slides=bool(cause.joints) and sliding.issuperset(cause.joints)) for cause in causes)
     where = _where(dataset, gap)
+    warnings = (*warnings, *(_of_mass(dataset) if verdict == "unknown" else ()))
     answer = DiagnosisResult(
         verdict,
         TorqueGap(
@@ -158,6 +159,13 @@ def _left_by_numbers(dataset: Dataset, gap: HeldOutGap) -> str:
 def _path_cause(name: str, motion: MotionGap) -> Cause:
     parameters = {"rate": motion.rate, "shift": motion.shift, "blend": motion.blend}
     return Cause(name, (), motion.closure, motion.limits.path_probability, parameters)
+
+
+def _of_mass(dataset: Dataset) -> Iterator[str]:
+    """What is taken for known, and may be what nobody explains."""
+    for log in dataset.logs:
+        if load := log.metadata.get(PAYLOAD):
+            yield f"{log.name} says that {load} were at the flange: if they were not, the gap may be that"
 
 
 def _floats(values: np.ndarray) -> tuple[float, ...]:

@@ -38,7 +38,10 @@ def payload_of(text: str) -> Tool:
     except InputError as error:
         raise InputError(f"payload {text!r}: {error}; {_FORM} is expected") from None
     if not 0 < mass <= _HEAVIEST or not np.all(np.abs(centre) <= _FARTHEST):
-        raise InputError(f"payload {text!r}: a mass above zero, and a centre of mass within {_FARTHEST:g} m")
+        raise InputError(
+            f"payload {text!r}: a mass above zero and up to {_HEAVIEST:g} kg, and a centre of mass within "
+            f"{_FARTHEST:g} m"
+        )
     return Tool(np.eye(4), mass, centre)
 
 

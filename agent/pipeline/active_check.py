@@ -57,7 +57,7 @@ class ActiveCheck:
         if self.world not in WORLDS:
             raise InputError(f"blind check: --world {self.world}: there is no such world; one of {', '.join(WORLDS)}")
         cases = self._world.draw(self.count, self.seed)
-        text = key_text(self.seed, f"{self._world.title}, further motions", cases)
+        text = key_text(self.seed, f"{self._world.title}, further motions after the excitation loop", cases)
         digest = seal(self.folder, text)
         console.step(f"{self.count} runs; SHA-256 of the key, which stays closed until the last diagnosis: {digest}")
         runs = [ActiveRun(self._world, case, self.folder) for case in cases]

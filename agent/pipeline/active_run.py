@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from agent.core import AgentError, Console, finite, write_atomically
 from agent.pipeline.active_worlds import ActiveWorld, Job, on_brakes
-from agent.pipeline.next_experiment import LONGEST, NextMotion, plan_next, run_otherwise
+from agent.pipeline.next_experiment import LONGEST, NextMotion, mass_beside, plan_next, run_otherwise
 from agent.pipeline.planning import Plan, make_plan, program_text
 from agent.recipe import Recipe
 from drivers.errors import DriverError
@@ -201,10 +201,11 @@ class ActiveRun:
 
         if way == "planned":
             motion = plan_next(found, self._recipe, _QUIET, seconds, name, load)
-            mass = None if motion.mass is None else payload_text(motion.mass.load)
+            mass = mass_beside(found, self._recipe, motion, _QUIET) if isinstance(motion, NextMotion) else motion.mass
+            asked = None if mass is None else payload_text(mass.load)
             if not isinstance(motion, NextMotion):
-                return WayMotion("", 0.0, mass=mass)
-            return WayMotion(motion.text, motion.duration, motion.to_dict(name)["probability"], mass)
+                return WayMotion("", 0.0, mass=asked)
+            return WayMotion(motion.text, motion.duration, motion.to_dict(name)["probability"], asked)
         if way == "loop_again":
             cycle = self._plan.excitation.loop.trajectory.duration
             again = replace(self._plan.excitation, name=name, cycles=max(1, round(seconds / cycle)))

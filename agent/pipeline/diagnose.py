@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from shutil import copyfile
 from typing import TYPE_CHECKING, Any
 
-from agent.core import AgentError, Console, InputError, counted
+from agent.core import AgentError, Console, InputError, counted, words_of
 from agent.pipeline.corrected_simulator import run_forward, write_simulator
 from agent.pipeline.gap_question import GapQuestion
 from agent.pipeline.identify import check_one_machine, check_plausible, read_logs, say_used
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from agent.model import IdentifiedModel, Simulator
     from agent.pipeline.until_sure import Found, Rounds
     from agent.recording import Log
+    from agent.report import NextStep
 
 
 #: The model that was the simulator, as a run folder keeps it: the file that was named may be another one later.
@@ -183,24 +184,34 @@ def _diagnose(
     if simulator is not None:
         result |= run_forward(found, simulator, console)
 
+    def steps() -> list[NextStep]:
+        from agent.pipeline.first_screen import after_diagnosis
+
+        uncounted = rounds.uncounted if rounds is not None else None
+        recipe = question.next_recipe if rounds is None else rounds.recipe
+        return after_diagnosis(result, source, [*paths, *([uncounted] if uncounted else [])], question, recipe)
+
     def write_page() -> None:
         if question.report is not None:
             from agent.core import write_atomically
-            from agent.pipeline.first_screen import after_diagnosis
             from agent.report import diagnosis_report
 
-            uncounted = rounds.uncounted if rounds is not None else None
-            steps = after_diagnosis(result, source, [*paths, *([uncounted] if uncounted else [])], question)
-            write_atomically(question.report, diagnosis_report(found, simulated, steps, result))
+            write_atomically(question.report, diagnosis_report(found, simulated, steps(), result))
 
     write_page()
     if question.next_recipe is not None:
         try:
-            result["next_experiment"] = _next(found, question, console)
-        except BaseException:
+            for said in _next(found, question, console):
+                result["next_experiment"] = said
+                write_page()
+        except BaseException as error:
+            planned = (result["next_experiment"] or {}).get("program")
+            left = "whether a known mass would tell more" if planned else "what to run next"
+            result["warnings"] = [*result["warnings"], f"{left} was not found out: {words_of(error)}"]
             unfinished(result)
             raise
-        write_page()
+        for step in steps():
+            console.say(f"next: {step.what} {step.command}".rstrip())
     if question.out is not None and question.next_recipe is None:
         if simulator is not None:
             write_simulator(found, simulator, question.out, console)
@@ -209,21 +220,26 @@ def _diagnose(
     return result
 
 
-def _next(found: Diagnosis, question: GapQuestion, console: Console) -> dict[str, Any] | None:
-    """The motion that tells more, written into its folder, or what else may; None where nothing is open."""
+def _next(found: Diagnosis, question: GapQuestion, console: Console) -> Iterator[dict[str, Any] | None]:
+    """The motion that tells more, written into its folder, or what else may; None where nothing is open. Once more with
+    the mass that would tell more, where one would: that takes as long again."""
     from agent.model import payload_of
-    from agent.pipeline.next_experiment import NoMotion, plan_next, write_next
+    from agent.pipeline.next_experiment import NoMotion, mass_beside, plan_next, write_next
     from agent.recipe import load_recipe
 
     assert question.next_recipe is not None
     assert question.out is not None
     load = None if question.next_payload is None else payload_of(question.next_payload)
-    motion = plan_next(found, load_recipe(question.next_recipe), console, load=load)
+    recipe = load_recipe(question.next_recipe)
+    motion = plan_next(found, recipe, console, load=load)
     if isinstance(motion, NoMotion):
         if not motion.separates:
             console.warn(f"{motion.text}, and nothing is written to {question.out}")
-        return motion.to_dict()
-    return write_next(motion, question.out)
+        yield motion.to_dict()
+        return
+    yield (planned := write_next(motion, question.out))
+    if (mass := mass_beside(found, recipe, motion, console)) is not None:
+        yield {**planned, "with_a_mass": mass.to_dict()}
 
 
 def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQuestion, console: Console) -> Found:
@@ -242,12 +258,16 @@ def _find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQu
     if robot is None:
         raise InputError("diagnose: name the robot (--robot R), or a model that says what the arm is (--model MODEL)")
     if question.next_recipe is not None:
-        from agent.pipeline.next_experiment import check_arm
+        from agent.pipeline.next_checks import check_arm
         from agent.recipe import load_recipe
 
         check_arm(load_recipe(question.next_recipe), robot)
     console.step(f"reading {counted(len(paths), 'log')}")
     logs = read_logs(list(paths), robot, console)
+    if question.next_recipe is not None and not question.allow_mixed:
+        from agent.pipeline.next_checks import check_tool
+
+        check_tool(load_recipe(question.next_recipe), logs, {} if reference is None else reference.provenance)
     at_rest = _at_rest(robot, reference, question, console)
     of_machine = logs if at_rest is None else [*logs, at_rest]
     check_one_machine(of_machine, reference, question.allow_mixed, payload_counts=True)

@@ -48,9 +48,14 @@ def identity(recipe: Recipe, result: dict[str, Any], run: str) -> list[tuple[str
 
 
 def after_diagnosis(
-    result: Mapping[str, Any], robot: str | None, logs: Sequence[Path], question: GapQuestion
+    result: Mapping[str, Any],
+    robot: str | None,
+    logs: Sequence[Path],
+    question: GapQuestion,
+    recipe: Path | None = None,
 ) -> list[NextStep]:
-    """What may come after a diagnosis of these logs: commands that take what was found further."""
+    """What may come after a diagnosis of these logs: commands that take what was found further; `recipe` is where
+    further motions may lie, if anybody said."""
     model = question.model
     asked = replace(question, report=None, out=None, next_recipe=None, next_payload=None)
     named = ["--robot", robot] if robot else []
@@ -60,18 +65,27 @@ def after_diagnosis(
     from agent.model import CATALOGUE, PAYLOAD, is_simulator
 
     experiment = result["next_experiment"] or {}
+    loaded = []
+    if "with_a_mass" in experiment and recipe is not None:
+        mass = experiment["with_a_mass"][PAYLOAD]
+        folder = f"{question.out or 'next'}_with_a_mass"
+        words = ["agent", "diagnose", *named, *asked.options(), "--next", str(recipe), "--payload", mass, "-o", folder]
+        what = f"or, as it would tell more, mount {mass} at the flange, or what you have, and plan for that:"
+        loaded = [NextStep(what, shlex.join([*words, *map(str, logs)]))]
     if question.next_recipe is not None and experiment.get("program"):
         program = Path(experiment["program"])
         mounted = ["--payload", experiment[PAYLOAD]] if PAYLOAD in experiment else []
+        first = f"mount {experiment[PAYLOAD]} at the flange, then " if mounted else ""
         record = ["agent", "record", str(question.next_recipe), "--program", str(program), *mounted]
         with_it = f"{again} {shlex.quote(str(program.with_suffix('.mcap')))}"
         on_brakes = BRAKES in experiment["motion"] and ", and --drives-off LOG where it was recorded on its brakes"
         return [
-            NextStep("run the motion that was planned:", shlex.join(record)),
+            NextStep(f"{first}run the motion that was planned:", shlex.join(record)),
             NextStep(f"then ask again with its log added{on_brakes or ''}:", with_it),
+            *loaded,
         ]
     if not result["causes"] or result["verdict"] == "ambiguous":
-        return [NextStep("then ask again, with what was recorded added:", again)]
+        return [NextStep("then ask again, with what was recorded added:", again), *loaded]
     if all(CATALOGUE[cause["effect"]].once for cause in result["causes"]):
         return [NextStep("it happened once and is no part of the model: record again where nothing touches the arm.")]
     if model is not None and is_simulator(model):

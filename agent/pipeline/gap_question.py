@@ -74,7 +74,7 @@ class GapQuestion:
                 raise InputError("diagnose: --payload is of the motion that --next plans: name its recipe with --next")
             payload_of(self.next_payload)
         if self.next_recipe is not None:
-            from agent.pipeline.next_experiment import check_next
+            from agent.pipeline.next_checks import check_next
 
             check_next(self.next_recipe, self.out, self.next_payload)
         files = (self.report, None if self.next_recipe is not None else self.out)

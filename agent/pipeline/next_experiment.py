@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.core import Console, InputError, sha256_text, write_atomically
-from agent.link import PROGRAM_SHA256, SCHEMA, check_payload, torque_limits, with_payload
+from agent.link import PROGRAM_SHA256, SCHEMA, torque_limits, with_payload
+from agent.pipeline.next_checks import check_arm, check_folder
 from agent.pipeline.other_tests import BRAKES, WithMass, brakes_tell, helped, other_test, with_a_mass
 from agent.pipeline.planning import checked_chains, loop_problem
 from agent.recipe import Recipe
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 
 #: Longest motion that is planned [s].
 LONGEST = 60.0
-#: Two descriptions of one arm have its end, whatever they call that, within this part of its reach: under another name,
-#: and under the same.
-_SAME_ARM, _SAME_NAME = 0.15, 0.05
 #: So many loops are asked which limit they break, where none keeps all.
 _ASKED_WHY = 20
 #: At so much of its joint speeds the arm goes from piece to piece, or at half of it, and so on, where the tool would be
@@ -40,8 +37,7 @@ _WAY_SPEED, _SLOWEST_WAY, _SPEED_ROUND_OFF = 0.2, 0.02, 1.01
 class NextMotion:
     """A planned experiment as a program: `text`, set-points from stop to stop, and what it is expected to tell.
 
-    `load`: a known mass that somebody has to mount for it; `brakes`: seconds with the drives off are asked for first;
-    `mass`: one with which another motion would be much likelier to tell.
+    `load`: a known mass that somebody has to mount for it; `brakes`: seconds with the drives off are asked for first.
     """
 
     experiment: Experiment
@@ -50,7 +46,6 @@ class NextMotion:
     robot: RobotDescription
     load: Tool | None = None
     brakes: bool = False
-    mass: WithMass | None = None
 
     @property
     def duration(self) -> float:
@@ -64,14 +59,17 @@ class NextMotion:
 
         expected = self.experiment.expected
         load = {} if self.load is None else {PAYLOAD: payload_text(self.load)}
-        other = {} if self.mass is None else {"with_a_mass": self.mass.text()}
+        mounted = [f"mount {mass} at the flange (--payload)" for mass in load.values()]
         return {
             **load,
-            **other,
             PARTS: PLANNED_PARTS,
             "separates": sorted({name for e in expected for name in e.pair.names if name != "none"}),
             "motion": "; then ".join(
-                [*([BRAKES] if self.brakes else ()), *(piece.text(self.robot) for piece in self.experiment.pieces)]
+                [
+                    *mounted,
+                    *([BRAKES] if self.brakes else ()),
+                    *(piece.text(self.robot) for piece in self.experiment.pieces),
+                ]
             ),
             "program": program,
             "duration_s": self.duration,
@@ -103,7 +101,12 @@ class NoMotion:
 
     def to_dict(self) -> dict[str, Any] | None:
         """`next_experiment` of a diagnosis; None where nothing is open."""
-        return {"separates": list(self.separates), "motion": self.text, "program": None} if self.separates else None
+        mass = {} if self.mass is None else {"with_a_mass": self.mass.to_dict()}
+        return (
+            {"separates": list(self.separates), "motion": self.text, "program": None, **mass}
+            if self.separates
+            else None
+        )
 
 
 def plan_next(
@@ -139,9 +142,6 @@ def plan_next(
         asked = [e.pair for e in experiment.expected]
         motion = NextMotion(experiment, *runs.motion, recipe.robot, load, brakes_tell(found, asked))
         if motion.helps():
-            if load is None:
-                mass = with_a_mass(found, pairs, problem, seconds, recipe.search.seed, console, experiment)
-                motion = replace(motion, mass=mass)
             return motion
     if seconds < LONGEST:
         console.step(f"no motion of {seconds:.0f} s would settle it; whether a longer one would is what is asked now")
@@ -167,6 +167,19 @@ def plan_next(
         else f"show {asked_of.first.text()}"
     )
     return NoMotion(f"no motion in {where} would {what}{why}. {other_test(found, pairs)}{loads}", names, mass)
+
+
+def mass_beside(found: Diagnosis, recipe: Recipe, motion: NextMotion, console: Console) -> WithMass | None:
+    """A known mass with which a motion as long would tell what this one of the bare arm tells with much doubt.
+
+    Raises:
+        InputError: as `plan_next`.
+    """
+    if motion.load is not None:
+        return None
+    pairs = [expected.pair for expected in motion.experiment.expected]
+    problem = _where_known(loop_problem(recipe, recipe.motion.speed), found)
+    return with_a_mass(found, pairs, problem, LONGEST, recipe.search.seed, console, motion.experiment)
 
 
 def _where_known(problem: LoopProblem, found: Diagnosis) -> LoopProblem:
@@ -234,65 +247,11 @@ def write_next(motion: NextMotion, folder: Path) -> dict[str, Any]:
         AgentError: it cannot be made or written.
     """
     make_folder(folder, "the experiment")
-    _check_folder(folder)
+    check_folder(folder)
     program = write_atomically(folder / "program.pdl", motion.text)
     data = motion.to_dict(str(program))
     write_json(folder / "experiment.json", {"schema": SCHEMA, **data, PROGRAM_SHA256: sha256_text(motion.text)})
     return data
-
-
-def check_next(recipe: Path, folder: Path | None, load: str | None = None) -> None:
-    """What would refuse the motion is found before the diagnosis, not after it.
-
-    Raises:
-        InputError: no folder, one that is a file or holds an experiment; a recipe that cannot be used or reached; a
-            mass that the arm must not carry.
-    """
-    from agent.excitation import Candidates
-    from agent.model import payload_of
-    from agent.recipe import load_recipe
-
-    if folder is None:
-        raise InputError("diagnose: --next plans a motion: name the folder for it with -o DIR")
-    _check_folder(folder)
-    loaded = load_recipe(recipe)
-    if load is not None:
-        check_payload(loaded.robot, loaded.tool, payload_of(load))
-    Candidates(loop_problem(loaded, loaded.motion.speed))
-
-
-def check_arm(recipe: Recipe, there: RobotDescription) -> None:
-    """
-    Raises:
-        InputError: the recipe's robot is not that of the logs, `there`: other joints, or another geometry.
-    """
-    from agent.robot import kinematics_for
-
-    here = recipe.robot
-    if here.joint_names != there.joint_names:
-        raise InputError(
-            f"{recipe.path}: its robot has joints {', '.join(here.joint_names)}; the logs are of one with "
-            f"{', '.join(there.joint_names)}. Name a recipe of that robot with --next"
-        )
-    postures = np.random.default_rng(0).uniform(-1.0, 1.0, (20, here.dof))
-    ends = [kinematics_for(robot).forward(postures)[:, :3, 3] for robot in (here, there)]
-    apart = float(np.linalg.norm(ends[0] - ends[1], axis=1).max())
-    if apart > (_SAME_NAME if here.name == there.name else _SAME_ARM) * float(np.linalg.norm(ends[1], axis=1).max()):
-        raise InputError(
-            f"{recipe.path}: is for {here.name}, and the logs are of {there.name}, by whose description the end is "
-            f"{1e3 * apart:.0f} mm elsewhere in the same posture. Name a recipe of that very robot with --next"
-        )
-
-
-def _check_folder(folder: Path) -> None:
-    there = next(one for one in (folder, *folder.absolute().parents) if one.exists())
-    if not there.is_dir():
-        raise InputError(f"{there}: is a file; name a folder for the experiment with -o")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError(f"{there}: nothing can be written there; name another folder for the experiment with -o")
-    for name, what in {"experiment.json": "an experiment", "program.pdl": "a program"}.items():
-        if (folder / name).exists():
-            raise InputError(f"{folder}: holds {what} already; name another folder with -o, or move it away")
 
 
 class _Runs:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -60,6 +60,13 @@ class WithMass:
     pair: tuple[str, str]
     after: float
     bare: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """`with_a_mass` of a further experiment: what to mount, and how likely the right answer of the pair becomes."""
+        from agent.model import PAYLOAD, payload_text
+
+        chance = {"pair": list(self.pair), "bare": self.bare, "after": self.after}
+        return {PAYLOAD: payload_text(self.load), **chance, "text": self.text()}
 
     def text(self) -> str:
         """For people."""

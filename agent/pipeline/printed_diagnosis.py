@@ -78,8 +78,8 @@ def _further_lines(result: dict[str, Any]) -> Iterator[str]:
         pair, before, after, smallest = chances_text(entry)
         found = "" if smallest == "-" else f", found from {smallest} of the smallest size that matters"
         yield f"  {pair}: right answer {before} without it, {after} after it{found}"
-    if "with_a_mass" in experiment:
-        text = experiment["with_a_mass"]
+    if "with_a_mass" in experiment and experiment["program"]:
+        text = experiment["with_a_mass"]["text"]
         yield f"{text[0].lower()}{text[1:]}"
 
 

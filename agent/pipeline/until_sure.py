@@ -53,11 +53,13 @@ def options_of(budget: float | None) -> list[str]:
 class Rounds:
     """What further motions asked and found: their logs, a dict for each round as `rounds` of a result has them, what
     all logs together were found to say, why no further one followed, what else may settle it (`other`, if anything),
-    and what cut the last one short. `uncounted` is the log of a round that was cut short once it was recorded."""
+    and what cut the last one short. `uncounted` is the log of a round that was cut short once it was recorded, `recipe`
+    where further motions may lie."""
 
     logs: list[Path]
     asked: list[dict[str, Any]]
     last: Found
+    recipe: Path
     end: str = ""
     other: NoMotion | None = None
     cut_short: BaseException | None = None
@@ -102,7 +104,7 @@ def until_sure(
     """
     from agent.recording import PARTS, PLANNED_PARTS
 
-    rounds, moved, slow = Rounds([], [], find(logs)), 0.0, recipe
+    rounds, moved, slow = Rounds([], [], find(logs), recipe.path), 0.0, recipe
     if allowed is not None:
         fastest = 0.98 * min(recipe.motion.speed, FIRST_SPEED, allowed.document.limits.speed)
         slow = replace(recipe, motion=replace(recipe.motion, settings=recipe.motion.settings_at(fastest)))

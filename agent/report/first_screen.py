@@ -21,7 +21,7 @@ from agent.diagnosis import (
     size_text,
     torque_gap,
 )
-from agent.model import CATALOGUE
+from agent.model import CATALOGUE, PAYLOAD
 from agent.recording import Log, machines_of
 from agent.report.gap_section import verdict_text
 from agent.report.page import About, NextStep
@@ -226,6 +226,11 @@ def _identity(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     return [
         ("robot", dataset.robot.name),
         *((key, ", ".join(values) or "not reported") for key, values in machines.items()),
+        *(
+            ("mass at the flange", f"{load} ({log.name})")
+            for log in dataset.logs
+            if (load := log.metadata.get(PAYLOAD))
+        ),
         ("recorded", _recorded(dataset.logs)),
         ("logs", str(len(dataset.logs))),
         ("model", model if dataset.given else f"fitted to these logs: {model}"),

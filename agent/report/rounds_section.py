@@ -34,8 +34,13 @@ def planned_sections(experiment: Mapping[str, Any] | None) -> list[Section]:
         "The right answer's probability comes from rehearsals: what the diagnosis would say after it, should either be "
         "true. A size of 1 is the smallest that matters.",
     ]
-    text += [f"{experiment['with_a_mass']}."] if "with_a_mass" in experiment else []
-    header = ("open", "right answer without it", "after it", "smallest size it would find")
+    text += [f"{experiment['with_a_mass']['text']}."] if "with_a_mass" in experiment else []
+    header = (
+        "open",
+        "right answer without it",
+        "after it (should the one or the other be true)",
+        "smallest size it would find",
+    )
     return [Section("The motion that tells more", text, (Table("planned", header, rows),))]
 
 
@@ -43,7 +48,9 @@ def chances_text(entry: Mapping[str, Any]) -> tuple[str, str, str, str]:
     """Of a planned motion and one pair: the pair, both probabilities of the right answer, and the smallest size."""
     smallest = entry["smallest_over_practical"]
     size = "-" if smallest is None else f"{smallest:.2g}"
-    return " or ".join(entry["pair"]), f"{entry['before']:.2f}", f"{entry['after']:.2f}", size
+    sides = [f"{side:.2f}" for side in entry["after_if"] if side is not None]
+    after = f"{entry['after']:.2f}" + (f" ({' or '.join(sides)})" if len(set(sides)) > 1 else "")
+    return " or ".join(entry["pair"]), f"{entry['before']:.2f}", after, size
 
 
 def rounds_sections(rounds: Sequence[Mapping[str, Any]] | None, end: str) -> list[Section]:

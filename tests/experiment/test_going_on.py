@@ -102,8 +102,22 @@ def test_after_a_planned_motion_comes_its_recording_and_the_same_question_with_i
     words = shlex.split(record.command)
     assert words[:3] == ["agent", "record", str(ASKED.next_recipe)]
     assert words[3:] == ["--program", "my plan/program.pdl", "--payload", planned["payload"]]
+    assert record.what.startswith("mount 5 kg, 0 mm, 0 mm, 60 mm at the flange, then run")
     assert "--drives-off LOG" in again.what
     assert read(again.command)["logs"] == [Path("a b.mcap"), Path("my plan/program.mcap")]
+
+
+@pytest.mark.parametrize("program", ["my plan/program.pdl", None])
+def test_a_mass_that_would_tell_more_comes_with_the_command_that_plans_for_it(program):
+    mass = {"payload": "5 kg, 0 mm, 0 mm, 0 mm", "text": "A known mass would tell more", "after": 0.9}
+    planned = {"program": program, "motion": "a loop", "with_a_mass": mass}
+    result = {"verdict": "ambiguous", "causes": [{"effect": "stribeck"}], "next_experiment": planned}
+    *_, loaded = after_diagnosis(result, "my robot.yaml", [Path("a b.mcap")], ASKED, Path("next.yaml"))
+    found = read(loaded.command)
+    assert (found["next_recipe"], found["load"]) == (Path("next.yaml"), mass["payload"])
+    assert found["out"] == Path("out_with_a_mass"), "the folder of the bare arm's motion is taken"
+    assert found["logs"] == [Path("a b.mcap")]
+    assert len(after_diagnosis(result, "my robot.yaml", [], ASKED)) == (2 if program else 1), "no recipe, no plan"
 
 
 def test_a_recalibration_is_started_again_with_its_authorisation(run: RunFolder, tmp_path: Path):

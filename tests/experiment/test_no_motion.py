@@ -14,11 +14,13 @@ from agent.core import Console, InputError, RejectedError, write_atomically
 from agent.diagnosis.evidence import null_gains
 from agent.experiment import KINDS, Experiment, as_drawn
 from agent.experiment.pieces import Pieces
-from agent.pipeline import GapQuestion, check_plausible, diagnose_files, next_experiment
-from agent.pipeline.next_experiment import LONGEST, NoMotion, check_arm, plan_next
+from agent.pipeline import GapQuestion, check_plausible, diagnose_files, next_checks, next_experiment
+from agent.pipeline.next_checks import check_arm, check_tool
+from agent.pipeline.next_experiment import LONGEST, NoMotion, plan_next
 from agent.pipeline.planning import loop_problem
 from agent.recipe import load_recipe, template
 from agent.recording import write_log
+from agent.robot import load_robot
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record
 
@@ -124,31 +126,78 @@ def test_a_log_of_the_other_sign_is_found_beside_a_good_one(arm, logs):
         check_plausible(arm, [good, good, bad], False, Console(-1), model=model)
 
 
-@pytest.mark.parametrize("why", [KeyboardInterrupt(), InputError("a box that nothing keeps clear of")])
-def test_where_the_planning_is_stopped_the_diagnosis_and_its_page_are_there(
-    arm, logs, tmp_path: Path, monkeypatch, why
-):
+def fails(why):
+    def step(*_, **__):
+        raise why
+
+    return step
+
+
+@pytest.fixture
+def asked(arm, logs, tmp_path: Path, monkeypatch):
+    """`asked()`: a diagnosis with a further motion that what is set before stops; the question, and what was shown."""
     learn(arm).save(tmp_path / "model.json")
     paths = [tmp_path / log.name for log in logs]
     for path, log in zip(paths, logs, strict=True):
         write_log(path, log)
-
-    def plan(*_, **__):
-        raise why
-
     monkeypatch.setattr(GapQuestion, "check", lambda *_: None)
     monkeypatch.setattr("agent.recipe.load_recipe", lambda path: None)
-    monkeypatch.setattr(next_experiment, "check_arm", lambda *_: None)
-    monkeypatch.setattr(next_experiment, "plan_next", plan)
+    monkeypatch.setattr(next_checks, "check_arm", lambda *_: None)
+    monkeypatch.setattr(next_checks, "check_tool", lambda *_: None)
     question = GapQuestion(
         tmp_path / "model.json", report=tmp_path / "page.html", out=tmp_path / "next", next_recipe=tmp_path / "job.yaml"
     )
-    shown: list[dict] = []
-    with pytest.raises(type(why)):
-        diagnose_files(arm, paths, question, Console(-1), shown.append)
-    assert [one["verdict"] for one in shown] == ["no_gap"]
+
+    def run(why):
+        shown: list[dict] = []
+        with pytest.raises(type(why)):
+            diagnose_files(arm, paths, question, Console(-1), shown.append)
+        (one,) = shown
+        return question, one
+
+    return run
+
+
+STOPS = [KeyboardInterrupt(), InputError("a box that nothing keeps clear of")]
+
+
+@pytest.mark.parametrize("why", STOPS)
+def test_where_the_planning_is_stopped_the_diagnosis_and_its_page_are_there(asked, monkeypatch, why):
+    monkeypatch.setattr(next_experiment, "plan_next", fails(why))
+    question, shown = asked(why)
+    assert shown["verdict"] == "no_gap"
+    assert any("what to run next was not found out" in text for text in shown["warnings"])
     assert "Gap between model and" in question.report.read_text(encoding="utf-8")
     assert not question.out.exists()
+
+
+@pytest.mark.parametrize("why", STOPS)
+def test_where_the_question_of_a_mass_is_stopped_the_motion_of_the_bare_arm_is_there(asked, monkeypatch, why):
+    piece = SimpleNamespace(text=lambda robot: "a loop of the bare arm")
+    experiment = SimpleNamespace(expected=(), pieces=[piece])
+    text = "PROGRAM x\nBEGIN\n  DELAY 4000\nEND x\n"
+    planned = next_experiment.NextMotion(experiment, text, (), load_robot("comau_ns16"))  # type: ignore[arg-type]
+    monkeypatch.setattr(next_experiment, "plan_next", lambda *_, **__: planned)
+    monkeypatch.setattr(next_experiment, "mass_beside", fails(why))
+    question, shown = asked(why)
+    assert shown["next_experiment"]["motion"] == "a loop of the bare arm"
+    assert any("whether a known mass would tell more was not found out" in text for text in shown["warnings"])
+    assert (question.out / "program.pdl").read_text(encoding="utf-8") == text
+    assert "a loop of the bare arm" in question.report.read_text(encoding="utf-8")
+
+
+def test_a_recipe_with_another_tool_than_the_logs_or_the_model_is_refused(tmp_path: Path):
+    """It had been planned and run; its log was refused beside the others."""
+    bare = load_recipe(write_atomically(tmp_path / "bare.yaml", template()))
+    tooled = load_recipe(write_atomically(tmp_path / "tool.yaml", template() + "\ntool: {mass: 4 kg}\n"))
+    log = SimpleNamespace(name="a.mcap", metadata={"tool": "none"})
+    unsaid = SimpleNamespace(name="b.mcap", metadata={})
+    check_tool(bare, [log, unsaid], {"tool": ["none"]})  # type: ignore[list-item]
+    check_tool(tooled, [unsaid], {})  # type: ignore[list-item]
+    with pytest.raises(InputError, match=r"its tool is .*4 kg.*, and that of a\.mcap is none"):
+        check_tool(tooled, [log], {})  # type: ignore[list-item]
+    with pytest.raises(InputError, match="that of the model is none"):
+        check_tool(tooled, [unsaid], {"tool": ["none"]})  # type: ignore[list-item]
 
 
 def test_a_motion_is_planned_where_the_model_was_fitted_and_the_logs_go():

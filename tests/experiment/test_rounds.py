@@ -15,7 +15,8 @@ from agent.model import CATALOGUE
 from agent.motion import Delay, write_program
 from agent.pipeline import until_sure as module
 from agent.pipeline.calibrate import step
-from agent.pipeline.next_experiment import NextMotion, NoMotion, check_next
+from agent.pipeline.next_checks import check_next
+from agent.pipeline.next_experiment import NextMotion, NoMotion
 from agent.pipeline.other_tests import other_test
 from agent.pipeline.until_sure import until_sure
 from agent.recipe import load_recipe, template
@@ -29,7 +30,12 @@ from agent.safety.first_run import FIRST_SPEED
 from drivers.errors import DriverError
 
 PROBLEM = "cd" * 32
-PAIR = {"pair": ["stribeck on joint_2", "presliding on joint_2"], "before": 0.51, "after": 0.93}
+PAIR = {
+    "pair": ["stribeck on joint_2", "presliding on joint_2"],
+    "before": 0.51,
+    "after": 0.93,
+    "after_if": [0.93, 0.93],
+}
 NONE = NoMotion("no motion would tell them apart. What may: another load", ("presliding", "stribeck"))
 CAUSE = {"effect": "stribeck", "joints": ["joint_2"], "probability": 0.9}
 

@@ -105,8 +105,7 @@ def test_the_page_says_it_beside_the_motion_of_the_bare_arm(ask):
     robot = load_robot("comau_ns16")
     experiment = SimpleNamespace(expected=(), pieces=[SimpleNamespace(text=lambda robot: "a loop")])
     text = "PROGRAM x\nBEGIN\n  DELAY 4000\nEND x\n"
-    said = NextMotion(experiment, text, (), robot, mass=mass).to_dict("x.pdl")  # type: ignore[arg-type]
-    assert said["with_a_mass"] == mass.text()
+    said = NextMotion(experiment, text, (), robot).to_dict("x.pdl") | {"with_a_mass": mass.to_dict()}  # type: ignore[arg-type]
     assert mass.text() in unescape(render(Page("Gap", "it is", "plain", planned_sections(said))))
 
 
