@@ -113,21 +113,24 @@ def plan_experiment(
                     chosen = varied
         return [piece for piece, _ in chosen]
 
+    def chances_after(design: Sequence[Piece]) -> np.ndarray:
+        return outlook.chances(sum((outlook.told(piece.motion) for piece in design), outlook.nothing))
+
     rivals = np.array([bool(pair.second.forms) for pair in pairs])
-    designs = [designed(sides, longest)] if sides.any() else []
-    if rivals.any():
-        of_cause = sides & np.array([[pair.first is pairs[0].first] for pair in pairs])
-        questions = [designed(one, _ASKED * longest) for one in _different(sides, of_cause)]
-        pick, drawn = _d_optimal(found, pool), [piece for piece, _ in pool]
-        if doubtful.any():
-            questions.append(together(_loudest(outlook, pairs[0].first, pool), drawn, _ASKED * longest))
-        loops = [piece for piece in drawn if piece.draw.kind == "loop"]
-        filled = [together(pick, drawn, longest, begun) for begun in (*questions, [])]
-        designs = [*filled, together(pick, loops, longest), *designs]
+    of_cause = sides & (np.array([[pair.first is pairs[0].first] for pair in pairs]) & rivals[:, None])
+    questions = [designed(one, _ASKED * longest) for one in _different(sides, of_cause)]
+    pick, drawn = _d_optimal(found, pool), [piece for piece, _ in pool]
+    if doubtful.any():
+        questions.append(together(_loudest(outlook, pairs[0].first, pool), drawn, _ASKED * longest))
+    loops = [piece for piece in drawn if piece.draw.kind == "loop"]
+    designs = [together(pick, drawn, longest, begun) for begun in (*questions, [])]
+    designs += [together(pick, loops, longest), *([designed(sides, longest)] if sides.any() else [])]
     designs = [design for design in map(partial(_runnable, runnable), designs) if design]
-    best = designs[0] if designs else []
-    if rivals.any() and best:
+    best: list[Piece] = []
+    if rivals.any() and designs:
         best = best_rehearsed(designs, partial(settled, found, pairs, problem), seed, progress)
+    elif designs:  # what fills the time may hide what is asked about, as all of it counts
+        best = next((one for one in designs if np.any(chances_after(one)[sides] > _WITHIN_REACH)), designs[-1])
     while best and not runnable(best):  # what runs last is what is taken
         best = best[:-1]
     added = sum((outlook.told(piece.motion) for piece in best), outlook.nothing)

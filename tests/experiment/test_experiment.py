@@ -458,3 +458,18 @@ def test_a_few_rehearsals_that_all_name_the_truth_are_no_certainty(arm, ambiguou
     new = asked & (before == 0)
     assert np.all((after[new] > 0.05) & (after[new] < 0.95))
     assert np.all(after[asked & (before == 1)] > 0.05)
+
+
+def test_where_no_rivals_are_open_the_time_that_a_question_leaves_is_filled(problem):
+    """Sizes fall with what all motions say of everything; a question about one effect alone takes seconds."""
+    plant, slow = Plant(problem.robot, seed=3), 0.3
+    found = diagnose(
+        problem.robot, [record(plant, "one", 21, slow), record(plant, "two", 22, slow)], learn(problem.robot)
+    )
+    assert found.result["verdict"] == "no_gap"
+    pairs = open_pairs(found)
+    assert pairs
+    assert not any(pair.second.forms for pair in pairs)
+    planned = plan_experiment(found, pairs, problem, 40.0, seed=3)
+    assert planned.pieces
+    assert planned.duration > 20.0
