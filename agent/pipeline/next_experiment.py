@@ -12,7 +12,7 @@ import numpy as np
 from agent.core import Console, InputError, sha256_text, write_atomically
 from agent.link import PROGRAM_SHA256, SCHEMA, torque_limits, with_payload
 from agent.pipeline.next_checks import check_arm, check_folder
-from agent.pipeline.other_tests import BRAKES, WithMass, brakes_tell, helped, other_test, with_a_mass
+from agent.pipeline.other_tests import BRAKES, WithMass, brakes_tell, helped, in_doubt, other_test, with_a_mass
 from agent.pipeline.planning import checked_chains, loop_problem
 from agent.recipe import Recipe
 from agent.runs import make_folder, write_json
@@ -128,6 +128,8 @@ def plan_next(
 
     check_arm(recipe, found.dataset.robot)
     pairs = open_pairs(found)
+    if not pairs and (doubt := in_doubt(found)):
+        return NoMotion(doubt, tuple(sorted({cause.effect.name for cause in found.finding.causes})))
     if not pairs:
         return NoMotion("nothing is open: no further motion is needed")
     names = tuple(sorted({name for pair in pairs for name in pair.names if name != "none"}))

@@ -42,6 +42,20 @@ def other_test(found: Diagnosis, pairs: Sequence[OpenPair]) -> str:
     return f"What may: {brakes}another posture, load or temperature, or a look at the arm: {looks}"
 
 
+def in_doubt(found: Diagnosis) -> str:
+    """What may tell where a cause has no rival that a motion could be planned against, and is not sure all the same;
+    empty where nothing is open."""
+    if found.finding.verdict != "ambiguous":
+        return ""
+    place = found.finding.causes[0].place
+    joints = ", ".join(found.dataset.robot.joint_names[joint] for joint in place[1])
+    return (
+        f"{place[0]}{f' on {joints}' if joints else ''} closes too little of the gap to be sure of, and what may equal "
+        "it has no form that fits: no motion can be planned against it. What may: any longer, more varied motion of the "
+        "sub-region (agent record RECIPE), which shows more of it"
+    )
+
+
 def brakes_tell(found: Diagnosis, pairs: Sequence[OpenPair]) -> bool:
     """Whether one of two that are open is an offset of a torque channel, whose zero is not known yet."""
     from agent.model import CATALOGUE

@@ -38,7 +38,7 @@ def planned_sections(experiment: Mapping[str, Any] | None) -> list[Section]:
     header = (
         "open",
         "right answer without it",
-        "after it (should the one or the other be true)",
+        "after it (one or the other true)",
         "smallest size it would find",
     )
     return [Section("The motion that tells more", text, (Table("planned", header, rows),))]

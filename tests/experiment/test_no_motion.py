@@ -71,6 +71,19 @@ def test_it_says_what_no_motion_would_tell_and_where_to_look(ask):
     assert "would show stribeck on joint_2. What may" in alone.text
 
 
+def test_a_cause_in_doubt_without_a_rival_to_plan_against_is_not_called_settled(tmp_path: Path, monkeypatch):
+    recipe = load_recipe(write_atomically(tmp_path / "job.yaml", template()))
+    cause = SimpleNamespace(place=("torque_ripple", (5,)), effect=SimpleNamespace(name="torque_ripple"))
+    dataset = SimpleNamespace(robot=recipe.robot)
+    found = SimpleNamespace(finding=SimpleNamespace(verdict="ambiguous", causes=(cause,)), dataset=dataset)
+    monkeypatch.setattr(agent.experiment, "open_pairs", lambda found: [])
+    said = plan_next(found, recipe, Console(-1))  # type: ignore[arg-type]
+    assert said.text.startswith("torque_ripple on joint_6 closes too little of the gap to be sure of")
+    assert said.to_dict()["separates"] == ["torque_ripple"]
+    found.finding.verdict = "explained"
+    assert plan_next(found, recipe, Console(-1)) == NoMotion("nothing is open: no further motion is needed")  # type: ignore[arg-type]
+
+
 def test_where_no_piece_keeps_all_limits_it_names_the_limit_and_not_what_else_would_tell(ask):
     box = "cell: {keep_out: [{name: post, box: {min: [0.9 m, -0.3 m, 0 m], max: [1.1 m, 0.3 m, 1.5 m]}}]}\n"
     said = ask([NOTHING], change=lambda text: box + text)
