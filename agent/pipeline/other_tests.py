@@ -51,8 +51,8 @@ def in_doubt(found: Diagnosis) -> str:
     joints = ", ".join(found.dataset.robot.joint_names[joint] for joint in place[1])
     return (
         f"{place[0]}{f' on {joints}' if joints else ''} closes too little of the gap to be sure of, and what may equal "
-        "it has no form that fits: no motion can be planned against it. What may: any longer, more varied motion of the "
-        "sub-region (agent record RECIPE), which shows more of it"
+        "it has no form that fits: no motion can be planned against it. What may: any longer, more varied motion of "
+        "the sub-region (agent record RECIPE), which shows more of it"
     )
 
 
