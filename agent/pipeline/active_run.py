@@ -20,6 +20,7 @@ from drivers.errors import DriverError
 if TYPE_CHECKING:
     from agent.blind_check import Case
     from agent.diagnosis import Diagnosis
+    from agent.pipeline.other_tests import WithMass
     from agent.recording import Log
     from agent.robot import Tool
 
@@ -160,7 +161,8 @@ class ActiveRun:
         logs += [folder / f"{program}.mcap" for program, folder in before.items()]
         found, number = self._diagnose(logs, brakes), len(before) + 1
         started, program = time.process_time(), f"further{number}"
-        motion = self._motion(way, found, seconds, program, self._case.motion + number, load)
+        mass = not before and not brakes and load is None
+        motion = self._motion(way, found, seconds, program, self._case.motion + number, load, mass)
         asked = {} if motion.mass is None else {"mass": motion.mass}
         if not motion.text:
             return asked
@@ -190,22 +192,29 @@ class ActiveRun:
             ]
             return {"result": _said(self._diagnose(logs, True))}
         seconds = LONGEST if way == "planned" else planned["seconds"]
-        return self._moved(way, f"{way}_brakes", {}, seconds, True) or {"result": first}
+        said = self._moved(way, f"{way}_brakes", {}, seconds, True)
+        return said if "result" in said else {"result": first}
 
     def _motion(
-        self, way: str, found: Diagnosis, seconds: float, name: str, seed: int, load: Tool | None = None
+        self,
+        way: str,
+        found: Diagnosis,
+        seconds: float,
+        name: str,
+        seed: int,
+        load: Tool | None = None,
+        mass: bool = False,
     ) -> WayMotion:
-        """A way's next motion of at most so many `seconds`, with a known `load` at the flange or none."""
+        """A way's next motion of at most so many `seconds`, with a known `load` at the flange or none; `mass`: whether
+        one beside it is asked about."""
         from agent.experiment import KINDS, LOOPS, as_drawn, d_optimal
-        from agent.model import payload_text
 
         if way == "planned":
             motion = plan_next(found, self._recipe, _QUIET, seconds, name, load)
-            mass = mass_beside(found, self._recipe, motion, _QUIET) if isinstance(motion, NextMotion) else motion.mass
-            asked = None if mass is None else payload_text(mass.load)
             if not isinstance(motion, NextMotion):
-                return WayMotion("", 0.0, mass=asked)
-            return WayMotion(motion.text, motion.duration, motion.to_dict(name)["probability"], asked)
+                return WayMotion("", 0.0, mass=_text_of(motion.mass))
+            beside = mass_beside(found, self._recipe, motion, _QUIET) if mass else None
+            return WayMotion(motion.text, motion.duration, motion.to_dict(name)["probability"], _text_of(beside))
         if way == "loop_again":
             cycle = self._plan.excitation.loop.trajectory.duration
             again = replace(self._plan.excitation, name=name, cycles=max(1, round(seconds / cycle)))
@@ -273,6 +282,13 @@ class ActiveRun:
             at_rest = on_brakes(read[0], self._case.effects) if brakes else None
             self._found[key] = diagnose(robot, read, IdentifiedModel.load(self._model), drives_off=at_rest)
         return self._found[key]
+
+
+def _text_of(mass: WithMass | None) -> str | None:
+    """What is to be mounted, as `agent.model.payload_of` reads it."""
+    from agent.model import payload_text
+
+    return None if mass is None else payload_text(mass.load)
 
 
 def _may_be_of_channel(said: Mapping[str, Any]) -> bool:

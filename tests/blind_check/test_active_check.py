@@ -63,12 +63,12 @@ def check(tmp_path: Path, monkeypatch):
             dataset=SimpleNamespace(robot=load_robot("comau_ns16"), logs=logs),
         )
 
-    def motion(self, way, found, seconds, name, seed, load=None):
+    def motion(self, way, found, seconds, name, seed, load=None, mass=False):
         made.asked.append((self._case.number, way, name, seconds))
-        mass = made.masses.get(self._case.number) if way == "planned" and load is None else None
+        asked = made.masses.get(self._case.number) if way == "planned" and load is None else None
         if self._case.number in made.refuses and load is None:
-            return WayMotion("", 0.0, mass=mass)
-        return WayMotion(f"PROGRAM {name}", 17.0 if way == "planned" else seconds, mass=mass)
+            return WayMotion("", 0.0, mass=asked)
+        return WayMotion(f"PROGRAM {name}", 17.0 if way == "planned" else seconds, mass=asked if mass else None)
 
     monkeypatch.setattr(ControllerMachines, "run", record)
     monkeypatch.setattr(ActiveRun, "_diagnose", diagnose)
@@ -157,6 +157,17 @@ def test_a_mass_that_is_asked_for_is_mounted_and_all_ways_get_the_time_of_its_mo
     assert (1, "planned", "further1", 60.0) in check.asked
     assert (1, "random_loops", "further1", 17.0) in check.asked, "the bare arm has no motion, one with the mass has"
     assert scores["no_motion"] == 1
+
+
+def test_where_no_motion_tells_beside_the_brakes_what_they_say_stands_though_a_mass_is_asked_for(check):
+    check.effect, check.refuses = "torque_offset", (0,)
+    check.masses, check.brakes = (
+        {0: "5 kg, 0 mm, 0 mm, 0 mm"},
+        {(0, 1): "unknown", (1, 1): "explained", (2, 1): "explained"},
+    )
+    check.whole.run(QUIET)
+    kept = json.loads((check.folder / "runs" / "0000" / "planned_brakes.json").read_text())
+    assert kept["result"]["verdict"] == "unknown"
 
 
 def test_no_time_is_spent_where_no_motion_would_tell(check):
