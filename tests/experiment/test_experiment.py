@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,64 +9,21 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from agent.diagnosis import Diagnosis, Excursions, Fit, complexity, diagnose
-from agent.diagnosis.folds import folds_of, part_borders
-from agent.diagnosis.limits import LIMITS
-from agent.excitation import LoopProblem
+from agent.diagnosis import Excursions, diagnose
 from agent.experiment import LOOPS, as_drawn, d_optimal, open_pairs, pieces_otherwise, plan_experiment, questions
-from agent.experiment.choice import _shortened, best_rehearsed, rehearsed
 from agent.experiment.motion import GridMotion, background_on
 from agent.experiment.outlook import Outlook
 from agent.experiment.pieces import Pieces
 from agent.experiment.plan import _at_best, _doubtful, _named
 from agent.experiment.questions import Form, Hypothesis, OpenPair
-from agent.experiment.rehearsal import _ALIKE, Rehearsal, Said
 from agent.model import CATALOGUE, MotionSignals
-from agent.model.effects.effect import friction_levels
-from agent.motion import ViaRegions
-from agent.motion.program import FlyTrajectory, FlyType, MotionSettings
-from agent.motion.regions import BoxRegion
-from agent.recording import PARTS
-from agent.robot import RobotDescription, kinematics_for
+from agent.robot import kinematics_for
 from fake_controller.plant import Plant
-from tests.small_arms import learn, make_arm, record
+from tests.experiment.examples import one_sided, wave
+from tests.small_arms import learn, record
 
 NOTHING = Hypothesis("none", (), ())
 SIDES = {"asymmetric_friction", "torque_offset"}
-
-
-@pytest.fixture(scope="module")
-def arm() -> RobotDescription:
-    return make_arm("RR")
-
-
-def one_sided(arm: RobotDescription) -> Diagnosis:
-    """Friction of joint 2 differs by direction: while the joint moves, an offset would be the same."""
-    effect = {"effect": "asymmetric_friction", "joints": ["joint_2"], "parameters": {"coulomb": 0.2}}
-    plant = Plant(arm, seed=3, effects=[effect])
-    return diagnose(arm, [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))], learn(arm))
-
-
-@pytest.fixture(scope="module")
-def ambiguous(arm) -> Diagnosis:
-    return one_sided(arm)
-
-
-@pytest.fixture(scope="module")
-def problem() -> LoopProblem:
-    arm = make_arm("RRRRRR")
-    pose = kinematics_for(arm, None).forward(np.array([[0.2, 0.2, 1.2, 0.3, 0.8, 0.2]]))[0]
-    region = BoxRegion(pose, np.full(3, 0.1), 0.3)
-    fly = MotionSettings(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02)
-    return LoopProblem(robot=arm, regions=ViaRegions((region,) * 4), settings=fly.changed(linear_speed=0.5))
-
-
-def _wave(arm: RobotDescription, amplitudes: Sequence[float], seconds: float) -> GridMotion:
-    time = np.arange(0, seconds, 0.02)
-    w = 2 * np.pi / seconds * np.arange(1, arm.dof + 1)
-    a = np.asarray(amplitudes)
-    phase = time[:, None] * w
-    return GridMotion(time, a * np.sin(phase), a * w * np.cos(phase), -a * w**2 * np.sin(phase))
 
 
 def test_what_is_ambiguous_is_what_is_asked(ambiguous):
@@ -87,8 +43,8 @@ def test_what_is_ambiguous_is_what_is_asked(ambiguous):
 )
 def test_a_further_motion_never_brings_rivals_nearer(arm, ambiguous, first, second, seconds):
     outlook = Outlook(ambiguous.dataset, open_pairs(ambiguous))
-    one = outlook.told(_wave(arm, first, seconds))
-    together = one + outlook.told(_wave(arm, second, seconds))
+    one = outlook.told(wave(arm, first, seconds))
+    together = one + outlook.told(wave(arm, second, seconds))
     now, after, both = (outlook.distances(added) for added in (outlook.nothing, one, together))
     assert np.all(after >= now * (1 - 1e-6))
     assert np.all(both >= after * (1 - 1e-6))
@@ -178,7 +134,7 @@ def test_what_the_criterion_tells_and_the_verdict_does_not_stays_open(ambiguous)
 def test_an_effect_is_larger_on_a_motion_that_shows_it(arm, ambiguous):
     pairs = open_pairs(ambiguous)
     outlook, (form, *_) = Outlook(ambiguous.dataset, pairs), pairs[0].first.truths
-    turning, other = (outlook.told(_wave(arm, reach, 6.0)) for reach in ((0.0, 0.4), (0.4, 0.0)))
+    turning, other = (outlook.told(wave(arm, reach, 6.0)) for reach in ((0.0, 0.4), (0.4, 0.0)))
     assert outlook.energy(turning, form) > 10 * outlook.energy(other, form)
 
 
@@ -235,28 +191,6 @@ def test_other_shapes_of_its_kind_are_asked_about_at_about_the_size_of_the_cause
     assert fit.chosen == ()
 
 
-def test_friction_by_direction_is_taken_to_differ_at_speed_too(arm, ambiguous):
-    """Slow logs show a constant only; as a rule as large a part of viscous friction differs as of the Coulomb level."""
-    pair = next(pair for pair in open_pairs(ambiguous) if set(pair.names) == SIDES)
-    (true,) = next(side for side in (pair.first, pair.second) if side.effect == "asymmetric_friction").truths
-    levels = friction_levels(ambiguous.dataset.fit.reference, 1)
-    assert true.candidate.names == ("coulomb_asymmetry", "viscous_asymmetry")
-    assert np.sqrt(true.covariance[1, 1]) < 1.01 * abs(true.values[0]) * levels["viscous"] / levels["coulomb"]
-    rehearsal = Rehearsal(ambiguous, [pair], [_wave(arm, [0.5, 0.5], 8.0)])
-    (form,) = rehearsal._forms(("asymmetric_friction", (1,)), rehearsal._dataset.fit)
-    assert form.names == true.candidate.names
-
-
-def test_of_forms_that_logs_tell_no_better_apart_several_are_taken_for_true(arm, ambiguous):
-    """A warm-up over seconds or over minutes: a motion that comes later does not show the same of both."""
-    rehearsal = Rehearsal(ambiguous, open_pairs(ambiguous), [_wave(arm, [0.5, 0.5], 8.0)])
-    forms = rehearsal._forms(("thermal_friction", (1,)), rehearsal._dataset.fit)
-    simplest = [form for form in forms if complexity(form) == complexity(forms[0])]
-    assert len({tuple(form.settings.items()) for form in forms}) == len(forms)
-    assert 2 <= len(simplest) <= _ALIKE
-    assert all(complexity(form) >= complexity(forms[0]) for form in forms)
-
-
 def test_pieces_that_only_together_tell_are_within_reach():
     """Each is too short to pass the margin, and all there are together have too many rows."""
     tells = {0: 0.0, 1: 0.2, 2: 0.9, 3: 0.4}
@@ -280,7 +214,7 @@ def test_a_form_whose_joint_does_not_travel_far_enough_is_not_told(arm, ambiguou
         form = Form(candidate, values, np.zeros((len(values),) * 2))
         sides.append(Hypothesis(name, ("joint_2",), (form,)))
     outlook = Outlook(ambiguous.dataset, [OpenPair(*sides, fit, 1e-6), OpenPair(sides[0], NOTHING, fit, 1e-6)])
-    wide = outlook.told(_wave(arm, [0.4, 0.4], 8.0))
+    wide = outlook.told(wave(arm, [0.4, 0.4], 8.0))
     assert outlook.chances(wide)[0, 0] > 0.5
     assert outlook.minimum_detectable_sizes(wide)[1] is not None
     short = Excursions(
@@ -290,128 +224,6 @@ def test_a_form_whose_joint_does_not_travel_far_enough_is_not_told(arm, ambiguou
     assert outlook.chances(little)[0, 0] == 0.0
     assert outlook.chances(little)[0, 1] == pytest.approx(1.0)
     assert outlook.minimum_detectable_sizes(little)[1] is None
-
-
-@pytest.fixture(scope="module")
-def said(arm, ambiguous):
-    """What a rehearsal of a wide motion says where each of two is true."""
-    pairs = [pair for pair in open_pairs(ambiguous) if set(pair.names) == SIDES]
-    rehearsal = Rehearsal(ambiguous, pairs, [_wave(arm, [0.5, 0.5], 8.0)])
-    return rehearsal, rehearsal.said(1)
-
-
-def test_a_rehearsal_asks_the_diagnosis_itself_with_each_rival_taken_for_true(said):
-    _, answers = said
-    assert set(answers) == {("asymmetric_friction", (1,)), ("torque_offset", (1,))}
-    for place, (answer,) in answers.items():
-        assert answer.verdict in ("ambiguous", "explained"), "half of the torque is measured, and either explains it"
-        assert place in answer.classes[0]
-        assert answer.settles(place) == (answer.verdict == "explained" and answer.classes == ((place,),))
-
-
-def test_of_a_pair_what_is_in_the_class_is_the_answer_where_its_rival_is_not():
-    offset, one_sided, spring, hose = ((name, (1,)) for name in ("torque_offset", "asymmetric_friction", "s", "h"))
-    answer = Said("ambiguous", ((offset, one_sided), (hose,)))
-    assert answer.names(one_sided, spring), "which of two equals comes first says nothing of a third"
-    assert answer.names(offset, spring)
-    assert not answer.names(one_sided, offset)
-    assert not answer.names(one_sided, hose)
-    assert not answer.names(spring, hose)
-
-
-def test_a_rehearsal_repeats_itself(said):
-    rehearsal, answers = said
-    assert rehearsal.said(1) == answers
-
-
-def test_another_residual_of_the_same_motions_is_fitted_as_if_it_had_been_measured(ambiguous):
-    fit = ambiguous.dataset.fit
-    left = np.random.default_rng(4).standard_normal(fit.sigma.shape)
-    (offset,) = fit.candidates([(CATALOGUE["torque_offset"], (1,), {})])
-    known = fit.score([offset])[0].gain
-    rows = [np.column_stack([block[:, :-1], one]) for block, one in zip(fit.rows, left.T, strict=True)]
-    anew = Fit(
-        fit.reference, fit.signals, rows, fit.index, fit.sigma, fit.precision, fit.shift,
-        fit.cell, fit.block, fit.folds, fit.single,
-    )  # fmt: skip
-    other = fit.with_residual(left)
-    assert other.gram == pytest.approx(anew.gram, rel=1e-9, abs=1e-9)
-    for mine, theirs in zip(other.score([offset]), anew.score([offset]), strict=True):
-        assert (mine.gain, mine.values) == (pytest.approx(theirs.gain), pytest.approx(theirs.values))
-    assert fit.score([offset])[0].gain == known
-
-
-def test_the_only_log_in_which_a_joint_moves_is_held_out_in_halves(ambiguous):
-    """No other log tells of what that joint has, so held out whole it would be predicted from nothing."""
-    log = ambiguous.dataset.logs[0]
-    stands = log.position.copy()
-    stands[:, 0] = stands[0, 0] + 1e-4 * np.sin(log.t)  # servo
-    other = replace(log, position=stands, path=log.path.with_name("other.mcap"))
-    time, number = np.concatenate([log.t, log.t]), np.repeat([0, 1], len(log.t))
-
-    def names(*logs):
-        return [fold.name.partition(" ")[0] for fold in folds_of(time, number, logs, LIMITS)[1]]
-
-    assert names(log, other) == [log.name, log.name, other.name]
-    assert names(log, replace(log, path=other.path)) == [log.name, other.name]
-
-
-def test_a_planned_motion_is_held_out_in_parts_of_equal_motion(ambiguous):
-    log = ambiguous.dataset.logs[0]
-    planned = replace(log, metadata={PARTS: "2"}, path=log.path.with_name("planned.mcap"))
-    (border,) = part_borders(planned)
-    assert len(part_borders(log)) == 0
-    assert len(part_borders(replace(log, metadata={PARTS: "two"}))) == 0
-    time = np.concatenate([log.t, log.t])
-    number = np.repeat([0, 1], len(log.t))
-    cell, folds, _ = folds_of(time, number, (log, planned), LIMITS)
-    assert [fold.name for fold in folds[1:]] == [
-        f"planned.mcap {a}" for a in (f"0.0-{border:.1f} s", f"{border:.1f}-{log.t[-1]:.1f} s")
-    ]
-    rows = [np.isin(cell, np.flatnonzero(fold.test)) for fold in folds]
-    assert not np.any(np.sum(rows, axis=0) > 1)
-    way = [np.abs(np.diff(log.position[here[len(log.t) :]], axis=0)).sum() for here in rows[1:]]
-    assert min(way) > 0.25 * sum(way)
-
-
-def test_a_settled_diagnosis_asks_nothing_of_causes(arm, ambiguous):
-    model = ambiguous.dataset.model
-    plant = Plant(arm, seed=3, effects=[{"effect": "payload", "parameters": {"mass": 3.0}}])
-    found = diagnose(arm, [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))], model)
-    assert found.result["verdict"] == "explained"
-    assert all(pair.second.forms == () for pair in open_pairs(found)), "only sizes that these logs would not show"
-
-
-def test_a_motion_is_no_longer_than_its_rehearsals_need():
-    """The longest pieces are tried without first, and one that is needed stays."""
-    slow, fast, idle = (SimpleNamespace(duration=seconds) for seconds in (20.0, 5.0, 12.0))
-
-    def settled(design):
-        return 0.5 * (slow in design) + 0.4 * (fast in design)
-
-    assert _shortened([slow, idle, fast], 0.9, settled, lambda text: None) == [slow, fast]
-    assert _shortened([idle], 0.0, settled, lambda text: None) == [idle], "something of it has to be run"
-    (only,) = _shortened([idle, fast], 0.4, settled, lambda text: None)
-    assert only is fast
-
-
-def test_of_designs_that_rehearsals_cannot_tell_apart_the_first_is_taken_and_a_lucky_one_is_not():
-    hedged, exact, lucky, poor = ([SimpleNamespace(duration=float(k))] for k in range(4))
-    first = {id(hedged): 0.52, id(exact): 0.52, id(lucky): 0.90, id(poor): 0.0}
-    more = {id(hedged): 0.50, id(lucky): 0.10}
-    asked = []
-
-    def settled(design, draws, seed):
-        asked.append((id(design), seed))
-        return (first if seed == 3 else more)[id(design)]
-
-    designs = [hedged, exact, lucky, poor]
-    assert best_rehearsed(designs, settled, 3, lambda text: None) == hedged
-    assert not {(id(exact), 4), (id(poor), 4)} & set(asked), "what is behind, or no better than one before it, is left"
-    more[id(lucky)] = 0.9
-    assert best_rehearsed(designs, settled, 3, lambda text: None) == lucky, "it was no luck"
-    more[id(hedged)] = 1.0
-    assert best_rehearsed(designs, settled, 3, lambda text: None) == hedged, "those are alike"
 
 
 def test_loops_at_random_fill_the_time_with_nothing_else(problem):
@@ -447,17 +259,6 @@ def test_d_optimal_pieces_say_more_of_the_model_than_pieces_at_random(problem):
     picks = d_optimal(found.dataset), as_drawn
     best, drawn = (pieces_otherwise(pick, problem, 40.0, 3, lambda pieces: True) for pick in picks)
     assert worth(best) > worth(drawn)
-
-
-def test_a_few_rehearsals_that_all_name_the_truth_are_no_certainty(arm, ambiguous, problem):
-    pieces = [SimpleNamespace(motion=_wave(arm, [0.5, 0.5], 8.0))]
-    pairs = open_pairs(ambiguous)
-    before, after = rehearsed(ambiguous, pairs, pieces, SimpleNamespace(load=None), 3, lambda text: None)  # type: ignore[arg-type]
-    asked = np.isfinite(after)
-    assert asked.any()
-    new = asked & (before == 0)
-    assert np.all((after[new] > 0.05) & (after[new] < 0.95))
-    assert np.all(after[asked & (before == 1)] > 0.05)
 
 
 def test_where_no_rivals_are_open_the_time_that_a_question_leaves_is_filled(problem):
