@@ -1,8 +1,8 @@
 """A blind check whose runs may ask further motions: the one planned for what is open, and other ways to use its time.
 
-Every way starts from the same first recording, the excitation loop of a recipe, gets the same
-robot time, and is diagnosed with all logs before it. A way's motions run after the first one on the same machine, so it
-is as warm as it would be. Diagnosis and planning are given logs, model and recipe; the key is sealed before them.
+Every way starts from the same first recording, the excitation loop of a recipe, gets the same robot time, and is
+diagnosed with all logs before it. A way's motions run after the first one on the same machine, so it is as warm as it
+would be. Diagnosis and planning are given logs, model and recipe; the key is sealed before them.
 
 Where the first answer may be an offset of a torque channel, the tool asks for seconds of the arm on its brakes. So
 every way has a second answer there, after its first further motion, with them; the planned motion is planned anew for
