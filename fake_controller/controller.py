@@ -248,7 +248,7 @@ class Controller:
         self.stop(EndReason.SHUTDOWN, "the controller is switched off")
         self.wait(10.0)
 
-    def _apply_fault(self, fault: Fault) -> None:
+    def _apply_fault(self, fault: Fault) -> None:  # noqa: C901
         stop = self.state.apply_fault(fault.name)
         if stop is not None:
             self.stop(*stop)

@@ -24,16 +24,6 @@ def test_no_module_imports_itself_by_way_of_others():
     assert not imports, f"a circle of imports goes through some of these: {sorted(imports)}"
 
 
-MOST_LINES = 350
-
-
-def test_modules_are_short_enough_to_read():
-    modules = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
-    lengths = {path.relative_to(ROOT).as_posix(): len(path.read_text("utf-8").splitlines()) for path in modules}
-    long = {name: length for name, length in lengths.items() if length > MOST_LINES}
-    assert not long, f"more than {MOST_LINES} lines; look for the second subject in each: {long}"
-
-
 def test_no_class_name_stands_for_two_things():
     """Classes at the top of a module; private ones too, as they are met in the same tracebacks."""
     places: dict[str, list[str]] = {}

@@ -226,7 +226,7 @@ def _held(friction: np.ndarray, speed: float, bristle: np.ndarray, dt: float) ->
     "void(f8[:,:,::1], f8[:,::1], f8[:,::1], b1[::1], f8[::1], f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1],"
     " f8[:,:,::1], f8[::1], i8, f8, f8[:,::1], f8[:,:,::1])"
 )
-def march(
+def march(  # noqa: C901
     rotations: np.ndarray,
     origins: np.ndarray,
     axes: np.ndarray,

@@ -27,7 +27,7 @@ _fused: Any = intrinsic(_product_added)
 
 
 @compiled("Tuple((f8[:,:,::1], f8[:,:,::1]))(f8[:,:,::1], b1[::1], f8[:,::1], f8[:,::1], f8[:,::1])")
-def forward_and_jacobian(
+def forward_and_jacobian(  # noqa: C901
     transforms: np.ndarray, prismatic: np.ndarray, q: np.ndarray, cosine: np.ndarray, sine: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(S, 4, 4) poses and (S, 6, n) Jacobian of the TCP from joint positions (S, n), their cosines and sines.

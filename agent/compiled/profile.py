@@ -33,7 +33,7 @@ def growth(
 
 
 @compiled("f8[::1](f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], i8)")
-def fastest(
+def fastest(  # noqa: C901
     ceiling: np.ndarray,
     weight: np.ndarray,
     rising: np.ndarray,

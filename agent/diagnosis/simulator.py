@@ -117,7 +117,7 @@ def with_expected_error(
     )
 
 
-def search_simulator(
+def search_simulator(  # noqa: C901
     robot: RobotDescription,
     model: IdentifiedModel,
     logs: Sequence[Log],

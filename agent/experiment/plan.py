@@ -64,7 +64,7 @@ class Experiment:
         return sum(piece.duration for piece in self.pieces)
 
 
-def plan_experiment(
+def plan_experiment(  # noqa: C901
     found: Diagnosis,
     pairs: Sequence[OpenPair],
     problem: LoopProblem,

@@ -159,7 +159,7 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
     return diagnosis_report(found, simulated, steps, recorded)
 
 
-def _diagnose(
+def _diagnose(  # noqa: C901
     robot: RobotDescription | None,
     paths: Sequence[Path],
     question: GapQuestion,

@@ -148,7 +148,7 @@ def recipe_schema() -> dict[str, Any]:
     }
 
 
-def _contradictions(
+def _contradictions(  # noqa: C901
     path: Path, document: RecipeDocument, robot: RobotDescription
 ) -> Iterator[tuple[tuple[str, ...], str]]:
     """What is wrong between values that are each right by themselves."""

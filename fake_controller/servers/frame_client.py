@@ -72,7 +72,7 @@ class FrameClient:
         except RefusedRequest as refused:
             self._reply(Refused(refused.reason, refused.line, refused.column, str(refused)), frame.request)
 
-    def _carry_out(self, message: Any, request: int) -> None:
+    def _carry_out(self, message: Any, request: int) -> None:  # noqa: C901
         controller = self.controller
         if isinstance(message, Hello):
             self._greet(message, request)

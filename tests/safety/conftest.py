@@ -112,7 +112,7 @@ class Peer(threading.Thread):
             self._serve(connection)
         self.controller.let_go.set()
 
-    def _serve(self, connection: socket.socket) -> None:
+    def _serve(self, connection: socket.socket) -> None:  # noqa: C901
         told, decoder = self.controller, tcp.FrameDecoder(tcp.MAX_REQUEST_PAYLOAD)
         state = {
             "drives_on": True,
