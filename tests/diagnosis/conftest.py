@@ -1,4 +1,4 @@
-"""Runs of the simulated arm beside the checkout, and the model of its baseline."""
+"""Runs of an emulated arm, made here, and the model of its healthy machine."""
 
 from __future__ import annotations
 
@@ -10,36 +10,45 @@ import pytest
 from agent.diagnosis import Diagnosis, diagnose
 from agent.estimation import estimate
 from agent.model import IdentifiedModel
-from agent.recording import read_log
 from agent.recording.log import Log
-from agent.robot import RobotDescription, load_robot
+from agent.robot import RobotDescription
+from fake_controller.plant import Plant
+from tests.small_arms import record
 
-MOTIONS = ("excite", "moves", "slow")
+#: What each case has built in.
+CASES = {
+    0: (),
+    1: ({"effect": "stribeck", "joints": ["joint_2"], "parameters": {"rise": 39.0, "speed": 0.17}},),
+    3: ({"effect": "joint_elasticity", "joints": ["joint_2"], "parameters": {"stiffness": 133e3}},),
+}
+#: Seed of each motion and the share of its amplitude.
+MOTIONS = {"excite": (21, 1.0), "moves": (22, 0.8), "slow": (23, 0.3)}
 
 
 @pytest.fixture(scope="session")
-def arm(shared_data) -> RobotDescription:
-    return load_robot(shared_data / "gap-dev")
+def arm(ns16) -> RobotDescription:
+    return ns16
 
 
 @pytest.fixture(scope="session")
-def baseline(shared_data, arm) -> IdentifiedModel:
-    return estimate(arm, [read_log(shared_data / f"gap-dev/baseline/{name}.mcap", arm) for name in MOTIONS[:2]])
+def baseline(arm) -> IdentifiedModel:
+    plant = Plant(arm, seed=3)
+    return estimate(arm, [record(plant, "first", 11), record(plant, "second", 12)])
 
 
 @pytest.fixture(scope="session")
-def runs(shared_data, arm) -> Callable[[int], list[Log]]:
+def runs(arm) -> Callable[[int], list[Log]]:
     """Logs of a case by its number."""
 
     @cache
-    def read(case: int) -> list[Log]:
-        folder = shared_data / f"gap-dev/case_{case:02d}/logs"
-        return [read_log(folder / f"{name}.mcap", arm) for name in MOTIONS]
+    def made(case: int) -> list[Log]:
+        plant = Plant(arm, seed=3, effects=CASES[case])
+        return [record(plant, name, *motion) for name, motion in MOTIONS.items()]
 
-    return read
+    return made
 
 
 @pytest.fixture(scope="session")
 def diagnosed(arm, baseline, runs) -> Callable[[int], Diagnosis]:
-    """Diagnosis of a case against the baseline's model, made once."""
+    """Diagnosis of a case against the healthy machine's model, made once."""
     return cache(lambda case: diagnose(arm, runs(case), baseline))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agent.diagnosis.candidate import Candidate
-from agent.diagnosis.evidence import null_gains, practical_parameters, share_intervals
+from agent.diagnosis.evidence import Null, null_gains, practical_parameters, share_intervals
 from agent.diagnosis.fit import Fit
 from agent.diagnosis.limits import LIMITS
 from agent.model.effects import CATALOGUE
@@ -64,6 +64,14 @@ def test_chance_falls_with_the_gain_and_never_reaches_nought(fit, candidates):
     assert chances == sorted(chances, reverse=True)
     assert 0 < chances[-1] <= LIMITS.false_alarms
     assert chances[-2] <= LIMITS.false_alarms + 1 / len(null.highest)
+
+
+def test_p_values_are_uniform_where_gain_and_draws_are_exchangeable():
+    """Of 100 equal draws, each against the other 99: every multiple of 1 % once, the largest gain the smallest."""
+    gains = np.random.default_rng(0).gamma(2.0, size=100)
+    found = [Null(np.delete(gains, k), {}, {}, {}).p_value(gain) for k, gain in enumerate(gains)]
+    assert np.sort(found) == pytest.approx(np.arange(1, 101) / 100)
+    assert np.argmin(found) == np.argmax(gains)
 
 
 def test_a_smaller_threshold_is_passed_by_a_smaller_effect(fit, candidates):

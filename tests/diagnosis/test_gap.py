@@ -50,6 +50,17 @@ def test_what_happens_at_standstill_changes_no_gain(dataset):
     assert held_out_gap(noisy, fit).before.max() > held_out_gap(data, fit).before.max()
 
 
+def test_the_floor_is_what_does_not_repeat_from_cycle_to_cycle(dataset):
+    """Independent noise far above stiction is its own floor; an error that comes back with every cycle is none."""
+    data, rng, size = dataset.dataset, np.random.default_rng(4), 1e5
+    for repeats in (0.0, 5.0):
+        noise = rng.normal(size=data.residual.shape) + repeats * np.sin(2 * np.pi * data.time / 5.0)[:, None]
+        fit = data.fit.with_residual(size * noise / data.fit.sigma)
+        noisy = replace(data, residual=size * noise, fit=fit, given=False)
+        gap = held_out_gap(noisy, fit, np.full(data.robot.dof, size))
+        assert gap.floor == pytest.approx(np.ones(data.robot.dof), rel=0.05)
+
+
 def test_friction_that_holds_a_standing_joint_the_other_way_is_no_gap(dataset):
     """Twice the level from what is predicted: other joints stand while one of them is turned to and fro."""
     data, fit = dataset.dataset, dataset.dataset.fit

@@ -1,15 +1,42 @@
-"""Every run of the development set, against the model of its baseline."""
+"""Every run of the development set beside the checkout, against the model of its baseline."""
 
 from __future__ import annotations
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
 
 from agent.diagnosis import diagnose, extended_model
+from agent.estimation import estimate
 from agent.model import IdentifiedModel
+from agent.recording import read_log
+from agent.robot import load_robot
 from agent.validation import validate
+
+MOTIONS = ("excite", "moves", "slow")
+
+
+@pytest.fixture(scope="module")
+def arm(shared_data):
+    return load_robot(shared_data / "gap-dev")
+
+
+@pytest.fixture(scope="module")
+def baseline(shared_data, arm):
+    return estimate(arm, [read_log(shared_data / f"gap-dev/baseline/{name}.mcap", arm) for name in MOTIONS[:2]])
+
+
+@pytest.fixture(scope="module")
+def runs(shared_data, arm):
+    folder = shared_data / "gap-dev"
+    return cache(lambda case: [read_log(folder / f"case_{case:02d}/logs/{name}.mcap", arm) for name in MOTIONS])
+
+
+@pytest.fixture(scope="module")
+def diagnosed(arm, baseline, runs):
+    return cache(lambda case: diagnose(arm, runs(case), baseline))
 
 
 @pytest.fixture(scope="module")

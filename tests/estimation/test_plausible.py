@@ -57,9 +57,8 @@ MISTAKES = {
 
 
 @pytest.fixture(scope="module")
-def healthy(shared_data):
-    robot = load_robot(str(shared_data / "gap-dev/robot.yaml"))
-    return robot, read_log(shared_data / "gap-dev/baseline/excite.mcap", robot)
+def healthy(ns16):
+    return ns16, record(Plant(ns16, seed=3), "excite", 21)
 
 
 @pytest.mark.parametrize("reason", MISTAKES)
@@ -285,30 +284,30 @@ def test_an_unsigned_current_of_a_real_arm_is_refused(shared_data):
     assert "never negative" in plausibility_warnings(robot, [log])[0]
 
 
-def test_nothing_is_written_unless_forced(healthy, shared_data, tmp_path):
+def test_nothing_is_written_unless_forced(healthy, tmp_path):
     _, log = healthy
-    robot, out, quiet = str(shared_data / "gap-dev/robot.yaml"), tmp_path / "model.json", Console(-1)
+    robot, out, quiet = "comau_ns16", tmp_path / "model.json", Console(-1)
     flipped = tmp_path / "flipped.mcap"
     write_log(flipped, replace(log, effort=-log.effort, metadata={**log.metadata, "robot": "panda"}))
-    with pytest.raises(RejectedError, match=r"robot panda, not of blind_ns16.*opposite signs.*--force"):
+    with pytest.raises(RejectedError, match=r"robot panda, not of comau_ns16.*opposite signs.*--force"):
         estimate_files(robot, [flipped], out, 10.0, "weighted", quiet)
     assert not out.exists()
     estimate_files(robot, [flipped], out, 10.0, "weighted", quiet, force=True)
     assert out.exists()
 
 
-def test_a_log_that_names_another_robot_is_said_to(healthy, shared_data, tmp_path, capsys):
+def test_a_log_that_names_another_robot_is_said_to(healthy, tmp_path, capsys):
     _, log = healthy
     renamed = tmp_path / "renamed.mcap"
     write_log(renamed, replace(log, metadata={**log.metadata, "robot": "panda"}))
-    robot = str(shared_data / "gap-dev/robot.yaml")
+    robot = "comau_ns16"
     estimate_files(robot, [renamed], tmp_path / "model.json", 10.0, "weighted", Console(-1))
-    assert "the logs say that they are of robot panda, not of blind_ns16" in capsys.readouterr().err
+    assert "the logs say that they are of robot panda, not of comau_ns16" in capsys.readouterr().err
 
 
-def test_logs_of_two_machines_or_tools_are_not_pooled(healthy, shared_data, tmp_path, capsys):
+def test_logs_of_two_machines_or_tools_are_not_pooled(healthy, tmp_path, capsys):
     _, log = healthy
-    robot, out, quiet = str(shared_data / "gap-dev/robot.yaml"), tmp_path / "model.json", Console(-1)
+    robot, out, quiet = "comau_ns16", tmp_path / "model.json", Console(-1)
     paths: list[Path] = []
     for serial, tool in (("A-1", "none"), ("B-2", "none"), ("A-1", "gripper")):
         paths.append(tmp_path / f"{serial}_{tool}.mcap")
@@ -330,9 +329,9 @@ def test_logs_of_two_machines_or_tools_are_not_pooled(healthy, shared_data, tmp_
     assert "fitted to" not in capsys.readouterr().err
 
 
-def test_an_absurd_error_has_a_comment(healthy, shared_data, tmp_path, capsys):
+def test_an_absurd_error_has_a_comment(healthy, tmp_path, capsys):
     _, log = healthy
-    robot, out, quiet = str(shared_data / "gap-dev/robot.yaml"), tmp_path / "model.json", Console(-1)
+    robot, out, quiet = "comau_ns16", tmp_path / "model.json", Console(-1)
     for name, factor in (("right", 1.0), ("wrong", 1000.0)):
         write_log(tmp_path / f"{name}.mcap", replace(log, effort=factor * log.effort))
     estimate_files(robot, [tmp_path / "wrong.mcap"], out, 10.0, "weighted", quiet, force=True)
@@ -393,12 +392,10 @@ def standing(log):
     )
 
 
-def test_what_a_model_predicts_is_not_refused(healthy, shared_data, monkeypatch):
+def test_what_a_model_predicts_is_not_refused(healthy, monkeypatch):
     """On a few seconds a refit with a mistake in it may do better; logs that the model predicts have none."""
     robot, log = healthy
-    model = estimate(
-        robot, [read_log(shared_data / f"gap-dev/baseline/{name}.mcap", robot) for name in ("excite", "moves")]
-    )
+    model = estimate(robot, [record(Plant(robot, seed=3), name, seed) for name, seed in (("one", 11), ("two", 12))])
     monkeypatch.setattr("agent.estimation.plausibility_warnings", lambda *_: ["joint_1 and joint_5 look swapped"])
     quiet = Console(-1)
     with pytest.raises(RejectedError, match="look swapped"):

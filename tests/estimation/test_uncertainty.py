@@ -94,6 +94,52 @@ def test_intervals_cover_with_more_trust_in_the_prior(arm, multisine, make_log):
     assert 0.90 <= np.mean(hits) <= 1
 
 
+def _white(arm, multisine, make_log, cycles=1, rubs=0.0, noise=1.0):
+    """Problem and weighted estimate of a motion of 8 s in `cycles` equal cycles, friction by `rubs` off its form."""
+    robot, cycle = arm(2), 8.0
+    t = np.arange(int(cycle * 500)) / 500
+    q, qd, qdd = multisine(2, t, rest=True)
+    rigid, _, _ = rigid_bodies(robot)
+    standard = np.random.default_rng(3).normal(1.0, 0.2, rigid.projection.shape[1])
+    torque = rigid.torque(q, qd, qdd, rigid.projection @ standard) + 4 * np.tanh(qd / 0.01) * (1 + rubs * np.sin(2 * q))
+    torque = np.tile(torque, (cycles, 1))
+    torque = torque + noise * np.random.default_rng(cycles).normal(size=torque.shape)
+    starts = tuple(cycle * k for k in range(cycles)) if cycles > 1 else ()
+    log = make_log(robot, np.arange(len(torque)) / 500, np.tile(q, (cycles, 1)), torque, cycle_starts=starts)
+    observation = observe(rigid, [log], FilterSettings(20.0))
+    problem = Problem.pose(observation, partition(observation.segments), paper_terms([Reversal()] * 2))
+    return problem, weighted(problem)
+
+
+def test_noise_is_taken_between_that_of_the_fit_and_that_held_out(arm, multisine, make_log):
+    """Sixteen times the squared error held out: four times the variance of what the data decide."""
+    problem, found = _white(arm, multisine, make_log)
+    within = np.sum(found.weights * problem.moments.energy(found.parameters), axis=0)
+    large, larger = (replace(found, held_out=found.held_out * k * within.max()) for k in (1.0, 16.0))
+    before, after = (np.diag(covariance(problem, one)) for one in (large, larger))
+    seen = before > 10 * np.diag(covariance(problem, replace(found, held_out=0 * found.held_out)))
+    assert seen.sum() > 5, "those that the prior does not decide"
+    assert after[seen] / before[seen] == pytest.approx(4.0, rel=0.1)
+
+
+def test_less_error_held_out_than_in_the_fit_makes_nothing_more_certain(arm, multisine, make_log):
+    problem, found = _white(arm, multisine, make_log)
+    nothing, tenth = (covariance(problem, replace(found, held_out=k * found.held_out)) for k in (0.0, 0.1))
+    assert np.diag(nothing) == pytest.approx(np.diag(tenth))
+
+
+def test_an_error_that_every_cycle_repeats_is_not_averaged_away(arm, multisine, make_log):
+    """Ten cycles of a model error say no more than two; ten of noise say five times as much."""
+    for rubs, noise, least, most in ((1.0, 0.01, 0.75, 1.3), (0.0, 30.0, 0.3, 0.65)):
+        deviations = [
+            np.sqrt(np.diag(covariance(*_white(arm, multisine, make_log, cycles, rubs, noise)))) for cycles in (2, 10)
+        ]
+        problem, _ = _white(arm, multisine, make_log)
+        at = [len(problem.load) + k for k, term in enumerate(problem.terms) if term.form == "coulomb"]
+        ratio = deviations[1][at] / deviations[0][at]
+        assert np.all((least < ratio) & (ratio < most)), ratio
+
+
 def test_deviations_shrink_with_data_as_they_should(arm, multisine, make_log):
     robot = arm(2)
     settings = EstimationSettings.create(method="weighted", friction="paper")

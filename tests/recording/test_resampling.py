@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,17 @@ def test_the_grid_is_even_and_the_motion_the_same(uneven):
     assert np.abs(log.effort).max() <= 1.0  # monotone between samples: no overshoot at the steps
     assert log.velocity is None
     assert log.cycle_starts == (0.0, 1.0)
+
+
+def test_times_of_breaks_and_cycles_follow_the_first_sample(uneven):
+    """A first segment of one sample is dropped: what is left starts later, and every time in it with it."""
+    there = float(uneven.t[1500])
+    cut = replace(uneven, segments=((0, 1), (1000, 2000)), breaks=(there,), cycle_starts=(0.0, there))
+    log = resampled(cut, 400.0)
+    assert log.t[0] == 0.0
+    assert log.stamp == pytest.approx(cut.stamp + cut.t[1000])
+    assert [log.stamp + time for time in log.breaks] == pytest.approx([cut.stamp + there])
+    assert [log.stamp + time for time in log.cycle_starts] == pytest.approx([cut.stamp + there])
 
 
 def test_unknown_set_points_stay_unknown(uneven):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agent.runs.history import open_history
-from agent.runs.trends import FEWEST, parameter_trends, watch
+from agent.runs.trends import FALSE_ALARMS, FEWEST, parameter_trends, watch
 
 
 def _watch(logs):
@@ -57,6 +57,20 @@ def test_a_limit_that_comes_near_is_told_before_it_is_reached(write_runs):
     assert warning.joint == "joint_2"
     assert 4 < warning.days < 16
     assert "the gate of 3 %" in warning.text
+
+
+def test_the_series_of_a_machine_share_its_false_alarms(write_runs):
+    """Small wear of many sizes: what would be no chance in one series alone is no alarm among twelve."""
+    trends = [
+        trend
+        for seed in range(24)
+        for trend in _watch(write_runs(12, 300 + seed, wear=seed % 6, wear_by=0.01 + 0.002 * (seed // 3)))[0].trends
+    ]
+    share = FALSE_ALARMS / 12
+    doubtful = [trend for trend in trends if share < trend.probability < FALSE_ALARMS]
+    assert doubtful, "some have to be between the two levels"
+    assert all(trend.kind == "none" for trend in doubtful)
+    assert all(trend.kind != "none" for trend in trends if trend.probability < share)
 
 
 def test_few_runs_say_nothing(write_runs):

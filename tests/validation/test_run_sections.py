@@ -10,6 +10,7 @@ import pytest
 from agent.estimation import EstimationSettings, estimate
 from agent.recording import Log
 from agent.report import RUN_SECTIONS, RunContent, further_sections
+from agent.report.correlation import correlation, correlation_section
 from agent.report.page import Page, Section, render
 from agent.report.paper_section import paper_section
 from agent.robot import load_robot
@@ -61,8 +62,31 @@ def test_the_papers_estimator_stands_beside_ours(logs):
     theirs = predict_log(paper, unseen).rmse(moving=True)
     assert [float(row[2]) for row in rows] == pytest.approx(theirs, rel=0.01)
     assert [float(row[1]) for row in rows] == pytest.approx(predictions[0].rmse(moving=True), rel=0.01)
+    ratio = theirs / predictions[0].rmse(moving=True)
+    assert [float(row[4]) for row in rows] == pytest.approx(ratio, abs=0.006)
+    assert np.ptp(ratio) > 0.1 or np.all(np.abs(ratio - 1) > 0.1), "else an inverted ratio would look the same"
     assert paper_section(paper, fitted, predictions) is None
     assert "paper over this" in render(Page("t", "h", "plain", [section]))
+
+
+def test_correlations_keep_their_sign():
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(4, 6))
+    covariance = root @ root.T
+    covariance[3] = covariance[:, 3] = 0.0
+    found = correlation(covariance)
+    deviation = np.sqrt(np.diag(covariance)[:3])
+    assert found[:3, :3] * np.outer(deviation, deviation) == pytest.approx(covariance[:3, :3])
+    assert found.min() < -0.1
+    assert not found[3].any(), "a parameter without variance is correlated with nothing"
+
+
+def test_the_strongest_pairs_are_listed_with_their_sign():
+    covariance = np.array([[4.0, -1.96, 0.2], [-1.96, 1.0, 0.0], [0.2, 0.0, 1.0]])
+    section = correlation_section(SimpleNamespace(covariance=covariance, names=("m_1", "f0_1", "f1_1")))
+    assert section.parts[1].rows[:2] == [("m_1", "f0_1", "-0.980"), ("m_1", "f1_1", "+0.100")]
+    assert section.text[0].startswith("1 of 3 pairs")
+    assert "f0_1, m_1: -0.98" in section.parts[0].svg
 
 
 def test_a_section_is_one_function_and_one_registration(monkeypatch, tmp_path):

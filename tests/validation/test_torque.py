@@ -14,7 +14,7 @@ from agent.estimation.filtering import FilterSettings, motions
 from agent.pipeline import validation_text
 from agent.recording.log import Log
 from agent.robot import load_robot
-from agent.validation import predict_log, summary, validate
+from agent.validation import pooled_rmse, predict_log, summary, validate
 
 
 def _log(robot, path, t, q, torque):
@@ -84,6 +84,17 @@ def test_moving_samples_are_those_in_which_the_arm_moves(case):
     assert np.all(resting.time[resting.moving] < 4.2)
     error = resting.error[resting.moving]
     assert np.allclose(resting.rmse(moving=True), np.sqrt(np.mean(error**2, axis=0)))
+
+
+def test_the_gate_pools_the_moving_samples_of_all_motions(case):
+    """Torque at standstill is anything within stiction, so an error there changes nothing."""
+    _, model, logs = case
+    predictions = [predict_log(model, log) for log in logs]
+    error = np.concatenate([p.error[p.moving] for p in predictions])
+    expected = np.sqrt(np.mean(error**2, axis=0))
+    assert pooled_rmse(predictions) == pytest.approx(expected)
+    stuck = [replace(p, measured=p.measured + 1000.0 * ~p.moving[:, None]) for p in predictions]
+    assert pooled_rmse(stuck) == pytest.approx(expected)
 
 
 def test_bounds_hold_most_of_an_unseen_motion(case):

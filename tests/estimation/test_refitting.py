@@ -1,0 +1,103 @@
+"""Friction estimated again beside base parameters that are kept: what it may be off by, and what it shares with them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agent.estimation import EstimationSettings, conditional_covariance, estimate
+from agent.estimation.refitting import refit
+from agent.robot.bodies import rigid_bodies
+
+DOF = 2
+CYCLE = 8.0  # s
+
+
+def torque_of(robot, q, qd, qdd, rubs=lambda q: 1.0):
+    """(S, n) of the described links with Coulomb and viscous friction, the former times `rubs` of the position."""
+    rigid, _, _ = rigid_bodies(robot)
+    standard = np.random.default_rng(3).normal(1.0, 0.2, rigid.projection.shape[1])
+    return rigid.torque(q, qd, qdd, rigid.projection @ standard) + 4 * rubs(q) * np.tanh(qd / 0.01) + 2 * qd
+
+
+@pytest.fixture(scope="module")
+def earlier(arm, multisine, make_log):
+    """The arm, and its model from noisy logs of one motion."""
+    robot = arm(DOF)
+    t = np.arange(int(20 * 500)) / 500
+    q, qd, qdd = multisine(DOF, t, seed=1)
+    noise = np.random.default_rng(1).normal(size=q.shape)
+    log = make_log(robot, t, q, torque_of(robot, q, qd, qdd) + noise)
+    return robot, estimate(robot, [log], EstimationSettings.create(method="weighted", friction="paper", cutoff=20.0))
+
+
+@pytest.fixture(scope="module")
+def later(earlier, multisine, make_log):
+    """`later(cycles, rubs, noise)`: a log of another motion, the same for every cycle."""
+    robot, _ = earlier
+
+    def made(cycles=1, rubs=lambda q: 1.0, noise=1.0, seed=2):
+        t = np.arange(int(CYCLE * 500)) / 500
+        q, qd, qdd = multisine(DOF, t, seed=2, rest=True)
+        torque = np.tile(torque_of(robot, q, qd, qdd, rubs), (cycles, 1))
+        torque = torque + noise * np.random.default_rng(seed).normal(size=torque.shape)
+        starts = tuple(CYCLE * k for k in range(cycles)) if cycles > 1 else ()
+        time = np.arange(len(torque)) / 500
+        return make_log(robot, time, np.tile(q, (cycles, 1)), torque, cycle_starts=starts)
+
+    return made
+
+
+def test_friction_follows_an_error_of_the_base_parameters_as_the_covariance_says(earlier, later):
+    """A step along Σ_β v moves friction by G Σ_β v, which is the covariance of both times v."""
+    _, model = earlier
+    base, log = len(model.independent), later()
+    found = refit(model, [log]).model
+    cross = found.covariance[base:, :base]
+    rng = np.random.default_rng(5)
+    for _ in range(3):
+        along = rng.normal(size=base) / np.sqrt(np.diag(model.covariance)[:base])
+        moved = replace(model, values=model.values + np.append(model.covariance[:base, :base] @ along, 0 * cross[:, 0]))
+        answer = refit(moved, [log]).model.values[base:] - found.values[base:]
+        assert answer == pytest.approx(cross @ along, rel=0.1, abs=0.05 * np.abs(cross @ along).max())
+
+
+def test_the_base_parameters_stay_and_their_covariance_with_them(earlier, later):
+    _, model = earlier
+    base, found = len(model.independent), refit(earlier[1], [later()]).model
+    assert found.values[:base] == pytest.approx(model.values[:base], rel=1e-12)
+    assert found.covariance[:base, :base] == pytest.approx(model.covariance[:base, :base])
+    assert found.covariance == pytest.approx(found.covariance.T)
+    assert np.linalg.eigvalsh(found.covariance / np.outer(*2 * [np.sqrt(np.diag(found.covariance))])).min() > -1e-9
+
+
+def test_what_friction_scatters_by_at_given_base_parameters_is_what_is_said(earlier, later):
+    """Fresh noise on the same motion, far above what the base parameters are off by."""
+    _, model = earlier
+    base = len(model.independent)
+    found = [refit(model, [later(noise=20.0, seed=seed)]).model for seed in range(10, 30)]
+    scatter = np.std([each.values[base:] for each in found], axis=0, ddof=1)
+    said = np.median([np.sqrt(np.diag(conditional_covariance(each))) for each in found], axis=0)
+    assert np.all((0.4 < scatter / said) & (scatter / said < 1.6))
+
+
+def test_an_error_that_every_cycle_repeats_is_not_averaged_away(earlier, later):
+    """Friction that depends on the position is no noise: ten cycles say no more of it than two."""
+    _, model = earlier
+    deviations = [
+        np.sqrt(np.diag(conditional_covariance(refit(model, [later(cycles, lambda q: 1 + np.sin(2 * q), 0.01)]).model)))
+        for cycles in (2, 10)
+    ]
+    coulomb = [k for k, term in enumerate(model.terms) if term.form == "coulomb"]
+    assert coulomb
+    assert np.all(deviations[1][coulomb] > 0.75 * deviations[0][coulomb])
+
+
+def test_everything_estimated_again_is_a_fresh_estimate_of_the_same_terms(earlier, later):
+    _, model = earlier
+    found = refit(model, [later()], "all")
+    assert found.model.terms == model.terms
+    assert np.all(found.held_out > 0)
+    assert np.all(found.held_out < 1.2 * found.before)
